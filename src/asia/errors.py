@@ -1,4 +1,4 @@
-"""What can go wrong, kept apart by who can mend it."""
+"""Errors, grouped by the side that can correct them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal
 
 
 class Reason(StrEnum):
-    """Why a candidate has no score. `advice` says what its author can do."""
+    """Reason for a missing score; `advice` describes the remedy."""
 
     SYNTAX = "syntax"
     CONTRACT = "contract"
@@ -39,15 +39,15 @@ class Reason(StrEnum):
 
     @property
     def advice(self) -> str:
-        """One sentence: what happened and what to do."""
+        """Failure and remedy in one sentence."""
         return _ADVICE[self]
 
 
 _ADVICE = {
-    Reason.SYNTAX: "the source does not parse: mend the line named",
+    Reason.SYNTAX: "the source does not parse: correct the line named below",
     Reason.CONTRACT: "the candidate breaks the contract: "
     "define fit(trajectories, context) that returns a model with simulate(past_u, past_y, u)",
-    Reason.CRASH: "the candidate raised an exception: mend the line and the error that are named",
+    Reason.CRASH: "the candidate raised an exception: correct the error at the line named below",
     Reason.EXITED: "the worker process ended before it answered: "
     "do not call exit, and look for a crash in compiled code",
     Reason.FIT_TIMEOUT: "fit exceeded its time: "
@@ -60,19 +60,20 @@ _ADVICE = {
     "constrain stability, bound the states or lower the learning rate",
     Reason.WRONG_LENGTH: "the reply has the wrong size: "
     "simulate must return an array (B, H, ny), one row for each input row",
-    Reason.UNSOLICITED: "the worker sent bytes nobody had asked for: leave the result pipe alone",
+    Reason.UNSOLICITED: "the worker sent bytes without a request: do not write to the result pipe",
     Reason.MODEL_SIZE: "the fitted model is too large to keep: lower the number of parameters",
     Reason.NOT_REPRODUCIBLE: "the model reloaded in a fresh process simulates differently: "
     "keep everything simulate needs inside the model",
-    Reason.LITERAL_DATA: "the source carries too much data of its own: "
-    "let fit learn the numbers from the training records, and shorten the rest",
-    Reason.SUSPECT: "the model does not answer like a model of a dynamical system: "
-    "make simulate a causal, continuous function of each row by itself, with no memory between "
+    Reason.LITERAL_DATA: "the source contains too many literal numbers: "
+    "let fit estimate them from the training records, and shorten the rest",
+    Reason.SUSPECT: "the simulation does not behave like a dynamical system: "
+    "make simulate a causal, continuous function of each row alone, with no memory between "
     "calls and no statistics over the rows of a request",
-    Reason.RESTART: "the model is good from the scored starting points alone: "
-    "make simulate about as good from any other sample of a record",
-    Reason.BEHIND: "V is far above the best, whatever the other folds give, so they do not count: "
-    "leave --stop-folds out to have V of every candidate",
+    Reason.RESTART: "the model is accurate from the scored initial samples only: "
+    "make simulate equally accurate from any other sample of a record",
+    Reason.BEHIND: "V is far above the best for any result of the other folds, so they were "
+    "pruned: "
+    "omit --stop-folds to compute V of every candidate",
 }
 
 
@@ -81,7 +82,7 @@ class AsiaError(Exception):
 
 
 class UserError(AsiaError):
-    """The user can mend it; the command line prints the sentence alone and exits with 2."""
+    """Error that the user can correct; the command line prints only its text and exits with 2."""
 
 
 class CandidateError(AsiaError):
@@ -94,8 +95,8 @@ class CandidateError(AsiaError):
 
 
 class SandboxError(AsiaError):
-    """The sandbox itself failed; says nothing about the candidate."""
+    """Failure of the sandbox itself, not of the candidate."""
 
 
 class InternalError(AsiaError):
-    """A bug in ASIA."""
+    """Bug in ASIA."""

@@ -45,6 +45,6 @@ def test_an_honest_candidate_conforms() -> None:
         (small(noise="-0.1 * np.random.default_rng().random()"), "a second fit"),
     ],
 )
-def test_the_suite_says_what_is_wrong(source: str, words: str) -> None:
+def test_the_suite_names_the_fault(source: str, words: str) -> None:
     with pytest.raises(AssertionError, match=words):
         check_candidate(source)

@@ -66,7 +66,7 @@ CONFIGS = {
 
 
 def agrees(in_numpy: Any, in_jax: Any, tolerance: float) -> None:
-    """Over the size of each channel, (T, n, ...)."""
+    """Compare relative to the size of each channel, (T, n, ...)."""
     assert isinstance(in_numpy, np.ndarray)
     assert not isinstance(in_jax, np.ndarray)
     assert in_numpy.dtype == in_jax.dtype

@@ -53,6 +53,6 @@ def spoiling(measure: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
     return spoil
 
 
-def test_the_suite_finds_a_metric_that_changes_what_it_is_given() -> None:
+def test_the_suite_finds_a_metric_that_changes_its_arguments() -> None:
     with pytest.raises(AssertionError, match="were changed"):
         check_metric(replace(MAE, function=spoiling(MAE.function)))

@@ -16,7 +16,7 @@ def test_level_conforms(level: Isolation) -> None:
     check_sandbox(lambda limits: open_worker(level, limits), walled=walled)
 
 
-def test_the_suite_refuses_a_level_without_walls_that_says_it_has_some(
+def test_the_suite_refuses_a_level_that_claims_missing_layers(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name in ("answers", "failures", "deadlines", "environment", "nothing_is_left"):
@@ -32,7 +32,7 @@ def test_the_suite_refuses_a_level_without_walls_that_says_it_has_some(
         (Isolation.LANDLOCK, "flock, fcntl, msgget$"),
     ],
 )
-def test_the_suite_refuses_walls_without_a_filter_on_system_calls(
+def test_the_suite_refuses_a_level_without_a_filter_on_system_calls(
     level: Isolation, messages: str
 ) -> None:
     if REASONS[level] is not None:

@@ -146,7 +146,7 @@ def in_numpy_and_jax(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> Pairs:
 
 
 def largest_difference(pairs: Pairs) -> float:
-    """Over the size of the output."""
+    """Return the largest difference relative to the size of the output."""
     found = 0.0
     for in_numpy, in_jax in pairs:
         assert in_numpy.dtype == in_jax.dtype
@@ -176,7 +176,7 @@ def test_a_network_simulates_in_numpy_as_in_jax(
 def test_a_network_simulates_in_double_precision_as_in_jax(
     row: Family, spy: Spy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where no rounding can hide that two formulas differ."""
+    """Double precision, where no rounding can hide that two formulas differ."""
     model = shaken(row)
     params = mapped(model.params, np.float64)
 
@@ -215,7 +215,7 @@ for path in sorted(Path(sys.argv[1]).glob("*.model")):
 
 
 def answered_elsewhere(models: dict[str, Any], folder: Path) -> None:
-    """In a fresh process, which loads all of them and must not import JAX."""
+    """Simulate in a fresh process, which loads all models and must not import JAX."""
     for name, model in models.items():
         (folder / f"{name}.model").write_bytes(cloudpickle.dumps((model, requests())))
     command = [sys.executable, "-W", "error", "-c", _LOADING, str(folder)]
@@ -239,7 +239,8 @@ def test_trained_models_are_loaded_and_simulated_without_jax(tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_models_are_built_without_jax() -> None:
-    """As the process that checks a source does, and the one that opens a run."""
+    """Build models without JAX, as the process that checks a source and the one that opens a
+    run."""
     lines = [f"import {row.package}.{row.name}" for row in ROWS]
     script = "\n".join(["import sys", *lines, "assert 'jax' not in sys.modules"])
     found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

@@ -51,7 +51,7 @@ def check_steps(model: Any, cases: list[Any], past: int, nu: int, ny: int) -> No
 
 @pytest.mark.parametrize("name", MODELS)
 def test_simulation_equals_the_steps(name: str) -> None:
-    """With numbers of no fit."""
+    """Unfitted parameters suffice for the comparison."""
     rng = np.random.default_rng(0)
 
     def case(batch: int, samples: int) -> tuple[Any, Any, Any]:

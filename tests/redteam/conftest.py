@@ -29,7 +29,7 @@ BY_CHANCE = {42}
 def candidate(
     fit: str = "pass", before: str = "pass", after: str = "0.5 * u", top: str = ""
 ) -> str:
-    """As in the shipped suite, with another honest answer."""
+    """Make a candidate as in the shipped suite, with another honest simulation."""
     return source_of.candidate(fit, before, after, top)
 
 
@@ -77,7 +77,7 @@ class Arena:
         np.testing.assert_array_equal(self.run(source, without=without), 0.5 * self.u)
 
     def ends(self, attempts: Mapping[str, str]) -> dict[str, str]:
-        """How each of these pieces of code ends, in one worker: an error's name, or `done`."""
+        """Run each of these codes in one worker; return an error's name or `done` for each."""
         with open_worker(self.level, Limits(30.0, 30.0, 2048, 64)) as worker:
             source = self.filled(source_of.steps(attempts))
             return said_steps(worker.fit(source, self.records, self.context).output)
@@ -108,14 +108,14 @@ def arena_at(level: Isolation) -> Iterator[Arena]:
 
 @pytest.fixture(params=WALLED, ids=str)
 def arena(request: pytest.FixtureRequest) -> Iterator[Arena]:
-    """At the levels that keep intent in."""
+    """Arena at the levels that confine malicious candidates."""
     with arena_at(request.param) as arena:
         yield arena
 
 
 @pytest.fixture
 def open_arena() -> Iterator[Arena]:
-    """At the weakest level, where the parent stands alone."""
+    """Open an arena at the weakest level, where only the parent protects itself."""
     with arena_at(Isolation.PROCESS) as arena:
         yield arena
 

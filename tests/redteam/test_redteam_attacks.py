@@ -1,5 +1,8 @@
-"""What the parent and the keeper alone stop, at the level without walls. Neither the cheats of the
-shipped suite nor the failures that the contract of every level holds are repeated."""
+"""Attacks that only the parent and the supervisor stop, at the level without sandbox layers.
+
+Neither the cheats of the shipped suite nor the failures that the contract of every level covers are
+repeated.
+"""
 
 import pytest
 

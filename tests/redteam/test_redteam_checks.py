@@ -69,7 +69,7 @@ def refused(*words: str) -> str:
         (("--without", "wall"), "causality"),
     ],
 )
-def test_what_cannot_be_left_out_is_refused(words, said):
+def test_a_layer_that_cannot_be_left_out_is_refused(words, said):
     assert said in refused(*words)
 
 

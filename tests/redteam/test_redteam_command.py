@@ -79,7 +79,7 @@ def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
         (["--attack", "3", "--quick"], "--attack and --quick do not go together"),
     ],
 )
-def test_what_the_command_does_not_know_it_says(words, said):
+def test_the_command_reports_unknown_arguments(words, said):
     done = run(*words)
     assert said in str(done.exception)
 

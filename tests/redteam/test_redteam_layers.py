@@ -53,7 +53,7 @@ def test_exactly_the_attacks_of_the_page_come_back_without_a_layer():
         assert shown[setting] - numbers <= BY_CHANCE
 
 
-def test_namespaces_alone_keep_what_lies_outside_them():
+def test_namespaces_alone_protect_the_outside():
     outside = [attack for attack in ATTACKS if attack.number in (2, 3, 5, 6, 12, 14, 18, 19)]
     found = come_back([(Isolation.NAMESPACE, BOTH)], outside)
     assert found == {("namespace", ("landlock", "seccomp")): set()}

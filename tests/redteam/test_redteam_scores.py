@@ -44,7 +44,7 @@ def arena(open_arena):
 
 
 @pytest.mark.parametrize("fit", [FORGED, FORGED + "\n" + FORGED, ENDLESS + "time.sleep(600)"])
-def test_a_score_nobody_offered_is_unsolicited(arena, fit):
+def test_a_score_without_an_offer_is_unsolicited(arena, fit):
     with pytest.raises(CandidateError) as caught:
         arena.run(candidate(fit=STEAL + fit))
     assert caught.value.reason is Reason.UNSOLICITED

@@ -69,7 +69,7 @@ def honest() -> HonestFinding:
 
 
 def one_of_each_kind() -> tuple[Attack, ...]:
-    """For everything that stops attacks the first attack that it stops."""
+    """Return for every barrier the first attack that it stops."""
     firsts = {min((a.number for a in ATTACKS if stop in a.stops), default=0) for stop in Barrier}
     return tuple(attack for attack in ATTACKS if attack.number in firsts)
 
@@ -104,7 +104,7 @@ def test_every_attack_is_stopped_at_every_level(report):
     assert report.stopped == len(report.plan.attacks)
 
 
-def test_every_attack_is_stopped_by_what_was_expected(report):
+def test_every_attack_is_stopped_by_an_expected_barrier(report):
     expected = {attack.number: {*map(str, attack.stops)} for attack in report.plan.attacks}
     stopped = [f for f in report.findings if f.level != OFF]
     assert [f for f in stopped if not {*f.stops} <= expected[f.number]] == []
@@ -134,7 +134,7 @@ def test_the_page_lists_the_attacks():
     assert shown == [(str(a.number), a.name, a.tries.replace("`", "")) for a in ATTACKS]
 
 
-def test_the_page_shows_what_became_of_them(report):
+def test_the_page_shows_the_findings(report):
     """Word for word on a machine such as the page names, elsewhere without the layers."""
     shown = page_tables()["#", "attack", "namespace", "landlock", "off"]
     ((_, found),) = tables(report_table(report)).items()
@@ -143,7 +143,7 @@ def test_the_page_shows_what_became_of_them(report):
 
 
 def _cells(rows, with_layers):
-    """What stands by number and level."""
+    """Parse the table into cells by number and level."""
     cells: dict[tuple[str, str], str] = {}
     by_chance = {str(number) for number in BY_CHANCE}
     for row in rows:
@@ -191,7 +191,7 @@ def test_a_candidate_that_really_is_better_counts_as_through():
 
 
 @needs_level
-def test_what_is_left_behind_counts_as_through(monkeypatch):
+def test_traces_count_as_success(monkeypatch):
     monkeypatch.setattr(Traces, "survivors", lambda self: ("process 1",))
     finding = attack_candidate(CANDIDATES[0], ONE_LEVEL)
     assert finding.verdict is AttackVerdict.THROUGH
@@ -213,7 +213,7 @@ if os.fork() == 0:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_a_process_nobody_marked_is_found_and_those_of_others_are_not(tmp_path, monkeypatch):
+def test_an_unmarked_process_is_found_and_those_of_others_are_not(tmp_path, monkeypatch):
     from asia.redteam.evidence import traces as module
 
     monkeypatch.setattr(module, "_PATIENCE_SECONDS", 0.0)
@@ -289,7 +289,7 @@ def test_an_honest_candidate_is_not_flagged_and_one_that_looks_ahead_is(honest, 
 
 @needs_level
 def test_an_honest_candidate_that_fails_was_not_checked(monkeypatch):
-    """Which fails the small problems, and is said of those whose limits are their own."""
+    """A failing fit on the small problems is reported for the problems with limits of their own."""
     from asia.redteam import _honest
 
     tanks, _ = small_problems()

@@ -1,5 +1,5 @@
-"""What walls keep a candidate from beyond what the shipped suite tries; never run at the process
-level, which has none."""
+"""Confinement by the sandbox layers beyond the attacks of the shipped suite; never run at the
+process level, which has none."""
 
 import os
 import secrets

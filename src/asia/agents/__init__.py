@@ -1,4 +1,4 @@
-"""Who proposes candidates. Agents see a view and return source; they never touch the evaluator.
+"""Agents, which propose candidates from a view of the search and never touch the evaluator.
 
 A new agent is one file here with a class that fulfils `Agent`, and one row in `_table.py`.
 """

@@ -1,4 +1,4 @@
-"""What an agent that waits, asks a language model or runs as a command needs of the search."""
+"""Interface between the search and agents that wait, ask a language model or run as a command."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from asia.ledger import Event, Exchanged, StopReason
 
 
 class InterruptedWaitError(Exception):
-    """Raised by an agent that waits, when the search has something else to do first; it is asked
+    """Error of an agent that waits, when the search has another task first; the agent is called
     again."""
 
 
@@ -23,11 +23,11 @@ class AgentStoppedError(Exception):
 
 
 class DivergedError(UserError):
-    """Raised in a replay by an agent that asks for what the record does not hold."""
+    """Error in a replay: the agent requests something that the record does not hold."""
 
 
 class Journal(Protocol):
-    """What an attached agent may write down, from any thread, and read again after a restart."""
+    """Journal of an attached agent: written from any thread, read again after a restart."""
 
     @property
     def exchanges(self) -> tuple[Exchanged, ...]:
@@ -52,27 +52,27 @@ class Journal(Protocol):
         ...
 
     def interrupted(self) -> bool:
-        """Whether a person has a note, a pause or a stop for the search."""
+        """Return whether the user has a note, a pause or a stop for the search."""
         ...
 
 
 @runtime_checkable
 class ProposesAhead(Protocol):
-    """An agent that may be asked before earlier proposals have their results: it reads
-    `view.running`, and proposes nothing that stands there."""
+    """Agent that can propose before earlier proposals have their results: it reads `view.running`,
+    and proposes no candidate listed there."""
 
     proposes_ahead: bool
     """Whether it does."""
 
 
 def proposes_ahead(agent: object) -> bool:
-    """Whether an agent may be asked while others of its proposals run."""
+    """Return whether an agent may be asked while others of its proposals run."""
     return isinstance(agent, ProposesAhead) and agent.proposes_ahead
 
 
 @runtime_checkable
 class Configured(Protocol):
-    """An agent whose settings shape what it proposes."""
+    """Agent whose settings shape its proposals."""
 
     def recorded(self) -> dict[str, str]:
         """The settings for the ledger, without secrets."""
@@ -80,7 +80,7 @@ class Configured(Protocol):
 
 
 def settings_of(agent: object) -> dict[str, str]:
-    """What the ledger should hold of an agent's settings; empty for one that has none."""
+    """Return an agent's settings for the ledger; empty for an agent without settings."""
     return agent.recorded() if isinstance(agent, Configured) else {}
 
 

@@ -17,12 +17,12 @@ _PART = re.compile(r"(?P<name>.+?)(?:\*(?P<count>.*))?")
 
 @dataclass(frozen=True)
 class LegPlan:
-    """A leg as a person asks for it."""
+    """Leg of a relay as the user requests it."""
 
     agent: str
     """The agent by name."""
     experiments: int | None
-    """How many experiments it has; None for all that are left."""
+    """Number of experiments; None for all remaining ones."""
 
 
 @dataclass(frozen=True)
@@ -30,27 +30,27 @@ class Runner:
     """The agent of a leg."""
 
     agent: Agent
-    """Who proposes."""
+    """Agent of the leg."""
     leg: Leg
-    """What the ledger holds of the leg."""
+    """Leg as recorded in the ledger."""
 
 
 class RelayAgent:
     """Asks the agent whose turn it is. The search hands over, and knows whose turn it is."""
 
     def __init__(self, runners: Sequence[Runner]) -> None:
-        """Raises UserError where one agent follows itself."""
+        """Raise UserError where one agent follows itself."""
         self.runners = tuple(runners)
         check_legs([runner.leg for runner in self.runners])
 
     @property
     def name(self) -> str:
-        """As `relay_name` has it."""
+        """Name of the relay, as `relay_name`."""
         return relay_name(self.legs)
 
     @property
     def legs(self) -> tuple[Leg, ...]:
-        """For the ledger."""
+        """Legs for the ledger."""
         return tuple(runner.leg for runner in self.runners)
 
     @property
@@ -59,7 +59,7 @@ class RelayAgent:
         return all(proposes_ahead(runner.agent) for runner in self.runners)
 
     def propose(self, view: AgentView) -> Proposal | None:
-        """What the agent of the view's leg proposes."""
+        """Propose a candidate with the agent of the view's leg."""
         return self.runners[view.leg - 1].agent.propose(view)
 
 
@@ -75,7 +75,7 @@ def legs_of(agent: object) -> tuple[Leg, ...]:
 
 
 def agent_of_leg(agent: Agent, leg: int) -> Agent:
-    """Who proposes in a leg; the agent itself where it is no relay."""
+    """Return the agent of a leg; the agent itself where it is no relay."""
     return agent.runners[leg - 1].agent if isinstance(agent, RelayAgent) else agent
 
 
@@ -85,12 +85,17 @@ def make_runner(agent: Agent, experiments: int | None) -> Runner:
 
 
 def is_relay(text: str) -> bool:
-    """Whether it asks for a relay: legs with `,` or `+` between them, or a number behind `*`."""
+    """Return whether it asks for a relay: legs with `,` or `+` between them, or a number behind
+    `*`."""
     return any(sign in text for sign in "*,+")
 
 
 def read_relay(text: str) -> tuple[LegPlan, ...]:
-    """`expert*8,bayes` or `expert*8+bayes` as legs. Raises UserError for what is none."""
+    """Parse `expert*8,bayes` or `expert*8+bayes` into legs.
+
+    Raises:
+        UserError: for an invalid relay
+    """
     plans: list[LegPlan] = []
     for part in re.split(r"[,+]", text):
         found = _PART.fullmatch(part.strip())
@@ -113,13 +118,13 @@ def read_relay(text: str) -> tuple[LegPlan, ...]:
 
 
 def relay_budget(legs: Sequence[LegPlan | Leg]) -> int | None:
-    """The experiments of all legs; None where the last takes what is left."""
+    """Return the experiments of all legs; None where the last takes all remaining ones."""
     counts = [leg.experiments for leg in legs]
     return None if None in counts else sum(count for count in counts if count is not None)
 
 
 def check_relay_budget(legs: Sequence[LegPlan | Leg], budget: int) -> None:
-    """Raises UserError unless the legs fit into the budget of the search."""
+    """Raise UserError unless the legs fit into the budget of the search."""
     asked = sum(leg.experiments or 0 for leg in legs)
     rest = legs[-1].experiments is None
     sums = " + ".join(f"{leg.agent}*{leg.experiments}" for leg in legs if leg.experiments)
@@ -139,7 +144,7 @@ def check_relay_budget(legs: Sequence[LegPlan | Leg], budget: int) -> None:
 
 
 def check_legs(legs: Sequence[Leg]) -> None:
-    """Raises UserError where one agent follows itself."""
+    """Raise UserError where one agent follows itself."""
     for one, other in pairwise(legs):
         if (one.agent, one.settings) == (other.agent, other.settings):
             raise UserError(f"a relay in which {one.agent} follows itself: join its two legs")

@@ -1,4 +1,5 @@
-"""Candidates that are brought: by a person in a shell, a coding agent, a client of a server."""
+"""Agent for submitted candidates: from a user in a shell, a coding agent, or a client of a
+server."""
 
 from __future__ import annotations
 
@@ -12,10 +13,11 @@ _POLL = 0.1
 
 
 class SubmittedAgent:
-    """Proposes what `take` gives, and waits while it gives nothing.
+    """Agent that proposes the submissions of `take`, and waits while there are none.
 
-    waiting: called while nothing is there, with the seconds waited so far; it may raise
-    AgentStoppedError to end the search, or any other exception to leave it as it is.
+    Args:
+        waiting: called while there is no submission, with the seconds waited so far; it may
+            raise AgentStoppedError to end the search, or any other exception to interrupt it
     """
 
     def __init__(
@@ -29,11 +31,11 @@ class SubmittedAgent:
 
     @property
     def name(self) -> str:
-        """Who brings them."""
+        """Name of the submitter."""
         return self._name
 
     def attach(self, journal: Journal) -> None:
-        """To be woken when a person has something to say."""
+        """Register to be woken when the user has a note or a request."""
         self._journal = journal
 
     def propose(self, view: AgentView) -> Proposal:

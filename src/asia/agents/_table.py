@@ -29,14 +29,14 @@ _CLASS = "class"
 
 @dataclass(frozen=True)
 class AgentRow:
-    """What is known of an agent by its name alone."""
+    """Facts about an agent, known by its name alone."""
 
     name: str
-    """What it is called on the command line and in the ledger."""
+    """Name on the command line and in the ledger."""
     help: str
-    """What it does, in one line."""
+    """Description in one line."""
     make: Callable[[], Agent] | None = None
-    """Makes it; None where it needs more than its name: a server, or somebody who proposes."""
+    """Factory; None where an agent needs more than its name: a server, or a submitter."""
     packages: tuple[str, ...] = ()
     """Packages whose versions its proposals depend on."""
 
@@ -45,12 +45,12 @@ class AgentRow:
 
     @property
     def free(self) -> bool:
-        """Whether it needs nothing and nobody."""
+        """Whether it needs no key, no language model and no submitter."""
         return self.make is not None
 
 
 AGENT_ROWS: tuple[AgentRow, ...] = (
-    AgentRow("expert", "an engineer's habits, without a language model", ExpertAgent),
+    AgentRow("expert", "rules of an experienced engineer, without a language model", ExpertAgent),
     AgentRow("random", "draws from the model library", RandomAgent, reads_notes=False),
     AgentRow(
         "random-paper",
@@ -75,22 +75,27 @@ RESERVED = frozenset(row.name for row in AGENT_ROWS)
 
 @dataclass(frozen=True)
 class NamedAgent:
-    """An agent and what the ledger holds of it beside its name."""
+    """Agent with its record for the ledger besides its name."""
 
     agent: Agent
     """The agent."""
     settings: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Its settings, and the class of one that is not built in."""
+    """Settings, and the class of an agent that is not built in."""
 
 
 def choose_agent(name: str, space: str | None = None) -> NamedAgent:
-    """An agent by the name of a built-in one, the name that a package gives it, or `module:Class`,
-    where the current folder is searched first. A class is called without arguments. Several of
-    them, as in `expert*5+bayes`, are a relay.
+    """Make an agent by name.
 
-    space: what `random` draws from, one of `SPACES`. Raises UserError for an unknown name or space,
-    a space given to an agent that does not draw, and a class that cannot be imported or is none of
-    an agent.
+    A name is that of a built-in agent, one that a package registers, or `module:Class`, where the
+    current folder is searched first. A class is called without arguments. Several names, as in
+    `expert*5+bayes`, form a relay.
+
+    Args:
+        space: search space of `random`, one of `SPACES`
+
+    Raises:
+        UserError: for an unknown name or space, a space for an agent that does not use one, and
+            a class that cannot be imported or is no agent
     """
     if space is not None and name != "random":
         raise UserError(
@@ -118,8 +123,11 @@ def choose_agent(name: str, space: str | None = None) -> NamedAgent:
 
 
 def asked_relay(text: str) -> tuple[LegPlan, ...]:
-    """The legs of a relay, as in `expert*8,bayes` or `expert*8+bayes`; () for one agent. Raises
-    UserError for legs that make no sense."""
+    """The legs of a relay, as in `expert*8,bayes` or `expert*8+bayes`; () for one agent.
+
+    Raises:
+        UserError: for legs that make no sense
+    """
     brought = {part.name for part in parts_of(GROUP)}
     return read_relay(text) if is_relay(text) and text not in brought else ()
 
@@ -135,8 +143,13 @@ def make_agent(name: str, space: str | None = None) -> Agent:
 
 
 def recorded_agent(name: str, settings: Mapping[str, str]) -> Agent | None:
-    """The agent of a ledger, to be asked again; None where somebody else proposed. A language model
-    answers from the ledger. Raises UserError when the class of the agent cannot be imported now."""
+    """Return the agent of a ledger for a resumed search; None for an external proposer.
+
+    A language model answers from the ledger.
+
+    Raises:
+        UserError: when the class of the agent cannot be imported now
+    """
     if name == "llm":
         return LlmAgent(LlmSettings.from_record(settings), network=False)
     if _CLASS in settings and name not in RESERVED:
@@ -146,14 +159,15 @@ def recorded_agent(name: str, settings: Mapping[str, str]) -> Agent | None:
 
 
 def recorded_agents(started: Started) -> tuple[Agent | None, ...]:
-    """As `recorded_agent`, for every leg of a relay; the one agent of any other search."""
+    """Return the recorded agents of every leg of a relay, as `recorded_agent`; the one agent of any
+    other search."""
     if not started.legs:
         return (recorded_agent(started.agent, started.agent_settings),)
     return tuple(recorded_agent(leg.agent, leg.settings) for leg in started.legs)
 
 
 def reads_notes(started: Started) -> bool:
-    """Whether any agent of the search reads notes; one that is not built in sees them."""
+    """Return whether any agent of the search reads notes; one that is not built in sees them."""
     deaf = {row.name for row in AGENT_ROWS if not row.reads_notes}
     names = [leg.agent for leg in started.legs] or [started.agent]
     return not deaf.issuperset(names)

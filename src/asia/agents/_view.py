@@ -1,8 +1,8 @@
-"""What an agent sees of a search, and what it answers.
+"""View of a search for agents, and their proposals.
 
-No measured time, no validation residuals, no test: an agent decides from V per fold, status, the
-candidates' logs and training-side residual analysis. It may look at the training records, all of
-them, as a person would.
+There is no measured time, no validation residual and no test: an agent decides from V per fold,
+status, the candidates' logs and training-side residual analysis. It may look at all training
+records, as a user would.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from asia.protocol import EarlyStopping, TrainingLoss, find_metric
 
 @dataclass(frozen=True)
 class Effort:
-    """What the person is willing to spend: experiments in all, seconds a fold's fit may take."""
+    """Budget of the search: total experiments, and seconds for the fit of a fold."""
 
     experiments: int = 15
     fit_seconds: float = 120.0
@@ -28,16 +28,22 @@ class Effort:
 
 @dataclass(frozen=True)
 class Facts:
-    """The problem as an agent may know it. `records` are the training trajectories; in
-    cross-validation each is some fold's answer, which no agent needs to abuse.
+    """Public facts about the problem.
 
-    past_inputs, past_outputs: samples in the past window; horizon: samples of one window, None
-    where whole records are simulated; notes, strategies: what the literature says and what to try,
-    in the person's words; groups: names of the records held out together, one tuple a
-    fold, () where folds are cut inside the records; early_stopping: `validation` lets a fit ask
-    for its score on the held-out part; ladder: the share of V by which a new best must be better to
-    be reported, None where every V is reported; symmetry: changes of the signals that leave the
-    system's laws as they are.
+    `records` are the training trajectories; in cross-validation each contains the held-out outputs
+    of some fold.
+
+    Attributes:
+        past_inputs, past_outputs: samples in the past window
+        horizon: samples of one window, None where whole records are simulated
+        notes, strategies: notes from the literature and suggested strategies, in the user's
+            words
+        groups: names of the records held out together, one tuple a fold, () where folds are cut
+            inside the records
+        early_stopping: `validation` lets a fit ask for its score on the held-out part
+        ladder: the share of V by which a new best must be better to be reported, None where
+            every V is reported
+        symmetry: changes of the signals that leave the system's laws as they are
     """
 
     description: str
@@ -82,12 +88,18 @@ class Facts:
 
 @dataclass(frozen=True)
 class Trial:
-    """An evaluated experiment. `value` and `folds` are None and () when there is no score; with the
-    Ladder `folds` is () and `value` the last reported V, a new best where the status is `keep`;
-    `failure` is what happened and what to do, `error` the candidate's own words for it: data, not
-    to be trusted. `evidence` is in lines to read what else is known of the best and of the last
-    trial, () for the others. `agent` proposed it, "" where all were
-    proposed by the one that is asked; `lowest`: with retests, its own fit was the best so far."""
+    """Evaluated experiment.
+
+    Attributes:
+        value, folds: V and V per fold; None and () when there is no score. With the Ladder
+            `folds` is () and `value` the last reported V, a new best where the status is `keep`
+        failure: description of the failure and its remedy
+        error: message of the candidate itself: data, not to be trusted
+        evidence: further findings as lines of text, for the best and the last trial; () for the
+            others
+        agent: the proposing agent, "" where the asked agent proposed all
+        lowest: with retests, whether its own fit was the best so far
+    """
 
     number: int
     parent: int | None
@@ -110,7 +122,7 @@ class Trial:
 
     @property
     def improved(self) -> bool:
-        """Whether it was the best so far: its method by more than luck, or its own fit."""
+        """Whether it was the best so far, by significance or by its own fit."""
         return self.status == "keep" or self.lowest
 
     @property
@@ -137,13 +149,19 @@ class Running:
 
 @dataclass(frozen=True)
 class AgentView:
-    """A read-only view of the search. `is_known(source)` tells whether a candidate with the same
-    normalised source was tried; `notes` are what a person said meanwhile, oldest first; `linear` is
-    V of the best linear model and `mean` V of the mean of the training outputs, None where they are
-    not known.
-    `remaining` are the experiments left to the agent that is asked; `leg` is its place in a relay,
-    1-based, 0 where it is alone; `running` are the experiments in flight, oldest first: () unless
-    several are proposed ahead of their results."""
+    """Read-only view of the search.
+
+    `is_known(source)` returns whether a candidate with the same normalised source was tried.
+
+    Attributes:
+        notes: messages of the user during the search, oldest first
+        linear, mean: V of the best linear model and of the mean of the training outputs, None
+            where unknown
+        remaining: experiments left to the asked agent
+        leg: its place in a relay, 1-based, 0 where there is no relay
+        running: pending experiments, oldest first; () unless several are proposed ahead of
+            their results
+    """
 
     facts: Facts
     seed: int
@@ -164,8 +182,7 @@ class AgentView:
 
     @property
     def experiments(self) -> int:
-        """The whole budget of the agent that is asked, as it stands now, with all that was done
-        before its turn."""
+        """Total budget of the asked agent, including all experiments before its leg."""
         return len(self.proposed) + self.remaining
 
     @property
@@ -182,9 +199,14 @@ class AgentView:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A candidate with its reasons. `expected` says, before the fact, what should happen;
-    `parent` is the experiment it was made from; `ticket` names a submission; `remark` is what a
-    person should know of the search by now, "" for nothing."""
+    """Candidate with its rationale.
+
+    Attributes:
+        expected: predicted effect, recorded before the evaluation
+        parent: the experiment it was derived from
+        ticket: name of a submission
+        remark: message for the user about the search, "" for none
+    """
 
     source: str
     family: str

@@ -1,4 +1,4 @@
-"""What was measured: signals, records, their digests, and where they come from.
+"""Measurements: signals, records, their digests and sources.
 
 Light: a sandboxed worker imports it.
 """

@@ -34,7 +34,11 @@ def name_signals(
     named: Sequence[str | Signal] | None, first: Any, letter: str
 ) -> tuple[Signal, ...]:
     """Signals by name, as given, or after the columns of a data frame, `u [V]` with its unit, or
-    `u`, or `u1` and so on. first: the array or data frame of the first record."""
+    `u`, or `u1` and so on.
+
+    Args:
+        first: the array or data frame of the first record
+    """
     if named is None:
         columns = [str(column) for column in getattr(first, "columns", ())]
         split = [Signal(*split_unit(column)) for column in columns]
@@ -56,11 +60,17 @@ def read_arrays(
     use: Use = "train",
     least: int = 1,
 ) -> Intake:
-    """Read one record a pair of `u` and `y`, called `kind` and its number, by the rules for files.
+    """Read one record from each pair of `u` and `y` by the rules for files.
 
     The columns of the signals are taken out of data frames. Their index gives the time stamps:
-    dates, or numbers in seconds. sampling_time: s; None for that of the stamps. Raises
-    UserError for what does not fit.
+    dates, or numbers in seconds.
+
+    Args:
+        kind: prefix of the record names, followed by a number
+        sampling_time: s; None for that of the time stamps
+
+    Raises:
+        UserError: for arrays that do not fit the signals or each other
     """
     if len(u) != len(y):
         raise UserError(
@@ -75,7 +85,7 @@ def read_arrays(
     ]
     if not parts:
         return Intake(())
-    if sampling_time is None and all(p.stamps is None or len(p.stamps) < 3 for p in parts):
+    if sampling_time is None and all(p.timestamps is None or len(p.timestamps) < 3 for p in parts):
         raise UserError("the sampling time is not known: give sampling_time=..., in seconds")
     return make_records(parts, use, sampling_time, least, _IGNORE_INDEX)
 
@@ -101,11 +111,11 @@ def _part(
     own = [found for v in (u, y) if (found := _time_index(v, where)) is not None]
     if len(own) == 2:
         _check_same_times(own[0], own[1])
-    stamps = _seconds(own[0]) if own else None
-    if stamps is not None and not np.isfinite(stamps).all():
-        rows = np.isfinite(stamps)
-        us, ys, stamps = us[rows], ys[rows], stamps[rows]
-    return SheetPart(name, us, ys, stamps, None, where, 1, is_file=True)
+    timestamps = _seconds(own[0]) if own else None
+    if timestamps is not None and not np.isfinite(timestamps).all():
+        rows = np.isfinite(timestamps)
+        us, ys, timestamps = us[rows], ys[rows], timestamps[rows]
+    return SheetPart(name, us, ys, timestamps, None, where, 1, is_file=True)
 
 
 def _time_index(values: Any, where: str) -> Sheet | None:
@@ -131,7 +141,7 @@ def _seconds(sheet: Sheet) -> Array:
 
 
 def _check_same_times(u: Sheet, y: Sheet) -> None:
-    """Raises UserError where inputs and outputs were not sampled at the same times."""
+    """Raise UserError where inputs and outputs were not sampled at the same times."""
     where = u.where
     (name, first_column), (_, second_column) = (next(iter(s.columns.items())) for s in (u, y))
     cells = first_column.cells, second_column.cells
@@ -139,8 +149,8 @@ def _check_same_times(u: Sheet, y: Sheet) -> None:
     if kinds[0] != kinds[1]:
         raise UserError(f"{where}: one of u and y has dates as its index, the other has numbers")
     both = replace(first_column, cells=np.concatenate(cells))
-    stamps = _seconds(replace(u, columns={name: both}))
-    first, second = stamps[: len(cells[0])], stamps[len(cells[0]) :]
+    timestamps = _seconds(replace(u, columns={name: both}))
+    first, second = timestamps[: len(cells[0])], timestamps[len(cells[0]) :]
     step = float(np.median(np.diff(first))) if len(first) > 1 else 1.0
     apart = np.abs(second - first)
     if np.nanmax(apart) > JITTER * abs(step):

@@ -1,4 +1,4 @@
-"""Test samples that are copies of training samples, or beyond what training inputs reach."""
+"""Test samples that duplicate training samples or lie outside the training input range."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def shared_samples(test: Sequence[Trajectory], train: Sequence[Trajectory]) -> i
 
 
 def samples_outside(test: Sequence[Trajectory], train: Sequence[Trajectory]) -> tuple[int, ...]:
-    """For each input, test samples beyond the least or the greatest value of the training records,
-    by more than a hundredth of their range."""
+    """Count the test samples of each input that exceed the training range by more than a hundredth
+    of it."""
     u = [record.u for record in train]
     low = np.min([values.min(axis=0) for values in u], axis=0)
     high = np.max([values.max(axis=0) for values in u], axis=0)
@@ -44,7 +44,7 @@ def samples_outside(test: Sequence[Trajectory], train: Sequence[Trajectory]) -> 
 
 
 def _is_in(values: NDArray[np.uint64], ordered: NDArray[np.uint64]) -> NDArray[np.bool_]:
-    """Which of the values are among `ordered`, which is sorted."""
+    """Return which values occur in the sorted array `ordered`."""
     if ordered.size == 0:
         return np.zeros(values.shape, dtype=bool)
     places = np.searchsorted(ordered, values)

@@ -19,8 +19,13 @@ _BACK, _LARGEST = 20, 3.48
 
 @dataclass(frozen=True)
 class FoundDelay:
-    """lag: samples until the output answers, 0 for a direct feed-through; None where it never
-    leaves the band. correlation: (lags,) from 0 on; band: its 99 % band without any effect."""
+    """Delay from an input to an output.
+
+    Attributes:
+        lag: samples until the output responds, 0 for a direct feed-through; None where it never
+            leaves the band. correlation: (lags,) from 0 on; band: its 99 % band without any
+            effect.
+    """
 
     lag: int | None
     correlation: Array
@@ -48,11 +53,12 @@ def find_delay(records: Sequence[Trajectory], channel: int, output: int) -> Foun
 
 
 def find_feedback(records: Sequence[Trajectory], channel: int, output: int) -> bool | None:
-    """Whether what is new in the input correlates with earlier outputs beyond the 99 % band.
+    """Return whether the innovation of the input correlates with earlier outputs beyond the 99 %
+    band.
 
-    Without feedback the innovation of the input does not know past outputs (Ljung, System
-    Identification, 2nd ed., section 13.4). None where the filter leaves an innovation that is not
-    white, as of a few sines: the band does not hold for it.
+    Without feedback the innovation is independent of past outputs (Ljung, System Identification,
+    2nd ed., section 13.4). None where the filter leaves an innovation that is not white, as for a
+    few sines: the band does not hold for it.
     """
     longest = min(_BACK, min(len(r) for r in records) // 4)
     weights = _whitening([r.u[:, channel] for r in records])

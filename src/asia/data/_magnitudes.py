@@ -19,7 +19,11 @@ LEAST_RANGE = 1e-100
 def check_magnitudes(
     trajectories: Sequence[Trajectory], inputs: Sequence[str], outputs: Sequence[str], what: str
 ) -> None:
-    """Raises UserError for a sample above the largest magnitude. what: kind of the records."""
+    """Raise UserError for a sample above the largest magnitude.
+
+    Args:
+        what: kind of the records, for the message
+    """
     for t in trajectories:
         for role, names, values in (("input", inputs, t.u), ("output", outputs, t.y)):
             magnitudes = np.abs(values)
@@ -38,7 +42,7 @@ def check_magnitudes(
 def check_ranges(
     trajectories: Sequence[Trajectory], inputs: Sequence[str], outputs: Sequence[str]
 ) -> None:
-    """Raises UserError for a signal that moves, but so little that its variance comes out as 0."""
+    """Raise UserError for a signal that moves, but so little that its variance comes out as 0."""
     if not trajectories:
         return
     _check_range([t.u for t in trajectories], "input", inputs)

@@ -1,4 +1,4 @@
-"""How the increments of outputs go with the integrals of others, in records."""
+"""Relation between the increments of outputs and the integrals of others."""
 
 from __future__ import annotations
 
@@ -24,8 +24,10 @@ class Motion:
 
 
 def motion(records: Sequence[Trajectory], span: int) -> Motion:
-    """Over `span` samples, in all records; integrals by Euler steps, in which the rate of a sample
-    moves the output of the next."""
+    """Compare increments with integrals over `span` samples in all records.
+
+    Integrals use Euler steps: the rate at a sample moves the output of the next sample.
+    """
     moved, integrals = (np.concatenate(parts) for parts in zip(*_pairs(records, span), strict=True))
     energy = np.maximum((moved**2).sum(axis=0), 1e-300)
     effect = np.maximum((integrals**2).sum(axis=0), 1e-300)

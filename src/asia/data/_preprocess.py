@@ -1,4 +1,4 @@
-"""What is done to every record before a search sees it, and undone on what a model gives."""
+"""Preprocessing of every record before a search, and its inverse for simulated outputs."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ class Preprocess:
     delay: Mapping[str, Annotated[int, Field(ge=0, le=1_000_000)]] = field(
         default_factory=dict[str, int]
     )
-    """Samples, by input: what a model receives at a sample was measured so much before."""
+    """Delay of each input in samples: a model receives values measured this many samples
+    earlier."""
     decimate: Annotated[int, Field(ge=1, le=1_000_000)] = 1
     """N."""
     offset: Mapping[str, float] = field(default_factory=dict[str, float])
-    """By signal, in its unit."""
+    """Offset by signal, in its unit."""
     scale: Mapping[str, _Positive] = field(default_factory=dict[str, float])
-    """By signal, in its unit."""
+    """Scale by signal, in its unit."""
 
     def __bool__(self) -> bool:
         return self != Preprocess()
@@ -41,7 +42,7 @@ class Preprocess:
         return max(self.delay.values(), default=0)
 
     def check(self, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """Raises UserError for a name that is no signal, or no input where one is wanted."""
+        """Raise UserError for a name that is no signal, or no input where one is wanted."""
         tables: tuple[tuple[str, Mapping[str, float], Sequence[str]], ...] = (
             ("delay", self.delay, inputs),
             ("offset", self.offset, [*inputs, *outputs]),
@@ -55,7 +56,8 @@ class Preprocess:
                     )
 
     def signals(self, signals: Sequence[Signal]) -> tuple[Signal, ...]:
-        """With the units that records have afterwards: 3 V for a voltage scaled by 3 V."""
+        """Return the signals with their units after preprocessing: 3 V for a voltage scaled by 3
+        V."""
         return tuple(
             Signal(s.name, f"{self.scale[s.name]:g} {s.unit}".strip())
             if s.name in self.scale
@@ -64,7 +66,7 @@ class Preprocess:
         )
 
     def length(self, samples: int) -> int:
-        """Of a record that had so many samples."""
+        """Return the length after preprocessing of a record of `samples` samples."""
         return max(samples - self.longest_delay, 0) // self.decimate
 
     def record(
@@ -84,12 +86,14 @@ class Preprocess:
     def records(
         self, records: Sequence[Trajectory], inputs: Sequence[Signal], outputs: Sequence[Signal]
     ) -> tuple[Trajectory, ...]:
-        """As `record`, of several."""
+        """Preprocess several records, as `record`."""
         return tuple(self.record(record, inputs, outputs) for record in records)
 
     def inputs(self, u: Array, signals: Sequence[Signal]) -> Array:
-        """Measured inputs (T, nu) -> what a model receives, (length(T), nu). The first
-        `longest_delay` samples are taken up by the delays."""
+        """Preprocess measured inputs (T, nu) to model inputs (length(T), nu).
+
+        The first `longest_delay` samples are taken up by the delays.
+        """
         longest, rows = self.longest_delay, len(u)
         late = [longest - self.delay.get(s.name, 0) for s in signals]
         moved = [u[k : rows - longest + k, i] for i, k in enumerate(late)]
@@ -102,7 +106,7 @@ class Preprocess:
         return (y[:: self.decimate] - self._offsets(signals)) / self._scales(signals)
 
     def back(self, y: Array, signals: Sequence[Signal], samples: int) -> Array:
-        """Outputs that a model gives -> (samples, ny) in physical units; on straight lines between
+        """Convert simulated outputs -> (samples, ny) in physical units; on straight lines between
         the samples that were kept, and held after the last."""
         if not self:
             return y

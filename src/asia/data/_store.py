@@ -1,9 +1,9 @@
-"""Test records encrypted at rest: one file in the problem's directory, its key elsewhere.
+"""Test records encrypted at rest: one file in the problem's directory, its key in another folder.
 
-The first line is JSON that anyone may read: what the search must know of the test before it is
-opened. The rest is a Fernet token (https://github.com/fernet/spec: AES-128-CBC, then HMAC-SHA256)
-of that line without `payload_sha256` and the files, one behind the other. A store has a key of its
-own.
+The first line is JSON that anyone may read: the facts about the test that the search needs before
+it is opened. The rest is a Fernet token (https://github.com/fernet/spec: AES-128-CBC, then
+HMAC-SHA256) of that line without `payload_sha256` and the files, concatenated. A store has a key of
+its own.
 """
 
 from __future__ import annotations
@@ -47,10 +47,15 @@ class SealedFile:
 @with_config(_STRICT)
 @dataclass(frozen=True)
 class SealHead:
-    """What a store tells without its key. sha256: digest of the records, as in a ledger; inputs,
-    outputs, sampling_time (s): how they were read for it; shared_samples: how many also occurred in
-    the training records when they were sealed; outside_inputs: for each input, how many were beyond
-    the range of the training records; payload_sha256: of all that follows, "" inside."""
+    """Public header of a store, readable without its key.
+
+    Attributes:
+        sha256: digest of the records, as in a ledger
+        inputs, outputs, sampling_time: signals and sampling time (s) used to read them
+        shared_samples: samples that also occurred in the training records at sealing
+        outside_inputs: for each input, samples beyond the range of the training records
+        payload_sha256: digest of the encrypted payload, "" inside it
+    """
 
     key: KeyName
     sha256: Digest
@@ -76,7 +81,8 @@ class PlainFile:
 
 
 def key_folder(given: Path | None = None) -> Path:
-    """Where keys are: `given`, else $ASIA_KEYS, else asia/keys in $XDG_CONFIG_HOME or ~/.config."""
+    """Return the folder of keys: `given`, else $ASIA_KEYS, else asia/keys in $XDG_CONFIG_HOME or
+    ~/.config."""
     if given is not None:
         return given.absolute()
     named = os.environ.get(KEYS_VARIABLE)
@@ -88,9 +94,11 @@ def key_folder(given: Path | None = None) -> Path:
 
 
 def new_key(folder: Path) -> str:
-    """Make a key; on return FOLDER/NAME.key is on the disk, for its owner alone. Its name.
+    """Make a key and return its name; on return FOLDER/NAME.key is on the disk, for its owner
+    alone.
 
-    Raises UserError when it cannot be written.
+    Raises:
+        UserError: when it cannot be written
     """
     from cryptography.fernet import Fernet
 
@@ -114,13 +122,17 @@ def new_key(folder: Path) -> str:
 
 
 def key_path(folder: Path, name: str) -> Path:
-    """Of the key with this name."""
+    """Return the path of the key with this name."""
     return folder / f"{name}.key"
 
 
 def write_store(path: Path, head: SealHead, contents: Sequence[PlainFile], keys: Path) -> None:
     """Encrypt `contents`, the files of `head`, with its key; on return the store is on the disk.
-    Raises UserError without the key, OSError."""
+
+    Raises:
+        UserError: without the key
+        OSError: when the store cannot be written
+    """
     plain = _line(head) + b"\n" + b"".join(content.data for content in contents)
     payload = _fernet(head, path, keys).encrypt(plain)
     told = replace(head, payload_sha256=hashlib.sha256(payload).hexdigest())
@@ -131,18 +143,29 @@ def write_store(path: Path, head: SealHead, contents: Sequence[PlainFile], keys:
 
 
 def read_seal(path: Path) -> SealHead:
-    """What the store at `path` tells without its key. Raises UserError when it is not one or was
-    damaged."""
+    """Read the public header of the store at `path`, without its key.
+
+    Raises:
+        UserError: when it is not a store or was damaged
+    """
     return _split(path)[0]
 
 
 def find_key(path: Path, head: SealHead, keys: Path) -> None:
-    """Raises UserError, which says how to mend it, when the key of a store cannot be used."""
+    """Check that the key of a store can be used.
+
+    Raises:
+        UserError: with the remedy, when it cannot
+    """
     _fernet(head, path, keys)
 
 
 def open_store(path: Path, keys: Path) -> tuple[PlainFile, ...]:
-    """The files of a store. Raises UserError without the key, or when the store was changed."""
+    """The files of a store.
+
+    Raises:
+        UserError: without the key, or when the store was changed
+    """
     from cryptography.fernet import InvalidToken
 
     head, payload = _split(path)

@@ -1,4 +1,4 @@
-"""Signals and records: what was measured."""
+"""Signals and measured records."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Signal:
 
 
 def _is_frozen(values: object) -> TypeGuard[Array]:
-    """Whether nobody can write to the array any more, so that records share it."""
+    """Return whether the array is read-only, so that records can share it."""
     if not isinstance(values, np.ndarray) or values.dtype != np.float64:
         return False
     base: object = values
@@ -61,10 +61,17 @@ def _frozen(values: object, what: str, *, gaps: bool = False) -> Array:
 class Trajectory:
     """One contiguous record.
 
-    u: (T, nu) inputs and y: (T, ny) outputs in physical units, float64, read-only; sampling_time
-    in seconds. NaN in `y` is an output that was not measured: there `missing` is True, and `y` has
-    the straight line between the measured neighbours, the nearest one at the ends. Raises UserError
-    on unequal lengths, on other values that are not finite, and on an output never measured.
+    NaN in `y` is an output that was not measured: there `missing` is True, and `y` has the straight
+    line between the measured neighbours, the nearest one at the ends.
+
+    Attributes:
+        u: (T, nu) inputs in physical units, float64, read-only
+        y: (T, ny) outputs in physical units, float64, read-only
+        sampling_time: s
+
+    Raises:
+        UserError: on unequal lengths, on other values that are not finite, and on an output
+            never measured
     """
 
     u: Array

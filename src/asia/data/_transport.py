@@ -1,7 +1,8 @@
-"""Signals that are carried through a pipe or along a belt at a pace that an input sets.
+"""Transport delays through a pipe or along a belt whose pace is an input.
 
-What leaves at a time entered when the amount that has passed was smaller by the volume of the pipe:
-integral of the pace from entry to now = volume (plug flow). A slow pace means a long delay.
+A signal that leaves at a time entered when the integral of the pace was smaller by the volume of
+the pipe: integral of the pace from entry to now = volume (plug flow). A slow pace means a long
+delay.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from asia.data._arrays import Array
 from asia.data._trajectory import Trajectory
 
-# Least pace as a share of the volume in a sample, so that time never stands still.
+# Least pace as a share of the volume per sample, so that the transport never stops.
 _LEAST_PACE = 1e-4
 # Lower limit of the pace in a simulation, as a share of the least one in the records.
 _SLOWEST = 0.5
@@ -33,14 +34,14 @@ class Transport:
     pace: int
     """Number of that input, whose values are positive."""
     volume: float
-    """Of the pipe: unit of the input times samples."""
+    """Volume of the pipe: unit of the input times samples."""
     slowest: float = 0.0
     """Lower limit of the pace in a simulation, so that nothing stays in the pipe for longer than
     `longest` samples."""
 
     @property
     def least_pace(self) -> float:
-        """Of the values that the pace is limited to."""
+        """Lower limit of the pace."""
         return max(self.slowest, _LEAST_PACE * self.volume)
 
     @property
@@ -69,15 +70,18 @@ class FoundTransport(NamedTuple):
     transport: Transport
     """The pipe."""
     delay: float
-    """In samples, at the mean pace."""
+    """Delay in samples at the mean pace."""
     ratio: float
     """Squared one-step error with it, over the least of all constant delays; infinite where the
     records are too short to tell."""
 
 
 def find_transport(records: Sequence[Trajectory], pace: int) -> FoundTransport:
-    """Volume of the pipe by the error of a one-step model with products of its signals. Raises
-    ValueError where the input takes values that are not positive."""
+    """Volume of the pipe by the error of a one-step model with products of its signals.
+
+    Raises:
+        ValueError: where the input takes values that are not positive
+    """
     least = min(float(r.u[:, pace].min()) for r in records)
     if least <= 0.0:
         raise ValueError(f"input {pace} cannot be a pace: it has values that are not positive")
@@ -101,7 +105,7 @@ def find_transport(records: Sequence[Trajectory], pace: int) -> FoundTransport:
 
 
 def _sums(values: Array) -> Array:
-    """(T, c) -> (T + 1, c), what has passed before each sample."""
+    """Return the cumulative sums (T + 1, c) of (T, c): the amount before each sample."""
     return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
 
 

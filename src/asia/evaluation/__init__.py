@@ -1,5 +1,8 @@
-"""Folds, sandbox and scoring put together. Holds targets and runs candidates, never both at once:
-what goes to a worker is a `Case`, what is scored stays here."""
+"""Evaluation of candidates: folds, sandbox and scoring together.
+
+This package holds targets and runs candidates, never both at once: a worker receives a `Case`, and
+the scored outputs stay here.
+"""
 
 from asia.evaluation._context import search_context
 from asia.evaluation._dry_run import DryFold, DryRun, allowed_seconds, dry_run, short_fold

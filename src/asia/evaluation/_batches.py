@@ -17,7 +17,7 @@ _MOTION = 3
 
 @dataclass(frozen=True)
 class CaseBatch:
-    """One request and its answer."""
+    """Request with its simulated outputs."""
 
     past_u: Array
     """Past inputs, (B, n_past_u, nu)."""
@@ -30,7 +30,7 @@ class CaseBatch:
     y_hat: Array
     """Simulated outputs, (B, H, ny)."""
     count: int
-    """How many rows are cases; those after them repeat the first."""
+    """Number of rows that are cases; further rows repeat the first."""
     followed: bool = False
     """Whether data that come right after the block train."""
 
@@ -62,10 +62,11 @@ class CaseBatch:
         )
 
     def later_starts(self, number: int, scale: Array) -> Iterator[tuple[CaseBatch, list[int]]]:
-        """The same stretches from `number` later starts in the first half, with the sample of each
-        row's start. A past window that does not hold the whole state gives a better start at rest
-        than in motion. Each part of the first half therefore gives the sample at which the outputs
-        move most nearly as fast as at the scored start. After the last input it is held."""
+        """Yield the same segments from `number` later starts in the first half, with the sample of
+        each row's start. A past window that does not hold the whole state gives a better start
+        at rest than in motion. Each part of the first half therefore gives the sample at which
+        the outputs move most nearly as fast as at the scored start. After the last input it is
+        held."""
         motion = self._motion(scale)
         half = self.u.shape[1] // 2
         for part in np.array_split(np.arange(1, half + 1), number):
@@ -115,9 +116,12 @@ def batches(
     random: np.random.Generator,
     followed: Collection[int] = (),
 ) -> tuple[CaseBatch, ...]:
-    """A few of the requests that `simulate_held_out` sends, drawn at random, in the same shapes and
-    order. y_hat: the answers (H, ny); followed: which blocks have data that train right after
-    them."""
+    """Draw a few of the requests of `simulate_held_out` at random, in the same shapes and order.
+
+    Args:
+        y_hat: simulated outputs (H, ny)
+        followed: blocks right after which data train
+    """
     requests = held_out_requests(blocks, horizon)
     count = min(len(requests), MOST_BATCHES)
     places = np.sort(random.choice(len(requests), count, replace=False))

@@ -1,4 +1,4 @@
-"""What all candidates of a search are given."""
+"""Context of all candidates of a search."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from asia.problem.load import Problem
 
 
 def search_context(problem: Problem, seed: int) -> Context:
-    """The context of a search with this derived seed, but for what is a fold's own."""
+    """Return the context of a search with this derived seed, without the fields that differ by
+    fold."""
     rule = problem.protocol
     return Context(
         inputs=problem.inputs,

@@ -29,7 +29,7 @@ class DryFold:
     """A short cut of a fold, both to train on and to simulate."""
 
     fold: Fold
-    """The fold that the candidate is tried on; what it simulates trains as well."""
+    """Short fold for the trial; its simulated samples train as well."""
     samples: int
     """Samples it trains on."""
     of_samples: int
@@ -38,22 +38,22 @@ class DryFold:
 
 @dataclass(frozen=True)
 class DryRun:
-    """What a dry run found."""
+    """Result of a dry run."""
 
     failure: Failure | None
-    """Why the candidate would have no score; None where nothing was found."""
+    """Reason for a missing score; None where nothing was found."""
     output: str
-    """What the candidate printed while it was fitted; its own words."""
+    """Text that the candidate printed during its fit, unmodified."""
     samples: int
     """Samples that it was fitted to."""
     of_samples: int
     """Samples that the whole fold trains on."""
     fit_seconds: float | None
-    """How long the fit took; None where it did not end well."""
+    """Duration of the fit; None where it failed."""
     compile_seconds: float
-    """How much of all seconds JAX traced and compiled."""
+    """Share of the duration in which JAX traced and compiled, in seconds."""
     simulate_seconds: float
-    """How long the simulations took, compilation apart."""
+    """Duration of the simulations without compilation."""
     limit_seconds: float
     """The limit of a fit in a try."""
     allowed_seconds: float
@@ -68,8 +68,10 @@ class DryRun:
 
 
 def short_fold(fold: Fold, rule: ProtocolRule) -> DryFold:
-    """The beginnings of the first training records of `fold`, a quarter of its samples or a few
-    hundred. Their own samples are what is simulated, so that nothing held out is asked for."""
+    """Cut the first training records of `fold` to a quarter of its samples or a few hundred.
+
+    Their own samples are simulated, so that no held-out sample is used.
+    """
     full = sum(len(record) for record in fold.train)
     wanted = max(_FEWEST_SAMPLES, min(int(_SHARE * full), _MOST_SAMPLES))
     chosen = fold.train[:_MOST_RECORDS]
@@ -89,11 +91,12 @@ def allowed_seconds(limit_seconds: float) -> float:
 
 
 def dry_run(evaluator: Evaluator, short: DryFold, source: str, limit_seconds: float) -> DryRun:
-    """Fit `source` on the short fold, simulate, and load its model again, which must then answer
-    the same.
+    """Fit `source` on the short fold, simulate, and reload its model, which must simulate the same.
 
-    evaluator: of the short fold alone, with `allowed_seconds` for a fit and without the relations
-    that only a try checks: nobody may rehearse how to pass them. limit_seconds: of a fit in a try.
+    Args:
+        evaluator: of the short fold alone, with `allowed_seconds` for a fit and without the
+            relations that only a search checks, so that no candidate can rehearse them
+        limit_seconds: time limit of a fit in a search
     """
     evaluator.stopwatch.take()
     evaluation = evaluator.evaluate(source)

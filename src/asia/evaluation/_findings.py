@@ -1,4 +1,4 @@
-"""From the simulations of one fold to its score and what is learned beside it."""
+"""Score and diagnostics from the simulations of one fold."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MOST_RESIDUALS = 120
 
 @dataclass(frozen=True)
 class Fitted:
-    """What the worker of one fold gave."""
+    """Results from the worker of one fold."""
 
     reply: FitReply
     """The reply to the fit."""
@@ -44,9 +44,9 @@ class Fitted:
     memory_mb: float | None
     """The largest address space of the worker."""
     compile_seconds: float
-    """How long JAX traced and compiled."""
+    """Time in which JAX traced and compiled."""
     device: str = ""
-    """What JAX computed on, by the worker's own word; "" where nobody asked for a GPU."""
+    """Device of JAX, as reported by the worker; "" where no GPU was requested."""
 
 
 def fold_result(
@@ -58,8 +58,11 @@ def fold_result(
     validation_scores: int,
 ) -> FoldResult:
     """Score a fold's simulations and analyse their residuals. An analysis that raises leaves a line
-    in `FoldFindings.failed`, and zeros in `Diagnostics`; a score that raises is not caught. Raises
-    CandidateError for what is not finite or too large to analyse."""
+    in `FoldFindings.failed`, and zeros in `Diagnostics`; a score that raises is not caught.
+
+    Raises:
+        CandidateError: for outputs that are not finite or too large to analyse
+    """
     inside = whole(fold.train, rule)
     y, train_y = [b.y for b in fold.validation], [b.y for b in inside]
     in_parts = rule.ladder is not None
@@ -119,13 +122,13 @@ def _without_gaps(y: Sequence[Array], y_hat: Sequence[Array]) -> list[Array]:
 def _errors(
     y: Sequence[Array], y_hat: Sequence[Array], scale: Array, rule: ProtocolRule
 ) -> tuple[float, ...]:
-    """Of each output, over all samples, as V averages them."""
+    """Return the error of each output over all samples, as V averages them."""
     a, b = (np.concatenate(list(parts)) for parts in (y, y_hat))
     return tuple(find_metric(rule.metric).shortfalls(a, b, scale).tolist())
 
 
 def _step_errors(fold: Fold, y_hat: Sequence[Array], rule: ProtocolRule) -> tuple[StepErrors, ...]:
-    """At the steps that the test's table prints too."""
+    """Return the errors at the steps that the table of the test lists too."""
     if rule.horizon is None:
         return ()
     y = [block.y for block in fold.validation]

@@ -1,7 +1,7 @@
-"""Metamorphic checks: relations that hold between the answers of any model of a dynamical system.
+"""Metamorphic checks: relations that hold between simulations of any model of a dynamical system.
 
-A lookup table answers the cases it was made for and fails on cases close to them. Relations between
-answers need no threshold on how good a model may be (Chen et al., ACM Computing Surveys 51(1),
+A lookup table reproduces its own cases and fails on cases close to them. Relations between
+simulations need no threshold on how good a model may be (Chen et al., ACM Computing Surveys 51(1),
 2018).
 """
 
@@ -37,7 +37,7 @@ from asia.protocol import Block
 from asia.scoring import Failure
 
 ROUNDING = 1e-6
-# V of sequential fits over V, above which the folds told one another something.
+# V of sequential fits over V, above which the folds exchanged data.
 _UNLIKE = 1.5
 _BY_ITSELF = 24
 # Parts of a case that are asked alone: a short one, and two anywhere beyond.
@@ -58,25 +58,34 @@ def suspicions(
     without: Collection[SuspicionKind] = (),
     rounding: float = ROUNDING,
 ) -> tuple[Suspicion, ...]:
-    """The relations that a model breaks on held-out blocks; () for an honest one.
+    """Return the relations that a model breaks on held-out blocks; () for an honest one.
 
-    simulator: the model, best in a fresh worker, which has answered nothing; y_hat: the scored
-    answers (H, ny) to `blocks`; scale (ny,): standard deviations of the outputs; horizon: that of
-    the protocol; seed: for the choice of requests, of prefixes and of the signs of perturbations,
-    unknown to whoever wrote the model; followed: the blocks right after which data train; without:
-    relations that are left out; rounding: by how many standard deviations other cases may move an
-    answer.
+    First, on whole blocks that data follow, the simulation is continued from its own outputs to the
+    block's end (`block end`: another end, though it began alike). Then the relations of
+    `dependences` are tested.
 
-    First, on whole blocks that data follow, it goes on from its own outputs to the block's end
-    (`block end`: another end, though it began alike). Then what `dependences` asks. Then, on at
-    most six requests, inputs and past moved by 1e-6 of their standard deviations, there and back
-    (`perturbation`: an isolated answer, or a jump at once), and by 1e-2 (`table`: no change at
-    all); the scored requests again (`replay`); and, last, as their past windows are held-out
-    outputs, four later starts on the same record, where the output moves about as fast (`restart`:
-    all much worse over the rest of it, or failing).
-    Raises CandidateError where an answer does not come, but for `restart` only where time or memory
-    ran out; one that is not finite breaks `perturbation`, `restart`, `replay`, `strangers` and
-    `causality`, and says nothing about the others.
+    Then, on at most six requests, inputs and past are moved by 1e-6 of their standard deviations,
+    there and back (`perturbation`: an isolated response, or an immediate jump), and by 1e-2
+    (`table`: no change at all). The scored requests are repeated (`replay`). Last, because their
+    past windows are held-out outputs, four later starts on the same record are simulated where the
+    output moves about as fast (`restart`: all much worse over the rest of it, or failing).
+
+    Args:
+        simulator: the model, best in a fresh worker, which has simulated nothing
+        blocks: held-out blocks
+        y_hat: the scored outputs (H, ny) of `blocks`
+        scale: (ny,) standard deviations of the outputs
+        horizon: that of the protocol
+        seed: for the choice of requests, of prefixes and of the signs of perturbations, unknown
+            to the author of the model
+        followed: the blocks right after which data train
+        without: relations that are left out
+        rounding: standard deviations by which other cases in a request may change an output
+
+    Raises:
+        CandidateError: where a simulation fails; for `restart` only where time or memory ran
+            out. An output that is not finite breaks `perturbation`, `restart`, `replay`,
+            `strangers` and `causality`, and is ignored by the others.
     """
     inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, followed, without)
     continued = inquiry.continuations() if SuspicionKind.BLOCK_END not in without else []
@@ -102,13 +111,13 @@ def dependences(
     without: Collection[SuspicionKind] = (),
     rounding: float = ROUNDING,
 ) -> tuple[Suspicion, ...]:
-    """The relations that need no measured output; arguments as for `suspicions`.
+    """Return the broken relations that need no measured output; arguments as for `suspicions`.
 
-    The simulator is asked for the first inputs of at most six requests alone, at three random
-    lengths, and at more where that is quick (`causality`: the answer is not the start of the scored
-    one), then for a few cases without any other, and for all of them in another order and among
-    other cases (`strangers`: an answer changes by more than rounding). So it cannot know what came
-    before a case in the scored order, after it, or beside it.
+    The first inputs of at most six requests are simulated alone, at three random lengths, and at
+    more where that is quick (`causality`: the output is not the start of the scored one). Then a
+    few cases are simulated without any other, and all of them in another order and among other
+    cases (`strangers`: an output changes by more than rounding). So a simulation cannot depend on
+    the cases before it in the scored order, after it, or in the same request.
     """
     inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, without=without)
     return _worst(inquiry.dependences(), without)
@@ -171,7 +180,8 @@ def _worst(
 
 
 class _Inquiry:
-    """What one call asks, in an order in which no answer can be taken from an earlier request."""
+    """Requests of one check, in an order in which no output can be copied from an earlier
+    request."""
 
     def __init__(
         self,
@@ -204,14 +214,14 @@ class _Inquiry:
         asked: list[tuple[RequestCheck, int, Array | None]] = []
         for check, length in lengths:
             answer = self._prefix(check, length)
-            # What agrees is not kept: long answers are large.
+            # Equal outputs are dropped: long ones are large.
             if answer is None or not check.begins_with(answer):
                 asked.append((check, length, answer))
         return [self._strangers(), *(check.causality(k, answer) for check, k, answer in asked)]
 
     def _prefixes(self) -> Iterator[tuple[RequestCheck, int]]:
-        """Requests and lengths: the same three for all, at which a model compiles; then others, as
-        many as a model that does not compile answers in a second."""
+        """Yield requests and lengths: the same three lengths for all, for which a model compiles;
+        then as many others as a model without compilation simulates in a second."""
         checks = [check for check in self.checks if check.lengths(self.fractions) is not None]
         for place in range(max(len(checks), len(self.fractions)) if checks else 0):
             check = checks[place % len(checks)]
@@ -232,7 +242,8 @@ class _Inquiry:
         return answer
 
     def continuations(self) -> list[tuple[RequestCheck, Continuation]]:
-        """Asked before all else: a longer request would tell where they start."""
+        """Simulate continuations before all other requests: a longer request would reveal where
+        they start."""
         return [
             (check, check.ask_continuation(lengths[1:]))
             for check in self.checks
@@ -247,8 +258,11 @@ def sequential_objection(
     random: np.random.Generator,
 ) -> Failure | None:
     """Refit the folds sequentially, in another order, where V is far below the training error, so
-    that none can tell another one anything; None where V stays. fit_sequentially: of the fold at
-    that place."""
+    that none can tell another one anything; None where V stays.
+
+    Args:
+        fit_sequentially: of the fold at that place
+    """
     value = float(np.mean([fold.score.value for fold in folds]))
     errors = [fold.diagnostics.train_error for fold in folds]
     if consistency(value, errors) >= FAR_BELOW:

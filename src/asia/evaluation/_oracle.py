@@ -19,7 +19,7 @@ LARGEST_SCORE = 100.0
 
 @dataclass
 class Oracle:
-    """Answers `context.validation_score` of one fit of `source` on `fold`; use it as a context
+    """Server of `context.validation_score` of one fit of `source` on `fold`; use it as a context
     manager.
 
     Models are simulated in a worker of their own, opened for the first of them and kept for all:
@@ -35,11 +35,11 @@ class Oracle:
     fold: Fold
     """The fold on whose held-out part models are scored."""
     rule: ProtocolRule
-    """How they are scored."""
+    """Protocol of the score."""
     most: int = VALIDATION_SCORES
-    """How many scores a fit may ask for."""
+    """Number of scores that a fit may request."""
     calls: int = 0
-    """How many it has asked for."""
+    """Number of scores requested so far."""
     _worker: Worker | None = None
     _stack: ExitStack = field(default_factory=ExitStack)
 
@@ -50,9 +50,13 @@ class Oracle:
         self._stack.close()
 
     def __call__(self, model: bytes, deadline: float) -> float:
-        """The normalised metric as `rounded_score` gives it; inf where the simulation is not
-        finite, as it may well be before a fit has settled. Raises CandidateError for any other
-        failure of the model, and ScoreRefusedError after `most` calls."""
+        """Return the normalised metric as `rounded_score` gives it; inf where the simulation is not
+        finite, which is possible before a fit has converged.
+
+        Raises:
+            CandidateError: for any other failure of the model
+            ScoreRefusedError: after `most` calls
+        """
         if self.calls >= self.most:
             raise ScoreRefusedError(
                 f"validation_score was called {self.most} times, all that a fit may: "

@@ -1,4 +1,4 @@
-"""The relations between the answers of one model, each on one request."""
+"""Relations between the simulations of one model, each on one request."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _RECENT = 10
 
 
 class SuspicionKind(StrEnum):
-    """Which relation a model breaks."""
+    """Relation that a model breaks."""
 
     REPLAY = "replay"
     STRANGERS = "strangers"
@@ -50,24 +50,24 @@ class Suspicion:
     kind: SuspicionKind
     """The relation."""
     words: str
-    """How it is broken, without a number. Agents receive the words alone: a figure would carry
-    held-out data out."""
+    """Description of the violation without a number. Agents receive this text alone: a figure would
+    leak held-out data."""
     figure: float
-    """By how much, in standard deviations of the outputs; for `restart` the error from later starts
-    over the error from the scored one."""
+    """Size of the violation in standard deviations of the outputs; for `restart` the error from
+    later starts over the error from the scored one."""
 
 
 @dataclass(frozen=True)
 class Continuation:
-    """Answers to starts inside a block, from simulated outputs, that end with it; None where not
+    """Simulations continued inside a block from simulated outputs up to its end; None where not
     finite."""
 
     beginning: Array | None
-    """To the first inputs of the longer one."""
+    """Outputs for the first inputs of the longer request."""
     short: Array | None
-    """To the shorter one."""
+    """Outputs of the shorter request."""
     long: Array | None
-    """To the longer one."""
+    """Outputs of the longer request."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,9 @@ class RequestCheck:
     """The relations on one request."""
 
     simulator: CaseSimulator
-    """What answers."""
+    """Simulator under test."""
     batch: CaseBatch
-    """The request and its scored answer."""
+    """Request with its scored outputs."""
     scale: Array
     """Standard deviations of the outputs, (ny,)."""
     random: np.random.Generator
@@ -85,16 +85,16 @@ class RequestCheck:
 
     @cached_property
     def nearby(self) -> tuple[Array | None, Array | None]:
-        """The answers to inputs and past moved by 1e-6, there and back."""
+        """Simulate with inputs and past changed by 1e-6, in both directions."""
         moved = self.batch.moved(TINY, self.scale, self.random)
         return self.ask(next(moved)), self.ask(next(moved))
 
     def perturbation(self) -> Suspicion | None:
-        """Answers to two cases close to the scored one must lie about as near to its answer as to
-        each other, and none may jump from the first sample on: chaos needs time to grow."""
+        """Test continuity: two perturbed simulations must be about as near to the scored one as to
+        each other, and none may jump from the first sample on, because chaos needs time to grow."""
         first, second = self.nearby
         if first is None or second is None:
-            words = "inputs moved by 1e-6 make the simulation diverge"
+            words = "changing the inputs by 1e-6 makes the simulation diverge"
             both = first is None and second is None
             return Suspicion(SuspicionKind.PERTURBATION, words, np.inf) if both else None
         jumps = [self._apart(y, self.batch.y_hat) for y in (first, second)]
@@ -106,7 +106,7 @@ class RequestCheck:
         isolated = least > _SAME and least > _ISOLATED * between
         if not isolated and not at_once:
             return None
-        words = "inputs moved by 1e-6 make the simulation jump"
+        words = "changing the inputs by 1e-6 makes the simulation jump"
         return Suspicion(SuspicionKind.PERTURBATION, words, least)
 
     def table(self) -> Suspicion | None:
@@ -120,36 +120,46 @@ class RequestCheck:
         taped = moves[still & (moves > _MOVES)]
         if taped.size == 0:
             return None
-        words = "inputs and past moved by 1e-2 change no output, though the output moves in time"
+        words = (
+            "changing inputs and past by 1e-2 changes no output, although the output varies in time"
+        )
         return Suspicion(SuspicionKind.TABLE, words, float(taped.max()))
 
     def begins_with(self, answer: Array) -> bool:
-        """Whether this is the start of the scored answer: then `causality` has no objection."""
+        """Return whether this is the start of the scored outputs: then `causality` has no
+        objection."""
         whole = self.batch.y_hat[:, : answer.shape[1]]
         return float(self._apart(answer, whole).max(initial=0.0)) <= _SAME
 
     def causality(self, length: int, answer: Array | None) -> Suspicion | None:
-        """answer: that to the first `length` inputs alone, which must be the start of the answer
-        to all of them. It says nothing where 1e-6 of the inputs moves it as much."""
+        """Test causality on the first `length` inputs alone, whose outputs must be the start of the
+        outputs for all inputs.
+
+        The test is void where a change of the inputs by 1e-6 has an effect of the same size.
+        """
         change = np.inf
         if answer is not None:
             change = self._beyond_rounding(answer, self.batch.y_hat[:, :length])
         if change <= _SAME:
             return None
-        words = "inputs after a sample move the output before it"
+        words = "inputs after a sample change the output before it"
         return Suspicion(SuspicionKind.CAUSALITY, words, change)
 
     def ask_continuation(self, lengths: tuple[int, int]) -> Continuation:
-        """The last samples of the block, started from what the model simulated before them."""
+        """Simulate the last samples of the block, started from the simulated outputs before
+        them."""
         short, long = lengths
         later = self.batch.ending(long)
         beginning, last = self.ask(later.prefix(short)), self.ask(self.batch.ending(short))
         return Continuation(beginning, last, self.ask(later))
 
     def block_end(self, found: Continuation) -> tuple[Suspicion | None, ...]:
-        """A model that goes on from its own outputs comes back to its own simulation. What differs
-        at first, for the past window shows the state in part, grows no more than a difference of
-        1e-6 does; a simulation that is drawn to what follows the block parts from it."""
+        """Test whether a model that continues from its own outputs returns to its own simulation.
+
+        An initial difference, because the past window shows only part of the state, must grow no
+        more than a difference of 1e-6 does; a simulation that is drawn to the data after the block
+        deviates from it.
+        """
         whole, overall = self.batch.y_hat, self.batch.y_hat - self.batch.y
         if _rms(overall[: self.batch.count] / self.scale) >= 1.0:
             return ()
@@ -163,8 +173,8 @@ class RequestCheck:
             length = found.beginning.shape[1]
             ahead = self._beyond_rounding(found.beginning, found.long[:, :length])
         last = max(parts, default=0.0)
-        words = "going on from its own outputs, the simulation ends elsewhere"
-        sooner = "the length of a simulation moves its output"
+        words = "continued from its own outputs, the simulation reaches another end"
+        sooner = "the length of a simulation changes its output"
         return (
             Suspicion(SuspicionKind.BLOCK_END, words, last) if last > 0 else None,
             Suspicion(SuspicionKind.CAUSALITY, sooner, ahead) if ahead > _SAME else None,
@@ -180,8 +190,8 @@ class RequestCheck:
         return last if last > _PARTED and growth > _GROWS * max(usual, 1.0) else 0.0
 
     def _beyond_rounding(self, one: Array, other: Array) -> float:
-        """Largest difference, but for what chaos makes of rounding: less than of 1e-6, at that
-        sample or the few before it."""
+        """Return the largest difference beyond the growth of rounding errors: less than that of
+        1e-6, at that sample or the few before it."""
         apart = self._apart(one, other)
         near = [a for a in self.nearby if a is not None]
         if len(near) == 2:
@@ -192,12 +202,12 @@ class RequestCheck:
         return float(apart.max(initial=0.0))
 
     def replay(self) -> Suspicion | None:
-        """The answer to a case does not depend on the requests before it."""
+        """Test that the outputs of a case do not depend on earlier requests."""
         answer = self.ask(self.batch)
         change = np.inf if answer is None else float(self._apart(answer, self.batch.y_hat).max())
         if change <= _SAME:
             return None
-        words = "the same case asked again is answered otherwise"
+        words = "the same case simulated again gives another output"
         return Suspicion(SuspicionKind.REPLAY, words, change)
 
     def restart(self) -> tuple[float, list[float]] | None:
@@ -233,7 +243,7 @@ class RequestCheck:
         return short, middle, long
 
     def ask(self, batch: CaseBatch) -> Array | None:
-        """The answer; None where it is not finite."""
+        """Simulate a request; None where the outputs are not finite."""
         try:
             answer = self.simulator.simulate(batch.past_u, batch.past_y, batch.u)
         except CandidateError as error:
@@ -252,13 +262,13 @@ class RequestCheck:
 
 
 def restart_suspicion(checks: Sequence[RequestCheck]) -> Suspicion | None:
-    """Over all requests: the best of the later starts against the scored one."""
+    """Compare the best of the later starts with the scored one, over all requests."""
     try:
         known = [error for check in checks if (error := check.restart()) is not None]
     except CandidateError as error:
         if error.reason in _OF_THE_MACHINE:
             raise
-        words = "started later on the same record the simulation fails"
+        words = "the simulation fails from a later start on the same record"
         return Suspicion(SuspicionKind.RESTART, words, np.inf)
     if not known:
         return None
@@ -268,7 +278,7 @@ def restart_suspicion(checks: Sequence[RequestCheck]) -> Suspicion | None:
     if best - own <= _WORSE or best <= _MUCH_WORSE * own:
         return None
     ratio = best / own if own > 0 else np.inf
-    words = "started later on the same record the simulation is far worse"
+    words = "the simulation is far worse from a later start on the same record"
     return Suspicion(SuspicionKind.RESTART, words, ratio)
 
 

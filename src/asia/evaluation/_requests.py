@@ -1,4 +1,4 @@
-"""In which order and in which batches cases go to a worker."""
+"""Order and batches of the cases that go to a worker."""
 
 from __future__ import annotations
 
@@ -19,17 +19,23 @@ class CaseSimulator(Protocol):
     """A fitted model, or a worker that holds one. Raises CandidateError."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """As `asia.candidate.Model.simulate`; finite."""
+        """Simulate cases as `asia.candidate.Model.simulate`; outputs are finite."""
         ...
 
 
 def simulate_held_out(
     worker: CaseSimulator, blocks: Sequence[Block], horizon: int | None
 ) -> tuple[Array, ...]:
-    """Simulated outputs (H, ny) of blocks whose outputs are kept back, in the order of `blocks`.
+    """Simulate held-out blocks whose outputs the evaluator keeps.
 
-    A later past window is an earlier block's answer. Whole blocks go one a request, in time order;
-    windows as `time_order` groups them. Raises CandidateError.
+    A later past window would reveal an earlier block's outputs. Whole blocks go one a request, in
+    time order; windows are grouped as in `time_order`.
+
+    Returns:
+        outputs (H, ny) in the order of `blocks`
+
+    Raises:
+        CandidateError: when the worker fails
     """
     requests = held_out_requests(blocks, horizon)
     found = simulate_requests(worker, blocks, requests, largest(requests))
@@ -63,7 +69,7 @@ def simulate_training(
 
 
 def spread(blocks: Sequence[Block], most: int) -> tuple[Block, ...]:
-    """At most so many of the blocks, evenly spread."""
+    """Choose at most `most` of the blocks, evenly spread."""
     places = np.linspace(0, len(blocks) - 1, min(len(blocks), most)).round().astype(int)
     return tuple(blocks[place] for place in places.tolist())
 
@@ -89,13 +95,13 @@ def among_strangers(
 
 
 def time_order(records: Sequence[int]) -> list[list[int]]:
-    """Requests, as lists of indices into `records`, the record of each window; the windows of a
-    record stand in time order.
+    """Schedule windows into requests, in time order for each record.
 
-    A request holds at most one window of each record, and a record's windows go in time order, a
-    request each. There are as few requests as the longest record allows and their sizes differ by
-    one at most (McNaughton's wrap-around schedule, Management Science 6(1), 1959: records laid end
-    to end and cut into lanes), so that a model compiles for two batch sizes at most.
+    `records` gives the record of each window; a request is a list of indices into it. A request
+    holds at most one window of each record, and a record's windows go in time order, a request
+    each. There are as few requests as the longest record allows and their sizes differ by one at
+    most (McNaughton's wrap-around schedule, Management Science 6(1), 1959: records laid end to end
+    and cut into lanes), so that a model compiles for two batch sizes at most.
     """
     numbers = np.asarray(records, dtype=np.int64)
     if numbers.size == 0:
@@ -115,8 +121,16 @@ def time_order(records: Sequence[int]) -> list[list[int]]:
 def simulate_requests(
     worker: CaseSimulator, blocks: Sequence[Block], requests: Sequence[Sequence[int]], rows: int
 ) -> dict[int, Array]:
-    """Simulated outputs (H, ny) of the blocks that are asked for. Requests with fewer than `rows`
-    cases repeat their first one, so that a model compiles once. Raises CandidateError."""
+    """Simulate the requested blocks.
+
+    Requests with fewer than `rows` cases repeat their first one, so that a model compiles once.
+
+    Returns:
+        outputs (H, ny)
+
+    Raises:
+        CandidateError: when the worker fails
+    """
     found: dict[int, Array] = {}
     for request in requests:
         cases = [blocks[i].case for i in (*request, *[request[0]] * (rows - len(request)))]

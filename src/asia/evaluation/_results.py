@@ -1,4 +1,4 @@
-"""What an evaluation gives."""
+"""Results of an evaluation."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class StepErrors:
 
 @dataclass(frozen=True)
 class FoldFindings:
-    """What is learned of the model of one fold beside its score."""
+    """Diagnostics of the model of one fold."""
 
     errors: tuple[float, ...]
     """The metric of each output on the held-out part, as it enters V."""
@@ -47,17 +47,17 @@ class FoldFindings:
     steps: tuple[StepErrors, ...] = ()
     """The held-out errors at the steps that the protocol names; () for long simulations."""
     residuals: tuple[SignedResidual, ...] = ()
-    """Of the simulation of the training records, the largest shares first."""
+    """Mean residuals in the simulation of the training records, the largest shares first."""
     parameters: tuple[tuple[str, float], ...] = ()
     """Names and values that the model offers."""
     compile_seconds: float = 0.0
-    """How long JAX traced and compiled, in the fit and the simulations."""
+    """Time in which JAX traced and compiled, in the fit and the simulations."""
     memory_mb: float | None = None
     """The largest address space of the worker; None where the system does not say."""
     printed: str = ""
-    """What the candidate printed during the fit, its middle left out where it is long."""
+    """Text that the candidate printed during the fit, its middle left out where it is long."""
     held_out_residuals: tuple[SignedResidual, ...] = ()
-    """Of the simulation of the held-out part; () unless the protocol shows these."""
+    """Mean residuals in the simulation of the held-out part; () unless the protocol shows these."""
     checks: tuple[TrainingCheck, ...] | None = None
     """Those of `asia validate` that do not pass on the training records; None in older ledgers and
     where these checks failed."""
@@ -67,7 +67,7 @@ class FoldFindings:
 
 @dataclass(frozen=True)
 class FoldResult:
-    """What the evaluation of one fold gives."""
+    """Result of one fold."""
 
     score: FoldScore
     """The errors on the held-out part."""
@@ -80,29 +80,29 @@ class FoldResult:
     diagnostics: Diagnostics
     """Residuals on the training records."""
     seconds: float
-    """How long the fit took."""
+    """Duration of the fit."""
     validation_scores: int = 0
-    """How often the candidate asked for its score on the held-out part."""
+    """Number of scores on the held-out part that the candidate requested."""
     findings: FoldFindings | None = None
-    """What is learned of the model beside its score."""
+    """Diagnostics of the model."""
     machine: str = ""
     """The machine that fitted it; "" for the search's own."""
     isolation: str = ""
     """The level that was in force there; "" for the search's own."""
     device: str = ""
-    """What JAX computed on, by the worker's own word; "" where nobody asked for a GPU."""
+    """Device of JAX, as reported by the worker; "" where no GPU was requested."""
 
 
 @dataclass(frozen=True)
 class FoldEnd:
-    """How the evaluation of one fold ended, also where it failed."""
+    """End of the evaluation of one fold, also where it failed."""
 
     result: FoldResult | Failure
     """The result, or why there is none."""
     output: str
-    """What the candidate printed."""
+    """Text that the candidate printed."""
     validation_scores: int
-    """How often it asked for its score on the held-out part."""
+    """Number of scores on the held-out part that the candidate requested."""
 
 
 @dataclass(frozen=True)
@@ -110,16 +110,17 @@ class Evaluation:
     """The evaluation of one candidate."""
 
     outcome: Outcome
-    """Its score, or why it failed."""
+    """Score or failure."""
     folds: tuple[FoldResult, ...] = ()
     """The results of all folds; empty if one of them failed."""
     output: str = ""
-    """What it printed during the first fold's fit, or that of a fold that failed, capped and
-    stripped."""
+    """Text that the candidate printed during the first fold's fit, or that of a fold that failed,
+    capped and stripped."""
     validation_scores: int = 0
-    """How often it asked for its score on held-out parts, in all folds, failed ones included."""
+    """Number of scores on held-out parts that the candidate requested, in all folds, failed ones
+    included."""
     ended_folds: int = 0
-    """How many folds were ended while they ran, since they did not count any more."""
+    """Number of running folds that were ended because they did not count any more."""
 
     @property
     def y_hats(self) -> list[tuple[Array, ...]]:
@@ -128,7 +129,7 @@ class Evaluation:
 
 
 def same_simulations(first: Sequence[Sequence[Array]], again: Sequence[Sequence[Array]]) -> bool:
-    """Whether every simulation came out bitwise the same; one sequence a fold."""
+    """Return whether every simulation came out bitwise the same; one sequence a fold."""
     return all(
         a.tobytes() == b.tobytes()
         for one, other in zip(first, again, strict=True)
@@ -143,7 +144,7 @@ class RefitModel:
     model: bytes
     """The model; never parsed outside a sandbox."""
     estimates: ParameterEstimates | None = None
-    """What it says of its parameters; None where it says nothing."""
+    """Parameter estimates of the model; None where it offers none."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ def consistency(value: float, training_errors: Sequence[float]) -> float:
 
 
 def derive_seed(root: int, *parts: object) -> int:
-    """31-bit seed from the search seed and what it is for, by sha256."""
+    """Derive a 31-bit seed from the search seed and a purpose, by sha256."""
     text = ":".join(str(p) for p in (root, *parts))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") >> 1
 

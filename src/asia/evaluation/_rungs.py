@@ -43,18 +43,23 @@ class Rung:
     """A simple reference, scored."""
 
     name: str
-    """What it is called."""
+    """Name of the reference model."""
     outcome: Outcome
-    """Its score, or why it failed."""
+    """Score or failure."""
 
 
 def score_rungs(
     evaluator: Evaluator, metric: str, truth: Sequence[Array] | None, known: Set[str]
 ) -> Iterator[Rung]:
     """Training mean, last output held, for windows constant velocity where the past window or
-    another output gives one, best linear model; for simulated problems also the noise-free truth,
-    whose V is the noise floor. truth: one (T, ny) array a training record. Names in `known` are
-    passed over."""
+    another output gives one, best linear model; for simulated problems also the noise-free
+    truth, whose V is the noise floor.
+
+    Names in `known` are passed over.
+
+    Args:
+        truth: one (T, ny) array a training record
+    """
     folds = evaluator.folds
 
     def score(simulate: Callable[[Fold, Block], Array]) -> Outcome:

@@ -1,6 +1,6 @@
-"""The checks of `asia validate` on what a fold trained on, for whoever proposes the next candidate.
+"""Checks of `asia validate` on the training records of a fold, as evidence for agents.
 
-They are made at every evaluation, so they look at few samples and at the worst outputs alone.
+They run at every evaluation, so they use few samples and the worst outputs only.
 """
 
 from __future__ import annotations
@@ -31,20 +31,25 @@ class TrainingCheck:
     """A check that does not pass on the training records of a fold."""
 
     name: str
-    """Its name, as in `asia validate`."""
+    """Name of the check, as in `asia validate`."""
     verdict: Verdict
     """`doubt` or `fail`."""
     sentence: str
-    """What was found, with numbers."""
+    """Finding, with numbers."""
     weight: float
-    """How much it matters among those that do not pass."""
+    """Weight among the checks that do not pass."""
 
 
 def training_checks(
     blocks: Sequence[Block], y_hat: Sequence[Array], scale: Array, context: Context
 ) -> tuple[TrainingCheck, ...]:
-    """Those that do not pass, the one that matters most first; y_hat: (H, ny) a block. Checks that
-    need further answers of the model are not among them. () of records that are too short."""
+    """Run the checks and return those that do not pass, the most important first.
+
+    Checks that need further simulations are left out. () for records that are too short.
+
+    Args:
+        y_hat: (H, ny) a block
+    """
     chosen = _spread(blocks, y_hat)
     if sum(len(y) for _, y in chosen) < _FEWEST_SAMPLES:
         return ()

@@ -12,10 +12,11 @@ Rates = tuple[int | None, ...]
 
 
 def find_rates(fold: Fold, horizon: int) -> Rates:
-    """For each output the output that is its rate of change, as its training records show.
+    """Find for each output the output that is its rate of change, from the training records.
 
-    It is the one whose integral over `horizon` samples goes best with the output's own increment,
-    with a correlation above 0.6 and a gain between 2/3 and 3/2; None where there is none.
+    It is the one whose integral over `horizon` samples correlates best with the output's own
+    increment, with a correlation above 0.6 and a gain between 2/3 and 3/2; None where there is
+    none.
     """
     found = motion(fold.train, horizon)
     gain, correlation = found.gain, found.correlation

@@ -48,7 +48,7 @@ class WorkerRunner:
         self._runs, self._counting = 0, threading.Lock()
         self._ready: ReadyWorkers | None = None
         self._here = threading.local()
-        # Where folds go to other machines, what is left here is not held back by the executor.
+        # With remote folds the executor does not limit the remaining local work.
         remote = carrier_of(executor) is not None
         self._own = threading.BoundedSemaphore(local_cores()) if remote else nullcontext()
         self.stopwatch = Stopwatch()
@@ -76,8 +76,11 @@ class WorkerRunner:
 
     @contextmanager
     def ready_workers(self, at_once: int = 1) -> Generator[None]:
-        """Start workers before they are needed, until this is closed. at_once: experiments in
-        flight."""
+        """Start workers before they are needed, until this is closed.
+
+        Args:
+            at_once: experiments in flight
+        """
         most = self._most_ready * at_once
         with ReadyWorkers(self.isolation, self._limits, most) as self._ready:
             try:
@@ -115,9 +118,15 @@ class WorkerRunner:
             thread.shutdown(wait=False)
 
     def _run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
-        """Results of the jobs; one whose worker fails for no fault of the candidate is tried once
-        more. Raises CandidateError when somebody ended the worker both times. Several threads may
-        run jobs; workers still open when the last of them ends are those of an interrupted run."""
+        """Run the jobs and return their results; a job whose worker fails through no fault of the
+        candidate is tried once more.
+
+        Several threads may run jobs; workers still open when the last of them ends belong to an
+        interrupted run.
+
+        Raises:
+            CandidateError: when another process ended the worker both times
+        """
         settings = self.settings
 
         def with_settings(job: Callable[[], T]) -> T:
@@ -180,7 +189,7 @@ class WorkerRunner:
         return replace(self._limits, gpu=True) if self.on_gpu(source) else self._limits
 
     def on_gpu(self, source: str) -> bool:
-        """Whether workers that run a candidate compute on the GPU."""
+        """Return whether workers that run a candidate compute on the GPU."""
         return self._gpu and trains_network(source)
 
     def _worker_for(self, source: str, *, fitting: bool) -> AbstractContextManager[Worker]:

@@ -1,4 +1,4 @@
-"""Where evaluations run. Results come back in the order of the jobs."""
+"""Executors of evaluations; results come back in the order of the jobs."""
 
 from __future__ import annotations
 
@@ -30,9 +30,11 @@ T = TypeVar("T")
 
 
 class Executor(Protocol):
-    """Runs independent jobs; an exception of a job is raised after all have ended. An interrupt
-    is raised at once: whoever gave the jobs ends what they started. Several threads may give it
-    jobs at the same time."""
+    """Runner of independent jobs, safe for calls from several threads.
+
+    An exception of a job is raised after all have ended. An interrupt is raised at once: the caller
+    ends its jobs itself.
+    """
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results in the order of `jobs`."""
@@ -50,26 +52,34 @@ class Carrier(Protocol):
         digest: str,
         data: bytes,
     ) -> bytes:
-        """`answer(request, data, unwanted)`, called on one of the machines, where the package is
-        installed; `unwanted()` is True there once nobody waits any more. digest: sha256 of `data`,
-        which are sent to a machine once. A machine that dies is replaced by another one. Raises
-        SandboxError where none answers, or after `cancel` and `forget`, and UserError where
-        somebody must start machines or what distributes the work among them."""
+        """Call `answer(request, data, unwanted)` on one of the machines, where the package is
+        installed.
+
+        `unwanted()` is True there once the caller no longer waits. A machine that dies is replaced
+        by another one.
+
+        Args:
+            digest: sha256 of `data`, which are sent to a machine once
+
+        Raises:
+            SandboxError: where no machine answers, or after `cancel` and `forget`
+            UserError: where the machines or the scheduler must be started first
+        """
         ...
 
     def forget(self, request: bytes) -> None:
-        """From another thread: end the work on this request; who waits gets a SandboxError."""
+        """End the work on this request, from another thread; its caller gets a SandboxError."""
         ...
 
     def ask_each(
         self, describe: Callable[[bytes], bytes], request: bytes
     ) -> dict[str, tuple[bytes, float, float]]:
-        """`describe(request)` of every worker by its name, with the seconds that the answer took
-        and the `time.time()` of the question."""
+        """Call `describe(request)` on every worker; return the results by its name, with their
+        duration in seconds and the `time.time()` of the request."""
         ...
 
     def cancel(self) -> None:
-        """End all that is under way; those who wait get a SandboxError."""
+        """End all running work; its callers get a SandboxError."""
         ...
 
 
@@ -96,7 +106,7 @@ class SequentialExecutor:
     """Another executor that is given one job at a time: no two workers of ours run at once."""
 
     executor: Executor
-    """What runs the jobs."""
+    """Executor of the jobs."""
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results in the order of `jobs`."""
@@ -121,7 +131,7 @@ def _local(setting: str) -> LocalExecutor:
 
 
 def carrier_of(executor: Executor | None) -> Carrier | None:
-    """What takes folds to other machines; None for an executor that has them fitted here."""
+    """Return the transport to other machines; None for an executor that fits folds here."""
     if isinstance(executor, SequentialExecutor):
         return carrier_of(executor.executor)
     return executor if isinstance(executor, Carrier) else None
@@ -148,7 +158,7 @@ EXECUTORS: dict[str, Callable[[str], Executor]] = {
     "dask": _dask,
     "dask-slurm": _dask_slurm,
 }
-"""The built-in executors by name; what stands behind the name and a colon is given to them."""
+"""Built-in executors by name; each receives the text after the colon of its setting."""
 
 
 def executor_names() -> tuple[str, ...]:
@@ -159,8 +169,12 @@ def executor_names() -> tuple[str, ...]:
 def make_executor(name: str) -> Executor:
     """The executor of that name, with its own settings: `local:N` with N workers,
     `dask://HOST:PORT` or `dask:FILE` on a Dask cluster, `dask-slurm` or `dask-slurm:FILE` on
-    workers that Slurm starts. Raises UserError when there is none, or an installed package brings
-    something else by that name."""
+    workers that Slurm starts.
+
+    Raises:
+        UserError: when there is none, or an installed package brings something else by that
+            name
+    """
     built_in, _, setting = name.partition(":")
     if built_in in EXECUTORS:
         return EXECUTORS[built_in](setting)
@@ -185,7 +199,7 @@ def _made(part: Part) -> Executor:
 
 
 def local_cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -31,11 +31,13 @@ Answer = Callable[[bytes, bytes, Callable[[], bool]], bytes]
 
 
 class DaskExecutor:
-    """Folds on a Dask cluster, as many at once as it has threads; the others wait here, by turn.
-    So none waits for one worker while another one is idle. What scores them stays here.
+    """Executor of folds on a Dask cluster, as many at once as it has threads.
 
-    A cluster runs the code that its clients send: it belongs into a network of your own. Raises
-    UserError without the extra `dask`, or where no scheduler answers.
+    Other folds wait here, by priority, so that none waits for one worker while another one is idle.
+    Scoring stays here. A cluster runs the code that its clients send: run it in a private network.
+
+    Raises:
+        UserError: without the extra `dask`, or where no scheduler answers
     """
 
     def __init__(self, where: str) -> None:
@@ -57,7 +59,7 @@ class DaskExecutor:
         self._threads, self._counted = 0, float("-inf")
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
-        """Results in the order of `jobs`, which wait here for what is fitted there."""
+        """Run the jobs and return their results in order; the jobs wait here for remote fits."""
         if not jobs:
             return []
         pool = ThreadPoolExecutor(max_workers=len(jobs), thread_name_prefix="fold")
@@ -69,7 +71,7 @@ class DaskExecutor:
         return [future.result() for future in futures]
 
     def carry(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
-        """As `Carrier.carry`."""
+        """Implement `Carrier.carry`."""
         try:
             with self._place():
                 return self._carried(answer, request, digest, data)
@@ -102,7 +104,8 @@ class DaskExecutor:
     def ask_each(
         self, describe: Callable[[bytes], bytes], request: bytes
     ) -> dict[str, tuple[bytes, float, float]]:
-        """As `Carrier.ask_each`. The first call imports the package there and is not timed."""
+        """Implement `Carrier.ask_each`; the first call imports the package there and is not
+        timed."""
         found: dict[str, tuple[bytes, float, float]] = {}
         workers: dict[str, Any] = self._client.scheduler_info(n_workers=-1)["workers"]
         for address in sorted(workers):
@@ -116,14 +119,14 @@ class DaskExecutor:
         return found
 
     def forget(self, request: bytes) -> None:
-        """As `Carrier.forget`: its worker's sandbox ends within a second."""
+        """Implement `Carrier.forget`: the sandbox of the worker ends within a second."""
         with self._lock:
             self._forgotten.add(request)
             under_way = [one for one, what in self._under_way.items() if what == request]
         self._end(under_way)
 
     def cancel(self) -> None:
-        """As `Carrier.cancel`: the workers' sandboxes end within a second."""
+        """Implement `Carrier.cancel`: the sandboxes of the workers end within a second."""
         self._cancelled = True
         with self._lock:
             under_way = list(self._under_way)
@@ -135,7 +138,7 @@ class DaskExecutor:
             self._client.cancel(under_way, force=True)
 
     def _check_wanted(self, request: bytes) -> None:
-        """Raises SandboxError where nobody waits for the answer any more."""
+        """Raise SandboxError where the caller no longer waits for the answer."""
         if self._cancelled:
             raise SandboxError("the search was interrupted")
         if request in self._forgotten:
@@ -198,7 +201,11 @@ class DaskExecutor:
                 self._under_way.pop(future, None)
 
     def _await_workers(self) -> None:
-        """Until there is a worker. Raises UserError where none comes for long."""
+        """Wait for a worker.
+
+        Raises:
+            UserError: where none appears in time
+        """
         end = time.monotonic() + _NO_WORKERS_SECONDS
         while not self._client.scheduler_info(n_workers=1)["workers"] and not self._cancelled:
             self._check_scheduler()
@@ -211,8 +218,11 @@ class DaskExecutor:
             time.sleep(_POLL_SECONDS)
 
     def _check_scheduler(self) -> None:
-        """Wait while the engine looks for a scheduler that it has lost. Raises UserError where it
-        does not find it."""
+        """Wait while the engine looks for a scheduler that it has lost.
+
+        Raises:
+            UserError: where it does not find it
+        """
         while self._client.status in ("connecting", "closing"):
             time.sleep(_POLL_SECONDS)
         if self._client.status != "running":
@@ -251,11 +261,11 @@ def _distributed() -> Any:
 
 
 def _nothing() -> None:
-    """On a worker: there and back."""
+    """Do nothing on a worker, to test the connection."""
 
 
 def _task(answer: Answer, request: bytes, data: bytes) -> bytes:
-    """On a worker: the answer, unless the scheduler has forgotten who asked."""
+    """Compute the answer on a worker, unless the scheduler has forgotten the client."""
     worker = _distributed().get_worker()
     key = worker.get_current_task()
 

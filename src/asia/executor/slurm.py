@@ -25,12 +25,20 @@ _JOBS = 4
 
 
 class SlurmExecutor(DaskExecutor):
-    """Folds on workers that Slurm starts. Raises UserError without the extra `slurm`, where a
-    setting is wrong, and where Slurm takes no job."""
+    """Folds on workers that Slurm starts.
+
+    Raises:
+        UserError: without the extra `slurm`, where a setting is wrong, and where Slurm takes no
+            job
+    """
 
     def __init__(self, file: Path | None) -> None:
-        """file: a TOML file, `jobs` and arguments of `dask_jobqueue.SLURMCluster`; None for four
-        jobs of one core and 5 GB each. Returns once the first worker is there."""
+        """Start the workers and return once the first one is ready.
+
+        Args:
+            file: a TOML file, `jobs` and arguments of `dask_jobqueue.SLURMCluster`; None for
+                four jobs of one core and 5 GB each
+        """
         for name in ("distributed", "dask_jobqueue"):
             if importlib.util.find_spec(name) is None:
                 raise UserError(
@@ -53,7 +61,11 @@ class SlurmExecutor(DaskExecutor):
 
 
 def slurm_executor(setting: str) -> SlurmExecutor:
-    """setting: what stands behind `dask-slurm:`, the path of a file or nothing."""
+    """Make the executor for a Slurm cluster.
+
+    Args:
+        setting: text after `dask-slurm:`, the path of a file or nothing
+    """
     return SlurmExecutor(Path(setting) if setting else None)
 
 

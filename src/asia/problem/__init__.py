@@ -1,5 +1,4 @@
-"""What a search is about: the problem, its physics and its budget. Light: a sandboxed worker
-imports it.
+"""Problem, physics and budget of a search; light, because a sandboxed worker imports it.
 
 Reading problems from disk lives in `asia.problem.load`.
 """

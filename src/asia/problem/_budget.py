@@ -1,4 +1,4 @@
-"""What a search may spend."""
+"""Budget of a search."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LEAST_MEMORY_MB = 1600
 
 @dataclass(frozen=True)
 class Budget:
-    """What a search may spend."""
+    """Limits on the experiments, time, memory and tokens of a search."""
 
     experiments: Annotated[int, Ge(1)] = 15
     """Candidates to evaluate, the baseline included."""

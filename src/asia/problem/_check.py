@@ -1,4 +1,4 @@
-"""What ASIA understood of a problem, and what looks doubtful in its data."""
+"""Summary of a problem and warnings about its data."""
 
 from __future__ import annotations
 
@@ -32,10 +32,12 @@ _TOGETHER = 0.999
 class SignalCheck:
     """One channel over all training samples, in its unit.
 
-    at_minimum, at_maximum: share of samples at the extreme values, 0 to 1. bandwidth: frequency
-    in Hz below which 99 % of the power lies, the mean apart; bandwidth_share: the same over the
-    Nyquist frequency. excitation_order: numerical rank (to 1e-9) of the covariance of 50
-    successive samples, the order of persistent excitation as far as noise lets it count.
+    Attributes:
+        at_minimum, at_maximum: share of samples at the extreme values, 0 to 1
+        bandwidth: frequency in Hz below which 99 % of the power lies, the mean apart
+        bandwidth_share: the same over the Nyquist frequency
+        excitation_order: numerical rank (to 1e-9) of the covariance of 50 successive samples,
+            the order of persistent excitation limited by noise
     """
 
     signal: Signal
@@ -77,8 +79,13 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class FoldCheck:
-    """What one fold holds out; `training_samples` are left to train on. group: its name, None for
-    contiguous folds. windows: held-out windows, None where whole blocks are simulated."""
+    """Samples that one fold holds out.
+
+    Attributes:
+        training_samples: samples left to train on
+        group: name of the group, None for contiguous folds
+        windows: held-out windows, None where whole blocks are simulated
+    """
 
     number: int
     held_out: tuple[HeldOut, ...]
@@ -131,8 +138,11 @@ class CheckReport:
 
 
 def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -> CheckReport:
-    """Looks at the training records and at what the seal tells of the test, never at test data.
-    in_workspace: whether the problem is read from a workspace, which no test reaches."""
+    """Check the training records and the public header of the seal, never the test data.
+
+    Args:
+        in_workspace: whether the problem is read from a workspace, which holds no test
+    """
     inputs = (_signal_check(problem, "input", i) for i in range(len(problem.inputs)))
     outputs = (_signal_check(problem, "output", i) for i in range(len(problem.outputs)))
     signals = (*inputs, *outputs)
@@ -261,17 +271,19 @@ def _signal_doubts(check: SignalCheck) -> list[str]:
         ):
             if share > _STUCK:
                 doubts.append(
-                    f"{name} sits at {value:g} {check.signal.unit}".rstrip()
+                    f"{name} is at its limit {value:g} {check.signal.unit}".rstrip()
                     + f" in {share:.1%} of the samples: it may saturate there"
                 )
         if check.bandwidth_share < _OVERSAMPLED:
             doubts.append(
-                f"{name} moves far slower than it is sampled (99 % of its power below "
-                f"{check.bandwidth_share:.2%} of the Nyquist frequency): every tenth sample may do"
+                f"{name} is sampled much faster than it changes (99 % of its power below "
+                f"{check.bandwidth_share:.2%} of the Nyquist frequency): every tenth sample may "
+                f"suffice"
             )
     elif check.excitation_order < 4:
         doubts.append(
-            f"{name} excites {check.excitation_order} modes at most: a richer input tells more"
+            f"{name} excites at most {check.excitation_order} modes: use an input with more "
+            "frequencies"
         )
     return doubts
 
@@ -281,8 +293,8 @@ def _inputs_together(inputs: Sequence[Signal], train: Sequence[Trajectory]) -> l
     centred = u - u.mean(axis=0)
     norms = np.sqrt((centred**2).sum(axis=0))
     return [
-        f"inputs {inputs[i].name} and {inputs[j].name} move together: their effects cannot be "
-        "told apart"
+        f"inputs {inputs[i].name} and {inputs[j].name} are collinear: their effects cannot be "
+        "separated"
         for i, j in combinations(range(u.shape[1]), 2)
         if norms[i] * norms[j] > 0
         and abs(centred[:, i] @ centred[:, j]) > _TOGETHER * norms[i] * norms[j]

@@ -1,4 +1,4 @@
-"""sha256 of what a search depends on."""
+"""sha256 digests of the inputs of a search."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ _LATER = ("priors", "corrections")
 
 
 def protocol_digest(problem: Problem) -> str:
-    """Hex sha256 of the protocol with its defaults filled in; what is absent does not count, so
-    that a digest outlives additions to the rules."""
+    """Return the sha256 (hex) of the protocol with its defaults filled in.
+
+    Absent settings do not count, so that a digest survives additions to the rules.
+    """
     rule = asdict(problem.protocol)
     if problem.protocol.residuals == ProtocolRule.residuals:
         del rule["residuals"]

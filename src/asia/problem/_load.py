@@ -1,4 +1,4 @@
-"""Problems from disk: built-in ones by name, a person's own by path, a run's from its lock."""
+"""Problems from disk: built-in ones by name, a user's by path, a run's from its lock."""
 
 from __future__ import annotations
 
@@ -46,10 +46,12 @@ def builtin_problems() -> tuple[str, ...]:
 
 
 def load_problem(name_or_path: str | Path) -> Problem:
-    """A built-in problem by name, or a directory with problem.toml, or that file.
+    """Load a built-in problem by name, a directory with problem.toml, or that file.
 
-    Reads the training records; the test records stay closed. Raises UserError with one clear
-    sentence for anything the person can mend.
+    The training records are read; the test records stay closed.
+
+    Raises:
+        UserError: with one sentence for each problem that the user can fix
     """
     path = _find(name_or_path)
     file = read_table(path, ProblemFile)
@@ -64,10 +66,12 @@ def load_problem(name_or_path: str | Path) -> Problem:
 
 
 def load_lock(path: Path) -> Problem:
-    """The problem of a run, from its problem.lock.toml alone.
+    """Load the problem of a run from its problem.lock.toml alone.
 
-    Raises UserError that names what no longer has the digest it had when the run began. The
-    digest of the test data goes into the handle `test` and is verified when they are opened.
+    The digest of the test data goes into the handle `test` and is verified when they are opened.
+
+    Raises:
+        UserError: for data that no longer have the digest recorded when the run began
     """
     file = read_table(path, LockFile)
     texts = _Texts(file.name, file.description, file.baseline, file.notes, file.strategies)
@@ -80,8 +84,11 @@ def read_records(
     problem: Problem, path: Path, reading: Wanted | None = None
 ) -> tuple[Trajectory, ...]:
     """Read the records of a file that the user brings, with the columns and the sampling time of
-    the problem, by the rules of a test. reading: options of reading in place of those of the
-    problem. Raises UserError."""
+    the problem, by the rules of a test.
+
+    Args:
+        reading: options of reading in place of those of the problem
+    """
     data = problem.data if isinstance(problem.data, RecordFiles) else RecordFiles(())
     return prepared(problem, data.records_of(path, problem.channels, reading).records)
 
@@ -218,8 +225,8 @@ def least_samples(rule: ProtocolRule) -> int:
 
 
 def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> None:
-    """Raises UserError when a record is too short for the folds: each held-out block must be able
-    to hold a past window and some samples to train on."""
+    """Raise UserError when a record is too short for the folds: each held-out block must be able to
+    hold a past window and some samples to train on."""
     gap = rule.folds.gap or 0
     if rule.folds.kind == "leave_one_group_out":
         wanted = f"a past window of {rule.past}"

@@ -1,4 +1,4 @@
-"""The resolved problem of a run as text, and what changed since."""
+"""Lock file: the resolved problem of a run as text, and the changes since."""
 
 from __future__ import annotations
 
@@ -50,9 +50,12 @@ def lock_text(problem: Problem, seal: Seal) -> str:
 
 
 def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Difference, ...]:
-    """What is not as the lock at `path` has it. Where files lie does not count, their values do.
+    """Return the differences between a problem and the lock at `path`.
 
-    Raises UserError when the lock cannot be read.
+    The location of files does not count, their values do.
+
+    Raises:
+        UserError: when the lock cannot be read
     """
     try:
         before = dict(_flat(tomllib.loads(path.read_text(encoding="utf-8"))))
@@ -66,7 +69,7 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
 
 
 def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
-    """Raises UserError that names every part whose digest is not the expected one."""
+    """Raise UserError that names every part whose digest is not the expected one."""
     found = _digests(problem, None)
     changed = [f"the {part}" for part in _PARTS if found[part] != getattr(expected, part)]
     train = found["train"]

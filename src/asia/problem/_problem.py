@@ -20,36 +20,36 @@ from asia.protocol._rules import ProtocolRule
 
 @dataclass(frozen=True)
 class TestSource:
-    """How to open the test records; never their values."""
+    """Handle that opens the test records; it never holds their values."""
 
     source: Source | None
-    """Where they lie; None when the problem has no test data."""
+    """Source of the test records; None when the problem has no test data."""
     sha256: str | None = None
-    """What the data must hash to, known once they were sealed."""
+    """Expected digest of the data, known once they were sealed."""
 
 
 @dataclass(frozen=True)
 class Seal:
-    """What may be known of the test records before they are opened."""
+    """Public facts about the test records before they are opened."""
 
     sha256: str | None
     """Digest of all values; None when the problem has no test data."""
     names: tuple[str, ...] = ()
     """Names of the records."""
     lengths: tuple[int, ...] = ()
-    """Their numbers of samples."""
+    """Number of samples of each record."""
     shared_samples: int = 0
     """Test samples inside runs of consecutive samples, inputs and outputs, that also occur in a
     training record."""
     outside_inputs: tuple[int, ...] = ()
-    """For each input, test samples beyond the range of the training records; empty if not known."""
+    """Test samples of each input beyond the range of the training records; empty if not known."""
     guard: str | None = None
     """Digest of the guard records; None without any."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a search is about."""
+    """Identification problem: records, signals, protocol, budget and physics."""
 
     name: str
     """Part of the run's name."""
@@ -64,15 +64,15 @@ class Problem:
     train: tuple[Trajectory, ...]
     """The records the search may use."""
     data: Source
-    """Where the records come from."""
+    """Source of the training and guard records."""
     test: TestSource
     """Handle for the one opener of test data."""
     protocol: ProtocolRule
-    """How V and the test metric are computed."""
+    """Rule for V and the test metric."""
     budget: Budget
-    """What the search may spend."""
+    """Limits of the search."""
     physics: Physics | None = None
-    """The person's equations."""
+    """Equations from the problem file."""
     baseline: str | None = None
     """Source of the problem's own first candidate."""
     truth: tuple[Array, ...] | None = None
@@ -80,15 +80,15 @@ class Problem:
     warnings: tuple[str, ...] = ()
     """Doubts about the data, in plain words."""
     preprocess: Preprocess = field(default_factory=Preprocess)
-    """What is done to every record before the search sees it."""
+    """Preprocessing of every record before the search sees it."""
     recorded: Channels | None = None
     """Signals and sampling time before that; None where nothing is done."""
     notes: str = ""
-    """What the literature says of such systems, for agents that read."""
+    """Notes on such systems from the literature, for agents that read."""
     strategies: str = ""
-    """What to try, in plain words, for agents that read."""
+    """Suggested strategies in plain words, for agents that read."""
     guard_sha256: str | None = None
-    """What the records that stand guard must hash to, known once a run has begun."""
+    """Expected digest of the guard records, known once a run has begun."""
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
     """Changes of the signals that leave the system's laws as they are."""
     period: int | None = None
@@ -115,27 +115,34 @@ class Problem:
         physics: Physics | Mapping[str, Any] | None = None,
         symmetry: Symmetry | None = None,
     ) -> Problem:
-        """A problem from records in memory, written to `directory` so that runs resume, verify and
-        unseal.
+        """Make a problem from records in memory, and write it to `directory` so that runs can
+        resume, verify and unseal.
 
-        u, y: inputs (T, nu) and outputs (T, ny) in physical units, arrays or data frames, or lists
-        of them, one a record; sampling_time in seconds, None for that of the time index of the data
-        frames; test_u, test_y: the same for the test. Time stamps, gaps and missing values are
-        treated as `asia init` treats those of files, and `warnings` tells what was done.
-        inputs, outputs: names or `Signal`s with units; columns of that name are taken out of data
-        frames. name: of the problem, the directory's without one. The records are called train1,
-        train2 and so on, and test1; `groups` names them. protocol, budget, physics, symmetry:
-        as the tables of problem.toml, or as objects; baseline: source of the first candidate.
+        The records are called train1, train2 and so on, and test1, unless `groups` names them. Time
+        stamps, gaps and missing values are treated as `asia init` treats those of files; `warnings`
+        lists the changes. A second call with the same arguments loads the existing directory.
 
-        The same call again loads what is there. Raises UserError when the directory holds other
-        data or settings, with nothing overwritten, and for what does not make a problem.
+        Args:
+            u, y: inputs (T, nu) and outputs (T, ny) in physical units; arrays or data frames,
+                or lists of them with one item a record
+            sampling_time: s; None for that of the time index of the data frames
+            test_u, test_y: the same for the test
+            inputs, outputs: names, or `Signal`s with units; columns of these names are taken
+                out of data frames
+            name: name of the problem; that of the directory by default
+            protocol, budget, physics, symmetry: tables as in problem.toml, or objects
+            baseline: source of the first candidate
+
+        Raises:
+            UserError: for arguments that make no problem, and when the directory holds other
+                data or settings; nothing is overwritten
         """
         us, ys = one_a_record(u), one_a_record(y)
         test_us, test_ys = ([] if v is None else one_a_record(v) for v in (test_u, test_y))
         signals = name_signals(inputs, us[0], "u"), name_signals(outputs, ys[0], "y")
         # The module makes problems: imported above, it would close a circle.
         arrays = import_module("asia.problem.new.arrays")
-        least = arrays.least_piece(protocol)
+        least = arrays.least_segment(protocol)
         train = read_arrays(us, ys, *signals, sampling_time, "train", "train", least)
         step = train.records[0].sampling_time
         test = read_arrays(test_us, test_ys, *signals, step, "test", "test")
@@ -159,7 +166,7 @@ class Problem:
 
     @property
     def channels(self) -> Channels:
-        """Which channels of the data are read, as they were recorded."""
+        """Channels of the data to read, as they were recorded."""
         return self.recorded or Channels(self.inputs, self.outputs, self.sampling_time)
 
 
@@ -170,15 +177,21 @@ def prepared(problem: Problem, records: Sequence[Trajectory]) -> tuple[Trajector
 
 
 def kept_places(problem: Problem) -> tuple[Path, ...]:
-    """Files and folders that neither candidates nor agents may read: plain test records, or the
-    key of encrypted ones, and guard records. Raises UserError for data that are not on this
-    machine."""
+    """Files and folders that neither candidates nor agents may read: plain test records, or the key
+    of encrypted ones, and guard records.
+
+    Raises:
+        UserError: for data that are not on this machine
+    """
     source = problem.test.source
     test = () if source is None else source.places("test")
     return (*test, *problem.data.places("guard"))
 
 
 def record_places(problem: Problem) -> tuple[Path, ...]:
-    """Files and folders with the training records, which hold what a fold keeps from its
-    candidate. Raises as `kept_places`."""
+    """Return the files and folders with the training records, which workers must not read.
+
+    Raises:
+        UserError: as `kept_places`
+    """
     return problem.data.places("train")

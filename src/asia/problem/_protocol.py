@@ -1,4 +1,4 @@
-"""What the parts of a protocol must have to do with each other, and the protocol as tables."""
+"""Consistency checks of a protocol, and its conversion to and from tables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GroupsTable = Mapping[str, Sequence[str]]
 
 
 def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[str]) -> None:
-    """Raises UserError at the first setting that another one rules out or needs."""
+    """Raise UserError at the first setting that another one rules out or needs."""
     if table.kind == "windows" and table.horizon is None:
         raise UserError(
             'protocol.kind = "windows" needs protocol.horizon, the samples simulated in each '
@@ -72,7 +72,7 @@ def _check_tail(table: ProtocolTable) -> None:
 
 
 def check_feedback(rule: ProtocolRule) -> None:
-    """Raises UserError when a fit could learn what the agent must not know."""
+    """Raise UserError when a fit could learn held-out data through the agent's feedback."""
     if rule.ladder is not None and rule.early_stopping == "validation":
         raise UserError(
             'protocol.feedback = "ladder" hides V from the agent, but early_stopping = '
@@ -134,8 +134,13 @@ def _check_test(table: ProtocolTable, test: TestRule, outputs: Sequence[str]) ->
 
 
 def with_groups(rule: ProtocolRule, groups: GroupsTable, names: Sequence[str]) -> ProtocolRule:
-    """The rule with its groups of records. A pattern is a record's name, or else a wildcard
-    (`*`, `?`, `[...]`). Raises UserError unless each record is in exactly one group."""
+    """The rule with its groups of records.
+
+    A pattern is a record's name, or else a wildcard (`*`, `?`, `[...]`).
+
+    Raises:
+        UserError: unless each record is in exactly one group
+    """
     if rule.folds.kind != "leave_one_group_out":
         return rule
     found = tuple(

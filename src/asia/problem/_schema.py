@@ -64,7 +64,7 @@ class FoldsTable:
     tail: Annotated[int, Field(ge=1, le=100_000_000)] | None = None
 
     def rule(self) -> FoldRule:
-        """Without the groups, which are known once the records were read."""
+        """Return the fold rule without its groups, which are known once the records were read."""
         if self.kind == "leave_one_group_out":
             return FoldRule(self.kind, 0)
         count = FoldRule.count if self.count is None else self.count
@@ -135,7 +135,7 @@ class ProtocolTable:
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemTables:
-    """What problem.toml and the lock have in common."""
+    """Tables shared by problem.toml and the lock."""
 
     sampling_time: Annotated[float, Field(gt=0)]
     inputs: _Signals
@@ -163,7 +163,7 @@ class ProblemFile(ProblemTables):
 
 @dataclass(frozen=True, kw_only=True)
 class DigestTable:
-    """sha256 of what a search depends on; train records in the order of the file."""
+    """sha256 digests of the inputs of a search; training records in the order of the file."""
 
     train: tuple[str, ...]
     test: str | None = None

@@ -35,7 +35,11 @@ T = TypeVar("T")
 
 
 def read_table(path: Path, schema: type[T]) -> T:
-    """`path` checked against `schema`. Raises UserError, at most three sentences."""
+    """`path` checked against `schema`.
+
+    Raises:
+        UserError: at most three sentences
+    """
     try:
         raw = tomllib.loads(read_file(path, "name a problem file").decode("utf-8-sig"))
     except UnicodeDecodeError as error:

@@ -1,4 +1,4 @@
-"""A problem as whoever writes candidates may have it: its training records, never its test."""
+"""Training view of a problem: its training records, never its test."""
 
 from __future__ import annotations
 

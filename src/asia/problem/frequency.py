@@ -1,4 +1,4 @@
-"""What the frequencies of a problem's training records say, for `asia check`."""
+"""Frequency responses of a problem's training records, for `asia check`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from asia.problem._problem import Problem
 
 
 def check_period(records: Sequence[Trajectory], period: int | None) -> None:
-    """Raises UserError where a record holds less than two periods."""
+    """Raise UserError where a record holds less than two periods."""
     for record in records:
         if period is not None and len(record) < 2 * period:
             raise UserError(
@@ -24,8 +24,11 @@ def check_period(records: Sequence[Trajectory], period: int | None) -> None:
 
 
 def responses(problem: Problem) -> tuple[FrequencyResponse | None, ...]:
-    """Of each output, by the period that is declared or found, or without one;
-    None where too little is known."""
+    """Return the frequency response of each output.
+
+    A declared or detected period is used where there is one. None for an output with too little
+    data.
+    """
     period = problem.period or find_period(problem.train)
     return tuple(frequency_response(problem.train, k, period) for k in range(len(problem.outputs)))
 

@@ -1,4 +1,4 @@
-"""What a problem file says is known beside the equations, as lines for people and agents."""
+"""Prior knowledge of a problem file next to the equations, as lines for users and agents."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def correction_lines(physics: Physics) -> Iterator[str]:
 
 
 def symmetry_lines(symmetry: Symmetry) -> Iterator[str]:
-    """One a generator: each signal and what takes its place."""
+    """Describe each generator: every signal and the signal that replaces it."""
     for name, generator in symmetry.items():
         changes = ", ".join(f"{signal} -> {value}" for signal, value in generator.items())
         yield f"{name.replace('_', ' ')}: {one_line(changes, 2 * _TEXT)}"

@@ -1,5 +1,4 @@
-"""Problems from disk: built-in ones by name, a person's own by path, a run's from its lock; new
-ones, and what is doubtful about them."""
+"""Loading and making problems: built-in ones by name, a user's by path, a run's from its lock."""
 
 from asia.data._digest import data_digest
 from asia.data._store import key_folder

@@ -28,9 +28,14 @@ def check_symmetry(
     outputs: Sequence[str],
     physics: Physics | None,
 ) -> None:
-    """Raises UserError, naming the entry, for an unknown signal, for what is no permutation, and
-    for a group that is too large. Known are inputs, outputs, and with physics its states,
-    definitions and corrections."""
+    """Check a symmetry against the signals of a problem.
+
+    Valid names are inputs, outputs, and with physics its states, definitions and corrections.
+
+    Raises:
+        UserError: naming the entry, for an unknown signal, for a map that is no permutation,
+            and for a group that is too large
+    """
     known = [*inputs, *outputs]
     if physics is not None:
         known += [*physics.states, *physics.definitions, *physics.corrections]
@@ -55,8 +60,9 @@ def group(symmetry: Symmetry, names: Sequence[str]) -> Array:
     """All products of the generators as matrices (G, n, n) that act on the signals `names`, the
     identity first.
 
-    Raises UserError when a generator takes a named signal to another one, and for more than
-    MOST_ELEMENTS elements.
+    Raises:
+        UserError: when a generator takes a named signal to another one, and for more than
+            MOST_ELEMENTS elements
     """
     identity = np.eye(len(names))
     found = [identity]
@@ -77,8 +83,8 @@ def group(symmetry: Symmetry, names: Sequence[str]) -> Array:
 
 
 def covers(symmetry: Symmetry, names: Collection[str]) -> bool:
-    """Whether some generator changes one of the signals `names`, and none takes one of them to
-    another signal."""
+    """Return whether some generator changes one of the signals `names`, and none takes one of them
+    to another signal."""
     named = [(signal, _unsigned(value)) for g in symmetry.values() for signal, value in g.items()]
     closed = all((signal in names) == (other in names) for signal, other in named)
     return closed and any(signal in names for signal, _ in named)

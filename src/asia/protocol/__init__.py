@@ -1,4 +1,4 @@
-"""How a model is judged: folds, past windows, horizon, metric."""
+"""Evaluation protocol of a model: folds, past windows, horizon, metric."""
 
 from asia.protocol._folds import Block, Case, Fold, cut, fold_names, make_folds, whole
 from asia.protocol._metrics import (

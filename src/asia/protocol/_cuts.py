@@ -1,4 +1,4 @@
-"""Where folds and windows cut records, in 0-based samples."""
+"""Cut points of folds and windows in records, in 0-based samples."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Excerpt:
 
 @dataclass(frozen=True)
 class FoldCut:
-    """One fold: what is held out (the past windows before it are not part of it), and what
-    trains."""
+    """Held-out and training samples of one fold; the past windows before a block are not part of
+    it."""
 
     held_out: tuple[Excerpt, ...]
     train: tuple[Excerpt, ...]
@@ -56,9 +56,12 @@ def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> 
 
 
 def blocks(length: int, rule: ProtocolRule) -> list[range]:
-    """The held-out block of each fold: what lies after the first past window, in tail folds the
-    tail, in `block_count` parts, the first ones a sample longer when it does not divide; empty ones
-    when too short. In forward folds the first part trains only."""
+    """Return the held-out block of each fold, empty where the record is too short.
+
+    The samples after the first past window (in tail folds: the tail) are split into `block_count`
+    parts; the first parts are one sample longer when the length does not divide. In forward folds
+    the first part trains only.
+    """
     count = block_count(rule)
     start = rule.past
     if rule.folds.tail is not None:
@@ -74,9 +77,11 @@ def block_count(rule: ProtocolRule) -> int:
 
 
 def rests(length: int, block: range, rule: ProtocolRule) -> list[range]:
-    """What trains while `block` is held out: the samples before it and, but in forward and tail
-    folds, after it, without the gap, as far as they hold a past window of their own and one case
-    more."""
+    """Return the samples that train while `block` is held out.
+
+    These are the samples before the block and, except in forward and tail folds, after it, without
+    the gap. A part is kept if it is long enough for its own past window and one more case.
+    """
     gap = rule.folds.gap or 0
     parts = [range(rule.past, block.start - gap)]
     if rule.folds.kind == "contiguous":

@@ -1,4 +1,4 @@
-"""Which samples train, which are simulated, and from which past window."""
+"""Training samples, simulated samples and past windows of each fold."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Case:
 
 @dataclass(frozen=True)
 class Block:
-    """A case with what the evaluator keeps."""
+    """Case together with the outputs that the evaluator keeps."""
 
     case: Case
-    """What a candidate receives."""
+    """Data that a candidate receives."""
     y: Array
     """The measured outputs (H, ny), NaN where none was measured."""
     record: int
@@ -58,17 +58,17 @@ class Fold:
     index: int
     """Number of the fold, 0-based."""
     train: tuple[Trajectory, ...]
-    """What its models are fitted to."""
+    """Records that the models of this fold are fitted to."""
     validation: tuple[Block, ...]
-    """What it holds out, the blocks of each record in time order."""
+    """Held-out blocks, those of each record in time order."""
     scale: Array
     """Standard deviation (ny,), ddof 0, of each output over the training samples; with a horizon
     over the concatenated training windows."""
     followed: tuple[bool, ...] = ()
     """For each held-out block, whether later samples of its record train."""
     offsets: tuple[int, ...] = ()
-    """For each training record, where it begins in the record that it was cut from, in samples; ()
-    where each is a whole record."""
+    """For each training record, its first sample in the record that it was cut from; () where each
+    is a whole record."""
 
 
 def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: int = 0) -> Block:
@@ -88,9 +88,14 @@ def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: in
 
 
 def _past_outputs(record: Trajectory, start: int, count: int) -> Array:
-    """The `count` outputs before `start`. Where one was not measured it is filled from samples
-    before `start` alone, so that none of those to simulate shows. Raises UserError where there is
-    none."""
+    """The `count` outputs before `start`.
+
+    Where one was not measured it is filled from samples before `start` alone, so that none of those
+    to simulate shows.
+
+    Raises:
+        UserError: where there is none
+    """
     window = record.y[start - count : start]
     if record.missing is None or not record.missing[start - count : start].any():
         return window
@@ -116,16 +121,20 @@ def whole(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Block, ...
 
 
 def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold, ...]:
-    """The folds of a problem's training records.
+    """Make the folds of a problem's training records.
 
     Contiguous: each record is split by `array_split` after its first past window. Block k of every
-    record is held out in fold k; what lies before and after it trains, as records of their own. A
-    training record too short to hold its own past window and one case is left out. Forward: one
-    part more, part k + 1 is held out in fold k, and what lies before it trains. Tail: as forward,
-    with all parts in the last `folds.tail` samples. The samples of `folds.gap` next to a held-out
-    part train nothing.
-    Leave one group out: the records of group k are held out in fold k, all others train whole.
-    Raises UserError when a fold has nothing to train on or an output does not move in it.
+    record is held out in fold k; the samples before and after it train, as records of their own. A
+    training record too short to hold its own past window and one case is left out.
+
+    Forward: one part more; part k + 1 is held out in fold k, and the samples before it train. Tail:
+    as forward, with all parts in the last `folds.tail` samples. The samples of `folds.gap` next to
+    a held-out part train nothing.
+
+    Leave one group out: the records of group k are held out in fold k; all others train whole.
+
+    Raises:
+        UserError: when a fold has nothing to train on or an output is constant in it
     """
     least = 1 if rule.folds.kind == "tail" else 2
     if rule.folds.count < least:
@@ -154,7 +163,7 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
 
 
 def _is_measured(records: Sequence[Trajectory], part: Excerpt) -> bool:
-    """Whether each output was measured in it at least once."""
+    """Return whether each output was measured in it at least once."""
     missing = records[part.record].missing
     own = slice(part.samples.start, part.samples.stop)
     return missing is None or not missing[own].all(axis=0).any()
@@ -163,10 +172,12 @@ def _is_measured(records: Sequence[Trajectory], part: Excerpt) -> bool:
 def _after_first_outputs(
     records: Sequence[Trajectory], part: Excerpt, rule: ProtocolRule
 ) -> Excerpt:
-    """From where all samples of a past window were measured, if that is within the first quarter;
-    without such a place, from where three quarters or half of them were, and without that, from
-    where each output was measured before. A start from filled outputs is a bad start for any
-    model, so that V would speak of the gaps."""
+    """Skip the start of an excerpt until all samples of a past window were measured.
+
+    This start lies within the first quarter of the excerpt. Without such a start, three quarters or
+    half of the samples suffice; without that, each output must have been measured before. A past
+    window of filled outputs is a bad initial state for any model, so that V would measure the gaps.
+    """
     missing = records[part.record].missing
     if missing is None or not rule.past_outputs:
         return part
@@ -220,8 +231,8 @@ def _scale(train: Sequence[Trajectory], rule: ProtocolRule, index: int) -> Array
 
 
 def fold_names(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[str, ...]:
-    """What each fold holds out, in a few words: `chirp: 8 records`, or `block 1 of 2: samples 6 to
-    515 of run1`; samples are counted from 1."""
+    """Name the held-out samples of each fold, for example `chirp: 8 records` or `block 1 of 2:
+    samples 6 to 515 of run1`; samples are counted from 1."""
     if rule.folds.kind == "leave_one_group_out":
         return tuple(
             f"{group.name}: {_counted(group.records)}"

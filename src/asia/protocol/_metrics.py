@@ -22,21 +22,22 @@ _GROUP = "asia.metrics"
 
 @dataclass(frozen=True)
 class Metric:
-    """How far a simulation is from the measurement, one number an output."""
+    """Distance of a simulation from the measurement, one number per output."""
 
     name: str
-    """What problem files, lock files and ledgers call it."""
+    """Name in problem files, lock files and ledgers."""
     label: str
-    """What people read in tables and pictures."""
+    """Label in tables and figures."""
     function: Callable[[Array, Array], Array]
-    """Of y and y_hat, each (samples, ny) in physical units: the values of the outputs, (ny,)."""
+    """Function of y and y_hat, each (samples, ny) in physical units, that returns one value per
+    output, (ny,)."""
     loss: TrainingLoss = "mse"
     """The loss of `asia.models.methods` that fits a model to be judged by this metric."""
     unit: str = "signal"
     """`signal`: the unit of the output, and V divides by the output's standard deviation; any
     other text is the unit itself, `""` for none, and V divides by nothing."""
     direction: Literal["lower", "higher"] = "lower"
-    """Which values are better."""
+    """Direction of better values."""
     best: float = 0.0
     """The value of a simulation that equals the measurement."""
 
@@ -47,7 +48,8 @@ class Metric:
 
     @property
     def v_label(self) -> str:
-        """What V averages over outputs and folds, such as `RMSE / output std`."""
+        """Label of the quantity that V averages over outputs and folds, such as `RMSE / output
+        std`."""
         if self.direction == "higher":
             return f"{self.best:g} - {self.label}"
         return f"{self.label} / output std" if self.normalised else self.label
@@ -61,7 +63,7 @@ class Metric:
 
     @property
     def v_words(self) -> str:
-        """What V averages, in a sentence."""
+        """Description of the quantity that V averages, for use in a sentence."""
         if self.direction == "higher":
             return f"{self.best:g} less the {self.label} of each output, lower is better"
         spread = " over its standard deviation in the training fold" if self.normalised else ""
@@ -77,16 +79,24 @@ class Metric:
         return signal if self.normalised else self.unit
 
     def shortfall(self, y: Array, y_hat: Array, scale: Array) -> float:
-        """What enters V: the mean of `shortfalls` over the outputs that have one. Raises UserError
-        as these."""
+        """Return the contribution to V: the mean of `shortfalls` over the outputs that have one.
+
+        Raises:
+            UserError: as `shortfalls`
+        """
         return mean_of_known(self.shortfalls(y, y_hat, scale))
 
     def shortfalls(self, y: Array, y_hat: Array, scale: Array) -> Array:
-        """What V averages over the outputs, (ny,): 0 at best, lower is better.
+        """Return the quantity that V averages over the outputs, (ny,): 0 at best, lower is better.
 
-        y, y_hat: (samples, ny); scale: (ny,) standard deviations. Samples where `y` is NaN do not
-        count; an output without any other has NaN. Raises UserError when the function gives
-        anything but one number an output.
+        Samples where `y` is NaN do not count; an output without any other has NaN.
+
+        Args:
+            y, y_hat: (samples, ny) in physical units
+            scale: (ny,) standard deviations
+
+        Raises:
+            UserError: when the function does not return one number per output
         """
         values = self.values(y, y_hat)
         if self.direction == "higher":
@@ -94,7 +104,11 @@ class Metric:
         return values / scale if self.normalised else values
 
     def values(self, y: Array, y_hat: Array) -> Array:
-        """The values of the outputs, (ny,). Raises UserError as `shortfalls`."""
+        """The values of the outputs, (ny,).
+
+        Raises:
+            UserError: as `shortfalls`
+        """
         values = np.asarray(by_measured(self.function, y, y_hat), dtype=np.float64)
         if values.shape != y.shape[1:]:
             raise UserError(
@@ -118,7 +132,7 @@ def by_measured(function: Callable[[Array, Array], Array], y: Array, y_hat: Arra
 
 
 def mean_of_known(values: Array) -> float:
-    """Of the numbers that are not NaN; NaN where there is none."""
+    """Return the mean of the numbers that are not NaN; NaN where there is none."""
     known = values[~np.isnan(values)]
     return float(np.mean(values if len(known) == len(values) or not len(known) else known))
 
@@ -143,8 +157,12 @@ def metric_names() -> tuple[str, ...]:
 
 
 def find_metric(name: str) -> Metric:
-    """The metric of that name. Raises UserError when there is none, or an installed package brings
-    something else by that name."""
+    """The metric of that name.
+
+    Raises:
+        UserError: when there is none, or an installed package brings something else by that
+            name
+    """
     if name in METRICS:
         return METRICS[name]
     for part in parts_of(_GROUP):
@@ -163,8 +181,10 @@ def find_metric(name: str) -> Metric:
 
 
 def metric_label(name: str) -> str:
-    """What people read for a metric named in a problem or a ledger; of a test metric too, and also
-    where the package that brought it is gone."""
+    """Return the label of a metric named in a problem or a ledger.
+
+    Test metrics are included, and metrics of packages that are no longer installed.
+    """
     try:
         return find_metric(name).label
     except UserError:
@@ -172,12 +192,16 @@ def metric_label(name: str) -> str:
 
 
 def known_metric(name: str) -> str:
-    """`name` where it is a metric's. Raises ValueError that lists the metrics, for schemas."""
+    """`name` where it is a metric's.
+
+    Raises:
+        ValueError: that lists the metrics, for schemas
+    """
     return _one_of(name, metric_names())
 
 
 def known_test_metric(name: str) -> str:
-    """As `known_metric`, for the metrics of the sealed test."""
+    """Return the metric of this name for the sealed test, as `known_metric`."""
     return _one_of(name, (*metric_names(), MEE))
 
 

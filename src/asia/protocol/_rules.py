@@ -23,14 +23,14 @@ class Group:
 
 @dataclass(frozen=True)
 class FoldRule:
-    """Which samples each fold holds out."""
+    """Rule for the samples that each fold holds out."""
 
     kind: FoldKind = "contiguous"
     """`contiguous`: each record is cut into blocks, and a fold holds out one block of each record;
     `forward`: the same with one block more, and only what lies before the held-out block trains,
     so that the first block is never held out; `tail`: the same within the last `tail` samples of
-    each record, what lies before them always trains; `leave_one_group_out`: a fold holds out the
-    records of one group."""
+    each record, the samples before them always train; `leave_one_group_out`: a fold holds out
+    the records of one group."""
     count: int = 2
     """The number of folds."""
     groups: tuple[Group, ...] = ()
@@ -52,12 +52,12 @@ class OutputGroup:
     outputs: tuple[str, ...]
     """Names of its outputs."""
     distance: Literal["euclidean", "geodesic"] = "euclidean"
-    """How the distance is measured."""
+    """Distance measure."""
 
 
 @dataclass(frozen=True)
 class TestRule:
-    """How the sealed test is measured."""
+    """Rule for the metrics of the sealed test."""
 
     metrics: tuple[str, ...] = ("rmse",)
     """Names of the metrics, in physical units."""
@@ -70,7 +70,7 @@ class TestRule:
     unit: str | None = None
     """The unit of the official figures, such as `mV`; None where they are in the output's."""
     unit_factor: float | None = None
-    """What a value in the output's unit is multiplied by to be in `unit`; None for 1."""
+    """Factor from the output's unit to `unit`; None for 1."""
     figures: tuple[Group, ...] = ()
     """The official figures, each the mean over test records that match its names or wildcards; ()
     where each test record is a figure of its own."""
@@ -78,13 +78,13 @@ class TestRule:
 
 @dataclass(frozen=True)
 class ProtocolRule:
-    """How V and the test metric are computed. Frozen and hashed before the first experiment."""
+    """Rule for V and the test metric, frozen and hashed before the first experiment."""
 
     kind: Literal["simulation", "windows"] = "simulation"
     """`simulation` of whole blocks, or `windows` of `horizon` samples, each started from its own
     past window."""
     folds: FoldRule = FoldRule()
-    """Which samples each fold holds out."""
+    """Samples that each fold holds out."""
     past_inputs: int = 10
     """Input samples that a model sees before it simulates."""
     past_outputs: int = 10
@@ -97,13 +97,13 @@ class ProtocolRule:
     horizon: int | None = None
     """Samples of a window; None for whole blocks."""
     test: TestRule = TestRule()
-    """How the sealed test is measured."""
+    """Rule for the metrics of the sealed test."""
     ladder: float | None = None
     """The share of V by which a new best must be better before agents see its score; None where
     they see every V."""
     residuals: ShownResidual = "train"
-    """Of which samples those who propose see residuals: of the training records, or of the held-out
-    ones too, to which a model can then be fitted by hand."""
+    """Samples whose residuals agents see: of the training records, or of the held-out ones too, to
+    which a model can then be fitted by hand."""
 
     @property
     def past(self) -> int:

@@ -1,6 +1,8 @@
-"""What runs inside the outer sandbox: `python -m asia.redteam`, then `off`, `control` (broken
-candidates, with isolation off) or a level, the layers to leave out, and the attacks' numbers; one
-finding a line."""
+"""Program inside the outer sandbox: `python -m asia.redteam`.
+
+Arguments: `off`, `control` (broken candidates, with isolation off) or a level, then the layers to
+leave out, and the attacks' numbers. It prints one finding a line.
+"""
 
 from __future__ import annotations
 

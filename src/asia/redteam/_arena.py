@@ -1,4 +1,4 @@
-"""Evaluate one cheating candidate with the real evaluator, and look for what it left behind."""
+"""Evaluation of one cheating candidate with the real evaluator, and detection of its traces."""
 
 from __future__ import annotations
 
@@ -41,8 +41,13 @@ def attack_candidate(
     without: Collection[Layer] = (),
     executor: Executor | None = None,
 ) -> Finding:
-    """All variants of an attack at one level; it succeeds if one of them does. Layers may be left
-    out in an outer sandbox only. executor: what has the folds fitted; None for this process."""
+    """Run all variants of an attack at one level; it succeeds if one of them does.
+
+    Layers may be left out in an outer sandbox only.
+
+    Args:
+        executor: executor of the folds; None for this process
+    """
     layers = layers_in_force(level, without)
     found = [
         conclude(
@@ -128,7 +133,7 @@ def _places(at_once: bool, executor: Executor | None) -> Executor:
 
 
 def _evaluate_as_searches_do(evaluator: Evaluator, source: str, least: float) -> Evaluation:
-    """As the search judges: a score below `least`, which would win, is examined."""
+    """Evaluate as a search does: a score below `least`, which would win, is checked."""
     evaluation = evaluator.evaluate(source)
     outcome = evaluation.outcome
     if isinstance(outcome, Score) and outcome.value < least:

@@ -31,16 +31,16 @@ _ALARMS = (Reason.LITERAL_DATA, Reason.SUSPECT, Reason.RESTART)
 
 @dataclass(frozen=True)
 class HonestProblem:
-    """What honest candidates are fitted to."""
+    """Problem for honest candidates."""
 
     name: str
-    """Its name or path."""
+    """Name or path of the problem."""
     facts: Facts
-    """What agents know of it."""
+    """Facts for agents."""
     rule: ProtocolRule
-    """How it is scored."""
+    """Protocol of the score."""
     seconds: float = _SECONDS
-    """How many seconds a fit may take."""
+    """Time limit of a fit in seconds."""
     tiny: bool = True
     """Whether the smallest models of each family are used."""
 
@@ -80,7 +80,11 @@ def small_problems() -> tuple[HonestProblem, ...]:
 
 
 def problem_named(name: str) -> HonestProblem:
-    """A problem by name or path, in full. Raises UserError as `load_problem`."""
+    """A problem by name or path, in full.
+
+    Raises:
+        UserError: as `load_problem`
+    """
     problem: Problem = load_problem(name)
     seconds = problem.budget.fit_seconds
     return HonestProblem(name, problem_facts(problem), problem.protocol, seconds, tiny=False)

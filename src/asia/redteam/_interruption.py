@@ -1,4 +1,4 @@
-"""Ends early what runs in other threads."""
+"""Early end of work in other threads."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from asia.sandbox import Worker
 
 
 class Interruption:
-    """Whether the run is to end, and the workers to end with it."""
+    """Flag that ends the run and its workers."""
 
     def __init__(self) -> None:
         self.begun = False

@@ -56,7 +56,7 @@ class SmallProblem:
     records: tuple[Trajectory, ...]
     """The training records."""
     rule: ProtocolRule
-    """How candidates are scored."""
+    """Protocol of the score."""
     crude: tuple[float, float]
     """Pole and gain of an honest model that leaves something to gain."""
 
@@ -82,8 +82,12 @@ class SmallProblem:
         executor: Executor | None = None,
         without: Collection[SuspicionKind] = (),
     ) -> E:
-        """The real one, or one of its kind. executor: where folds run; None for one after the
-        other, here. without: relations that it does not check."""
+        """The real one, or one of its kind.
+
+        Args:
+            executor: where folds run; None for one after the other, here
+            without: relations that it does not check
+        """
         return kind(
             make_folds(self.records, self.rule)[:folds],
             self.records,

@@ -1,5 +1,7 @@
-"""A search whose candidates are nothing but scores. The rules of real searches decide what is
-examined, kept and reported."""
+"""Search whose candidates are nothing but scores.
+
+The rules of real searches decide which candidates are checked, kept and reported.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,11 @@ class ScoreOnlySearch:
         self._events: list[Event] = [_started(ladder)]
 
     def submit(self, score: Score, spoil: Spoil | None = None) -> Evaluated:
-        """What an agent learns of a candidate with this score. spoil: how it breaks a relation."""
+        """Submit a score and return the result that an agent would see.
+
+        Args:
+            spoil: the way in which the candidate breaks a relation
+        """
         view, evaluator = replay(self._events), _Known(score, spoil)
         number, judged = len(view.experiments) + 1, judge(evaluator, "", view)
         name, status, outcome = str(number), judged.status, judged.evaluation.outcome
@@ -35,7 +41,8 @@ class ScoreOnlySearch:
 
 
 def turn(doubt: Callable[[float], bool], most: float) -> float:
-    """Where a verdict turns, by halving: the largest share in [0, most] found to be doubted."""
+    """Find the threshold of a verdict by bisection: the largest share in [0, most] that is
+    refused."""
     low, high = 0.0, most
     for _ in range(HALVINGS):
         middle = (low + high) / 2
@@ -44,14 +51,15 @@ def turn(doubt: Callable[[float], bool], most: float) -> float:
 
 
 def forgetful(score: Score) -> Failure | None:
-    """Answers differently when asked again, whatever it scores."""
+    """Return the failure of a model whose outputs differ when a case is repeated, at any score."""
     del score
-    return Failure(Reason.SUSPECT, "replay: the same case asked again is answered otherwise", 1)
+    return Failure(Reason.SUSPECT, "replay: the same case simulated again gives another output", 1)
 
 
 def one_start(bound: float) -> Spoil:
-    """Simulates so badly from later starts that the check fails if its own V is below `bound`."""
-    words = "restart: started later on the same record the simulation is far worse"
+    """Return the failure of a model that is so bad from later starts that the check fails if its
+    own V is below `bound`."""
+    words = "restart: the simulation is far worse from a later start on the same record"
     failure = Failure(Reason.RESTART, words, 1)
     return lambda score: failure if score.value < bound else None
 
@@ -68,7 +76,7 @@ class _Known(Evaluator):
         return Evaluation(self._known)
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
-        """As the candidate wants it."""
+        """Return the objection that the candidate asks for."""
         return None if self._spoil is None else self._spoil(self._known)
 
 

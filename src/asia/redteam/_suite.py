@@ -43,7 +43,7 @@ OnResult = Callable[[Result], None]
 
 @dataclass(frozen=True)
 class RedTeamPlan:
-    """What to try."""
+    """Plan of a red-team run."""
 
     levels: tuple[Isolation, ...]
     """The levels of isolation, strongest first."""
@@ -54,19 +54,19 @@ class RedTeamPlan:
     honest: tuple[tuple[HonestProblem, Family], ...] = ()
     """The problems, each with a family whose candidate must not be flagged."""
     executor: Executor | None = None
-    """What has the attacks' folds fitted, on this machine; None for this process."""
+    """Executor of the attacks' folds, on this machine; None for this process."""
 
 
 @dataclass(frozen=True)
 class RedTeamReport:
-    """What came of a plan."""
+    """Report of a red-team run."""
 
     plan: RedTeamPlan
-    """What was tried."""
+    """Plan of the run."""
     findings: tuple[Finding, ...]
-    """What became of the attacks, by number and level."""
+    """Findings of the attacks, by number and level."""
     honest: tuple[HonestFinding, ...]
-    """What became of the honest candidates."""
+    """Findings of the honest candidates."""
 
     @property
     def stopped(self) -> int:
@@ -111,7 +111,9 @@ def run_suite(plan: RedTeamPlan, on_result: OnResult = lambda result: None) -> R
     """Run the plan, two jobs at a time; `on_result` is called with each finding as it is made.
 
     Attacks without protection run in an outer sandbox, and so do levels that confine nothing.
-    Raises SandboxError where a worker or the outer sandbox cannot be started.
+
+    Raises:
+        SandboxError: where a worker or the outer sandbox cannot be started
     """
     interruption = Interruption()
     results = _run(list(_jobs(plan, interruption)), on_result, interruption)
@@ -139,8 +141,13 @@ def without_layers(
     attacks: Sequence[Attack],
     on_result: OnResult = lambda result: None,
 ) -> tuple[Finding, ...]:
-    """What comes back without these layers, in an outer sandbox. Attacks that no layer of the
-    sandbox has a part in are left out. Raises SandboxError."""
+    """Run attacks without these layers, in an outer sandbox.
+
+    Attacks that no layer of the sandbox affects are left out.
+
+    Raises:
+        SandboxError: when the outer sandbox cannot be started
+    """
     walled = [attack for attack in attacks if attack.walled]
     jobs = [partial(_outside, level, layers, walled) for level, layers in settings]
     return tuple(one for one in _run(jobs, on_result, Interruption()) if isinstance(one, Finding))
@@ -170,8 +177,11 @@ def without_checks(
 
 
 def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]:
-    """Every family of the library on both small problems, where it can be used; quick: on one of
-    them, in turns."""
+    """Every family of the library on both small problems, where it can be used.
+
+    Args:
+        quick: on one of them, in turns
+    """
     tanks, drone = small_problems()
     if not quick:
         return tuple((p, row) for p in (tanks, drone) for row in p.families)
@@ -222,7 +232,7 @@ def _honest(
 
 
 def _play_searches(attacks: Sequence[SearchAttack], level: Isolation) -> Iterator[Result]:
-    """Attacks on the search, played once: the walls have no part in them."""
+    """Run the attacks on the search once: the sandbox layers do not affect them."""
     with tempfile.TemporaryDirectory(prefix="asia-redteam-") as folder:
         scene = Scene(Path(folder), level)
         for attack in attacks:

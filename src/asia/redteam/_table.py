@@ -10,8 +10,10 @@ from asia.redteam.outside.without_isolation import OFF
 
 
 def report_table(report: RedTeamReport) -> str:
-    """One row an attack, one column a level, in Markdown. Attacks that are played
-    once, whatever the level, stand in the first column."""
+    """Format the report in Markdown, one row per attack, one column per level.
+
+    Attacks that run once, independent of the level, are in the first column.
+    """
     levels = [*map(str, report.plan.levels), *([OFF] if report.plan.prove else [])]
     found = {(f.number, f.level): f for f in report.findings}
     rows = [["#", "attack", *levels]]
@@ -25,7 +27,7 @@ def report_table(report: RedTeamReport) -> str:
 
 
 def without_table(findings: Sequence[Finding], attacks: Sequence[Attack]) -> str:
-    """What comes back, by level and layers left out, in Markdown."""
+    """Format the findings without layers in Markdown, by level and layers left out."""
     names = {attack.number: attack.name for attack in attacks}
     rows = [["level", "without", "comes back"]]
     for key in sorted(dict.fromkeys((f.level, f.without) for f in findings), reverse=True):

@@ -1,4 +1,4 @@
-"""Attacks, what is observed of them, and what became of them."""
+"""Attacks, observations of them, and findings."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 class Barrier(StrEnum):
-    """What stands in an attack's way."""
+    """Barrier against an attack."""
 
     NAMESPACES = "namespaces"
     LANDLOCK = "landlock"
     SECCOMP = "seccomp"
     RLIMITS = "rlimits"
     KERNEL = "kernel"
-    """Its ordinary rules about users and files."""
+    """Rules of the operating system about users and files."""
     PARENT = "parent"
     """The evaluator's process, which alone computes and checks scores."""
     DEADLINE = "deadline"
@@ -46,38 +46,38 @@ class Mistake(StrEnum):
 
 
 class AttackVerdict(StrEnum):
-    """What became of an attack."""
+    """Verdict on an attack."""
 
     BLOCKED = "blocked"
-    """What it tried failed."""
+    """The attempt failed."""
     NO_GAIN = "no gain"
-    """It did what it tried, and its score is no better for it."""
+    """The attempt worked, but does not improve the score."""
     FLAGGED = "flagged"
-    """It was recognised as a cheat and refused."""
+    """The candidate was recognised as a cheat and refused."""
     THROUGH = "through"
-    """It succeeded."""
+    """The attack succeeded."""
 
 
 @dataclass(frozen=True)
 class Observed:
-    """What the evaluator's side sees of one candidate and of what it left behind."""
+    """Observations of one candidate and its traces, from the evaluator's side."""
 
     value: float | None
-    """Its score; None for a failure."""
+    """Score; None for a failure."""
     honest: float
     """The score of the honest candidate it is built on."""
     reason: Reason | None = None
-    """Why it failed, if it did."""
+    """Reason of a failure."""
     detail: str = ""
     """The message of its failure."""
     output: str = ""
-    """What it printed."""
+    """Text that the candidate printed."""
     steps: Mapping[str, str] = field(default_factory=dict[str, str])
-    """What it reports of each of its attempts: `done`, or the name of the error."""
+    """Result of each attempt as the candidate reports it: `done`, or the name of the error."""
     seconds: float = 0.0
-    """How long its evaluation took."""
+    """Duration of the evaluation."""
     limit: float = 0.0
-    """How many seconds a fit may take."""
+    """Time limit of a fit in seconds."""
     overran: bool = False
     """Whether no deadline ended it."""
     ran: bool = False
@@ -87,7 +87,7 @@ class Observed:
     leaked: bool = False
     """Whether it printed a secret."""
     hurt: str = ""
-    """What it did to a neighbouring process."""
+    """Harm to a neighbouring process."""
     survivors: tuple[str, ...] = ()
     """Processes of it that still run."""
     strays: tuple[str, ...] = ()
@@ -95,7 +95,7 @@ class Observed:
 
 
 Success = Callable[[Observed], bool]
-"""How the success of an attack would be seen."""
+"""Criterion for the success of an attack."""
 
 
 @dataclass(frozen=True)
@@ -103,25 +103,25 @@ class CandidateAttack:
     """A candidate that cheats or breaks out."""
 
     number: int
-    """Its number in docs/redteam.md."""
+    """Number in docs/redteam.md."""
     name: str
-    """What it does, in a few words."""
+    """Name of the attack, in a few words."""
     tries: str
-    """What it tries, in one sentence."""
+    """Description of the attempt, in one sentence."""
     sources: Mapping[str, str]
-    """Its variants by name, as the text of `candidate.py`."""
+    """Variants by name, as the text of `candidate.py`."""
     success: Success
-    """How its success would be seen."""
+    """Criterion for success."""
     stops: tuple[Barrier, ...]
-    """What is expected to stop it."""
+    """Expected barriers."""
     problem: ProblemName = "simulation"
     """The small problem that it is tried on."""
     limit: float = 20.0
-    """How many seconds a fit may take."""
+    """Time limit of a fit in seconds."""
     memory_mb: int = 1024
-    """Its memory."""
+    """Memory limit."""
     folds: int | None = None
-    """On how many of the problem's folds it is tried; None for all."""
+    """Number of the problem's folds to evaluate; None for all."""
     at_once: tuple[str, ...] = ()
     """The variants whose folds run at the same time."""
     mistake: Mistake | None = None
@@ -138,16 +138,16 @@ class CandidateAttack:
 
 @dataclass(frozen=True)
 class SearchAttackResult:
-    """How an attack on the search itself ended."""
+    """Result of an attack on the search itself."""
 
     succeeded: bool
     """Whether nothing stopped it."""
     stops: tuple[Barrier, ...]
-    """What stopped it."""
+    """Barriers that stopped it."""
     note: str
-    """How it ended, in words."""
+    """Course of the attack, in words."""
     flagged: bool = True
-    """Whether it was refused as a cheat; False where what it tried failed."""
+    """Whether it was refused as a cheat; False where the attempt failed."""
 
 
 @dataclass(frozen=True)
@@ -155,18 +155,18 @@ class SearchAttack:
     """A cheating agent."""
 
     number: int
-    """Its number in docs/redteam.md."""
+    """Number in docs/redteam.md."""
     name: str
-    """What it does, in a few words."""
+    """Name of the attack, in a few words."""
     tries: str
-    """What it tries, in one sentence."""
+    """Description of the attempt, in one sentence."""
     play: Callable[[Scene], SearchAttackResult]
     """The attack on a real search."""
     play_unprotected: Callable[[Path], bool]
     """The same attack, in a scratch folder, on the plainest code that would do; whether it
     succeeded."""
     stops: tuple[Barrier, ...]
-    """What is expected to stop it."""
+    """Expected barriers."""
 
     @property
     def walled(self) -> bool:
@@ -180,18 +180,18 @@ ANY_LEVEL = "any level"
 
 @dataclass(frozen=True)
 class Finding:
-    """What became of one attack in one setting."""
+    """Finding about one attack in one setting."""
 
     number: int
     """The number of the attack."""
     level: str
-    """A level of isolation, `off`, or `any level` where the walls have no part in the attack."""
+    """Isolation level, `off`, or `any level` where the sandbox layers do not affect the attack."""
     verdict: AttackVerdict
-    """Whether it succeeded, and what became of it if it did not."""
+    """Verdict on the attack."""
     stops: tuple[str, ...]
-    """What stopped it."""
+    """Barriers that stopped it."""
     note: str
-    """How it ended, in words."""
+    """Course of the attack, in words."""
     without: tuple[str, ...] = ()
     """The layers that were left out."""
 
@@ -203,7 +203,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class SuspicionFinding:
-    """What became of one variant of an attack with some relations left out, and with all."""
+    """Finding about one variant of an attack with some relations left out, and with all."""
 
     number: int
     """The number of the attack."""
@@ -216,16 +216,16 @@ class SuspicionFinding:
     honest: float
     """The score of the honest candidate it is built on."""
     value: float | None
-    """Its score without these relations; None for a failure."""
+    """Score without these relations; None for a failure."""
     succeeded: bool
     """Whether it succeeded without them."""
     checked: Finding
-    """What became of it with all relations."""
+    """Finding with all relations."""
 
 
 @dataclass(frozen=True)
 class HonestFinding:
-    """What the checks that flag cheats make of an honest candidate."""
+    """Finding of the cheat checks for an honest candidate."""
 
     family: str
     """The family of its model."""
@@ -236,6 +236,6 @@ class HonestFinding:
     words: str
     """The checks that flagged it, or how it failed."""
     seconds: float
-    """How long the fit and the checks took."""
+    """Duration of the fit and the checks."""
     failure: Reason | None = None
-    """Why it was not checked; None if it was."""
+    """Reason for a missing check; None if it was checked."""

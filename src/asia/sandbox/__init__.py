@@ -1,4 +1,5 @@
-"""Run untrusted candidates in worker processes. What comes back is bytes and is never parsed."""
+"""Sandboxed worker processes for untrusted candidates; their replies are bytes that are never
+parsed."""
 
 from asia.sandbox._doctor import Lack, LevelState, Machine, machine, survey
 from asia.sandbox._gpu import DEVICES, chosen_gpu, gpu_here

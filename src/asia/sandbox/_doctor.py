@@ -1,4 +1,4 @@
-"""What this machine can do to keep candidates in, why not more, and how to get it."""
+"""Isolation levels that this machine supports, the missing layers and their remedies."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Machine:
     system: str
     """The kernel's name and release."""
     architecture: str
-    """Of the processor."""
+    """Architecture of the processor."""
     python: str
     """Version of the running one."""
     cores: int
-    """How many the machine has."""
+    """Number of cores of the machine."""
     memory_mb: int | None
     """Physical memory, None where the system does not say."""
     user: str
@@ -37,7 +37,7 @@ class Machine:
     landlock: int
     """The kernel's version of it, 0 for none."""
     bubblewrap: str | None
-    """Where the program lies."""
+    """Path of the program."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class Lack:
     what: str
     """The level or the layer."""
     reason: str
-    """Why it does not work."""
+    """Reason why it does not work."""
     remedy: str
-    """What to do about it."""
+    """Remedy."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class LevelState:
     layers: tuple[Layer, ...]
     """Those it would really have, none where it does not work."""
     lacks: tuple[Lack, ...]
-    """What keeps it from working, or from being complete."""
+    """Missing parts that keep the level from working or from being complete."""
 
 
 def machine() -> Machine:

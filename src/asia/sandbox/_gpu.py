@@ -1,4 +1,4 @@
-"""Whether workers here compute on a GPU: tried with a worker behind its walls."""
+"""Test whether sandboxed workers can compute on a GPU."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from asia.sandbox.walls.gpu import gpu_nodes
 _LIMITS = Limits(120.0, 60.0, 16384, gpu=True)
 _MOST_WORDS = 200
 DEVICES = ("auto", "cpu", "gpu")
-"""What a search may be asked to compute on."""
+"""Devices that a search may request."""
 _OPEN = (
     "gpu: workers that train networks reach its driver at level {level}, through a filter that "
-    "lets its commands pass, and have a limit on memory in place of one on addresses"
+    "allows its commands, and have a limit on resident memory instead of addresses"
 )
-# What JAX calls the card, once it has computed something on it.
+# Return JAX's name of the card, after a computation on it.
 _TRIAL = """
 import jax
 import numpy as np
@@ -40,9 +40,18 @@ def fit(trajectories, context):
 
 
 def chosen_gpu(asked: str, level: Isolation) -> tuple[str, tuple[str, ...]]:
-    """What JAX calls the GPU to be used, "" for none, and what a person must know about it. asked:
-    `auto` for one where there is one, `cpu` or `gpu`. Raises UserError for another word, and where
-    `gpu` is asked for and workers at `level` reach none."""
+    """Choose the GPU of a search.
+
+    Args:
+        asked: `auto` for a GPU where there is one, `cpu` or `gpu`
+
+    Returns:
+        JAX's name of the GPU, "" for none, and notes for the user
+
+    Raises:
+        UserError: for another word, and where `gpu` is requested and workers at `level` cannot
+            reach one
+    """
     if asked not in DEVICES:
         raise UserError(f"--device {asked}: expected {', '.join(DEVICES[:-1])} or {DEVICES[-1]}")
     if asked == "cpu" or (asked == "auto" and not gpu_nodes()):
@@ -59,10 +68,13 @@ def chosen_gpu(asked: str, level: Isolation) -> tuple[str, tuple[str, ...]]:
 
 
 def gpu_here(level: Isolation) -> str:
-    """What JAX calls the GPU that workers at `level` compute on. Raises SandboxError, with the
-    reason in plain words, where they do not reach one."""
+    """Return JAX's name of the GPU that workers at `level` compute on.
+
+    Raises:
+        SandboxError: with the reason in plain words, where they cannot reach one
+    """
     if not gpu_nodes():
-        raise SandboxError("there is no device node /dev/nvidia0 with a driver beside it")
+        raise SandboxError("there is no device node /dev/nvidia0 with its driver")
     one = (Signal("u"),)
     try:
         with open_worker(level, _LIMITS, libraries=("jax",)) as worker:

@@ -1,5 +1,8 @@
-"""A jail for an agent that runs as a command: it sees a workspace, the search's socket, programs to
-run, and what its person mounts. No home, no ledger, no test data, and no network unless asked."""
+"""Jail for an agent that runs as a command.
+
+The agent sees a workspace, the search's socket, programs, and the folders that the user mounts: no
+home, no ledger, no test data, and no network unless requested.
+"""
 
 from __future__ import annotations
 
@@ -40,15 +43,15 @@ _NET = ("resolv.conf", "hosts", "nsswitch.conf", "services", "protocols", "gai.c
 
 @dataclass(frozen=True)
 class Jail:
-    """What an agent that runs as a command can reach. Numbers of processes and sizes of files are
-    bounded."""
+    """Resources of an agent that runs as a command; the number of processes and the size of files
+    are bounded."""
 
     workspace: Path
     """The folder that the agent writes in."""
     socket: Path
     """The folder that holds the search's socket."""
     mounts: tuple[Path, ...] = ()
-    """What is shown read-only, each at its own place."""
+    """Paths mounted read-only, each at its own place."""
     configs: tuple[Path, ...] = ()
     """Folders of the agent, writable, below its home."""
     network: bool = False
@@ -60,8 +63,11 @@ class Jail:
         return LEVELS[Isolation.NAMESPACE].why_not()
 
     def command(self, arguments: list[str], *, terminal: bool = False) -> list[str]:
-        """The command line that runs `arguments` inside. terminal: with standard input as the
-        terminal that controls them."""
+        """The command line that runs `arguments` inside.
+
+        Args:
+            terminal: with standard input as the terminal that controls them
+        """
         memory = {"/dev/shm": _SHM_BYTES, "/tmp": _TMPFS_BYTES, _HOME: _TMPFS_BYTES}
         files = [f"/etc/{name}" for name in (*_ETC, *(_NET if self.network else ()))]
         shown = [word for path in self.mounts for word in ("--ro-bind", str(path), str(path))]
@@ -86,7 +92,7 @@ class Jail:
 
 
 def _programs(mounts: tuple[Path, ...]) -> str:
-    """Where programs are looked for inside: what is mounted goes before the machine's own."""
+    """Return the search path for programs inside: mounts before the machine's own."""
     places = [str(Path(interpreter()).parent)]
     for path in mounts:
         places += [str(p) for p in (path / "bin", path) if p.is_dir()]
@@ -94,8 +100,10 @@ def _programs(mounts: tuple[Path, ...]) -> str:
 
 
 def jail_environment(mounts: tuple[Path, ...] = ()) -> dict[str, str]:
-    """All environment variables inside, but those that the person passes on. Given to the process
-    and not on the command line, where others could read a key."""
+    """Return all environment variables inside, except those that the user passes on.
+
+    They are given to the process and not on the command line, where others could read a key.
+    """
     return {
         "PATH": _programs(mounts),
         "HOME": _HOME,

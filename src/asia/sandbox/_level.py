@@ -1,4 +1,4 @@
-"""What the rest of the package knows of a level of isolation."""
+"""Interface of an isolation level."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ class Level(ABC):
     """A way to keep candidates in."""
 
     isolation: ClassVar[Isolation]
-    """Its name."""
+    """Name of the level."""
     layers: ClassVar[tuple[Layer, ...]]
-    """What it is made of where the kernel gives everything."""
+    """Layers of the level where the kernel supports all."""
     confined: ClassVar[bool] = True
     """Whether it means to stop a candidate that wants out, and not accidents alone."""
     system: ClassVar[str | None] = None
     """The only `sys.platform` on which it is worth a word, None for every one."""
     caveat: ClassVar[str | None] = None
-    """What a person must know who uses it."""
+    """Warning for users of the level."""
 
     @property
     def fits(self) -> bool:
@@ -32,7 +32,7 @@ class Level(ABC):
         return self.system in (None, sys.platform)
 
     def missing(self) -> dict[Layer, str]:
-        """Its layers that the kernel does not give, and why."""
+        """Return the layers that the kernel does not support, with reasons."""
         return {layer: why for layer, why in missing_layers().items() if layer in self.layers}
 
     @abstractmethod
@@ -41,7 +41,7 @@ class Level(ABC):
 
     @abstractmethod
     def remedy(self) -> str:
-        """What to do where it does not work."""
+        """Describe the remedy where the level does not work."""
 
     @abstractmethod
     def open(

@@ -1,4 +1,4 @@
-"""Which level works here, and a worker at a given one."""
+"""Choice of the isolation level, and workers at a given one."""
 
 from __future__ import annotations
 
@@ -17,21 +17,24 @@ def probe(wanted: Isolation | None = None) -> Probe:
     """The strongest level that works here, found by starting something at it, or the `wanted` one.
 
     Also byte-compiles this package where its folder can be written: workers write nothing, so each
-    of them would compile it anew. Raises SandboxError where `wanted` does not work.
+    of them would compile it anew.
+
+    Raises:
+        SandboxError: where `wanted` does not work
     """
     compileall.compile_dir(package_folder(), quiet=2)
     if wanted is not None:
         reason = why_not(wanted)
         if reason is not None:
             raise SandboxError(f"isolation level '{wanted}' cannot run here: {reason}")
-        return _found(LEVELS[wanted], ("asked for by the user",))
+        return _found(LEVELS[wanted], ("requested by the user",))
     notes: list[str] = []
     for level in fitting_levels():
         reason = level.why_not()
         if reason is None:
             return _found(level, notes)
         notes.append(f"{level.isolation}: {reason}")
-    raise SandboxError("no level of isolation works here")
+    raise SandboxError("no isolation level works on this machine")
 
 
 def _found(level: Level, notes: Sequence[str]) -> Probe:
@@ -64,11 +67,15 @@ def open_worker(
     libraries: Collection[str] = (),
     without: Collection[Layer] = frozenset(),
 ) -> Worker:
-    """Start one fresh worker at `level`. Raises SandboxError if it cannot be started. libraries:
-    modules that it loads, behind its walls, before it is asked anything.
+    """Start one fresh worker at `level`.
 
-    `without` leaves out layers, to show in an outer sandbox what each of them stops. No search
-    uses it.
+    Args:
+        libraries: modules that it loads, inside the sandbox, before its first request
+        without: layers to leave out, to show in an outer sandbox what each of them stops; no
+            search uses it
+
+    Raises:
+        SandboxError: if the worker cannot be started
     """
     process = LEVELS[level].open(limits, layers_in_force(level, without), libraries)
     return Worker(process, limits)

@@ -1,5 +1,5 @@
-"""Workers started ahead: each waits behind its walls, with its libraries loaded, until a candidate
-is there for it, and is used once."""
+"""Standby workers: each waits inside its sandbox, with its libraries loaded, for a candidate, and
+is used once."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ class _Waiting:
     """A worker that has been asked nothing."""
 
     libraries: frozenset[str]
-    """What it loads."""
+    """Libraries that it loads."""
     worker: Future[Worker]
     """The worker, once it has been started."""
 
 
 class ReadyWorkers:
-    """Starts workers before they are needed. Of the last two sets of libraries that were asked for
-    a few workers wait at any time. Use it as a context manager: those that wait end with it.
+    """Pool of standby workers, used as a context manager.
 
-    A worker has loaded nothing that its candidate, or the library functions it may call, would not
-    load. So whether one was ready changes no number; a fit at its limit of memory alone may notice.
+    A few workers wait for each of the last two requested sets of libraries. A worker has loaded
+    nothing that its candidate, or the library functions it may call, would not load, so that its
+    use changes no number; only a fit at its memory limit may notice.
     """
 
     def __init__(self, level: Isolation, limits: Limits, most: int) -> None:
@@ -59,8 +59,8 @@ class ReadyWorkers:
         self.close()
 
     def take(self, libraries: frozenset[str]) -> Worker | None:
-        """A worker that is ready, for a candidate that loads these; None where there is none. Those
-        that will be asked for next are started."""
+        """Return a standby worker for a candidate that loads these libraries, or None, and start
+        those needed next."""
         with self._lock:
             fitting = [one for one in self._waiting if one.libraries <= libraries]
             found = max(fitting, key=lambda one: len(one.libraries), default=None)
@@ -104,6 +104,6 @@ class ReadyWorkers:
 
 
 def _end(worker: Future[Worker]) -> None:
-    """End a worker that nobody will ask anything."""
+    """End a worker that will receive no request."""
     if not worker.cancelled() and worker.exception() is None:
         worker.result().close()

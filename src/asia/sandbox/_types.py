@@ -1,4 +1,4 @@
-"""What passes between the sandbox and its callers."""
+"""Types shared by the sandbox and its callers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from asia.errors import SandboxError
 
 
 class Isolation(StrEnum):
-    """What keeps a candidate in, strongest first."""
+    """Isolation level, strongest first."""
 
     NAMESPACE = "namespace"
     LANDLOCK = "landlock"
@@ -20,7 +20,7 @@ class Isolation(StrEnum):
 
 
 class Layer(StrEnum):
-    """What a level is made of."""
+    """Layer of an isolation level."""
 
     NAMESPACES = "namespaces"
     LANDLOCK = "landlock"
@@ -36,14 +36,14 @@ class Probe:
     level: Isolation
     """The level."""
     notes: tuple[str, ...] = ()
-    """In plain words why not a stronger level, or not all layers of this one."""
+    """Reasons in plain words for a weaker level, or for missing layers of this one."""
     layers: tuple[Layer, ...] = ()
     """The layers really in force."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What one worker may use."""
+    """Resource limits of one worker."""
 
     fit_seconds: float
     """Wall clock for executing the source and fitting; the same again for loading a model."""
@@ -54,26 +54,31 @@ class Limits:
     model_mb: int = 64
     """Largest fitted model that is kept."""
     gpu: bool = False
-    """Whether it computes on the GPU. Then `memory_mb` is what it may have in memory: CUDA reserves
-    far more addresses than it uses."""
+    """Whether it computes on the GPU. Then `memory_mb` limits resident memory: CUDA reserves far
+    more addresses than it uses."""
 
 
 class WorkerKilledError(SandboxError):
-    """Somebody else ended the worker; most often the kernel, when memory had run out."""
+    """Error for a worker ended by another process; most often by the kernel without memory."""
 
 
 class ScoreRefusedError(Exception):
-    """No score is given; the candidate gets a RuntimeError with these words."""
+    """Refusal of a score; the candidate gets a RuntimeError with this text."""
 
 
 ScoreModel = Callable[[bytes, float], float]
-"""(model as `Worker.dump` gives it, `time.monotonic()` value to answer by) -> its score. Raises
-ScoreRefusedError, and CandidateError where the model makes the candidate fail."""
+"""Function of a model, as `Worker.dump` gives it, and a deadline (`time.monotonic()`) that returns
+its score.
+
+Raises:
+    ScoreRefusedError: when no score is given
+    CandidateError: where the model makes the candidate fail
+"""
 
 
 @dataclass(frozen=True)
 class FitReply:
-    """What a fit leaves behind beside the model, all of it the candidate's own word."""
+    """Reply of a fit besides the model, reported by the candidate itself."""
 
     curve: Array
     """(n, 2) step and loss given to `context.log`, at most 2000 rows, may hold NaN."""

@@ -1,4 +1,4 @@
-"""What a gain is due to: the model, the training, or both together."""
+"""Attribution of a gain to the model, the training, or both together."""
 
 from __future__ import annotations
 
@@ -21,22 +21,26 @@ class Attribution:
     gain: Interval
     """V of the baseline less that of the winner."""
     model: Interval
-    """What the winner's model brings with the baseline's training."""
+    """Gain from the winner's model with the baseline's training."""
     training: Interval
-    """What the winner's training brings with the baseline's model."""
+    """Gain from the winner's training with the baseline's model."""
     interaction: Interval
-    """What the two bring together and neither does alone."""
+    """Gain from the combination that neither gives alone."""
 
     def share(self, part: Interval) -> float | None:
-        """Of the gain; None where there is none."""
+        """Return a part as a share of the gain; None where there is no gain."""
         return part.value / self.gain.value if self.gain.value > 0 else None
 
 
 def attribute(
     baseline: Array, model_alone: Array, training_alone: Array, winner: Array
 ) -> Attribution:
-    """From V over the seeds of the four crossings of two models and two trainings, (seeds,) each; a
-    single value where fits do not depend on the seed."""
+    """Attribute a gain by the four crossings of two models and two trainings.
+
+    Args:
+        baseline, model_alone, training_alone, winner: V over the seeds, (seeds,); a single
+            value where fits do not depend on the seed
+    """
     each = _paired(baseline, model_alone, training_alone, winner)
     base, model, training, both = each
     return Attribution(
@@ -63,7 +67,7 @@ def _over_seeds(values: Array) -> Interval:
 
 
 def _paired(*each: Array) -> tuple[Array, ...]:
-    """With as many seeds each; a single value stands for all."""
+    """Broadcast all to the same number of seeds."""
     counts = [len(values) for values in each if len(values) != 1]
     if not all(len(values) for values in each):
         raise InternalError("a crossing without a score was about to be attributed")

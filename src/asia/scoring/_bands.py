@@ -23,7 +23,7 @@ _NEIGHBOURS = 0.02
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """What the model of one fold missed on the blocks that the fold holds out."""
+    """Errors of the model of one fold on the blocks that the fold holds out."""
 
     blocks: tuple[Array, ...]
     """Measured less simulated (H, ny), one a block; NaN where an output was not measured."""
@@ -31,7 +31,7 @@ class HeldOutErrors:
 
 @dataclass(frozen=True)
 class Bands:
-    """Where the measured outputs are expected, around one simulation."""
+    """Bands around one simulation that contain the measured outputs with a given probability."""
 
     lower: Array
     """(H, ny), in the units of the outputs."""
@@ -41,18 +41,21 @@ class Bands:
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """Sizes of held-out errors, in order: what bands of every level are made of."""
+    """Sorted sizes of held-out errors, from which bands of every level are made."""
 
     parts: tuple[tuple[tuple[Array, ...], ...], ...]
-    """For each output and each step of a window, one where errors do not depend on the step: the
+    """For each output and each step of a window (one where errors do not depend on the step): the
     sizes of each fold's errors, the smallest first."""
     independent: tuple[float, ...]
-    """For each output, how many independent errors they are worth."""
+    """Equivalent number of independent errors of each output."""
 
 
 def error_sizes(folds: Sequence[HeldOutErrors], *, by_step: bool = False) -> ErrorSizes:
-    """The sizes of the errors of fold models. by_step: the blocks are windows of one length, and
-    errors depend on the step in it."""
+    """The sizes of the errors of fold models.
+
+    Args:
+        by_step: the blocks are windows of one length, and errors depend on the step in it
+    """
     parts: list[tuple[tuple[Array, ...], ...]] = []
     independent: list[float] = []
     for channel in range(folds[0].blocks[0].shape[1]):
@@ -71,12 +74,16 @@ def output_bands(
     *,
     by_step: bool = False,
 ) -> Bands:
-    """Bands for the simulations (K, H, ny) of K fold models, which a measured output leaves with
-    a probability of 1 - level.
+    """Bands for the simulations (K, H, ny) of K fold models, which a measured output leaves with a
+    probability of 1 - level.
 
-    errors: one a fold model, or their sizes, where many simulations have the same. wider: (H,)
-    factors of 1 or more on the errors, None for 1. by_step: as in `error_sizes`.
-    Raises ValueError for a level outside (0, 1).
+    Args:
+        errors: one a fold model, or their sizes, where many simulations have the same
+        wider: (H,) factors of 1 or more on the errors, None for 1
+        by_step: as in `error_sizes`
+
+    Raises:
+        ValueError: for a level outside (0, 1)
     """
     if not 0.0 < level < 1.0:
         raise ValueError(f"level is {level}, expected a share between 0 and 1")
@@ -96,8 +103,14 @@ def output_bands(
 
 
 def independent_errors(folds: Sequence[Sequence[Array]]) -> float:
-    """How many independent errors the held-out errors are worth: their number over the sum of
-    their autocorrelation up to its first zero crossing, both sides. folds: blocks (H,) of each."""
+    """Return the equivalent number of independent held-out errors.
+
+    It is their number over the sum of their autocorrelation up to its first zero crossing, on both
+    sides.
+
+    Args:
+        folds: blocks (H,) of each fold
+    """
     worth = 0.0
     for blocks in folds:
         centre = np.concatenate(list(blocks)).mean()
@@ -125,7 +138,7 @@ def raised_level(level: float, errors: float) -> float:
 
 
 def _parts(errors: Sequence[Sequence[Array]], *, by_step: bool) -> tuple[tuple[Array, ...], ...]:
-    """For each step that has its own errors, the sorted sizes of each fold's."""
+    """Return each fold's sorted error sizes for each step that has its own errors."""
     if not by_step:
         return (tuple(_sizes(np.concatenate(list(b)), np.zeros(1)) for b in errors),)
     length = min(len(block) for blocks in errors for block in blocks)
@@ -143,7 +156,10 @@ def _sizes(errors: Array, otherwise: Array) -> Array:
 
 def _edge(sizes: Sequence[Array], centres: Array, factor: Array, level: float) -> Array:
     """The lowest values (H,) that a share `level` of all centre + factor * size stays below.
-    sizes: sorted, one a fold; centres (K, H)."""
+
+    Args:
+        sizes: sorted, one a fold; centres (K, H)
+    """
     total = sum(len(s) for s in sizes)
     wanted = level * total - 1e-9 * total
     if total * centres.shape[1] <= _FEW:

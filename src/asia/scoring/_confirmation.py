@@ -1,10 +1,10 @@
-"""What fits from several seeds say of a few candidates: differences, and the error to expect.
+"""Comparison of a few candidates over several seeds: differences and expected error.
 
 The held-out samples of each fold are cut into blocks. A candidate is compared with another on the
-same blocks and from the same seeds, so that what is hard for both falls out. The error to expect
-of a winner is estimated by a bootstrap over the blocks that also chooses the winner anew: it is
-judged on the blocks that had no part in the choice (Tsamardinos, Greasidou and Borboudakis,
-Machine Learning 107, 2018, "Bootstrapping the out-of-sample predictions").
+same blocks and from the same seeds, so that common difficulty cancels. The error to expect of a
+winner is estimated by a bootstrap over the blocks that also chooses the winner anew: it is judged
+on the blocks that had no part in the choice (Tsamardinos, Greasidou and Borboudakis, Machine
+Learning 107, 2018, "Bootstrapping the out-of-sample predictions").
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class RepeatedFits:
     """The errors of one candidate on the folds, from one or several seeds."""
 
     values: Array
-    """Its part of V, (seeds, folds)."""
+    """Contributions to V, (seeds, folds)."""
     blocks: Array
     """The share of each block of held-out samples in it, (seeds, folds, blocks): see
     `block_values`."""
@@ -79,13 +79,19 @@ class ExpectedError:
     high: float
     """The upper end."""
     optimism: float
-    """How much lower V of a winner is than its error on samples that had no part in the choice."""
+    """Optimism: difference between V of a winner and its error on samples that had no part in the
+    choice."""
 
 
 def block_values(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str) -> Array:
-    """How each of up to BLOCKS equal parts of a fold's held-out samples enters its value: the
-    pseudo-values of the delete-a-block jackknife, whose mean is the value but for a bias of second
-    order. y, y_hat: one (H, ny) array a block of the protocol; scale (ny,)."""
+    """Return the jackknife pseudo-values of up to BLOCKS equal parts of a fold's held-out samples.
+
+    Their mean is the value of the fold up to a bias of second order (delete-a-block jackknife).
+
+    Args:
+        y, y_hat: one (H, ny) array a block of the protocol
+        scale: (ny,)
+    """
     a, b = pooled(y), pooled(y_hat)
     parts = np.array_split(np.arange(len(a)), min(BLOCKS, len(a)))
     judge, n = find_metric(metric), len(parts)
@@ -100,11 +106,12 @@ def block_values(y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metri
 
 
 def paired_difference(one: RepeatedFits, other: RepeatedFits, level: float) -> Interval:
-    """V of one candidate less that of another, with an interval by Student's t.
+    """Return the difference of V of two candidates, with an interval by Student's t.
 
-    Two variances are added: that of the paired differences over the blocks, which tells how much
-    the choice of the held-out samples matters, and over the seeds. Their degrees of freedom are
-    Satterthwaite's. A candidate with one seed is one whose fits do not depend on it."""
+    Two variances are added: that of the paired differences over the blocks, which measures the
+    effect of the choice of the held-out samples, and over the seeds. Their degrees of freedom are
+    Satterthwaite's. A candidate with one seed is one whose fits do not depend on it.
+    """
     gaps = one.blocks.mean(axis=0) - other.blocks.mean(axis=0)
     seeds = _over_seeds(one, other)
     variance, degrees = _sum_of_variances(
@@ -141,9 +148,13 @@ def noise_of_seeds(each: Sequence[RepeatedFits]) -> float | None:
 
 
 def selection_optimism(tried: Array, seed: int) -> float:
-    """How much lower V of the lowest of several candidates is than its error on samples that had no
-    part in the choice, never below 0. tried: the block values of all candidates, (candidates,
-    folds, blocks)."""
+    """Estimate the optimism of V of the lowest of several candidates, never below 0.
+
+    The optimism is the difference from its error on samples that had no part in the choice.
+
+    Args:
+        tried: the block values of all candidates, (candidates, folds, blocks)
+    """
     candidates, folds, blocks = tried.shape
     if candidates < 2 or blocks < 2:
         return 0.0
@@ -185,18 +196,26 @@ def expected_error(winner: RepeatedFits, tried: Array, level: float, seed: int) 
 def expected_of_ensemble(
     expected: ExpectedError, fold_errors: Sequence[float], ensemble_error: float
 ) -> Interval:
-    """The error of the mean of the fold models' simulations on a new record, from that of a fold
-    model. The mean is better by what the fold models disagree on (Krogh and Vedelsby, Advances in
-    Neural Information Processing Systems 7, 1995), and they disagree on a new record as they do on
-    the training records. fold_errors: of each fold model there; ensemble_error: of their mean."""
+    """Estimate the error of the mean of the fold models' simulations on a new record, from that of
+    a fold model.
+
+    The mean is better by the disagreement of the fold models (Krogh and Vedelsby, Advances in
+    Neural Information Processing Systems 7, 1995), which is assumed equal on new and on training
+    records.
+
+    Args:
+        fold_errors: error of each fold model on the training records
+        ensemble_error: error of their mean there
+    """
     mean = float(np.mean(fold_errors))
     share = 1.0 if mean <= 0.0 else min(1.0, ensemble_error / mean)
     return Interval(expected.value * share, expected.low * share, expected.high * share)
 
 
 def expected_lowest(number: int) -> float:
-    """The expectation of the lowest of independent standard normal numbers: what luck alone gives
-    the best of several that are equally good, in standard deviations below their mean."""
+    """Return the expectation of the lowest of `number` independent standard normal numbers: the
+    apparent advantage of the best of several equally good candidates, in standard deviations
+    below their mean."""
     x = np.linspace(-12.0, 12.0, 48_001)
     from scipy.special import ndtr  # only where statistics are asked for
 
@@ -206,7 +225,11 @@ def expected_lowest(number: int) -> float:
 
 
 def _variance_of_a_fold(parts: Array) -> float:
-    """Of the mean over its blocks. parts: (folds, blocks)."""
+    """Return the variance of the mean over a fold's blocks.
+
+    Args:
+        parts: (folds, blocks)
+    """
     folds, blocks = parts.shape
     within = float(parts.var(axis=1, ddof=1).mean()) / blocks if blocks > 1 else 0.0
     between = float(parts.mean(axis=1).var(ddof=1)) if folds > 1 else 0.0
@@ -223,8 +246,11 @@ def _over_seeds(one: RepeatedFits, other: RepeatedFits) -> tuple[float, int]:
 
 
 def _sum_of_variances(parts: Sequence[tuple[float, int]]) -> tuple[float, float]:
-    """The variance of a sum of means, from the variance and number of what each is the mean of, and
-    its degrees of freedom."""
+    """Return the variance of a sum of means and its degrees of freedom.
+
+    Args:
+        parts: variance and number of values of each mean
+    """
     each = [(float(variance) / n, n - 1) for variance, n in parts if n > 1 and variance > 0.0]
     total = sum(variance for variance, _ in each)
     if total == 0.0:

@@ -16,7 +16,8 @@ QUANTILE = 2.5758293035489004
 def cross_correlation(a: Sequence[Array], b: Sequence[Array], most: int) -> Array:
     """Correlation of a(t) with b(t - lag) for lags -most..most, (2 most + 1,).
 
-    a, b: one (H,) array a block; each block is centred, products never join two blocks.
+    Args:
+        a, b: one (H,) array a block; each block is centred, products never join two blocks
     """
     total = np.zeros(2 * most + 1)
     energy_a = energy_b = 0.0
@@ -66,23 +67,24 @@ class Correlation:
     """Correlation of a residual with a signal, over all blocks together."""
 
     lags: tuple[int, ...]
-    """In samples; positive where the signal is earlier."""
+    """Lags in samples; positive where the signal is earlier."""
     values: Array
     """One a lag."""
     band: float
-    """What 99 % of chance stays within."""
+    """Band that holds 99 % of the correlations of white noise."""
 
 
 def with_own_past(e: Sequence[Array]) -> Correlation:
-    """Of residuals, one (H,) array a block, at lags 0 .. 40, fewer in short blocks."""
+    """Return the autocorrelation of residuals, one (H,) array a block, at lags 0 .. 40, fewer in
+    short blocks."""
     lags = _longest(e)
     values = cross_correlation(e, e, lags)[lags:]
     return Correlation(tuple(range(lags + 1)), values, white_band(sum(len(r) for r in e)))
 
 
 def with_input(e: Sequence[Array], u: Sequence[Array]) -> Correlation:
-    """Of residuals with an input, one (H,) array a block each, at lags -40 .. 40, fewer in short
-    blocks."""
+    """Return the cross-correlation of residuals with an input, one (H,) array a block each, at lags
+    -40 .. 40, fewer in short blocks."""
     lags = _longest(e)
     far = max(lags, min(4 * lags, min(len(r) for r in e) - 1))
     values = cross_correlation(e, u, lags)

@@ -1,5 +1,5 @@
-"""What the residuals on the training side say. Agents may see these; nothing here touches
-validation or test outputs."""
+"""Diagnostics of training residuals; agents may see these, and no validation or test output is
+used."""
 
 from __future__ import annotations
 
@@ -47,12 +47,15 @@ def diagnose(
     scale: Array,
     train_error: float,
 ) -> Diagnostics:
-    """Residual analysis of simulated training records, one (H, n) array a record or window. Raises
-    CandidateError when the residual is too large to analyse."""
+    """Residual analysis of simulated training records, one (H, n) array a record or window.
+
+    Raises:
+        CandidateError: when the residual is too large to analyse
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         found = _analyse(u, y, y_hat, scale, train_error)
     if not all(math.isfinite(value) for value in astuple(found)):
-        raise CandidateError(Reason.NOT_FINITE, "the simulation of the training data ran away")
+        raise CandidateError(Reason.NOT_FINITE, "the simulation of the training data diverged")
     return found
 
 
@@ -104,8 +107,13 @@ def _error(y: Array, y_hat: Array, scale: Array) -> Array:
 def _pairs(
     a: Array, b: Array, place: Samples | None, first_lag: int
 ) -> Iterator[tuple[Array, Array]]:
-    """For each lag the samples a(t) and b(t - lag) of one record. place: each sample's number
-    within its record, None where there is but one. A lag with hardly any pair tells nothing."""
+    """Iterate over the lags, with the samples a(t) and b(t - lag) of one record.
+
+    A lag with too few pairs is skipped.
+
+    Args:
+        place: each sample's number within its record, None where there is but one
+    """
     for lag in range(first_lag, 21):
         if place is None:
             if len(a) - lag < 3:

@@ -1,4 +1,4 @@
-"""How much lower V must be before luck of the seeds is no explanation."""
+"""Least significant difference of V, given the variance over seeds."""
 
 from __future__ import annotations
 
@@ -17,11 +17,16 @@ def student_quantile(level: float, degrees: float) -> float:
 
 
 def least_significant_difference(one: Sequence[float], other: Sequence[float]) -> float:
-    """By how much the means of two candidates over their seeds must differ to be told apart.
+    """Return the least difference of the means of two candidates over their seeds that is
+    significant.
 
-    one, other: V of each from several seeds, a single value of one whose fits do not depend on the
-    seed. Half of a two-sided 90 % interval by Student's t with the pooled variance; 0 where the
-    fits of neither depend on the seed."""
+    It is half of a two-sided 90 % interval by Student's t with the pooled variance; 0 where the
+    fits of neither depend on the seed.
+
+    Args:
+        one, other: V of each from several seeds, a single value of one whose fits do not depend
+            on the seed
+    """
     repeated = [values for values in (one, other) if len(values) > 1]
     degrees = sum(len(values) - 1 for values in repeated)
     if not degrees:

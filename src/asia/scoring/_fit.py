@@ -1,4 +1,4 @@
-"""Measures of fit beside the metric. Arrays are (samples, channels) in physical units."""
+"""Measures of fit in addition to the metric. Arrays are (samples, channels) in physical units."""
 
 from __future__ import annotations
 

@@ -19,8 +19,11 @@ from asia.scoring._outcome import check_reply
 
 @dataclass(frozen=True)
 class GroupError:
-    """Mean distance of one group of outputs at steps 1..H, in its unit (rotations: rad). Raises
-    InternalError when a number is not finite."""
+    """Mean distance of one group of outputs at steps 1..H, in its unit (rotations: rad).
+
+    Raises:
+        InternalError: when a number is not finite
+    """
 
     name: str
     steps: tuple[float, ...]
@@ -30,7 +33,7 @@ class GroupError:
             raise InternalError("a distance that is not finite was about to be recorded")
 
     def at(self, step: int) -> float:
-        """At step 1..H."""
+        """Return the error at step 1..H."""
         return self.steps[step - 1]
 
     @property
@@ -41,7 +44,8 @@ class GroupError:
 
 @dataclass(frozen=True)
 class MeeTable:
-    """A row for each group; `horizons` are the steps that tables show beside the sum."""
+    """Table with a row for each group; `horizons` are the steps that tables show next to the
+    sum."""
 
     horizons: tuple[int, ...]
     groups: tuple[GroupError, ...]
@@ -63,9 +67,13 @@ def mee_table(
 ) -> MeeTable:
     """Mean Euclidean Error over windows of one length.
 
-    y, y_hat: measured and simulated outputs, one (H, ny) array a window; outputs: the ny names;
-    horizons: steps 1..H, none for the last alone. Raises CandidateError for a reply of the wrong
-    size or not finite.
+    Args:
+        y, y_hat: measured and simulated outputs, one (H, ny) array a window
+        outputs: the ny names
+        horizons: steps 1..H, none for the last alone
+
+    Raises:
+        CandidateError: for a reply of the wrong size or not finite
     """
     for measured, simulated in zip(y, y_hat, strict=True):
         check_reply(simulated, measured.shape)
@@ -81,7 +89,10 @@ def mee_table(
 
 def _mean_of_steps(distance: Array) -> Array:
     """(windows, H) -> (H,), over the windows in which all outputs of the group were measured.
-    Raises UserError where a step has none."""
+
+    Raises:
+        UserError: where a step has none
+    """
     if not np.isnan(distance).any():
         return distance.mean(axis=0)
     never = np.isnan(distance).all(axis=0)

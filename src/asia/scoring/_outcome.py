@@ -1,4 +1,4 @@
-"""What an experiment comes to: a Score, finite by construction, or a Failure with a reason."""
+"""Outcome of an experiment: a Score, finite by construction, or a Failure with a reason."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ PARTS = 8
 
 @dataclass(frozen=True)
 class FoldScore:
-    """The score on one fold. Raises InternalError when a number in it is not finite."""
+    """Score on one fold.
+
+    Raises:
+        InternalError: when a number in it is not finite
+    """
 
     value: float
     """The metric as it enters V: mean over the outputs, lower is better."""
@@ -55,7 +59,11 @@ class FoldScore:
 
 @dataclass(frozen=True)
 class Score:
-    """The score of a candidate. Raises InternalError when it is not finite."""
+    """Score of a candidate.
+
+    Raises:
+        InternalError: when it is not finite
+    """
 
     value: float
     """V, the mean over the folds."""
@@ -69,18 +77,18 @@ class Score:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why there is no score."""
+    """Reason for a missing score."""
 
     reason: Reason
     """The kind of failure."""
     detail: str = ""
-    """What was raised or measured, of any length."""
+    """Exception text or measurement, of any length."""
     fold: int | None = None
     """The fold that failed, 1-based; None when no fold was reached."""
 
     @property
     def advice(self) -> str:
-        """What happened and what to do."""
+        """Description of the failure and its remedy."""
         return self.reason.advice
 
 
@@ -96,13 +104,13 @@ class TestScore:
     value: float
     """Mean of `per_channel`."""
     per_channel: tuple[float, ...]
-    """Of each output, over the samples of all trajectories."""
+    """Score of each output, over the samples of all trajectories."""
     per_trajectory: tuple[float, ...]
-    """Of each trajectory, the mean over the outputs."""
+    """Score of each trajectory, the mean over the outputs."""
 
 
 def check_reply(y_hat: Array, shape: tuple[int, ...]) -> None:
-    """Raises CandidateError unless `y_hat` has the shape and has not run away beyond 1e100."""
+    """Raise CandidateError unless `y_hat` has the shape and is below 1e100 everywhere."""
     if y_hat.shape != shape:
         raise CandidateError(Reason.WRONG_LENGTH, f"expected {shape}, got {y_hat.shape}")
     if not bool((np.abs(y_hat) < DIVERGED).all()):
@@ -114,10 +122,17 @@ def score_fold(
 ) -> FoldScore:
     """Score the simulated blocks of one fold.
 
-    y, y_hat: one (H, ny) array a block; scale (ny,). The metric of each channel is taken over all
-    measured samples of all blocks, divided by scale where the metric is in the unit of the output,
-    and averaged over the channels. in_parts: fill `FoldScore.parts`. Raises CandidateError for a
-    reply of the wrong size or not finite, UserError when the metric cannot be computed.
+    The metric of each channel is taken over all measured samples of all blocks, divided by scale
+    where the metric is in the unit of the output, and averaged over the channels.
+
+    Args:
+        y, y_hat: one (H, ny) array a block
+        scale: (ny,)
+        in_parts: fill `FoldScore.parts`
+
+    Raises:
+        CandidateError: for a reply of the wrong size or not finite
+        UserError: when the metric cannot be computed
     """
     for measured, simulated in zip(y, y_hat, strict=True):
         check_reply(simulated, measured.shape)

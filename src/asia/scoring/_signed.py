@@ -1,4 +1,4 @@
-"""Where a model is too high and where too low: means of its residual over parts of the data."""
+"""Mean signed residuals over parts of the data: regions where a model is too high or too low."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ Mask = NDArray[np.bool_]
 
 
 class PartKind(StrEnum):
-    """What the samples of a part have in common."""
+    """Property that the samples of a part share."""
 
     OUTPUT = "output"
     """The simulated output lies in one part of its range."""
     INPUT = "input"
     """An input lies in one part of its range."""
     TIME = "time"
-    """They lie in the first, middle or last third of their record or window."""
+    """The first, middle or last third of their record or window."""
     CHANGE = "change"
     """The simulated output falls (part 0) or rises (part 1) fast."""
     STEP = "step"
-    """They follow a step of an input down (part 0) or up (part 1)."""
+    """Samples after a step of an input down (part 0) or up (part 1)."""
     TURN = "turn"
-    """They follow a minimum (part 0) or a maximum (part 1) of the simulated output."""
+    """Samples after a minimum (part 0) or a maximum (part 1) of the simulated output."""
     START = "start"
-    """They are the first twentieth of their record or window, where the initial state still acts;
-    the parts of every other kind but TIME and ALL leave them out."""
+    """The first twentieth of a record or window, where the initial state still acts; the parts of
+    every other kind but TIME and ALL leave them out."""
     ALL = "all"
     """All samples."""
 
 
 class Evidence(StrEnum):
-    """How far a mean residual can be trusted."""
+    """Significance of a mean residual."""
 
     CLEAR = "clear"
     """More than 1.5 standard errors, and 2 % of the squared residual: worth a look."""
@@ -64,8 +64,11 @@ class Evidence(StrEnum):
 
 
 def evidence_of_mean(mean: float, error: float, share: float) -> Evidence:
-    """The one rule by which residuals are listed; share: of the squared residual that would be gone
-    without `mean`."""
+    """The one rule by which residuals are listed.
+
+    Args:
+        share: of the squared residual that would be gone without `mean`
+    """
     if share <= _SMALLEST_SHARE or abs(mean) <= error:
         return Evidence.NONE
     return Evidence.CLEAR if abs(mean) > _CLEAR_ERRORS * error else Evidence.CHANCE
@@ -78,23 +81,23 @@ class SignedResidual:
     output: int
     """Index of the output."""
     kind: PartKind
-    """What the samples of this part have in common."""
+    """Property that the samples of this part share."""
     signal: int
     """Index of the input for INPUT and STEP, else of the output."""
     part: int
     """Number of the part, from 0."""
     low: float | None
-    """Where this part of the range begins, in the unit of the signal; None for the lowest part,
-    and where there is no range."""
+    """Lower limit of this part, in the unit of the signal; None for the lowest part, and where
+    there is no range."""
     high: float | None
-    """Where it ends; None for the highest part, and where there is no range."""
+    """Upper limit of this part; None for the highest part, and where there is no range."""
     mean: float
     """Mean of measured minus simulated output in the given standard deviations: above 0 the model
     is too low."""
     error: float
     """Standard error of `mean`; samples that follow each other are not counted as independent."""
     samples: int
-    """How many samples the part has."""
+    """Number of samples of the part."""
     share: float
     """The share of the squared residual of this output that would be gone without `mean`."""
     gain: float
@@ -119,8 +122,8 @@ class SignedResidual:
 
     @property
     def size(self) -> str:
-        """`0.21 ± 0.05 s.d.`; what may be chance says so, `0.04 ± 0.03 s.d. (1.4 standard errors:
-        may be chance)`."""
+        """`0.21 ± 0.05 s.d.`; an insignificant one is marked, `0.04 ± 0.03 s.d. (1.4 standard
+        errors: may be chance)`."""
         words = f"{abs(self.mean):.2g} ± {self.error:.1g} s.d."
         if self.evidence is not Evidence.CHANCE:
             return words
@@ -150,14 +153,20 @@ def signed_residuals(
     scale: Array,
     ranges: Ranges | None = None,
 ) -> tuple[SignedResidual, ...]:
-    """The mean residual of each output along its simulated value, along each input, along time,
-    where it rises or falls, after steps of the inputs and after its turning points.
+    """Compute the mean residual of each output over parts of the data.
 
-    u, y, y_hat: inputs, measured and simulated outputs, one (H, n) array a record or window; scale:
-    (ny,), by which residuals are divided, such as the standard deviations of the outputs; ranges:
-    where the parts lie, None for those of `u` and `y`. An output's range is that of what the model
-    says, not of what was measured: with noise on it, the highest measured samples lie above the
-    best model there is. Parts without enough samples are left out. The largest `gain` comes first.
+    Parts lie along the simulated value, along each input, along time, where the output rises or
+    falls, after steps of the inputs and after the output's turning points. Those without enough
+    samples are left out. The range of an output is that of its simulation, not of its measurement:
+    with noise, the highest measured samples lie above the best possible model.
+
+    Args:
+        u, y, y_hat: inputs, measured and simulated outputs, one (H, n) array a record or window
+        scale: (ny,), divisor of the residuals, such as the standard deviations of the outputs
+        ranges: limits of the parts, None for those of `u` and `y`
+
+    Returns:
+        the residuals, the largest `gain` first
     """
     ranges = ranges or ranges_of(u, y)
     records = _Records(u, y, y_hat, scale)
@@ -195,15 +204,16 @@ class _Records:
         return x[here]
 
     def follows(self, events: Mask, length: int) -> Mask:
-        """Whether one of the samples t, t - 1 ... t - length + 1 of the record is an event."""
+        """Return whether one of the samples t, t - 1 ... t - length + 1 of the record is an
+        event."""
         here = np.arange(len(events), dtype=np.int32)
         last = np.maximum.accumulate(np.where(events, here, np.int32(-1)))
         since = here - last
         return (last >= 0) & (since < length) & (since <= self.place)
 
     def stretches(self, chosen: Mask, length: int) -> int:
-        """Into how many stretches of `length` samples the chosen ones fall, at least 1: as many of
-        them count as independent where the residual remembers `length` samples."""
+        """Count the segments of `length` samples that the chosen samples fall into, at least 1: as
+        many of them count as independent where the residual has a memory of `length` samples."""
         if self.alone:
             begins = self.place // length
         else:
@@ -294,7 +304,7 @@ def _parts_behind_the_start(records: _Records, output: int, ranges: Ranges) -> I
 
 
 def _steps(records: _Records, i: int) -> tuple[Mask, Mask]:
-    """Where an input steps down and up; nowhere where it moves all the time."""
+    """Find the downward and upward steps of an input; none where it moves all the time."""
     u = records.u[:, i]
     change = u - records.shifted(u, 1)
     large = np.abs(change) > _STEP * max(float(np.ptp(u)), 1e-300)

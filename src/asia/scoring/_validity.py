@@ -87,17 +87,22 @@ def region_of(records: Sequence[tuple[Array, Array]]) -> Region:
 
 
 def _features(past_u: Array, u: Array, y: Array, lengths: Sequence[int], usual: Array) -> Array:
-    """Averages of the inputs over the samples up to each one, and the outputs there. usual (nu,):
-    what the inputs are taken to be before the past window."""
+    """Average the inputs over the samples up to each one, and append the outputs there.
+
+    Args:
+        usual: (nu,) assumed inputs before the past window
+    """
     whole = np.concatenate([past_u, u])
     averages = [_average(whole, length, usual)[len(past_u) :] for length in lengths]
     return np.concatenate([*averages, y], axis=1)
 
 
 def _changes(past_u: Array, u: Array, length: int, usual: Array) -> Array:
-    """Root mean square (H, nu) of the changes of the inputs from sample to sample, over the last
-    `length` of them. What lies before the past window is taken to change as usual: usual (nu,) is
-    the mean square."""
+    """Compute the root mean square (H, nu) of the input changes over the last `length` samples.
+
+    Args:
+        usual: (nu,) mean square of the changes, assumed before the past window
+    """
     whole = np.concatenate([past_u, u])
     squares = np.diff(whole, axis=0, prepend=whole[:1]) ** 2
     squares[0] = usual
@@ -105,8 +110,11 @@ def _changes(past_u: Array, u: Array, length: int, usual: Array) -> Array:
 
 
 def _average(values: Array, length: int, before: Array) -> Array:
-    """Moving average (N, n) over `length` samples up to each one; before (n,): what stands in for
-    those before the first."""
+    """Compute the moving average (N, n) over the `length` samples up to each one.
+
+    Args:
+        before: (n,) values in place of the samples before the first
+    """
     whole = np.concatenate([np.tile(before, (length - 1, 1)), values])
     total = np.concatenate([np.zeros((1, whole.shape[1])), np.cumsum(whole, axis=0)])
     return (total[length:] - total[:-length]) / length

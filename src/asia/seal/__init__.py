@@ -1,1 +1,1 @@
-"""The only openers of what nobody in a search may see: test records and guard records."""
+"""Access to data hidden from the search: test records and guard records."""

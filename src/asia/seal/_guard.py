@@ -12,8 +12,12 @@ __all__ = ["guard_digest", "open_guard"]
 
 
 def guard_digest(problem: Problem) -> str | None:
-    """Digest of the guard records, which are read, checked and dropped; None without any. Raises
-    UserError when they cannot be read, do not fit the problem, or are too short for one case."""
+    """Digest of the guard records, which are read, checked and dropped; None without any.
+
+    Raises:
+        UserError: when they cannot be read, do not fit the problem, or are too short for one
+            case
+    """
     if not problem.data.guard_names:
         return None
     records = _read(problem)
@@ -34,7 +38,11 @@ def guard_digest(problem: Problem) -> str | None:
 
 
 def open_guard(problem: Problem) -> tuple[Trajectory, ...]:
-    """The guard records. Raises UserError when they are not those the run began with."""
+    """The guard records.
+
+    Raises:
+        UserError: when they are not those the run began with
+    """
     records = _read(problem)
     if problem.guard_sha256 is not None and data_digest(records) != problem.guard_sha256:
         raise UserError(

@@ -16,11 +16,13 @@ __all__ = ["Seal", "check_openable", "open_test", "seal"]
 
 
 def seal(problem: Problem) -> Seal:
-    """Reads the test records, checks that they can be scored, keeps their digest and drops them.
-    What an encrypted store tells without its key is all that is read of it.
+    """Seal the test: read its records, check that they can be scored, and keep only their digest.
 
-    Raises UserError when they cannot be read, do not fit the problem, or are too short for the
-    past window and protocol.test.skip, or for one window.
+    Of an encrypted store only the public header is read.
+
+    Raises:
+        UserError: when the records cannot be read, do not fit the problem, or are too short for
+            the past window and protocol.test.skip, or for one window
     """
     source = problem.test.source
     if source is None:
@@ -45,15 +47,28 @@ def seal(problem: Problem) -> Seal:
 
 
 def check_openable(problem: Problem, keys: Path | None = None) -> None:
-    """Raises UserError when the test is sure not to open: its file or its key is not there. keys:
-    the folder of keys, None for the person's own."""
+    """Check that the file of the test and its key exist.
+
+    Args:
+        keys: folder of keys, None for that of the user
+
+    Raises:
+        UserError: when the test cannot be opened
+    """
     if problem.test.source is not None:
         problem.test.source.with_keys(keys).check_openable()
 
 
 def open_test(problem: Problem, keys: Path | None = None) -> tuple[Trajectory, ...]:
-    """The test records. keys: as in `check_openable`. Raises UserError when there are none, when
-    the key is missing, or when they are not the ones that were sealed."""
+    """The test records.
+
+    Args:
+        keys: as in `check_openable`
+
+    Raises:
+        UserError: when there are none, when the key is missing, or when they are not the ones
+            that were sealed
+    """
     source = problem.test.source
     if source is None:
         raise UserError(

@@ -1,4 +1,4 @@
-"""Conformance suites for those who add a part. Each raises AssertionError that says what fails."""
+"""Conformance suites for authors of new parts. Each raises AssertionError that says what fails."""
 
 from asia.testing._agent import check_agent
 from asia.testing._candidate import check_candidate

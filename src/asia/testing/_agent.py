@@ -1,4 +1,4 @@
-"""What every agent must do, whatever it thinks."""
+"""Conformance suite for agents."""
 
 from __future__ import annotations
 

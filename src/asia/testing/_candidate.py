@@ -1,4 +1,4 @@
-"""What every candidate should do, whatever it models."""
+"""Conformance suite for candidates."""
 
 from __future__ import annotations
 
@@ -23,14 +23,20 @@ def check_candidate(
     context: Context | None = None,
     level: Isolation | None = None,
 ) -> None:
-    """Fit a candidate and simulate the records it was fitted to, in workers at `level`, the
-    strongest here by default.
+    """Fit a candidate and simulate the records it was fitted to, in isolated workers.
 
-    trajectories, context: what it is made for; by default a tank that leaks, with its equation.
-    Checked: the static checks pass; what comes back has the right shape, is finite and moves; the
+    Checked: the static checks pass; simulations have the right shape, are finite and vary; the
     model comes back from its bytes bitwise the same in a fresh worker, and so does a second fit;
-    the metamorphic checks of `asia.evaluation.suspicions` find nothing: it is causal, continuous,
-    without memory, and does not know its neighbours in a request.
+    the metamorphic checks of `asia.evaluation.suspicions` find nothing: the model is causal,
+    continuous, without memory, and independent of its neighbours in a request.
+
+    Args:
+        trajectories, context: training records and context; by default a leaking tank with its
+            equation
+        level: isolation level, the strongest here by default
+
+    Raises:
+        AssertionError: that says what fails
     """
     records = list(trajectories) or [tank()]
     context = context or tank_context()
@@ -59,7 +65,7 @@ def _check(source: str, records: Sequence[Trajectory], context: Context, level: 
         fresh.load(executed_source(source), model, context)
         found = suspicions(fresh, blocks, y_hat, scale, rule.horizon)
     words = "; ".join(f"{one.kind}: {one.words}" for one in found)
-    assert not found, f"it does not answer like a model: {words}"
+    assert not found, f"it does not behave like a dynamical system: {words}"
     with open_worker(level, _LIMITS) as other:
         again = _fitted(other, source, records, context, blocks)
     assert _same(again, y_hat), "a second fit with the same seed gives another model"

@@ -1,4 +1,4 @@
-"""What every executor must do, wherever it runs its jobs."""
+"""Conformance suite for executors."""
 
 from __future__ import annotations
 

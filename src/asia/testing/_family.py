@@ -1,4 +1,4 @@
-"""What every model family of the library must do, whoever brings it."""
+"""Conformance suite for model families of the library."""
 
 from __future__ import annotations
 
@@ -36,8 +36,12 @@ def check_family(row: Family) -> None:
 
 
 def check_recipe(recipe: Recipe) -> None:
-    """The family's `Config` and the method accept the settings, and the source reads back. Raises
-    what they raise for a setting that they do not take."""
+    """Check that the family's `Config` and the method accept the settings, and that the source
+    reads back.
+
+    Raises:
+        UserError: for a setting that they do not accept
+    """
     import_module(f"{recipe.package}.{recipe.family}").Config(**dict(recipe.config))
     method: Callable[..., object] = getattr(methods, recipe.method)
     method(**dict(recipe.options))

@@ -1,4 +1,4 @@
-"""What every ledger must do, wherever it keeps its records."""
+"""Conformance suite for ledgers."""
 
 from __future__ import annotations
 
@@ -55,12 +55,15 @@ class OpenLedger(Protocol):
 
 
 def check_ledger(open_ledger: Callable[[Path], OpenLedger]) -> None:
-    """Write, reopen and damage ledgers. open_ledger: of the path of a file, which need not exist.
+    """Write, reopen and damage ledgers.
 
     Checked: events come back as they were written, in order, after reopening too; the view is that
     of the events; a second writer is refused with a UserError; a last record cut anywhere is passed
     over, the others stay and the next one follows them; a byte changed anywhere before is a
     UserError, and so is a record taken out.
+
+    Args:
+        open_ledger: of the path of a file, which need not exist
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "run", "ledger.jsonl")

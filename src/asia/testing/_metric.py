@@ -1,4 +1,4 @@
-"""What every metric must do, whoever brings it."""
+"""Conformance suite for metrics."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ def check_metric(metric: Metric) -> None:
     equals the measurement; worse values for larger errors, in the declared direction; each output
     by itself; the order of the trajectories changes nothing; a value in the unit of the output
     grows with that unit, one without a unit or in percent does not; the arrays given are left as
-    they are. Raises AssertionError that says what fails.
+    they are.
+
+    Raises:
+        AssertionError: that says what fails
     """
     _check_declaration(metric)
     for outputs in (1, 3):

@@ -1,4 +1,4 @@
-"""What every isolation level must do, however it keeps candidates in."""
+"""Conformance suite for isolation levels."""
 
 from __future__ import annotations
 
@@ -111,15 +111,15 @@ _LISTEN = """
 
 
 def check_sandbox(open_worker: OpenWorker, *, walled: bool = True) -> None:
-    """Open workers and put candidates through them. `walled`: whether the level means to keep
-    intent in, as all but `process` do.
+    """Open workers and put candidates through them. `walled`: whether the level confines malicious
+    candidates, as all but `process` do.
 
     Checked: fit and simulate give what the candidate computes; a model comes back from its bytes
     bitwise the same in a fresh worker; each failure has its reason, and those of simulate carry no
-    data; deadlines hold; a closed worker answers no more; nothing of the parent's environment is
-    inside; no process, file descriptor or child is left; behind walls, a file of the parent is
-    neither read nor changed, nothing is written, no service is reached, no attribute of a file is
-    set, no process is started, and two workers at a time do not hear of each other by locks on a
+    data; deadlines hold; a closed worker does not reply; nothing of the parent's environment is
+    inside; no process, file descriptor or child is left; inside the sandbox, a file of the parent
+    is neither read nor changed, nothing is written, no service is reached, no attribute of a file
+    is set, no process is started, and two workers at a time cannot signal each other by locks on a
     file or message queues.
     """
     case = _Case()
@@ -201,7 +201,7 @@ def _check_deadlines(open_worker: OpenWorker, case: _Case) -> None:
             error = _failure(worker, case.source(fit, simulate), case)
         assert error is not None, "a candidate that never ends was answered for"
         assert error.reason is reason, f"a hang failed with {error.reason}, not {reason}"
-        # Generous: it tells a limit that holds from none at all.
+        # Generous: it distinguishes an effective limit from none at all.
         assert time.monotonic() - begin < 60.0, "a candidate that hangs was waited for"
 
 

@@ -1,4 +1,4 @@
-"""What every sink must do, whoever brings it."""
+"""Conformance suite for sinks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ def check_sink(open_sink: OpenSink) -> None:
 
     Checked: a sink takes every event of a search, from another thread, and its end; it opens on a
     search that is resumed; it may be closed right away; two searches at once have a sink each; the
-    ledger stays as it was. Raises AssertionError that says what fails, and whatever a sink raises.
+    ledger stays as it was.
+
+    Raises:
+        AssertionError: that says what fails, and any exception of a sink
     """
     with tempfile.TemporaryDirectory() as folder:
         searches = [_MadeUpSearch(Path(folder, name)) for name in ("one", "two")]
@@ -36,7 +39,7 @@ def check_sink(open_sink: OpenSink) -> None:
 
 
 class _MadeUpSearch:
-    """Its directory, and the view after each event."""
+    """Made-up search: its directory, and the view after each event."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory

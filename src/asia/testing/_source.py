@@ -1,4 +1,4 @@
-"""What every source of records must do, wherever they lie."""
+"""Conformance suite for sources of records."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def check_source(
 ) -> None:
     """Read all subsets of a source, the test too.
 
-    Checked: a source made again is equal and reads the same; records fit
-    `channels` and have names of their own; training records are not also test or guard records;
-    `has_test` and `guard_names` say what is read; every file that is opened lies in `places`, but
-    for `harmless` ones, which give nothing away (an encrypted store); `to_toml` makes an equal
-    source. What stands between a candidate and the test is `places` alone.
+    Checked: a source made again is equal and reads the same; records fit `channels` and have names
+    of their own; training records are not also test or guard records; `has_test` and `guard_names`
+    say what is read; every file that is opened lies in `places`, but for `harmless` ones, which
+    give nothing away (an encrypted store); `to_toml` makes an equal source. Only `places` protects
+    the test from a candidate.
     """
     source = make()
     assert source == make(), "a source made again must be equal: derive a frozen dataclass"
@@ -58,7 +58,7 @@ def _read(
         assert place.is_absolute(), f"{place} in places('{subset}') must be absolute"
     with _files_opened() as opened:
         found = source.records(subset, channels)
-    # Records that stand guard are chosen among those of a data set, and read with them.
+    # Guard records are chosen among those of a data set, and read with them.
     beside = source.places("train") if subset == "guard" else ()
     hidden = [place.resolve() for place in (*places, *beside, *harmless)]
     for path in dict.fromkeys(opened):

@@ -16,7 +16,7 @@ REPLY_TOKENS = 200
 
 @dataclass(frozen=True)
 class Told:
-    """What the server answers once. body: instead of a chat completion with `text`."""
+    """One answer of the server. body: instead of a chat completion with `text`."""
 
     text: str | None = ""
     status: int = 200

@@ -46,7 +46,7 @@ def windows(*, samples: int = 60_000) -> Facts:
 
 
 def body(*, samples: int = 60_000) -> Facts:
-    """As `windows`, with equations whose states are all outputs."""
+    """Facts as `windows`, with equations whose states are all outputs."""
     rng = np.random.default_rng(1)
     record = Trajectory(rng.normal(size=samples), rng.normal(size=(samples, 2)), 1.0)
     equations = Physics(

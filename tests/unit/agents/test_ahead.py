@@ -39,7 +39,7 @@ def several(agent: Agent, seen: AgentView, count: int = 5) -> list[Proposal]:
 
 
 @pytest.mark.parametrize("make", [ExpertAgent, RandomAgent, BayesAgent])
-def test_what_runs_is_not_proposed_again(make: type) -> None:
+def test_running_candidates_are_not_proposed_again(make: type) -> None:
     found = several(make(), view(simulation(physics=True), (), "explore"))
     assert len({source_digest(p.source) for p in found}) == 5
     if make is ExpertAgent:
@@ -68,7 +68,7 @@ def test_the_expert_goes_to_its_next_move_while_the_first_runs() -> None:
     assert len({p.title for p in moves}) == 3
 
 
-def test_bayes_takes_what_runs_for_as_bad_as_the_worst() -> None:
+def test_bayes_counts_running_trials_as_bad_as_the_worst() -> None:
     facts = simulation(physics=False)
     drawn, rows = several(BayesAgent(), view(facts, (), "explore")), families(facts)
     tried = [replace(trial(1), source=p.source, family=p.family) for p in drawn]
@@ -82,7 +82,7 @@ def test_bayes_takes_what_runs_for_as_bad_as_the_worst() -> None:
     assert [t.value for t in study.trials] == [2.0, 1.0]
 
 
-def test_a_model_is_told_what_runs_and_asked_for_another_direction() -> None:
+def test_a_prompt_lists_running_trials_and_asks_for_another_direction() -> None:
     seen = now(trial(1), trial(2))
     proposal = Proposal("x = 1\n", "esn", "a reservoir", "it is cheap", "better", 2)
     alone, beside = (search_text(v, Task("explore")) for v in (seen, ahead(seen, proposal)))

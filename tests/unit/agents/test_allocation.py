@@ -106,7 +106,7 @@ def test_a_grey_box_that_leads_goes_on_once_two_others_were_tried() -> None:
     assert names.count("greybox") > 7
 
 
-def test_the_linear_reference_counts_as_a_trial_beside_a_grey_box() -> None:
+def test_the_linear_reference_counts_as_a_trial_next_to_a_grey_box() -> None:
     known = simulation(physics=True)
     outcome = better_each_time("greybox")
     trials = tuple(t for t in search(ExpertAgent, known, 15, outcome) if t.family == "greybox")[:2]
@@ -118,7 +118,7 @@ def test_the_linear_reference_counts_as_a_trial_beside_a_grey_box() -> None:
     assert Allocation.of(close).objection("greybox")
 
 
-def test_where_only_two_families_apply_the_rule_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rule_is_relaxed_when_only_two_families_apply(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [row for row in families(simulation(physics=False)) if row.name in ("nl_lfr", "esn")]
     monkeypatch.setattr(agent, "families", lambda facts: rows)
     trials = search(ExpertAgent, simulation(physics=False), 10, better_each_time("nl_lfr"))

@@ -82,7 +82,7 @@ def test_a_near_certain_move_interrupts_the_ladder() -> None:
     assert following(known, (sure,), "explore").title == "grey-box: x1 runs over"
 
 
-def test_a_grey_box_that_fails_on_top_gets_an_overflow_then_a_limit_alone() -> None:
+def test_a_grey_box_that_fails_on_top_gets_an_overflow_then_only_a_limit() -> None:
     known = simulation(physics=True)
     trials = climb(known, {"greybox": 0.3})
     first = replace(trials[0], diagnostics=(replace(CLEAN, top_error=2.0),))
@@ -113,7 +113,7 @@ def test_overfit_and_plateau_are_read_from_the_training_side() -> None:
     assert plateau_share(known) < 0.02
 
 
-def test_of_two_moves_alike_the_one_with_the_cheaper_fit_is_made_first(
+def test_the_cheaper_one_of_two_equal_moves_is_made_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     known = simulation(physics=False)
@@ -265,7 +265,7 @@ def test_models_without_equations_get_the_symmetries_of_their_signals(leader: st
     assert not given(inner)
 
 
-def test_what_stays_coloured_is_fitted_from_pieces_and_as_polynomials_before_any_ridge() -> None:
+def test_coloured_residuals_get_segments_and_polynomials_before_any_ridge() -> None:
     known = simulation(physics=False)
     trials = climb(known, {"neural_ss": 0.3})
     # Two other families have had their refinement.
@@ -288,7 +288,8 @@ def no_better_than_the_mean(proposal: Proposal, number: int) -> Trial:
 
 
 def remarks(known: Facts, experiments: int = 15) -> tuple[list[str], tuple[Trial, ...]]:
-    """What the expert says with each proposal of a search in which nothing beats the mean."""
+    """Collect the expert's remark with each proposal of a search in which no candidate beats the
+    mean."""
     said: list[str] = []
 
     class Listening(ExpertAgent):
@@ -305,7 +306,7 @@ def test_while_nothing_beats_the_mean_the_expert_tries_other_kinds_and_varies_no
     known = facts(rng.standard_normal(1000), lagged(rng.standard_normal(1000), 1))
     said, trials = remarks(known)
     assert said[:3] == ["", "", ""]
-    assert all("nothing beats the mean" in words for words in said[3:])
+    assert all("no candidate beats the mean" in words for words in said[3:])
     assert "no input" in said[-1]
     names = {move.name for move in COURSE_MOVES}
     refined = [t.title.partition(": ")[2] for t in trials if t.parent is not None]
@@ -314,9 +315,9 @@ def test_while_nothing_beats_the_mean_the_expert_tries_other_kinds_and_varies_no
     assert not any("other" in words for words in remarks(simulation(physics=False), 3)[0])
 
 
-def test_the_expert_says_why_nothing_beats_the_mean_and_what_to_do() -> None:
+def test_the_expert_explains_why_no_candidate_beats_the_mean() -> None:
     said, _ = remarks(closed_loop(1.05, 0.5), 5)
-    assert "runs away by itself" in said[-1]
+    assert "the plant is unstable" in said[-1]
     assert "inputs follow the past outputs" in said[-1]
     assert 'kind = "windows"' in said[-1]
     said, _ = remarks(closed_loop(0.9, 0.5), 5)
@@ -325,7 +326,7 @@ def test_the_expert_says_why_nothing_beats_the_mean_and_what_to_do() -> None:
     assert "Shorter windows than 40 samples" in said[-1]
 
 
-def test_a_delay_beyond_what_families_look_for_is_set_at_once() -> None:
+def test_a_delay_beyond_the_search_range_of_families_is_set_at_once() -> None:
     u = np.repeat(np.random.default_rng(4).uniform(-1, 1, 200), 5)
     known = facts(u, lagged(u, 30))
     first = following(known, (), "explore")
@@ -334,10 +335,10 @@ def test_a_delay_beyond_what_families_look_for_is_set_at_once() -> None:
     assert recipe_of(second).get("delay") == 29
 
 
-def test_nothing_left_to_try_beside_the_mean_ends_the_search_with_the_reason() -> None:
+def test_without_further_moves_beyond_the_mean_the_search_ends_with_the_reason() -> None:
     rng = np.random.default_rng(0)
     known = facts(rng.standard_normal(1000), lagged(rng.standard_normal(1000), 1))
-    with pytest.raises(AgentStoppedError, match="nothing beats the mean") as end:
+    with pytest.raises(AgentStoppedError, match="no candidate beats the mean") as end:
         search(AGENT, known, 200, no_better_than_the_mean)
     assert end.value.reason == "exhausted"
 

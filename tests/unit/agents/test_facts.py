@@ -1,4 +1,4 @@
-"""What an agent is told of a problem."""
+"""Facts of a problem for agents."""
 
 from dataclasses import replace
 

@@ -42,7 +42,7 @@ PROBLEMS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
 @pytest.mark.parametrize("row", all_families(), ids=lambda row: row.name)
-def test_what_a_row_gives_is_accepted(row: Family, known: Facts) -> None:
+def test_recipes_of_a_row_are_accepted(row: Family, known: Facts) -> None:
     if not row.suits(known):
         return
     trial, full = row.trial(known), row.full(known)
@@ -59,7 +59,7 @@ def test_what_a_row_gives_is_accepted(row: Family, known: Facts) -> None:
     [row for row in all_families() if by_lbfgs in row.methods],
     ids=lambda row: row.name,
 )
-def test_what_random_draws_a_network_can_be_trained_with(row: Family) -> None:
+def test_a_network_accepts_random_draws(row: Family) -> None:
     """Among it all that Adam asks of a structure: a state to carry, an output fed back."""
     known, rng = PROBLEMS["long"], np.random.default_rng(0)
     _, context = family_problem(row)
@@ -91,13 +91,13 @@ def test_a_row_varies_settings_that_exist(row: Family) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
-def test_what_the_expert_proposes_is_accepted(known: Facts) -> None:
+def test_proposals_of_the_expert_are_accepted(known: Facts) -> None:
     for done in search(ExpertAgent, known, 60):
         check_recipe(recipe_of(done))
 
 
 @pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
-def test_what_a_move_sets_random_draws_too(known: Facts) -> None:
+def test_random_draws_the_settings_of_moves_too(known: Facts) -> None:
     """The control has the expert's families, methods and settings, or the comparison means little.
     A layer may be added where none is named; a network beside equations is drawn as a method."""
     made = 0

@@ -39,7 +39,7 @@ def client(
     return made
 
 
-def test_what_is_sent_and_what_is_kept() -> None:
+def test_requests_and_records() -> None:
     journal = MemoryJournal()
     with fake_llm([Told("hi")]) as server:
         asked = client(server, journal, temperature=0.5, seed=3, extra_body={"top_k": 7})
@@ -91,7 +91,7 @@ def test_waiting_is_bounded() -> None:
     assert len(server.asked) == 2
 
 
-def test_a_person_interrupts_the_waiting() -> None:
+def test_a_user_interrupts_the_waiting() -> None:
     journal = MemoryJournal(interrupt=True)
     with (
         fake_llm([Told(status=429, headers={"retry-after": "100"})]) as server,
@@ -128,7 +128,7 @@ def test_a_refusal_is_loud(told: Told, words: str) -> None:
     assert "\x1b" not in str(refused.value)
 
 
-def test_the_token_cap_counts_what_is_in_flight() -> None:
+def test_the_token_cap_counts_pending_requests() -> None:
     journal = MemoryJournal()
     cap = 5 * (PROMPT_TOKENS + REPLY_TOKENS)
     with fake_llm([Told("hi")] * 9) as server:
@@ -165,7 +165,7 @@ def test_an_answer_without_usage_counts_at_its_worst() -> None:
     assert len(server.asked) == 2
 
 
-def test_answers_on_record_are_served_first_and_in_a_replay_alone() -> None:
+def test_recorded_answers_are_served_first_and_exclusively_in_a_replay() -> None:
     journal = MemoryJournal()
     with fake_llm([Told(status=503, headers=AT_ONCE), Told("one"), Told("two")]) as server:
         first = client(server, journal)

@@ -1,4 +1,4 @@
-"""What a language model is told: bounded, the same each time, candidates' words as data."""
+"""Prompt of a language model: bounded, reproducible, candidates' words as data."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_long_search_stays_short() -> None:
     assert "\n#100 " not in text
 
 
-def test_the_problem_is_told_for_every_kind() -> None:
+def test_the_prompt_describes_every_kind_of_problem() -> None:
     for facts in (simulation(physics=True), windows(), body()):
         text = problem_text(facts)
         assert len(text) < 30_000
@@ -64,7 +64,7 @@ def test_the_problem_is_told_for_every_kind() -> None:
     )
 
 
-def test_equations_are_told_and_hidden() -> None:
+def test_equations_are_shown_and_hidden() -> None:
     facts = replace(
         body(),
         description="the quadruped",
@@ -119,11 +119,11 @@ def test_equations_are_told_and_hidden() -> None:
         ((trial(1, None, family="none"),), "refine", Task("refine", None)),
     ],
 )
-def test_what_is_asked_for(trials: tuple[Trial, ...], phase: str, task: Task) -> None:
+def test_the_prompt_states_the_task(trials: tuple[Trial, ...], phase: str, task: Task) -> None:
     assert task_of(now(*trials, phase=phase), repairs=2) == task
 
 
-def test_a_persons_notes_are_told() -> None:
+def test_the_prompt_has_the_notes_of_the_user() -> None:
     text = search_text(now(trial(1), notes=("try a delay",)), Task("explore"))
     assert "- try a delay" in text
 
@@ -172,7 +172,7 @@ def test_it_is_an_agent_like_the_others() -> None:
     check_agent(make)
 
 
-def test_evidence_of_the_best_and_of_the_last_is_told_and_renamed() -> None:
+def test_evidence_of_the_best_and_of_the_last_is_shown_and_renamed() -> None:
     level = simulation(physics=True).outputs[0].name
     best = trial(1, 0.1, evidence=(f"{level} above 8: too low", "  | printed by #1"))
     last = trial(3, 0.5, evidence=(f"after {level} steps up", "  | printed by #3"))

@@ -44,7 +44,7 @@ def test_a_fence_inside_a_longer_one_belongs_to_the_source() -> None:
         (f"```python\n{GOOD}", "no closing fence"),
     ],
 )
-def test_what_cannot_be_read(text: str, wrong: str) -> None:
+def test_malformed_replies_are_refused(text: str, wrong: str) -> None:
     with pytest.raises(MalformedReplyError, match=wrong):
         read_reply(text)
 
@@ -54,7 +54,7 @@ def test_an_answer_that_was_cut_is_not_taken() -> None:
         read_reply(f"```python\n{GOOD}```", cut=True)
 
 
-def test_a_source_that_cannot_be_a_candidate_is_told() -> None:
+def test_a_source_that_cannot_be_a_candidate_is_reported() -> None:
     assert "line 1" in read_reply("```python\ndef fit(:\n```").problem
     assert "no top-level function fit" in read_reply("```python\nx = 1\n```").problem
 

@@ -111,7 +111,8 @@ def test_saturation_without_equations_tries_a_static_function() -> None:
 def test_a_note_that_is_not_understood_or_cannot_be_followed_is_answered_in_a_line() -> None:
     proposal = asked(PLAIN, (), "good luck", "try hybrid")
     assert proposal.remark == (
-        f"note 1 is not understood: {READS}; note 2: nothing is left to try hybrid on this problem"
+        f"note 1 is not understood: {READS}; note 2: nothing new to try for 'try hybrid' on "
+        f"this problem"
     )
     assert "Note" not in proposal.hypothesis
     assert asked(PLAIN, (), "try narx").remark == ""

@@ -178,12 +178,12 @@ def test_an_agent_by_the_name_its_package_gives_it(plug) -> None:
         ("collections:OrderedDict", "expected a `name`"),
     ],
 )
-def test_what_is_no_agent_is_refused(folder: Path, target: str, words: str) -> None:
+def test_an_invalid_agent_is_refused(folder: Path, target: str, words: str) -> None:
     with pytest.raises(UserError, match=words):
         choose_agent(target)
 
 
-def test_who_proposed_from_outside_is_not_asked_again() -> None:
+def test_an_external_proposer_is_not_asked_again() -> None:
     assert recorded_agent("workspace", {}) is None
     assert recorded_agent("somebody", {}) is None
     assert {name for name in AGENTS if recorded_agent(name, {}) is not None} == set(AGENTS)

@@ -56,7 +56,7 @@ def test_a_source_that_says_more_is_no_recipe(source: str) -> None:
     assert read_recipe(source) is None
 
 
-def test_the_linear_rung_and_the_linear_row_are_the_same_candidate() -> None:
+def test_the_linear_reference_and_the_linear_row_are_the_same_candidate() -> None:
     row = next(row for row in all_families() if row.name == "linear")
     recipe = read_recipe(LINEAR)
     assert recipe is not None

@@ -33,7 +33,7 @@ def test_tuning_takes_at_most_a_fifth_of_the_budget(trials: tuple[Trial, ...]) -
     assert 3 <= len(tuned(trials)) <= 10
 
 
-def test_tuning_changes_numbers_of_the_leading_family_alone(trials: tuple[Trial, ...]) -> None:
+def test_tuning_changes_only_numbers_of_the_leading_family(trials: tuple[Trial, ...]) -> None:
     by_number = {t.number: t for t in trials}
     for done in tuned(trials):
         assert done.family == "greybox"

@@ -93,7 +93,7 @@ def test_a_search_that_is_not_finished_keeps_no_dossier(
 def test_a_new_record_that_the_model_gets_wrong(run: Path, tmp_path: Path, asia: Asia) -> None:
     good = asia("validate", run, "--record", new_record(tmp_path / "good.csv", 1.0))
     assert good.out.splitlines()[-1].endswith("fail 0")
-    assert "PASS  output bands: output bands of 90 % held: y " in good.out
+    assert "PASS  output bands: 90 % output bands contained: y " in good.out
     done = asia("validate", run, "--record", new_record(tmp_path / "bad.csv", -1.0), "--json")
     *checks, end = (json.loads(line) for line in done.out.splitlines())
     verdicts = {check["check"]: check["verdict"] for check in checks}

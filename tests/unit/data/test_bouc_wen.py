@@ -32,7 +32,7 @@ def test_it_is_excited_as_published_and_measured_with_noise() -> None:
 
 
 def test_at_small_force_both_stiffnesses_carry_the_force() -> None:
-    """Without losses in the hysteresis yet, a constant force meets both stiffnesses."""
+    """A constant force meets both stiffnesses while the hysteresis has no losses."""
     force = np.full(16 * 3000 + 1, 1e-3)
     rest = bouc_wen._displacement(force)[-1]
     assert abs(rest / (1e-3 / 1e5) - 1) < 1e-3

@@ -45,7 +45,7 @@ def test_a_gap_is_a_straight_line_and_known_as_a_gap() -> None:
         record([0.0, np.inf])
 
 
-def test_a_part_alone_is_filled_from_itself() -> None:
+def test_a_single_segment_is_filled_from_itself() -> None:
     r = record([0.0, 10.0, NAN, NAN, NAN, 50.0, NAN])
     assert r[1:4].y[:, 0].tolist() == [10.0, 20.0, 30.0]
     assert r.alone(1, 4).y[:, 0].tolist() == [10.0, 10.0, 10.0]
@@ -64,7 +64,7 @@ def test_without_a_gap_nothing_changes() -> None:
 
 
 @given(st.integers(0, 1000), st.integers(0, 3))
-def test_no_held_out_output_reaches_what_trains(seed: int, past: int) -> None:
+def test_no_held_out_output_reaches_training(seed: int, past: int) -> None:
     """Other held-out values leave the training records and the past windows before them alone."""
     _, one = masked(seed)
     rule = ProtocolRule(folds=FoldRule(count=3), past_inputs=past, past_outputs=past)
@@ -102,7 +102,7 @@ def test_a_fold_without_a_measured_output_is_refused() -> None:
 
 
 @pytest.mark.parametrize("metric", ["rmse", "mae"])
-def test_scores_count_measured_samples_alone(metric: str) -> None:
+def test_scores_count_only_measured_samples(metric: str) -> None:
     full, lost = masked(3)
     rng = np.random.default_rng(7)
     y_hat = full.y + rng.normal(size=full.y.shape)

@@ -130,7 +130,8 @@ def test_levels_in_between_are_the_test_of_the_aircraft(files: Path) -> None:
 
 @pytest.mark.parametrize("name", list(LAYOUTS))
 def test_folds_hold_out_whole_realisations(name: str, files: Path) -> None:
-    """What is excited alike, at other amplitudes or in the other period, is held out together."""
+    """Realisations with the same excitation, at other amplitudes or in the other period, are held
+    out together."""
     WRITERS[name](files.parent)
     problem = load_problem(name)
     folds = make_folds(problem.train, problem.protocol)

@@ -78,7 +78,7 @@ def test_the_lock_restores_it(made: Path, tmp_path: Path) -> None:
     assert data_digest(open_test(again)) == data_digest(open_test(problem))
 
 
-def test_what_a_model_gets_and_gives(made: Path) -> None:
+def test_model_inputs_and_outputs(made: Path) -> None:
     """The block that `asia.simulate` makes of a record is the one that the search cuts."""
     problem: Problem = load_problem(made)
     raw, (test,) = log(2), open_test(problem)

@@ -35,7 +35,7 @@ def test_nothing_leaves_before_it_entered_and_what_entered_leaves(
     assert transport.carried(constant)[:, 1] == pytest.approx(3.0)
 
 
-def test_a_pace_of_zero_holds_what_is_on_the_way() -> None:
+def test_a_pace_of_zero_stops_the_transport() -> None:
     u = np.column_stack([np.r_[np.ones(10), np.zeros(20)], np.arange(30.0)])
     found = Transport(0, 4.0).carried(u)[:, 1]
     assert found[9] == pytest.approx(5.0)

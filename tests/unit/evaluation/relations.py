@@ -17,7 +17,7 @@ Answer = Callable[[Array, Array, Array], Array]
 
 
 def step(y1: Array, y2: Array, u: Array) -> Array:
-    """What the system and an honest model of it have in common."""
+    """Advance the part shared by the system and an honest model of it."""
     return 1.6 * y1 - 0.7 * y2 + 0.1 * u + 0.05 * np.tanh(u * y1)
 
 
@@ -31,7 +31,7 @@ def record(seed: int, length: int = 240, name: str = "") -> Trajectory:
 
 
 def honest(past_u: Array, past_y: Array, u: Array) -> Array:
-    """Without the cubic term: an error of some tenths."""
+    """Simulate without the cubic term: an error of some tenths."""
     y = np.concatenate([past_y, np.zeros((*u.shape[:2], 1))], axis=1)
     n = past_y.shape[1]
     for k in range(n, y.shape[1]):
@@ -62,7 +62,7 @@ def fold(horizon: int | None = None, records: int = 3) -> Fold:
 
 
 def found(answer: Answer, horizon: int | None = None, records: int = 3) -> tuple[Suspicion, ...]:
-    """What is suspicious in answers to the fold's held-out blocks."""
+    """Return the suspicions for simulations of the fold's held-out blocks."""
     held = fold(horizon, records)
     return suspicions_of(Model(answer), held.validation, held.scale, horizon)
 

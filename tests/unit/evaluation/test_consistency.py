@@ -100,7 +100,7 @@ def test_folds_that_tell_each_other_their_records_are_found_out(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_what_is_scored_elsewhere_is_asked_the_same() -> None:
+def test_remotely_scored_candidates_get_the_same_checks() -> None:
     """A test or guard record tells no model what comes later."""
     judge = evaluator()
     ahead = source(None).replace("u[:, k]\n", "u[:, min(k + 1, u.shape[1] - 1)]\n")

@@ -119,7 +119,7 @@ def test_a_worker_that_is_ended_again_is_a_failure_and_the_evaluator_goes_on(
         outcome = judge.evaluate(source).outcome
     assert isinstance(outcome, Failure)
     assert outcome.reason is Reason.MEMORY
-    assert "ended from outside by signal 9, twice" in outcome.detail
+    assert "another process ended the worker by signal 9, twice" in outcome.detail
     assert len(killed) <= 2 * len(judge.folds)
     assert isinstance(judge.evaluate(source).outcome, Score)
 

@@ -1,4 +1,4 @@
-"""What an evaluation finds of each fold beside its score."""
+"""Findings of an evaluation for each fold besides its score."""
 
 from pathlib import Path
 
@@ -82,7 +82,7 @@ def test_a_fit_that_fails_is_heard(tmp_path: Path) -> None:
     assert found.output == "loss 0.5\n"
 
 
-def test_folds_are_named_by_what_they_hold_out(tmp_path: Path) -> None:
+def test_folds_are_named_by_their_held_out_samples(tmp_path: Path) -> None:
     problem = load_problem(write_problem(tmp_path / "toy"))
     folds = make_folds(problem.train, problem.protocol)
     names = fold_names(folds, problem.protocol)

@@ -16,7 +16,7 @@ HORIZONS = [None, 20]
 
 @pytest.fixture(autouse=True)
 def only_lengths_that_are_always_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """How many more there are depends on the time."""
+    """Fix the lengths of prefixes; the number of further ones depends on the time."""
     monkeypatch.setattr(_metamorphic, "_MORE", 0)
 
 
@@ -124,12 +124,12 @@ class FailingLate:
         return honest(past_u, past_y, u)
 
 
-def test_a_model_that_fails_from_later_starts_alone_is_found_out():
+def test_a_model_that_fails_only_from_later_starts_is_detected():
     assert kinds(FailingLate(Reason.CRASH)) == {"restart"}
 
 
 @pytest.mark.parametrize("reason", [Reason.SIMULATE_TIMEOUT, Reason.MEMORY])
-def test_what_the_machine_had_a_part_in_is_no_suspicion(reason):
+def test_failures_caused_by_the_machine_are_no_suspicion(reason):
     with pytest.raises(CandidateError) as caught:
         kinds(FailingLate(reason))
     assert caught.value.reason is reason
@@ -171,7 +171,7 @@ def test_a_look_ahead_at_few_places_takes_more_lengths(monkeypatch: pytest.Monke
     assert sum(flagged(seed) for seed in range(20)) >= 19
 
 
-def test_the_only_window_of_each_record_is_asked_alone():
+def test_the_only_window_of_each_record_has_its_own_request():
     def mixed(past_u: Array, past_y: Array, u: Array) -> Array:
         return honest(past_u, past_y, u) + 0.1 * past_y[:, -1:].mean(axis=0)
 
@@ -202,13 +202,13 @@ def test_wild_first_samples_excuse_no_later_ones():
     assert "causality" in kinds(wild)
 
 
-def test_a_simulation_drawn_to_what_follows_the_block_is_found_out():
+def test_a_simulation_drawn_to_data_after_the_block_is_detected():
     held = fold()
     after = {round(float(b.case.past_u[-1, 0]), 9): b.y[-1, 0] for b in held.validation}
     length = len(held.validation[0].y)
 
     def drawn(past_u: Array, past_y: Array, u: Array) -> Array:
-        """By the block's length, from whatever start."""
+        """The block's length reveals the end, from any start."""
         target = after.get(round(float(past_u[0, -1, 0]), 9), 0.5)
         left = np.clip(length - np.arange(u.shape[1]), 1, length)
         part = np.clip(1 - left / (0.3 * length), 0, 1)[None, :, None]
@@ -226,7 +226,7 @@ def test_cases_that_know_their_neighbours_are_found_out():
 
 
 def single(past_u: Array, past_y: Array, u: Array) -> Array:
-    """In single precision, with its rounding."""
+    """Simulate in single precision, with its rounding."""
     return honest(past_u, past_y.astype(np.float32), u.astype(np.float32)).astype(np.float32)
 
 
@@ -281,7 +281,7 @@ def switched(past_u: Array, past_y: Array, u: Array) -> Array:
 
 
 def forward(past_u: Array, past_y: Array, u: Array) -> Array:
-    """By convolution in the frequency domain: causal but for rounding."""
+    """Simulate by convolution in the frequency domain: causal except for rounding."""
     n = 2 * u.shape[1]
     kernel = 0.9 ** np.arange(u.shape[1])
     spectrum = np.fft.rfft(u[..., 0], n) * np.fft.rfft(kernel, n)
@@ -330,7 +330,7 @@ def test_the_same_checks_twice_say_the_same():
     assert all(s.figure > 0 for s in first)
 
 
-def test_nobody_knows_which_windows_are_checked():
+def test_the_checked_windows_are_unpredictable():
     held_out = fold(10)
     requests = held_out_requests(held_out.validation, 10)
     assert len(requests) > 9

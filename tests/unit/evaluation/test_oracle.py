@@ -126,7 +126,7 @@ def sent(monkeypatch: pytest.MonkeyPatch) -> dict[Channel, list[tuple[str, Any, 
 @pytest.mark.slow
 @pytest.mark.parametrize("isolation", LEVELS)
 @pytest.mark.parametrize("horizon", [None, 20])
-def test_the_best_score_told_is_the_score_of_the_fold(
+def test_the_best_reported_score_is_the_score_of_the_fold(
     isolation: Isolation, horizon: int | None
 ) -> None:
     found = evaluator(isolation=isolation, horizon=horizon).evaluate(descent())
@@ -296,7 +296,7 @@ def test_nothing_is_held_out_in_the_refit() -> None:
     assert failure(evaluator().evaluate(only_blind)).reason is Reason.CRASH
 
 
-def test_a_candidate_is_told_four_digits_and_nothing_of_huge_scores() -> None:
+def test_a_candidate_receives_four_digits_and_no_huge_score() -> None:
     """Outputs as large as 1e6 would write the measured ones, scaled, into a score's last digits."""
     assert rounded_score(0.123449) == rounded_score(0.123351) == 0.1234
     assert rounded_score(12.3456) == 12.35

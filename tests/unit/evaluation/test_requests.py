@@ -1,4 +1,4 @@
-"""Which windows one request holds: a later past window is an earlier window's answer."""
+"""Windows in one request: a later past window would reveal an earlier window's output."""
 
 from __future__ import annotations
 

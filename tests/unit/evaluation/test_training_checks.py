@@ -1,4 +1,4 @@
-"""What agents are told of the checks of asia validate, on training records alone."""
+"""Checks of asia validate on training records, as evidence for agents."""
 
 from __future__ import annotations
 

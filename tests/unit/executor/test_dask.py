@@ -67,7 +67,7 @@ def go(
     return search(ready, agent, on_event, lambda view: None, executor)
 
 
-def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_parts_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UserError, match="expected dask://HOST:PORT"):
         make_executor("dask")
     monkeypatch.setattr("asia.executor.dask.importlib.util.find_spec", lambda name: None)
@@ -139,7 +139,7 @@ def until_unwanted(request: bytes, data: bytes, unwanted: Callable[[], bool]) ->
     return b"ended"
 
 
-def test_one_that_is_forgotten_ends_alone(threads: Any) -> None:
+def test_a_forgotten_request_ends_alone(threads: Any) -> None:
     executor = DaskExecutor(threads.scheduler_address)
     raised: list[str] = []
 

@@ -17,7 +17,7 @@ from tests.unit.search.toy import Scripted, arx, write_problem
 
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How many workers were open whenever one was opened."""
+    """Number of open workers at each start of a worker."""
     there: set[Worker] = set()
     found: list[int] = []
 

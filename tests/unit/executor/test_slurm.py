@@ -48,14 +48,15 @@ MISSING = [name for name in ("munged", "slurmctld", "slurmd", "sbatch") if not s
 
 @dataclass
 class SlurmNode:
-    """Its daemons, with files in a folder of their own."""
+    """Daemons of a Slurm node, with files in a folder of their own."""
 
     folder: Path
     processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     @property
     def environment(self) -> dict[str, str]:
-        """With which its commands find it, and a job finds the commands of this Python."""
+        """Variables with which its commands find it, and a job finds the commands of this
+        Python."""
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         return {**os.environ, "SLURM_CONF": str(self.folder / "slurm.conf"), "PATH": path}
 

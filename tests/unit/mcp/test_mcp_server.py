@@ -38,7 +38,7 @@ async def search(client: Client, directory: Path) -> None:
     bad = await agent.judged(await agent.submit(CRASH))
     assert (bad["V"], bad["folds"], bad["reason"]) == (None, [], "crash")
     assert bad["detail"] == "line 2: ValueError: no such luck"
-    assert "mend the line and the error that are named" in bad["advice"]
+    assert "correct the error at the line named below" in bad["advice"]
 
     again = await agent.call("submit", code=arx(2) + "# the same\n", hypothesis="h", expected="e")
     assert (again["ticket"], again["repeated"]) == (first, True)

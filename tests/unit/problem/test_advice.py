@@ -1,4 +1,4 @@
-"""What a check says of delay, feedback, drift, steps and outliers."""
+"""Advice on delay, feedback, drift, steps and outliers."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def test_each_fault_is_said_once(tanks: Problem) -> None:
     spiked[[200, 700]] += 40.0
     faults = {
         "rises by": y + np.linspace(0.0, 20.0, SAMPLES),
-        "comes in steps of 0.8 m": 0.8 * np.round(y / 0.8),
+        "is quantized in steps of 0.8 m": 0.8 * np.round(y / 0.8),
         "2 samples jump away from both neighbours, the first at sample 201 of record 'r'": spiked,
     }
     for said, values in faults.items():
@@ -57,7 +57,7 @@ def test_each_fault_is_said_once(tanks: Problem) -> None:
         assert said in doubt
 
 
-def test_what_a_logger_writes_in_place_of_a_value_is_said(tanks: Problem) -> None:
+def test_logger_codes_of_missing_values_are_reported(tanks: Problem) -> None:
     u, y = clean(2)
     coded, held, stuck = u.copy(), y.copy(), y.copy()
     coded[400] = -9999.0
@@ -83,7 +83,7 @@ def test_an_input_that_reads_the_output_of_the_same_sample_is_doubted(tanks: Pro
     assert any("delay 0: output y" in line and "controller" in line for line in lines)
 
 
-def test_feedback_is_told_from_an_open_loop(tanks: Problem) -> None:
+def test_feedback_is_distinguished_from_an_open_loop(tanks: Problem) -> None:
     rng = np.random.default_rng(0)
     u, y, x, disturbance = np.zeros(SAMPLES), np.zeros(SAMPLES), 0.0, 0.0
     for k in range(SAMPLES):
@@ -99,7 +99,7 @@ def test_feedback_to_a_sine_is_not_judged(tanks: Problem) -> None:
     u = np.sin(2 * np.pi * np.arange(SAMPLES) / 37)
     problem = of(tanks, u, np.roll(u, 3))
     assert any(
-        line.startswith("feedback: not judged for input u")
+        line.startswith("feedback: not tested for input u")
         for line in delay_lines(problem, input_delays(problem))
     )
     assert not any("follows earlier" in doubt for doubt in data_doubts(problem))

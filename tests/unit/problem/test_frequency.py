@@ -1,4 +1,4 @@
-"""What `asia check` says of periods, noise and distortion."""
+"""Lines of `asia check` on periods, noise and distortion."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from tests.unit.search.toy import arx
 
 
 class Frame:
-    """What data frames of different packages have in common."""
+    """Minimal interface shared by data frames of different packages."""
 
     def __init__(self, columns: Sequence[str], values: np.ndarray) -> None:
         self.columns, self._values, self.shape = list(columns), values, values.shape
@@ -145,7 +145,7 @@ def test_the_same_again_is_loaded_and_other_data_are_refused(tmp_path: Path) -> 
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "mine").iterdir()} == before
 
 
-def test_a_directory_with_other_things_in_it_is_left_alone(tmp_path: Path) -> None:
+def test_a_directory_with_other_files_is_not_changed(tmp_path: Path) -> None:
     (tmp_path / "note.txt").write_text("mine")
     with pytest.raises(UserError, match="is not empty"):
         make(tmp_path)
@@ -166,7 +166,7 @@ def test_a_directory_with_other_things_in_it_is_left_alone(tmp_path: Path) -> No
         ({"budget": {"memory_mb": 1}}, "JAX cannot start"),
     ],
 )
-def test_what_does_not_make_a_problem(
+def test_invalid_problems_are_refused(
     tmp_path: Path, changes: dict[str, Any], expected: str
 ) -> None:
     with pytest.raises(UserError, match=expected):

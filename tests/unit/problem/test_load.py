@@ -46,7 +46,7 @@ def test_minimal_file_is_enough(write_problem: Write) -> None:
     assert load_problem(directory / "problem.toml").train[0].name == "train"
 
 
-def test_texts_beside_the_file_are_found(write_problem: Write, minimal: str) -> None:
+def test_texts_next_to_the_file_are_found(write_problem: Write, minimal: str) -> None:
     directory = write_problem('name = "x"\ndescription = "d.md"\n' + minimal + PHYSICS)
     (directory / "d.md").write_text("a tank")
     (directory / "baseline.py").write_text("pass\n")
@@ -118,7 +118,7 @@ def test_nanodrone_loads_from_a_clone_of_its_repository(flights: Path) -> None:
         load_problem("nanodrone")
 
 
-def test_a_clone_without_git_lfs_says_what_to_do(flights: Path) -> None:
+def test_a_clone_without_git_lfs_names_the_remedy(flights: Path) -> None:
     flight = flights / "data" / "train" / "random_20251017_run2.csv"
     flight.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1109476\n")
     expected = r"random_20251017_run2\.csv is a pointer of git-lfs .* git lfs pull .*/releases"
@@ -255,7 +255,7 @@ def test_test_data_are_not_opened(write_problem: Write) -> None:
     assert len(load_problem(directory).train) == 1
 
 
-def test_records_with_the_same_file_name_are_told_apart(
+def test_records_with_the_same_file_name_get_distinct_names(
     write_problem: Write, minimal: str, record: Callable[[int, int], str]
 ) -> None:
     directory = write_problem(minimal.replace('["train.csv"]', '["a/run.csv", "b/run.csv"]'))

@@ -84,7 +84,7 @@ def test_a_mistake_is_named_with_its_field(change: dict[str, Any], said: str) ->
     assert "\n" not in str(caught.value)
 
 
-def test_an_input_that_is_no_identifier_is_a_clash_for_nobody() -> None:
+def test_an_input_that_is_no_identifier_causes_no_clash() -> None:
     physics = Physics(states=("x",), dynamics={"x": "-x"})
     check_physics(physics, ["pump voltage"], ["x"])
 
@@ -105,7 +105,7 @@ def test_a_prior_is_of_parameters(priors: dict[str, Prior], words: str) -> None:
     check_physics(replace(TANKS, priors={"k1/k2": Prior(1.0, 0.1)}), ["pump"], ["level"])
 
 
-def test_a_correction_stands_in_an_equation_and_is_0_there() -> None:
+def test_a_correction_in_an_equation_is_0() -> None:
     dynamics = {**TANKS.dynamics, "x1": f"{TANKS.dynamics['x1']} + leak"}
     leaking = replace(TANKS, dynamics=dynamics, corrections={"leak": Correction(0.1)})
     check_physics(leaking, ["pump"], ["level"])

@@ -32,7 +32,7 @@ def test_folds_match_the_papers_ranges(tanks: Problem) -> None:
     assert [f.training_samples for f in report.folds] == [509, 510]
 
 
-def test_what_is_known_beside_the_equations_is_printed(tanks: Problem) -> None:
+def test_priors_next_to_the_equations_are_printed(tanks: Problem) -> None:
     assert tanks.physics is not None
     dynamics = {**tanks.physics.dynamics, "x1": "-k1*sqrt(x1) + k4*pump_voltage + leak"}
     physics = replace(
@@ -65,7 +65,7 @@ def test_bandwidth_and_order_of_a_sine(tanks: Problem) -> None:
     assert check.excitation_order == 2
     assert check.bandwidth_share == pytest.approx(0.2, abs=0.01)
     assert check.bandwidth == pytest.approx(0.1 / 4.0, rel=0.05)
-    assert any("excites 2 modes" in w for w in report.warnings)
+    assert any("excites at most 2 modes" in w for w in report.warnings)
 
 
 def test_white_noise_excites_every_order(tanks: Problem) -> None:
@@ -87,12 +87,12 @@ def test_doubts_are_said(tanks: Problem) -> None:
     text = "\n".join(report.warnings)
     for expected in (
         "clock",
-        "output tank2_level sits at 1 V",
+        "output tank2_level is at its limit 1 V",
         "input u2 is constant",
-        "inputs u0 and u1 move together",
+        "inputs u0 and u1 are collinear",
         "there is no description",
         "7 test samples also occur",
-        "11 of 1000 test samples of input u1 are beyond",
+        "11 of 1000 test samples of input u1 are outside",
     ):
         assert expected in text
     assert len(report.warnings) == 7
@@ -131,7 +131,7 @@ def test_slow_output_is_said(tanks: Problem) -> None:
     u = random.standard_normal((5000, 1))
     y = np.sin(2 * np.pi * np.arange(5000) / 2500)[:, None]
     report = check_problem(with_signals(tanks, u, y), Seal("0" * 64, ("t",), (5,)))
-    assert any("far slower than it is sampled" in w for w in report.warnings)
+    assert any("sampled much faster than it changes" in w for w in report.warnings)
 
 
 def test_lines_name_everything(

@@ -64,7 +64,7 @@ def test_no_test_data_is_allowed(data: Path) -> None:
     assert load_problem(make(data, test=[])).test.source is None
 
 
-def test_data_elsewhere_are_named_by_absolute_path(data: Path, record: Record) -> None:
+def test_data_in_other_folders_are_named_by_absolute_path(data: Path, record: Record) -> None:
     path = init_problem(
         data / "deep" / "mine",
         train=[data / "a.csv"],

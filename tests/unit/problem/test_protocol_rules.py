@@ -111,7 +111,7 @@ def test_forward_folds_with_a_gap_are_locked_and_said(
         load_problem(write(f'{HEAD}[data]\ntrain = ["slow_1.csv"]\n{small}'.replace("4 }", "40 }")))
 
 
-def test_check_says_what_is_held_out(write: Callable[[str], Path]) -> None:
+def test_check_lists_held_out_samples(write: Callable[[str], Path]) -> None:
     problem = load_problem(write(WINDOWS))
     text = "\n".join(check_problem(problem, Seal("ab" * 32, ("t",), (62,))).lines())
     for line in (
@@ -163,7 +163,7 @@ def test_check_says_what_is_held_out(write: Callable[[str], Path]) -> None:
         (("horizons = [5, 20]", "skip = 3"), "every sample of a window counts"),
     ],
 )
-def test_what_does_not_fit_together_is_one_sentence(
+def test_inconsistent_data_are_refused_in_one_sentence(
     write: Callable[[str], Path], change: tuple[str, str], expected: str
 ) -> None:
     toml = WINDOWS.replace(*change)

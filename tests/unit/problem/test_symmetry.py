@@ -54,7 +54,7 @@ def test_coverage() -> None:
         ({"odd": {"u": "y", "y": "y"}}, "no permutation"),
     ],
 )
-def test_what_is_no_symmetry_is_refused(symmetry: Symmetry, words: str) -> None:
+def test_an_invalid_symmetry_is_refused(symmetry: Symmetry, words: str) -> None:
     with pytest.raises(UserError, match=words):
         check_symmetry(symmetry, ["u"], ["y"], None)
     check_symmetry({"odd": {"u": "-u", "y": "-y"}}, ["u"], ["y"], None)

@@ -32,7 +32,7 @@ def test_cascaded_tanks_folds_are_those_of_the_paper() -> None:
     past=st.integers(0, 4),
     gap=st.integers(0, 6),
 )
-def test_forward_folds_train_on_the_past_alone(
+def test_forward_folds_train_only_on_the_past(
     lengths: list[int], count: int, past: int, gap: int
 ) -> None:
     records = [record(n, str(i)) for i, n in enumerate(lengths)]
@@ -53,7 +53,7 @@ def test_forward_folds_train_on_the_past_alone(
 
 
 @given(length=st.integers(60, 90), count=st.integers(2, 4), gap=st.integers(1, 6))
-def test_a_gap_beside_a_held_out_block_trains_nothing(length: int, count: int, gap: int) -> None:
+def test_a_gap_next_to_a_held_out_block_trains_nothing(length: int, count: int, gap: int) -> None:
     rule = ProtocolRule(folds=FoldRule(count=count, gap=gap), past_inputs=2, past_outputs=2)
     plain = ProtocolRule(folds=FoldRule(count=count), past_inputs=2, past_outputs=2)
     folds = make_folds([record(length)], rule)
@@ -113,7 +113,7 @@ def test_too_few_samples_are_refused() -> None:
 
 
 def test_an_output_that_hardly_moves_in_one_fold_is_refused() -> None:
-    """Its square would underflow, and with it every error."""
+    """The square of its deviation would underflow, and with it every error."""
     t = np.arange(60.0)
     y = np.where(t < 30, t, 1e-310 * t)[:, None]
     with pytest.raises(UserError, match="output 1 is constant over the training samples of fold 1"):

@@ -46,14 +46,14 @@ def test_a_part_that_is_no_metric_is_named() -> None:
         find_metric("wrong")
 
 
-def test_an_unknown_metric_is_told_with_those_there_are() -> None:
+def test_an_unknown_metric_names_the_known_ones() -> None:
     with pytest.raises(UserError, match="no metric 'rsme'; did you mean 'rmse'"):
         find_metric("rsme")
     assert metric_label("mae95") == "mae95"
     assert metric_label("mee") == "MEE"
 
 
-def test_where_higher_is_better_v_is_what_is_missing_to_the_best() -> None:
+def test_where_higher_is_better_v_is_the_distance_from_the_best() -> None:
     metric = Metric(
         "agreement", "agreement", lambda y, y_hat: 1.0 - np.abs(y - y_hat).mean(axis=0),
         unit="", direction="higher", best=1.0,

@@ -63,7 +63,7 @@ def test_the_commands_say_it(tmp_path: Path) -> None:
     assert "residuals: of the held-out samples too" in command_line("check", problem).out
 
 
-def test_a_protocol_without_the_setting_is_what_it_was(tmp_path: Path) -> None:
+def test_a_protocol_without_the_setting_is_unchanged(tmp_path: Path) -> None:
     """Digests and locks of earlier versions stay as they are."""
     plain = load_problem(toy(tmp_path / "plain", "[protocol]\n"))
     said = load_problem(toy(tmp_path / "said", '[protocol]\nresiduals = "train"\n'))

@@ -1,5 +1,4 @@
-"""What workers are given of a GPU. There is none here: the device nodes are made up, and the driver
-was never called."""
+"""GPU access of workers, with made-up device nodes and without a driver."""
 
 import ctypes
 import os
@@ -51,7 +50,7 @@ def test_a_gpu_is_a_card_and_its_driver(tmp_path: Path) -> None:
     assert found == ["nvidia0", "nvidia1", "nvidiactl", "nvidia-uvm"]
 
 
-def test_without_a_gpu_a_worker_is_what_it_was(nodes: None) -> None:
+def test_without_a_gpu_a_worker_is_unchanged(nodes: None) -> None:
     plain = surroundings.child_command(3, 4, LIMITS, ("rlimits",))
     assert "4096" in plain
     assert not any("nvidia" in word or word in GPU_FACTS for word in plain)
@@ -106,16 +105,14 @@ def test_a_worker_meant_for_a_gpu_starts_without_one(level: Isolation, case: Cas
 
 
 @pytest.mark.slow
-def test_jax_says_what_it_computes_on(level: Isolation, case: Case) -> None:
+def test_jax_reports_its_device(level: Isolation, case: Case) -> None:
     source = "import jax\n" + PLAIN
     with open_worker(level, LIMITS, libraries=("jax",)) as worker:
         worker.fit(source, case.trajectories, case.context)
         assert worker.device() == "cpu cpu"
 
 
-def test_what_a_candidate_says_of_its_device_is_short_and_harmless(
-    level: Isolation, case: Case
-) -> None:
+def test_the_reported_device_is_short_and_harmless(level: Isolation, case: Case) -> None:
     liar = """
 import sys, types
 class Device:
@@ -160,7 +157,7 @@ def test_the_watch_looks_until_it_is_closed(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
-def test_the_filter_lets_pass_what_the_driver_calls_and_nothing_else(machine: str) -> None:
+def test_the_filter_allows_only_the_calls_of_the_driver(machine: str) -> None:
     def verdicts(*, devices: bool) -> dict[str, int]:
         program = list(struct.iter_unpack("@HBBI", seccomp.build(machine, 4321, devices=devices)))
         known = seccomp.numbers(machine)
@@ -175,7 +172,7 @@ def test_the_filter_lets_pass_what_the_driver_calls_and_nothing_else(machine: st
 
 
 def run(program: list[tuple[int, ...]], number: int, machine: str) -> int:
-    """What the filter says of a call with strange arguments."""
+    """Run the filter on a call with strange arguments."""
     architecture = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}[machine]
     data = struct.pack("<iIQ6Q", number, architecture, 0, *([12345] * 6))
     place, value = 0, 0
@@ -215,13 +212,13 @@ def test_nodes_that_jax_does_not_reach_are_refused_and_auto_does_without(
     assert words.startswith("gpu: not used, JAX does not reach it")
 
 
-def test_a_card_that_jax_reaches_is_used_and_its_walls_are_said(
+def test_a_card_that_jax_reaches_is_used_and_its_isolation_is_described(
     nodes: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: list[Limits] = []
 
     class There:
-        """In place of a worker on a GPU."""
+        """Stand-in for a worker on a GPU."""
 
         def __enter__(self) -> "There":
             return self

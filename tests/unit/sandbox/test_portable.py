@@ -80,7 +80,7 @@ def test_only_strings_change_and_all_else_comes_back():
     assert back["long"] == 70_000 * "x" + " z"
 
 
-def test_a_pickle_without_places_is_left_alone():
+def test_a_pickle_without_places_is_unchanged():
     data = pickle.dumps({"a": np.arange(3.0), "b": "/usr/lib"}, protocol=5)
     assert portable(data, ("/home/me/",)) is data
 

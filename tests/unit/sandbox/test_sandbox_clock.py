@@ -1,4 +1,4 @@
-"""Where the seconds of a worker go, also by the word of a worker that lies."""
+"""Seconds of a worker by activity, also as reported by a worker that lies."""
 
 import math
 import struct
@@ -72,7 +72,7 @@ def test_no_word_of_a_worker_changes_the_sum(word: bytes) -> None:
     assert sum(parts) == pytest.approx(18.0)
 
 
-def test_what_compiles_inside_a_trace_counts_once() -> None:
+def test_compilation_inside_a_trace_counts_once() -> None:
     meter = Meter()
     meter.request = "fit"
     meter.heard("/jax/core/compile/backend_compile_duration", 0.0)
@@ -99,7 +99,7 @@ def test_the_parent_measures_a_worker(
     assert Activity.COMPILE not in spent
 
 
-def test_what_jax_compiles_is_known(worker: Callable[..., Worker], case: Case) -> None:
+def test_compilation_by_jax_is_measured(worker: Callable[..., Worker], case: Case) -> None:
     with worker() as one:
         one.fit(COMPILES, case.trajectories, case.context)
         one.count_compiling()
@@ -109,7 +109,7 @@ def test_what_jax_compiles_is_known(worker: Callable[..., Worker], case: Case) -
 @pytest.mark.parametrize(
     "answer", ["b''", "b'x' * 10_000_000", "b'\\xff' * 48", "None", "time.sleep(30)"]
 )
-def test_a_worker_that_lies_about_its_times_has_told_nothing(
+def test_a_worker_that_lies_about_its_times_is_ignored(
     worker: Callable[..., Worker], case: Case, answer: str
 ) -> None:
     with worker() as one:

@@ -1,4 +1,4 @@
-"""What a worker is refused beyond files: calls by which two workers could speak to each other."""
+"""System calls denied to a worker beyond files, by which two workers could communicate."""
 
 import json
 import os
@@ -123,7 +123,7 @@ PLACES = ("/proc/self/status", "/proc/self/net/dev", "/proc/stat", "/proc/meminf
 
 
 def ends(case, level: Isolation, *without: Layer) -> dict[str, str | int]:
-    """How each call ended, by its name."""
+    """Return the result of each call by its name."""
     given = {
         "NUMBERS": numbers(os.uname().machine),
         "CALLS": CALLS | WAITS | ALLOWED,
@@ -149,7 +149,7 @@ def test_calls_between_workers_are_refused(case, level):
 
 @pytest.mark.skipif(why_not(Isolation.NAMESPACE) is not None, reason="no namespaces")
 def test_nothing_but_the_layers_refuses_them(case):
-    """Behind namespaces alone, where none of these calls does harm."""
+    """Namespaces alone allow these calls, which do no harm there."""
     found = ends(case, Isolation.NAMESPACE, Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS)
     assert {name for name in CALLS if found[name] == "EPERM"} == set()
     assert [found[name] for name in WAITS] == ["ETIMEDOUT", "ETIMEDOUT"]

@@ -1,4 +1,4 @@
-"""How a worker ended: by itself, whatever code or signal it chose, or by somebody's hand."""
+"""Ends of a worker: by itself, with any code or signal, or by another process."""
 
 import os
 import signal
@@ -109,13 +109,13 @@ def _kill_once_busy(process: WorkerProcess) -> None:
 
 
 def _waits(pid: int) -> bool:
-    """Whether it is a worker that has begun to fit, and has given itself its name."""
+    """Return whether it is a worker that has begun to fit, and has given itself its name."""
     with open(f"/proc/{pid}/comm", "rb") as name:
         return name.read().strip() == BUSY
 
 
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSEGV", "SIGTERM"])
-def test_a_keeper_ends_as_its_worker_did(worker, case, level, name):
+def test_a_supervisor_ends_like_its_worker(worker, case, level, name):
     if level is not Isolation.PROCESS:
         pytest.skip("a keeper stands above workers of level process alone")
     with worker() as one, pytest.raises((CandidateError, WorkerKilledError)):

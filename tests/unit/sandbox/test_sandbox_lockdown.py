@@ -22,7 +22,7 @@ LOCKED = pytest.mark.skipif(why_not(Isolation.LANDLOCK) is not None, reason="no 
 
 
 def decide(machine: str, number: int, *arguments: int, architecture: int | None = None) -> int:
-    """What the kernel would do: the filter run over one system call."""
+    """Run the filter over one system call and return the kernel's decision."""
     code = struct.iter_unpack("@HBBI", seccomp.build(machine, PID))
     program = list(code)
     words = (*arguments, 0, 0, 0, 0, 0, 0)[:6]
@@ -95,7 +95,7 @@ def test_calls_with_arguments_are_decided_by_them(machine):
         assert decide(machine, known["madvise"], 0, 4096, advice) == verdict
 
 
-def test_files_are_marked_and_shared_memory_is_waited_on_by_nobody(machine):
+def test_files_cannot_be_marked_and_shared_memory_cannot_be_waited_on(machine):
     known = seccomp.numbers(machine)
     for command in range(2000):
         allowed = command in (0, 1, 2, 3, 4, 1030, 1032)
@@ -196,7 +196,7 @@ def test_the_filter_binds_threads_that_run_already():
 
 
 @LOCKED
-def test_a_trial_finds_a_wall_that_stops_nothing():
+def test_a_trial_finds_an_ineffective_layer():
     script = "import lockdown; print(lockdown.holds(['LAYER'], '/usr'))"
     for layer in ("landlock", "seccomp"):
         assert "stops nothing" in run(script.replace("LAYER", layer)).stdout

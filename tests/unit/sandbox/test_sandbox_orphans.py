@@ -1,4 +1,4 @@
-"""Who is killed while a worker starts leaves no process."""
+"""Orphan processes after a kill during the start of a worker."""
 
 import signal
 import subprocess
@@ -25,7 +25,7 @@ def waiting(name: str) -> Iterator[subprocess.Popen[bytes]]:
             process.kill()
 
 
-def test_what_bears_the_mark_is_ended_and_nothing_else():
+def test_only_marked_processes_are_ended():
     watch, other = OrphanWatch(), OrphanWatch()
     with waiting(watch.mark) as orphan, waiting(other.mark) as neighbour:
         watch.end_orphans()

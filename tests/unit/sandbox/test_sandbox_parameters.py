@@ -74,7 +74,7 @@ def test_parameters_are_not_asked_for_once_a_case_was_seen(worker, case):
             one.parameters()
 
 
-def test_a_failed_fit_leaves_what_it_printed(worker, case):
+def test_a_failed_fit_keeps_its_output(worker, case):
     failing = source("return {}").replace("return Model(offered)", "raise ValueError('stop')")
     with worker() as one:
         with pytest.raises(CandidateError):
@@ -118,7 +118,7 @@ def fit(trajectories, context):
 """
 
 
-def test_estimates_are_made_from_what_was_fitted(worker, case):
+def test_estimates_use_the_fitted_records(worker, case):
     body = """
         rows = (ParameterEstimate("k", samples, 0.5, 1.0, 2.0, "V/s", 0.1),)
         return ParameterEstimates(rows, np.eye(1), ("x = 1", "\\x1b[31mred"))"""
@@ -171,6 +171,6 @@ def test_estimates_come_back_as_they_were_packed():
         pack_estimates(estimates(1)).replace(np.float64(1.0).tobytes(), b"\xff" * 8, 1),
     ],
 )
-def test_what_is_no_table_of_estimates_is_refused(body):
+def test_an_invalid_table_of_estimates_is_refused(body):
     with pytest.raises(ValueError, match=r"estimates|parameter"):
         unpack_estimates(body)

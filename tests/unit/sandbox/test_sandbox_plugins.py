@@ -82,7 +82,7 @@ def test_candidates_import_packages_of_parts(project, worker, case):
     assert (y == 2.0 * case.u).all()
 
 
-def test_what_lies_beside_them_is_not_there(project, level, worker, case):
+def test_neighbouring_files_are_invisible(project, level, worker, case):
     if not LEVELS[level].confined:
         pytest.skip("this level hides nothing")
     places = [project / "data" / "test.csv", project / "runs" / "ledger.jsonl"]
@@ -100,7 +100,7 @@ def test_a_worker_cannot_change_them(project, level, worker, case):
         one.fit(source, case.trajectories, case.context)
 
 
-def test_runs_and_data_may_lie_beside_them_and_not_in_them(project):
+def test_runs_and_data_may_be_next_to_packages_but_not_inside(project):
     assert shown_in(project / "runs") is None
     check_hidden_from_workers(project / "data" / "test.csv")
     assert shown_in(project / "odd_gain" / "runs") == str(project / "odd_gain")

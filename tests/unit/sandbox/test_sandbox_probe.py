@@ -53,7 +53,7 @@ def test_without_anything_the_level_is_process_and_says_why(tmp_path, monkeypatc
 
 
 @pytest.mark.skipif(why_not(Isolation.NAMESPACE) is not None, reason="no namespaces")
-def test_a_kernel_without_landlock_keeps_namespaces_and_says_what_is_missing(monkeypatch):
+def test_a_kernel_without_landlock_keeps_namespaces_and_names_the_missing_layer(monkeypatch):
     no_landlock(monkeypatch, Layer.LANDLOCK)
     found = probe()
     assert found.level is Isolation.NAMESPACE
@@ -64,7 +64,7 @@ def test_a_kernel_without_landlock_keeps_namespaces_and_says_what_is_missing(mon
 def test_a_weaker_level_is_there_for_the_asking():
     found = probe(Isolation.PROCESS)
     assert found.level is Isolation.PROCESS
-    assert found.notes == ("asked for by the user",)
+    assert found.notes == ("requested by the user",)
 
 
 @pytest.mark.parametrize(

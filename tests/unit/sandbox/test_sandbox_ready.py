@@ -143,7 +143,7 @@ def test_few_wait(ahead: ReadyWorkers, opened: list[Worker]) -> None:
         time.sleep(0.05)
 
 
-def test_the_walls_are_those_of_every_worker(
+def test_standby_workers_have_all_sandbox_layers(
     ahead: ReadyWorkers, level: Isolation, case: Case
 ) -> None:
     if level is Isolation.PROCESS:
@@ -179,7 +179,7 @@ def test_libraries_that_do_not_fit_into_memory_are_not_tried_again(
         assert len(opened) == started
 
 
-def test_an_end_outside_is_told_from_one_of_its_own(
+def test_an_external_end_is_distinguished_from_an_own_one(
     ahead: ReadyWorkers, level: Isolation, case: Case
 ) -> None:
     ahead.take(FFT)

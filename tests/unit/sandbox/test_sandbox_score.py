@@ -96,7 +96,7 @@ def test_a_refusal_is_a_runtime_error_that_can_be_caught(worker, case):
     assert reply.output == "no more than that\n"
 
 
-def test_a_refusal_left_alone_fails_the_fit_with_its_words(worker, case):
+def test_an_uncaught_refusal_fails_the_fit_with_its_message(worker, case):
     source = asking("while True:\n    ask(Gain(1.0))")
     with worker() as one, pytest.raises(CandidateError) as caught:
         one.fit(source, case.trajectories, case.context, Answers(most=2))
@@ -113,7 +113,7 @@ def test_a_refusal_left_alone_fails_the_fit_with_its_words(worker, case):
          Reason.MODEL_SIZE, "1 MB"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_scored_fails_the_candidate(worker, case, body, reason, words):
+def test_an_output_that_cannot_be_scored_fails_the_candidate(worker, case, body, reason, words):
     answers = Answers()
     with worker(model_mb=1) as one, pytest.raises(CandidateError) as caught:
         one.fit(asking(body), case.trajectories, case.context, answers)

@@ -92,7 +92,7 @@ def test_output_is_kept_up_to_the_end_of_fit_and_cleaned(worker, case):
     assert y.shape == (3, 40, 2)
 
 
-def test_environment_is_ours_alone(worker, case, monkeypatch):
+def test_environment_is_fixed(worker, case, monkeypatch):
     monkeypatch.setenv("SECRET_KEY", "hunter2")
     source = GAIN.replace(
         "    print(", "    import os\n    print(*sorted(os.environ), hash('a'))\n    print("
@@ -222,7 +222,7 @@ def test_a_sandbox_killed_from_outside_is_not_the_candidates_fault(case):
             one.simulate(case.past_u, case.past_y, case.u)
 
 
-def test_ending_one_worker_leaves_the_others_alone(worker, case, level):
+def test_ending_one_worker_keeps_the_others(worker, case, level):
     daemon = "import os, time\n    if os.fork() == 0:\n        os.setsid(); time.sleep(60)"
     bystander = subprocess.Popen(["sleep", "60"], start_new_session=True)
     try:

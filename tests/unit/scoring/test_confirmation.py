@@ -27,7 +27,7 @@ from asia.scoring import (
 
 
 def fits(blocks: Array) -> RepeatedFits:
-    """From blocks (seeds, folds, blocks), whose means are the values."""
+    """Make fits from blocks (seeds, folds, blocks), whose means are the values."""
     return RepeatedFits(blocks.mean(axis=2), blocks)
 
 
@@ -121,7 +121,7 @@ def test_block_values_are_exact_for_a_mean_and_near_for_a_root() -> None:
 
 
 @pytest.mark.slow
-def test_the_optimism_of_equal_candidates_is_what_luck_gives_the_lowest() -> None:
+def test_the_optimism_of_equal_candidates_is_that_of_the_lowest_of_random_values() -> None:
     random = np.random.default_rng(6)
     number, found = 20, []
     for k in range(30):
@@ -156,7 +156,7 @@ def test_the_interval_for_a_new_record_holds_it_as_often_as_it_says() -> None:
     assert 0.83 <= np.mean(held) <= 0.97
 
 
-def test_an_ensemble_is_expected_to_be_better_by_what_its_members_disagree_on() -> None:
+def test_an_ensemble_is_expected_to_be_better_by_the_disagreement_of_its_members() -> None:
     """Members with independent errors of the same size: their mean has 1 / sqrt(K) of it."""
     random = np.random.default_rng(8)
     blocks = 1.0 + random.normal(0.0, 0.1, (1, 2, 8))

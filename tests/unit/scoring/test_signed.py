@@ -146,7 +146,7 @@ def test_the_mean_over_all_samples_is_one_of_the_parts() -> None:
 @pytest.mark.parametrize(
     ("mean", "said"), [(0.2, Evidence.CLEAR), (0.14, Evidence.CHANCE), (0.09, Evidence.NONE)]
 )
-def test_one_rule_says_what_may_be_chance(mean: float, said: Evidence) -> None:
+def test_one_rule_decides_significance(mean: float, said: Evidence) -> None:
     one = SignedResidual(
         0, PartKind.ALL, 0, 0, None, None, -mean, 0.1, 100, 0.2, 0.2, notable=False
     )

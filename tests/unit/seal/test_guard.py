@@ -1,4 +1,4 @@
-"""Which records stand guard, and what naming them wrong says."""
+"""Guard records, and errors for wrong names."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -63,7 +63,7 @@ def test_a_data_sets_guard_trains_nothing() -> None:
         (DataTable(guard=2, train=("a.csv",)), RecordFiles, "name the files"),
     ],
 )
-def test_what_does_not_go_with_the_source(
+def test_settings_that_do_not_fit_the_source_are_refused(
     table: DataTable, source: type[Source], words: str
 ) -> None:
     with pytest.raises(UserError, match=words):

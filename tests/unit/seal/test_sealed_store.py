@@ -163,7 +163,7 @@ def test_a_moved_store_is_no_difference_and_another_one_is(make: Make, tmp_path:
 
 
 @pytest.mark.parametrize("place", ["head", "payload", "cut", "other key", "no store", "text"])
-def test_a_damaged_store_or_key_is_told(make: Make, place: str) -> None:
+def test_a_damaged_store_or_key_is_reported(make: Make, place: str) -> None:
     made = make()
     assert made.store is not None
     assert made.key is not None
@@ -259,7 +259,9 @@ def test_a_key_that_cannot_be_written(make: Make, files: tuple[Path, Path], keys
     assert files[1].exists()
 
 
-def test_what_cannot_be_moved(make: Make, files: tuple[Path, Path], tmp_path: Path) -> None:
+def test_files_that_cannot_be_moved_are_refused(
+    make: Make, files: tuple[Path, Path], tmp_path: Path
+) -> None:
     link = tmp_path / "link.csv"
     link.symlink_to(files[1])
     for test, expected in (
@@ -273,7 +275,7 @@ def test_what_cannot_be_moved(make: Make, files: tuple[Path, Path], tmp_path: Pa
     assert not (tmp_path / "mine").exists()
 
 
-def test_other_copies_are_told(make: Make, files: tuple[Path, Path]) -> None:
+def test_other_copies_are_reported(make: Make, files: tuple[Path, Path]) -> None:
     os.link(files[1], files[1].with_name("copy.csv"))
     (files[1].parent / ".git").mkdir()
     made = make()
@@ -307,7 +309,7 @@ def test_files_of_one_name_keep_apart(make: Make, files: tuple[Path, Path], tmp_
         ({"XDG_CONFIG_HOME": "not/absolute", "HOME": "/c"}, "/c/.config/asia/keys"),
     ],
 )
-def test_where_keys_are(
+def test_folder_of_keys(
     monkeypatch: pytest.MonkeyPatch, environment: dict[str, str], expected: str
 ) -> None:
     for name in ("ASIA_KEYS", "XDG_CONFIG_HOME"):
@@ -321,7 +323,7 @@ def test_where_keys_are(
 def test_a_store_opens_without_this_package(
     make: Make, files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As the documentation tells it."""
+    """Open the store by the steps of the documentation."""
     page = (Path(__file__).parents[3] / "docs" / "seal.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
     plain = files[1].read_bytes()

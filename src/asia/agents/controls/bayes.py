@@ -34,9 +34,12 @@ Pick: TypeAlias = "Callable[[str, BaseDistribution], Number]"
 
 
 class BayesAgent:
-    """Proposes where the estimator expects most. What runs counts as a trial as bad as the worst so
-    far, which keeps the estimator away from it: the constant liar of Ginsbourger, Le Riche and
-    Carraro (Computational Intelligence in Expensive Optimization Problems, 2010)."""
+    """Agent that proposes the candidate with the largest expected improvement.
+
+    Running experiments count as trials as bad as the worst so far, which keeps the estimator away
+    from them: the constant liar of Ginsbourger, Le Riche and Carraro (Computational Intelligence in
+    Expensive Optimization Problems, 2010).
+    """
 
     name = "bayes"
     proposes_ahead = True
@@ -56,13 +59,13 @@ class BayesAgent:
                     title=f"{row.label}, estimated",
                     hypothesis="Configurations like the better ones so far, by a tree-structured "
                     f"Parzen estimator.{_record_of_others(view, rows)}",
-                    expected="With luck below the best; where little is known, to learn something.",
+                    expected="A lower V than the best, or information where few trials are.",
                 )
         return None
 
 
 def _record_of_others(view: AgentView, rows: Sequence[Family]) -> str:
-    """What it could use of the experiments of other agents in a relay, and what not."""
+    """Describe which experiments of other agents in a relay it can use."""
     others = [trial for trial in view.trials if _by_other(trial)]
     if not others:
         return ""
@@ -122,20 +125,22 @@ def _asked(study: Study, facts: Facts, rows: Sequence[Family]) -> tuple[Recipe, 
 
 @dataclass(frozen=True)
 class _Asked:
-    """A trial as the estimator would have asked for it."""
+    """Trial in the estimator's terms."""
 
     params: dict[str, Number]
-    """What it would have chosen."""
+    """Parameters of the trial in the estimator's terms."""
     distributions: dict[str, BaseDistribution]
-    """Among what."""
+    """Distributions of the parameters."""
     lost: int = 0
-    """How many settings of another agent's trial have a value that it does not vary them over."""
+    """Number of settings of another agent's trial outside its search space."""
 
 
 def _as_asked(trial: Trial | Running, facts: Facts, rows: Sequence[Family]) -> _Asked | None:
-    """An earlier trial as the estimator would have asked for it; None for a source that is no
-    recipe of the library, or lies outside what may be varied. Of another agent's trial all that
-    lies inside is taken: the estimator looks at each setting on its own."""
+    """Convert an earlier trial to the estimator's terms.
+
+    None for a source that is no recipe of the library, or lies outside the search space. Of another
+    agent's trial all settings inside are used: the estimator treats each setting on its own.
+    """
     recipe = read_recipe(trial.source)
     names = [row.name for row in rows]
     if recipe is None or recipe.family not in names:
@@ -219,7 +224,11 @@ def _distribution(p: Parameter) -> BaseDistribution:
 
 
 def _number(p: Parameter, value: Value) -> Number:
-    """As the estimator counts it. Raises ValueError for a value outside the space."""
+    """Convert a value to the estimator's number.
+
+    Raises:
+        ValueError: for a value outside the space
+    """
     if isinstance(p, OneOf):
         return p.values.index(value)
     if not isinstance(value, int | float) or not p.low <= value <= p.high:
@@ -228,7 +237,7 @@ def _number(p: Parameter, value: Value) -> Number:
 
 
 def _any_number(p: Parameter | None) -> Number:
-    """To go on with where a value is outside the space."""
+    """Return a placeholder for a value outside the space."""
     return p.low if isinstance(p, Span) else 0
 
 

@@ -44,11 +44,11 @@ class _Option:
     family: str
     """The model family."""
     weight: float
-    """How promising it is."""
+    """Weight of the option."""
     make: Callable[[], Proposal | None]
     """The proposal; None when it was tried before."""
     seconds: float
-    """What a fit of it is expected to take."""
+    """Expected duration of its fit."""
     apt: bool = True
     """Whether it is worth a place in the ladder."""
     sure: bool = False
@@ -57,22 +57,28 @@ class _Option:
     """The name of the move; "" for the first configuration of a family."""
 
     def paced(self, usual: float) -> _Option:
-        """With less weight the more seconds it takes beyond the usual: a root, because experiments
-        are counted too."""
+        """Reduce the weight by the square root of the excess over the usual fit time; experiments
+        are limited too."""
         pace = min(1.0, 2.0 * usual / (usual + self.seconds)) ** 0.5
         return replace(self, weight=self.weight * pace)
 
 
 class ExpertAgent:
-    """Ladder of families, then refinement by moves chosen from training-side evidence. What
-    runs counts as tried, and its move as one that has not helped yet."""
+    """Agent with a ladder of families, then refinement by moves chosen from training-side evidence.
+
+    Running experiments count as tried, and their moves as unsuccessful so far.
+    """
 
     name = "expert"
     proposes_ahead = True
 
     def propose(self, view: AgentView) -> Proposal | None:
-        """What a note asks for, the next rung of the ladder, or the move with the most weight; None
-        when all known. Raises AgentStoppedError where nothing is left to find."""
+        """Propose the candidate of a note, the next family of the ladder, or the move with the most
+        weight; None when all are known.
+
+        Raises:
+            AgentStoppedError: where the noise floor is reached
+        """
         wishes, answers = read_notes(view.notes)
         unwanted = avoided(wishes)
         remarks, proposal = list(answers), None
@@ -81,7 +87,9 @@ class ExpertAgent:
                 continue
             proposal = _wished(view, wish, unwanted)
             if proposal is None:
-                remarks.append(f"note {wish.note}: nothing is left to {wish.text} on this problem")
+                remarks.append(
+                    f"note {wish.note}: nothing new to try for {wish.text!r} on this problem"
+                )
             else:
                 proposal = replace(proposal, hypothesis=f"{proposal.hypothesis} {wish.mark}")
         if proposal is None:
@@ -133,8 +141,11 @@ class ExpertAgent:
 
 
 def _heaviest(options: list[_Option], place: Callable[[str], int] | None = None) -> Proposal | None:
-    """The first in order of weight that was not tried before; place: of a family, which comes
-    before the weight."""
+    """The first in order of weight that was not tried before.
+
+    Args:
+        place: of a family, which comes before the weight
+    """
     ordered = sorted(options, key=lambda o: (place(o.family) if place else 0, -o.weight))
     return next((p for option in ordered if (p := option.make()) is not None), None)
 
@@ -253,13 +264,13 @@ def _situations(view: AgentView) -> Iterator[Situation]:
 
 
 def _share(at: Situation) -> float:
-    """1 for the leading family, less the further another is behind.
+    """Return the share of a family in the search: 1 for the leading family, less for one that is
+    behind.
 
-    A grey-box within a factor of four of a leader without equations counts as leading: what its
-    own lack can still be added. A model that knows its own fold better than the leader knows the
-    others' has only to be held back, and keeps most of its weight while it is not too far behind;
-    a leader with equations is seldom caught up with by that. Either way, each move that did not
-    bring the family to the lead costs patience with it.
+    A grey-box within a factor of four of a leader without equations counts as leading: its missing
+    terms can still be added. A model that overfits its own fold only needs regularisation, and
+    keeps most of its weight while it is not too far behind; against a leader with equations that is
+    seldom enough. In both cases each unsuccessful move reduces the share.
     """
     trial, best, train = at.trial, at.view.best, at.trial.train_error
     if at.place == 0 or best is None or best.value is None:

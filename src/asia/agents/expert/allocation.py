@@ -33,7 +33,7 @@ class Allocation:
 
     @staticmethod
     def of(view: AgentView) -> Allocation:
-        """Count what was proposed so far."""
+        """Count the proposals so far."""
         tried, spent, best = Counter[str](), Counter[str](), dict[str, float]()
         for one in view.proposed:
             name = _family_of(one)
@@ -57,14 +57,14 @@ class Allocation:
         return max(1, self.budget // 2)
 
     def leads(self, name: str) -> bool:
-        """Whether V of the family is 20 % below that of every other one that was tried."""
+        """Return whether V of the family is 20 % below that of every other one that was tried."""
         others = [value for other, value in self.best.items() if other != name]
         beaten = all(self.best.get(name, 1e300) <= (1.0 - LEAD) * value for value in others)
         return name in self.best and len(self.tried.keys() | self.best.keys()) > 1 and beaten
 
     def chances_are_due(self, name: str) -> bool:
-        """Whether other families come before a third experiment with this one. A family with
-        equations goes on without them while it leads at least two others."""
+        """Return whether other families come before a third experiment with this one. A family with
+        equations continues while it leads at least two others."""
         served = sum(count >= _BOTH for count in self.tried.values())
         if self.tried[name] < _BOTH or served >= FAMILIES:
             return False

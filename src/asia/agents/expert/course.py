@@ -1,6 +1,5 @@
-"""What to do while nothing beats the mean of the output: why that may be, in a sentence with
-advice, and moves that look for another kind of model in place of variations of one.
-"""
+"""Strategy while no candidate beats the mean of the output: a likely cause with advice, and moves
+to other model classes."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ _MOST_STARTS = 8
 
 
 def beats_nothing(view: AgentView) -> bool:
-    """Whether the first kinds of model were tried and none of them beats the mean."""
+    """Return whether the first kinds of model were tried and none of them beats the mean."""
     mean = min(1.0, view.mean) if view.mean is not None else 1.0
     best = view.best
     if best is not None and best.value is not None and best.value < _NEXT_TO_NOTHING * mean:
@@ -36,44 +35,49 @@ def beats_nothing(view: AgentView) -> bool:
 
 
 def why_nothing_helps(view: AgentView) -> str:
-    """What the training records say of the cause, and what to do about it."""
+    """Describe the likely cause in the training records, and the remedy."""
     best = view.best
     lowest = "" if best is None else f" (best V {best.value:.3g} of #{best.number:02d})"
     cause = _cause(view.facts, relation(view.facts))
-    return f"nothing beats the mean of the output{lowest}: {cause}"
+    return f"no candidate beats the mean of the output{lowest}: {cause}"
 
 
 def _cause(facts: Facts, found: Relation) -> str:
     if found.unstable:
-        loop = " and the inputs follow the past outputs: a loop holds it" if found.feedback else ""
+        loop = (
+            " and the inputs follow the past outputs: a control loop stabilises it"
+            if found.feedback
+            else ""
+        )
         return (
-            f"the plant runs away by itself (a pole of modulus {found.pole:.4g}){loop}. "
+            f"the plant is unstable (a pole of modulus {found.pole:.4g}){loop}. "
             f"{_windows(facts, found)}"
         )
     if found.feedback:
         return (
             "the inputs follow the past outputs (correlation "
-            f"{found.feedback:.2f}): the records are of a closed loop, and the outputs go with "
-            "disturbances that no input shows. "
+            f"{found.feedback:.2f}): the records come from a closed loop, and the outputs follow "
+            "unmeasured disturbances. "
             f"{_windows(facts, found)} Or excite the set point and record it as an input."
         )
     if not found.acts:
         return (
-            f"no input, and no square of one, shows an effect on an output within {found.reach} "
-            "samples. Check that inputs and outputs belong to the same time, that the inputs move "
+            f"no input and no squared input has a significant effect on an output within "
+            f"{found.reach} "
+            "samples. Check that inputs and outputs are synchronised, that the inputs vary "
             "enough, and that the input that drives the plant is recorded. "
             f"{_windows(facts, found)}"
         )
     if found.delay > _DELAY_TRIED:
-        return f"the inputs act only after {found.delay} samples. Models with this delay come next."
+        return f"the dead time is {found.delay} samples. Models with this delay follow."
     if integrating(facts):
         return (
-            "an output drifts with the sum of the inputs, so that a small error of an input adds "
-            f"up. Models with free integrators come next. {_windows(facts, found)}"
+            "an output drifts with the sum of the inputs, so that small input errors "
+            f"accumulate. Models with free integrators follow. {_windows(facts, found)}"
         )
     return (
-        "the inputs act, but no model so far makes much of that over a whole simulation. Other "
-        f"starts and kinds of model come next. {_windows(facts, found)}"
+        "the inputs have an effect, but no model so far predicts it over a whole simulation. "
+        f"Other initial values and model classes follow. {_windows(facts, found)}"
     )
 
 
@@ -82,7 +86,7 @@ def _windows(facts: Facts, found: Relation) -> str:
     if facts.horizon is not None:
         return (
             f"Shorter windows than {facts.horizon} samples, or a longer past window than "
-            f"{facts.past} samples, ask less of a model."
+            f"{facts.past} samples, make the task easier."
         )
     long = ceil(log(10.0) / log(found.pole)) if found.unstable else 50
     return (
@@ -138,8 +142,10 @@ COURSE_MOVES: tuple[Move, ...] = (
         state=lambda c: str(relation(c.facts).delay),
         weight=_late_weight,
         change=_late,
-        hypothesis="What is new in the outputs goes with what was new in the inputs this long ago, "
-        "which is longer than a model looks for by itself.",
+        hypothesis=(
+            "The innovations of the outputs correlate with those of the inputs at this delay, "
+            "which is longer than a model detects automatically."
+        ),
         expected="A far lower V.",
         behind_counts=False,
     ),
@@ -147,8 +153,10 @@ COURSE_MOVES: tuple[Move, ...] = (
         name="a free integrator",
         weight=_integrator_weight,
         change=lambda c: c.recipe.configured(integrators=1),
-        hypothesis="Nothing beats the mean: the output may add up its inputs, which no mode that "
-        "comes back can follow.",
+        hypothesis=(
+            "No model beats the mean: the output may integrate its inputs, which stable modes "
+            "cannot follow."
+        ),
         expected="A V below that of the mean, if the output drifts with the sum of the inputs.",
         behind_counts=False,
     ),
@@ -156,8 +164,10 @@ COURSE_MOVES: tuple[Move, ...] = (
         name="from short pieces",
         weight=_pieces_weight,
         change=lambda c: c.recipe.configured(pieces=True, past_fit=True),
-        hypothesis="Nothing beats the mean: whole records may be too long to learn from. Short "
-        "pieces of them, each from a state of its own, are within reach of any model.",
+        hypothesis=(
+            "No model beats the mean: whole records may be too long for training. Short "
+            "segments, each with its own initial state, are easier to fit."
+        ),
         expected="A lower training error, V follows.",
         behind_counts=False,
     ),
@@ -165,24 +175,24 @@ COURSE_MOVES: tuple[Move, ...] = (
         name="many other starts",
         weight=_starts_weight,
         change=lambda c: c.recipe.trained(starts=_MOST_STARTS),
-        hypothesis="Nothing beats the mean: the fits so far may all sit in poor local minima.",
-        expected="A far lower training error, or certainty that starts are not the cause.",
+        hypothesis="No model beats the mean: all fits so far may be in poor local minima.",
+        expected="A far lower training error, or evidence that local minima are not the cause.",
         behind_counts=False,
     ),
     Move(
         name="from a random start",
         weight=_drawn_weight,
         change=lambda c: c.recipe.configured(start="random"),
-        hypothesis="Nothing beats the mean, the linear model neither: it is no good start.",
-        expected="Another minimum, lower or not.",
+        hypothesis="No model beats the mean, and the linear model is a poor starting point.",
+        expected="A different minimum.",
         behind_counts=False,
     ),
     Move(
         name="by multiple shooting from measured states",
         weight=_shooting_weight,
         change=lambda c: by_multiple_shooting(c.facts, c.recipe),
-        hypothesis="Nothing beats the mean: gradients through long simulations may be the cause.",
-        expected="Lower training error where whole simulations are hard to learn.",
+        hypothesis="No model beats the mean: gradients through long simulations may be the cause.",
+        expected="Lower training error where whole simulations are hard to fit.",
         behind_counts=False,
     ),
 )
@@ -190,6 +200,6 @@ _NAMES = frozenset(move.name for move in COURSE_MOVES)
 
 
 def keeps_course(move: Move) -> bool:
-    """Whether the move is worth making while nothing beats the mean: it looks for another kind of
-    model, or mends a fit that failed."""
+    """Return whether the move is worth making while nothing beats the mean: it looks for another
+    kind of model, or mends a fit that failed."""
     return move.name in _NAMES or move.after == "failure"

@@ -1,4 +1,4 @@
-"""When the search has found all that there is: the noise floor is reached."""
+"""Stop criterion: the noise floor is reached."""
 
 from __future__ import annotations
 
@@ -19,28 +19,29 @@ _LEVEL = 0.01
 
 
 def reason_to_end(view: AgentView) -> str | None:
-    """Why the search should end now, in a sentence; None where it should go on."""
+    """Return the reason to end the search now, in a sentence; None to continue."""
     best = view.best
     if best is None or _tries_since_gain(view) < _TRIES:
         return None
     floor = noise_of_periods(view.facts) if view.facts.metric == "rmse" else None
     if floor is not None and best.value is not None and best.value <= _AT_FLOOR * floor:
         return (
-            f"V of #{best.number:02d} is {best.value:.3g}, what differs between the periods of the "
-            f"records is {floor:.3g} of the output, and {_TRIES} further experiments brought less "
+            f"V of #{best.number:02d} is {best.value:.3g}, the variation between the periods of "
+            f"the "
+            f"records is {floor:.3g} of the output, and {_TRIES} further experiments gained less "
             "than 1 %: the noise floor is reached"
         )
     if not nothing_left(view, best):
         return None
     return (
         f"the residuals of #{best.number:02d} are white and independent of the inputs within 99 % "
-        "bands, its V is at its training error, and "
-        f"{_TRIES} further experiments brought less than 1 %: the noise floor is reached"
+        "bands, its V equals its training error, and "
+        f"{_TRIES} further experiments gained less than 1 %: the noise floor is reached"
     )
 
 
 def nothing_left(view: AgentView, trial: Trial) -> bool:
-    """Whether residuals of the training side look like noise alone, and V agrees with them.
+    """Return whether residuals of the training side look like noise alone, and V agrees with them.
 
     Bands hold for all lags, signals and folds together. Windows overlap, so that residuals in them
     tell no bands.
@@ -61,7 +62,7 @@ def nothing_left(view: AgentView, trial: Trial) -> bool:
 
 
 def _band(samples: int, tests: int) -> float:
-    """What the largest of so many correlations of white noise exceeds in 1 % of cases."""
+    """Return the 99 % quantile of the largest of `tests` correlations of white noise."""
     return NormalDist().inv_cdf(1.0 - _LEVEL / (2 * tests)) / max(samples, 1) ** 0.5
 
 

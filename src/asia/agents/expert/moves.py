@@ -1,8 +1,8 @@
-"""The expert's moves: what to change, when, why, and what should come of it.
+"""Moves of the expert: change, condition, hypothesis and expected effect.
 
-One row a move, in a table for each kind of model. To teach the expert something, add a row: the
-condition reads training-side evidence, the change makes a new recipe, the words are recorded
-before the outcome is known.
+One row a move, in a table for each kind of model. To extend the expert, add a row: the condition
+reads training-side evidence, the change makes a new recipe, the texts are recorded before the
+outcome is known.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _full_weight(at: Situation) -> float:
 
 
 def _in_full(at: Situation) -> Recipe:
-    """What the row's long fit has beyond its trial, on the recipe as it is now."""
+    """Apply the additional settings of the family's long fit to the present recipe."""
     trial, full = at.row.trial(at.facts), at.row.full(at.facts)
     recipe = at.recipe
     for name, value in full.config:
@@ -45,7 +45,8 @@ def _in_full(at: Situation) -> Recipe:
 
 
 def _tuning_weight(at: Situation) -> float:
-    """Above what is left of small moves; once the budget runs out, above medium ones."""
+    """Return a weight above that of repeated small moves; near the end of the budget, above medium
+    ones."""
     if at.place > 0 or not may_tune(at):
         return 0.0
     return 0.5 if at.view.remaining <= _LATE * at.view.experiments else 0.3
@@ -79,7 +80,7 @@ GENERAL_MOVES: tuple[Move, ...] = (
         name="fitted in full",
         weight=_full_weight,
         change=_in_full,
-        hypothesis="The short trial is among the best third: it has earned a long fit.",
+        hypothesis="The short trial is among the best third, which justifies a long fit.",
         expected="Lower training error, V follows.",
         behind_counts=False,
     ),
@@ -87,8 +88,11 @@ GENERAL_MOVES: tuple[Move, ...] = (
         name=TUNED,
         weight=_tuning_weight,
         change=tuned,
-        hypothesis="What is left to gain lies in the numbers: within a factor of three of the best "
-        "ones known, where the outcomes so far say it is likeliest (tree-structured Parzen).",
+        hypothesis=(
+            "The remaining gain lies in the hyperparameters: within a factor of three of the "
+            "best ones, where the outcomes so far make it most likely (tree-structured Parzen "
+            "estimator)."
+        ),
         expected="A small gain in V.",
         same_effort=True,
         fade=0.9,
@@ -97,8 +101,9 @@ GENERAL_MOVES: tuple[Move, ...] = (
         name="a shorter fit",
         weight=lambda c: 0.5 * (c.trial.status == "timeout"),
         change=_fewer,
-        hypothesis="The fit did not end in time: with fewer steps it says at least how far the "
-        "family goes.",
+        hypothesis=(
+            "The fit exceeded its time limit: fewer steps still give a value for the family."
+        ),
         expected="A value for this family, to compare with the others.",
         after="failure",
         behind_counts=False,
@@ -107,7 +112,7 @@ GENERAL_MOVES: tuple[Move, ...] = (
         name="a calmer fit",
         weight=lambda c: 0.4 * (c.trial.status == "invalid") * _can_calm(c),
         change=_calmer,
-        hypothesis="The simulation ran away: smaller steps or a firmer prior keep it bounded.",
+        hypothesis="The simulation diverged: smaller steps or a stronger prior keep it bounded.",
         expected="A value for this family, to compare with the others.",
         after="failure",
         behind_counts=False,
@@ -119,7 +124,7 @@ SETTING_MOVES: tuple[Move, ...] = (
         name="more starts",
         weight=lambda c: 0.25 * (0 < c.recipe.number("starts", 0) <= 16),
         change=lambda c: c.recipe.trained(starts=round(2 * c.recipe.number("starts", 1))),
-        hypothesis="The best of the starting points may not be the best there is.",
+        hypothesis="The best of the starting points may not lead to the global minimum.",
         expected="The same or a lower training error.",
     ),
     Move(

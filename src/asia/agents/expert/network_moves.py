@@ -75,7 +75,7 @@ def _absent(at: Situation, name: str) -> bool:
 
 
 def _given_symmetry(at: Situation) -> bool:
-    """Whether the method can give the network the symmetries of the problem."""
+    """Return whether the method can give the network the symmetries of the problem."""
     return any(p.name == "symmetry" for p in at.row.space(at.facts).options)
 
 
@@ -85,7 +85,7 @@ def _huber_weight(at: Situation) -> float:
 
 
 def _slow_noise() -> Move:
-    """On networks; cards of other families have the move themselves."""
+    """Make the move for slow noise on networks; cards of other families have their own."""
     move = slow_noise()
     return replace(move, weight=lambda c: move.weight(c) * (c.recipe.method in ("Adam", "LBFGS")))
 
@@ -98,9 +98,11 @@ NETWORK_MOVES: tuple[Move, ...] = (
             (0.7 if c.place == 0 else 0.5) * _given_symmetry(c) * _absent(c, "symmetry")
         ),
         change=lambda c: c.recipe.trained(symmetry=True),
-        hypothesis="The problem says under which changes of its signals the system stays the same. "
-        "A network that learns from the records under each of them, and is averaged over them, "
-        "need not learn it.",
+        hypothesis=(
+            "The problem lists transformations of its signals that leave the system unchanged. "
+            "A network trained on the transformed records and averaged over them has this "
+            "symmetry built in."
+        ),
         expected="A lower V; the training error may rise.",
     ),
     Move(
@@ -109,8 +111,10 @@ NETWORK_MOVES: tuple[Move, ...] = (
             (0.6 if input_left(c.trial) else 0.4) * c.varies("features") * _absent(c, "features")
         ),
         change=lambda c: c.recipe.configured(features=("square",)),
-        hypothesis="Actuators often act with the square of the command (thrust, drag, power): a "
-        "network that is given the squares need not make them.",
+        hypothesis=(
+            "Actuators often act with the square of the command (thrust, drag, power): a "
+            "network with squared inputs need not learn the squares."
+        ),
         expected="Lower training error and lower V, most where the input varies widely.",
     ),
     Move(
@@ -119,7 +123,9 @@ NETWORK_MOVES: tuple[Move, ...] = (
             _held_back(c, 0.4, 0.55) * _network(c) * c.row.seeds * _absent(c, "members")
         ),
         change=lambda c: c.recipe.trained(members=3),
-        hypothesis="Networks from different seeds err differently; their mean errs less.",
+        hypothesis=(
+            "Networks from different seeds have different errors; their mean has less error."
+        ),
         expected="A lower and steadier V at the same training error.",
     ),
     Move(
@@ -151,29 +157,30 @@ NETWORK_MOVES: tuple[Move, ...] = (
         change=lambda c: c.recipe.configured(
             **{_depth(c): round(c.recipe.number(_depth(c), 1)) + 1}
         ),
-        hypothesis="One layer may not be enough for what the inputs do together.",
+        hypothesis="One layer may be too small for the interaction of the inputs.",
         expected="Lower training error, V follows.",
     ),
     Move(
         name="noise on the inputs in training",
         weight=lambda c: (0.5 if overfit(c.trial) > 1.5 else 0.2) * _adam(c) * _absent(c, "noise"),
         change=lambda c: c.recipe.trained(noise=0.1),
-        hypothesis="The network has learned the input record by heart: noise on it teaches the "
-        "neighbourhood as well.",
+        hypothesis=(
+            "The network has memorised the input record: noise on the input makes it generalise."
+        ),
         expected="A higher training error and a lower V.",
     ),
     Move(
         name="more weight decay",
         weight=lambda c: _held_back(c, 0.15, 0.45) * (c.recipe.method in _DECAYED),
         change=lambda c: _scaled(c, "weight_decay", 10.0, 1e-3),
-        hypothesis="V is well above the training error: the weights follow their own fold.",
+        hypothesis="V is well above the training error: the weights overfit their fold.",
         expected="Higher training error, lower V.",
     ),
     Move(
         name="dropout",
         weight=lambda c: _held_back(c, 0.1, 0.4) * _adam(c) * _absent(c, "dropout"),
         change=lambda c: c.recipe.trained(dropout=0.1),
-        hypothesis="V is well above the training error: units lean on each other's quirks.",
+        hypothesis="V is well above the training error: the units are co-adapted.",
         expected="Higher training error, lower V.",
     ),
     Move(
@@ -185,15 +192,17 @@ NETWORK_MOVES: tuple[Move, ...] = (
             * (c.facts.early_stopping == "inner")
         ),
         change=lambda c: c.recipe.trained(holdout=0.2),
-        hypothesis="V is well above the training error: training went on for too long, and a "
-        "fifth of the samples, held out, can tell for how long.",
+        hypothesis=(
+            "V is well above the training error: training was too long, and a fifth of the "
+            "samples, held out, gives the right length."
+        ),
         expected="Higher training error, lower V; no gain where records are short.",
     ),
     Move(
         name="lower learning rate",
         weight=lambda c: 0.3 * (c.recipe.number("learning_rate", 0) > 2e-4),
         change=lambda c: _scaled(c, "learning_rate", 0.4, 1e-3),
-        hypothesis="The last steps may be too coarse for the narrow valley they end in.",
+        hypothesis="The last steps may be too large for the narrow valley of the loss.",
         expected="A slightly lower training error, V follows.",
     ),
     Move(
@@ -203,37 +212,41 @@ NETWORK_MOVES: tuple[Move, ...] = (
             * (0 < c.recipe.number("learning_rate", 0) < 8e-3)
         ),
         change=lambda c: _scaled(c, "learning_rate", 2.5, 1e-3),
-        hypothesis="The steps are few for this rate: larger ones go further.",
+        hypothesis="The number of steps is low for this learning rate: larger steps get further.",
         expected="A lower training error, V follows.",
     ),
     Move(
         name="average of the last weights",
         weight=lambda c: 0.35 * _adam(c) * _absent(c, "average"),
         change=lambda c: c.recipe.trained(average=0.99),
-        hypothesis="Weights wander about their optimum; their moving average lies nearer to it.",
+        hypothesis="Weights fluctuate around their optimum; their moving average is nearer to it.",
         expected="About the same training error and a steadier, lower V.",
     ),
     Move(
         name="loss at several horizons",
         weight=lambda c: 0.4 * _adam(c) * _absent(c, "horizons") * _windowed(c),
         change=lambda c: c.recipe.trained(horizons=several_horizons(c.facts)),
-        hypothesis="Late samples hold most of the error and early ones most of the information: "
-        "weighing several horizons lets the early ones be learned first.",
-        expected="Lower error early in the window, and later what follows from it.",
+        hypothesis=(
+            "Late samples have most of the error and early ones most of the information: a loss"
+            " over several horizons fits the early ones first."
+        ),
+        expected="Lower error early in the window, and later at its end.",
     ),
     Move(
         name="scheduled sampling",
         weight=lambda c: 0.5 * _adam(c) * c.varies("teacher") * (c.recipe.number("teacher", 0) < 1),
         change=lambda c: c.recipe.trained(teacher=1.0, teacher_end=0.0),
-        hypothesis="A model that feeds on its own output learns faster when it is first fed the "
-        "measured one and weaned in steps.",
+        hypothesis=(
+            "A model with output feedback trains faster when it first receives the measured "
+            "output (teacher forcing), with a rate that decreases in steps."
+        ),
         expected="Lower training error, V follows.",
     ),
     Move(
         name="longer chunks",
         weight=lambda c: 0.3 * _adam(c) * (0 < c.recipe.number("truncation", 0) < 512),
         change=lambda c: c.recipe.trained(truncation=round(2 * c.recipe.number("truncation", 128))),
-        hypothesis="The slow part of the system does not show within one chunk.",
+        hypothesis="One chunk is too short to show the slow dynamics.",
         expected="Lower error late in the simulation.",
     ),
     Move(
@@ -245,25 +258,31 @@ NETWORK_MOVES: tuple[Move, ...] = (
             * ("long" in traits(c.facts))
         ),
         change=lambda c: c.recipe.trained(carry=True),
-        hypothesis="Chunks that start from their past window never show what the state has "
-        "gathered over a long time: read in order, with the state carried over (truncated "
-        "back-propagation through time), they do.",
+        hypothesis=(
+            "Chunks that start from their past window never show a long accumulation in the "
+            "state: in order, with the state carried over (truncated back-propagation through "
+            "time), they do."
+        ),
         expected="Lower error late in the simulation.",
     ),
     Move(
         name="transient left out",
         weight=lambda c: 0.2 * _chunked(c) * _absent(c, "washout"),
         change=lambda c: c.recipe.trained(washout=TRANSIENT),
-        hypothesis="The past window says too little of the state: the error of the first samples "
-        "of a chunk is that of its start and spoils the gradient.",
-        expected="A lower error once the start is forgotten.",
+        hypothesis=(
+            "The past window determines the initial state poorly: the error of the first "
+            "samples of a chunk comes from its initial state and corrupts the gradient."
+        ),
+        expected="A lower error after the initial transient.",
     ),
     Move(
         name="Huber loss",
         weight=_huber_weight,
         change=lambda c: c.recipe.trained(loss="huber"),
-        hypothesis="Small errors should count as squares and large ones by their size.",
-        expected="About the same training error; less is given to a few bad samples.",
+        hypothesis=(
+            "A Huber loss counts small errors squared and large ones by their absolute value."
+        ),
+        expected="About the same training error; less influence of a few outliers.",
     ),
     Move(
         name="larger batches",
@@ -283,16 +302,19 @@ NETWORK_MOVES: tuple[Move, ...] = (
             * (c.facts.fit_samples <= 5_000)
         ),
         change=lambda c: by_lbfgs(c.facts, c.recipe),
-        hypothesis="On a short record second-order steps in double precision get further down the "
-        "same valley than Adam.",
+        hypothesis=(
+            "On a short record second-order steps in double precision converge further than Adam."
+        ),
         expected="A markedly lower training error; V follows if the model is small enough.",
     ),
     Move(
         name="multiple shooting",
         weight=lambda c: 0.25 * _adam(c) * (by_multiple_shooting in c.row.methods),
         change=lambda c: by_multiple_shooting(c.facts, c.recipe),
-        hypothesis="Gradients through long simulations are the trouble: short segments with free "
-        "initial states, joined by a penalty, learn the same model.",
-        expected="Lower training error where whole simulations were hard to learn.",
+        hypothesis=(
+            "Gradients through long simulations are the problem: short segments with free "
+            "initial states, joined by a penalty, fit the same model."
+        ),
+        expected="Lower training error where whole simulations were hard to fit.",
     ),
 )

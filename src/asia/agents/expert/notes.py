@@ -64,7 +64,7 @@ class Wish:
     note: int
     """Number of the note, from 1."""
     effect: Effect
-    """What it is about."""
+    """Effect that the note mentions."""
     avoid: bool = False
     """Whether it is not to be tried."""
     name: str = ""
@@ -87,7 +87,7 @@ class Wish:
         return f"Note {self.note} is followed: {self.text}."
 
     def is_followed(self, view: AgentView) -> bool:
-        """Whether an experiment says that it followed this note."""
+        """Return whether an experiment says that it followed this note."""
         return any(self.mark in one.hypothesis for one in view.proposed)
 
 
@@ -175,7 +175,7 @@ def _family_patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
 
 
 def _brings_friction(wish: Wish, at: Situation, move: Move) -> bool:
-    """The note stands for the evidence that the move asks for."""
+    """Return whether the note replaces the evidence that the move requires."""
     has = at.recipe.get("friction")
     return wish.effect == "friction" and not has and bool(move.change(at).get("friction"))
 

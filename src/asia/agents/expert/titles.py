@@ -1,4 +1,4 @@
-"""Titles of moves: one that was used before carries what is different now."""
+"""Titles of moves; a repeated one names the settings that differ."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ _SUFFIX = re.compile(r" \([^()]*\)$")
 
 
 def title_of(at: Situation, move: Move, recipe: Recipe) -> str:
-    """The move's own title; where another one has it already, with the settings that change, from
-    what to what: `neural state-space: one state more (order 3 to 4)`."""
+    """Return the move's own title; if it was used already, add the changed settings: `neural
+    state-space: one state more (order 3 to 4)`."""
     plain = move.title(at)
     used = {known.title for known in at.view.proposed}
     if plain not in used:
@@ -23,13 +23,13 @@ def title_of(at: Situation, move: Move, recipe: Recipe) -> str:
 
 
 def plain_title(title: str) -> str:
-    """A title without what tells it apart from the same one before."""
+    """Remove the additions from the title of a repeated move."""
     return _SUFFIX.sub("", title)
 
 
 def _unused(plain: str, changes: list[str], parent: int, used: Collection[str]) -> str:
-    """As many of the changes as there is room for, and the parent where they are those of an
-    earlier trial."""
+    """Add as many of the changes as there is room for, and the parent where an earlier trial has
+    the same changes."""
     for beginning in ([], [f"from #{parent:02d}"]):
         words = list(beginning)
         for change in changes:

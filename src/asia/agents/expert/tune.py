@@ -28,13 +28,13 @@ _SHARE = 0.2
 _REACH = 3.0
 _ASKS = 8
 _STARTUP = 4
-# How long a fit goes on decides what it costs: moves change that, tuning does not.
+# The length of a fit determines its cost: moves change it, tuning does not.
 _EFFORT = frozenset({"steps", "iterations", "starts", "members", "truncation"})
 
 
 def may_tune(at: Situation) -> bool:
-    """Whether the leading recipe has numbers to tune and the tuned experiments, at most a fifth of
-    the budget, are not used up."""
+    """Return whether the leading recipe has numbers to tune and the tuned experiments, at most a
+    fifth of the budget, are not used up."""
     used = sum(plain_title(trial.title).endswith(f": {TUNED}") for trial in at.view.proposed)
     return used < _SHARE * at.view.experiments and bool(_spans(at))
 
@@ -96,8 +96,8 @@ def _distributions(at: Situation, spans: tuple[Span, ...]) -> dict[str, BaseDist
 
 
 def _range(at: Situation, span: Span) -> tuple[float, float]:
-    """A factor of three to each side of the leading recipe's number, within what the library
-    allows or as far as the recipe already is."""
+    """Return a range of a factor of three to each side of the leading recipe's number, limited to
+    the library's range extended to that number."""
     centre = at.recipe.number(span.name, span.low)
     low, high = max(span.low, centre / _REACH), min(span.high, centre * _REACH)
     return min(low, centre), max(high, centre)

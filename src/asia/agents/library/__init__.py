@@ -1,4 +1,4 @@
-"""The model library as the agents know it, and what a card of a family is written with."""
+"""Model library for agents, and the types of a family's card."""
 
 from asia.agents.library.card import Card
 from asia.agents.library.family import Family

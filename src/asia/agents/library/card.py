@@ -1,4 +1,4 @@
-"""A card: what the agents know of one kind of family."""
+"""Card of a kind of family for agents."""
 
 from __future__ import annotations
 

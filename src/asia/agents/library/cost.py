@@ -1,4 +1,4 @@
-"""What a fit costs: how many updates a network may take, and the expected seconds of a recipe.
+"""Cost of a fit: number of updates of a network, and expected seconds of a recipe.
 
 Both are estimated from sizes and from constants of an ordinary core, never from a clock: the same
 problem gives the same candidates everywhere.
@@ -41,9 +41,9 @@ class Timing:
     by `benchmarks/models/cost.py`."""
 
     start: float = 2.0
-    """What every fit takes: imports, tracing, compilation."""
+    """Seconds of every fit for imports, tracing and compilation."""
     unit: float = 1e-6
-    """For each sample that is simulated, at the usual size of a model."""
+    """Seconds for each simulated sample at the usual size of a model."""
 
 
 def fit_seconds(timing: Timing, facts: Facts, recipe: Recipe) -> float:

@@ -1,4 +1,4 @@
-"""What an engineer reads off data and training residuals before the next move."""
+"""Evidence from data and training residuals for the choice of the next move."""
 
 from __future__ import annotations
 
@@ -63,7 +63,8 @@ def curved(trial: Trial) -> bool:
 
 
 def folds_disagree(trial: Trial) -> float:
-    """Largest over smallest V of the folds: far above 1 the folds differ in what they teach."""
+    """Return the largest over the smallest V of the folds: far above 1 the training parts differ in
+    information."""
     if not trial.folds or min(trial.folds) <= 0:
         return 1.0
     return max(trial.folds) / min(trial.folds)

@@ -13,35 +13,35 @@ from asia.agents.library.space import Space
 from asia.agents.library.traits import Trait, traits
 
 Kind = Literal["equations", "classical", "network"]
-# What a trait that speaks against a family takes from its aptness.
+# Reduction of a family's aptness by an adverse trait.
 _AGAINST = 3.0
 _KINDS: tuple[Kind, ...] = ("equations", "classical", "network")
 
 
 @dataclass(frozen=True)
 class Family:
-    """When to use a model family, where to start with it, and what may be varied."""
+    """Model family: its use, its first recipe and its search space."""
 
     name: str
-    """Its module in `package`, which has `Config`, `build` and `train`."""
+    """Module in `package`, which has `Config`, `build` and `train`."""
     label: str
-    """Its name for people."""
+    """Name for users."""
     use: str
-    """When to reach for it, in the words of the docs."""
+    """Use of the family, in the words of the docs."""
     base: float
-    """How apt it is for any problem; the built-in families have 1 to 10."""
+    """Aptness for any problem; the built-in families have 1 to 10."""
     start: Callable[[Facts], Recipe]
     """A first configuration, cheap to fit."""
     space: Callable[[Facts], Space]
-    """What may be varied."""
+    """Function that returns the search space."""
     small: Arguments
     """Settings of the first configuration that make it fit in seconds, for tests."""
     timing: Timing = field(default_factory=Timing)
-    """What a fit takes; the default is for a family that nobody has timed."""
+    """Cost of a fit; the default is for a family without measured costs."""
     longer: Callable[[Facts], Recipe] | None = None
     """The first configuration with a long fit; None where the first fit is cheap anyway."""
     points: tuple[tuple[Trait, float], ...] = ()
-    """What each trait of the problem adds to `base`."""
+    """Points that each trait of the problem adds to `base`."""
     needs: frozenset[Trait] = frozenset()
     """Traits without which it cannot be used."""
     unfit: frozenset[Trait] = frozenset()
@@ -55,21 +55,21 @@ class Family:
     settle: Callable[[Facts, Recipe], Recipe] | None = None
     """Last changes of a random draw."""
     extendable: bool = False
-    """Whether moves can add what it lacks, so that it leads although a black box is better."""
+    """Whether moves can add missing effects, so that it leads although a black box is better."""
     stopped_by_score: frozenset[str] = frozenset()
-    """Methods, beside the gradient methods, that can stop by the score on the held-out part."""
+    """Methods, besides the gradient methods, that can stop by the score on the held-out part."""
     package: str = MODELS
     """The package that candidates import it from."""
 
     @property
     def kind(self) -> Kind:
-        """Built on the person's equations, of few parameters, or a network."""
+        """Kind of the family: built on the problem's equations, of few parameters, or a network."""
         return "equations" if "physics" in self.needs else "network" if self.seeds else "classical"
 
     @property
     def place(self) -> tuple[int, float, float, str]:
-        """Its place among families that are equally apt: the kinds in the order above, the higher
-        base, the larger gain from a single trait."""
+        """Sort key among equally apt families: the kinds in the order above, the higher base, the
+        larger gain from a single trait."""
         gain = max((points for _, points in self.points), default=0.0)
         return _KINDS.index(self.kind), -self.base, -gain, self.name
 
@@ -78,16 +78,19 @@ class Family:
         return self._own(self.start(facts))
 
     def full(self, facts: Facts) -> Recipe:
-        """The first configuration with what a long fit may cost."""
+        """Return the first configuration at the cost of a long fit."""
         return self._own((self.longer or self.start)(facts))
 
     def smallest(self, facts: Facts) -> Recipe:
-        """The first configuration at the size of tests. Raises KeyError for a setting in `small`
-        that it does not name."""
+        """The first configuration at the size of tests.
+
+        Raises:
+            KeyError: for a setting in `small` that it does not name
+        """
         return self.trial(facts).changed(**dict(self.small))
 
     def suits(self, facts: Facts) -> bool:
-        """Whether the family can be used on the problem at all."""
+        """Return whether the family can be used on the problem at all."""
         found = traits(facts)
         return self.needs <= found and not self.unfit & found
 
@@ -98,7 +101,7 @@ class Family:
         return self.base + points - _AGAINST * bool(self.against & found)
 
     def doubtful(self, facts: Facts) -> bool:
-        """Whether a trait of the problem speaks against the family."""
+        """Return whether a trait of the problem speaks against the family."""
         return bool(self.against & traits(facts))
 
     def seconds(self, facts: Facts, recipe: Recipe) -> float:

@@ -1,4 +1,4 @@
-"""Training methods: the settings of each that suit a problem, and what may be varied in them."""
+"""Training methods: suitable settings of each for a problem, and their search spaces."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ def network_space(facts: Facts, cost: SampleCost, config: tuple[Parameter, ...])
 
 
 def symmetry_space(facts: Facts) -> tuple[Parameter, ...]:
-    """Whether a model without equations is given the symmetries of its signals, where declared."""
+    """Return whether a model without equations is given the symmetries of its signals, where
+    declared."""
     return (OneOf("symmetry", (False, True)),) if "symmetric" in traits(facts) else ()
 
 
@@ -111,7 +112,7 @@ def by_multiple_shooting(facts: Facts, recipe: Recipe) -> Recipe:
 
 
 def _symmetry(recipe: Recipe) -> Arguments:
-    """What another method keeps of it."""
+    """Return the symmetry settings that another method keeps."""
     symmetry = dict(recipe.options).get("symmetry")
     return (("symmetry", symmetry),) if symmetry else ()
 
@@ -127,12 +128,12 @@ def noise_space(facts: Facts, *, with_loss: bool = False) -> tuple[Parameter, ..
 
 
 def has_noise_model(recipe: Recipe) -> bool:
-    """Whether the fit takes a slow disturbance into account."""
+    """Return whether the fit takes a slow disturbance into account."""
     return recipe.get("noise_model") == "slow"
 
 
 def integrator_setting(facts: Facts) -> Arguments:
-    """As many free integrators as outputs that show one; no setting without them."""
+    """Return the setting for as many free integrators as outputs show; no setting without them."""
     found = len(integrating(facts)) if "integrating" in traits(facts) else 0
     return (("integrators", found),) if found else ()
 
@@ -146,28 +147,36 @@ def integrator_moves() -> tuple[Move, ...]:
             change=lambda c: c.recipe.configured(
                 integrators=round(c.recipe.number("integrators", 0)) + 1
             ),
-            hypothesis="The output drifts with a sum of the input, and what drives it may drift as "
-            "well: a force on a mass without a spring integrates twice.",
+            hypothesis=(
+                "The output drifts with the sum of the input, and its driving state may drift "
+                "as well: a force on a mass without a spring integrates twice."
+            ),
             expected="A lower error late in the simulation, on every fold.",
         ),
         Move(
             name="without a free integrator",
             weight=lambda c: 0.5 * (c.recipe.number("integrators", 0) > 0),
             change=lambda c: c.recipe.without("integrators"),
-            hypothesis="What looked like a free integrator may be a slow mode that comes back.",
+            hypothesis="The free integrator may be a slow stable mode.",
             expected="A lower V if it does.",
         ),
     )
 
 
 def from_pieces(weight: Callable[[Situation], float], **also: bool) -> Move:
-    """Fits of state-space models that begin with pieces of the records; also: what else is set."""
+    """Make the move to fit state-space models first to segments of the records.
+
+    Args:
+        also: further settings
+    """
     return Move(
         name="fit from pieces",
         weight=weight,
         change=lambda c: c.recipe.configured(pieces=True, **also),
-        hypothesis="The residual is coloured and the fit may sit in a local minimum: short "
-        "pieces of the records, each from a state of its own, have fewer.",
+        hypothesis=(
+            "The residual is coloured and the fit may be in a local minimum: short segments of "
+            "the records, each with its own initial state, have fewer."
+        ),
         expected="A lower training error, V follows.",
     )
 
@@ -186,8 +195,10 @@ def slow_noise() -> Move:
         name="slow disturbance in the noise",
         weight=_weight,
         change=lambda c: c.recipe.trained(noise_model="slow"),
-        hypothesis="The training residual is not white: a slow disturbance that no input shows is "
-        "part of the output, and least squares bends the model to follow it. Generalised least "
-        "squares does not.",
+        hypothesis=(
+            "The training residual is not white: the output contains a slow unmeasured "
+            "disturbance, which biases a least-squares fit. Generalised least squares avoids "
+            "this bias."
+        ),
         expected="A higher training error and a lower V, with parameters that agree between folds.",
     )

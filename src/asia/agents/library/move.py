@@ -13,7 +13,7 @@ from asia.agents.library.recipe import Recipe
 
 @dataclass(frozen=True)
 class Situation:
-    """What a move decides from."""
+    """Situation that a move decides from."""
 
     view: AgentView
     """The search so far."""
@@ -35,7 +35,7 @@ class Situation:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """States of the person's equations."""
+        """States of the problem's equations."""
         return self.facts.physics.states if self.facts.physics else ()
 
     @property
@@ -52,7 +52,7 @@ class Situation:
         return self.trial.value / best.value
 
     def varies(self, name: str) -> bool:
-        """Whether the library lets the setting be varied in this family."""
+        """Return whether the library lets the setting be varied in this family."""
         return self.row.space(self.facts).find(name) is not None
 
 
@@ -61,17 +61,17 @@ class Move:
     """A change of one kind, with the reasons that are recorded before the outcome is known."""
 
     name: str
-    """What is changed. `{state}` in it is the state that the move acts on."""
+    """Title of the change. `{state}` in it is the state that the move acts on."""
     weight: Callable[[Situation], float]
-    """How promising it is; 0 where it does not apply, 0.9 and more where it is near certain."""
+    """Weight of the move; 0 where it does not apply, 0.9 and more where it is near certain."""
     change: Callable[[Situation], Recipe]
     """The new recipe."""
     hypothesis: str
-    """Why it should help."""
+    """Reason why it should help."""
     expected: str
-    """What should be seen if it does."""
+    """Expected observation if it does."""
     families: tuple[str, ...] = ()
-    """Where it can be made. () is all families of the card, or all families when it is on none."""
+    """Families of the move. () is all families of the card, or all families when it is on none."""
     state: Callable[[Situation], str] = lambda _: ""
     """The state for the name."""
     after: Literal["score", "failure"] = "score"
@@ -81,10 +81,10 @@ class Move:
     same_effort: bool = False
     """Whether a fit takes as long as that of the trial, whatever is changed."""
     fade: float = 0.4
-    """What is left of the weight after each time that the move did not help."""
+    """Factor of the weight after each time that the move did not help."""
 
     def applies(self, at: Situation) -> bool:
-        """Whether the family and the outcome are of the move's kind."""
+        """Return whether the family and the outcome are of the move's kind."""
         known = not self.families or at.recipe.family in self.families
         return known and (at.trial.value is None) == (self.after == "failure")
 

@@ -22,7 +22,7 @@ _SMALL_STEPS = ("steps", 5)
 
 @dataclass(frozen=True)
 class NetworkStart:
-    """Where the search of a kind of network starts."""
+    """Initial settings for a kind of network."""
 
     config: Arguments
     """Settings of the first configuration."""
@@ -31,9 +31,9 @@ class NetworkStart:
     cost: SampleCost
     """Cost of a sample."""
     vary: tuple[Parameter, ...]
-    """What may be varied beside the settings of Adam and the functions of the inputs."""
+    """Search space besides the settings of Adam and the functions of the inputs."""
     teacher: float | None = None
-    """How often it is fed measured outputs at first; None where it feeds on no output."""
+    """Initial rate of teacher forcing; None where the model feeds back no output."""
 
 
 def network_family(
@@ -49,7 +49,11 @@ def network_family(
     package: str = MODELS,
     timing: Timing | None = None,
 ) -> Family:
-    """The row of a network. small: the sizes for tests; the steps of the fit are added."""
+    """The row of a network.
+
+    Args:
+        small: the sizes for tests; the steps of the fit are added
+    """
 
     def start_for(facts: Facts) -> NetworkStart:
         return start if isinstance(start, NetworkStart) else start(facts)
@@ -86,8 +90,12 @@ def network_family(
 
 
 def _for_structure(space: Space, state: bool, feedback: bool) -> Space:
-    """Only settings that the structure takes. state: it has one, to be carried from one chunk to
-    the next; feedback: of its own output."""
+    """Only settings that the structure takes.
+
+    Args:
+        state: it has one, to be carried from one chunk to the next
+        feedback: of its own output
+    """
     options = tuple(p for p in space.options if state or p.name != "carry")
     teacher = (OneOf("teacher", (0.0, 0.3, 1.0)), OneOf("teacher_end", (0.0,)))
     return replace(space, options=(*options, *(teacher if feedback else ())))

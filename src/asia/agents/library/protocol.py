@@ -12,8 +12,8 @@ _EVERY, _PATIENCE = 25, 20
 
 
 def under_protocol(recipe: Recipe, row: Family, facts: Facts) -> Recipe:
-    """With `early_stopping = "validation"` a fit that can stops by the held-out part, as the
-    protocol allows; otherwise the recipe as it is."""
+    """Adapt a recipe to the protocol: with `early_stopping = "validation"` a fit that can stops by
+    the held-out part; otherwise the recipe is unchanged."""
     if facts.early_stopping != "validation":
         return recipe
     if recipe.method in row.stopped_by_score:
@@ -24,7 +24,7 @@ def under_protocol(recipe: Recipe, row: Family, facts: Facts) -> Recipe:
 
 
 def is_new(view: AgentView, row: Family, recipe: Recipe) -> bool:
-    """Whether nothing proposed has the configuration, in whatever order its settings stand."""
+    """Return whether no proposal has the configuration, regardless of the order of its settings."""
     recipe = under_protocol(recipe, row, view.facts)
     tried = (read_recipe(known.source) for known in view.proposed)
     if any(other is not None and other.key == recipe.key for other in tried):

@@ -55,7 +55,7 @@ class Recipe:
 
     @property
     def key(self) -> Hashable:
-        """What tells two recipes apart: the order of settings does not."""
+        """Identity of the recipe, regardless of the order of settings."""
         settings = frozenset(self.config), frozenset(self.options)
         return self.package, self.family, self.method, *settings
 
@@ -71,35 +71,42 @@ class Recipe:
         return float(value)
 
     def has(self, name: str) -> bool:
-        """Whether the source names the setting."""
+        """Return whether the source names the setting."""
         return any(key == name for key, _ in (*self.config, *self.options))
 
     def configured(self, **changes: Value) -> Recipe:
-        """With settings of the model changed."""
+        """Return the recipe with settings of the model changed."""
         return replace(self, config=_merge(self.config, changes))
 
     def without(self, *names: str) -> Recipe:
-        """With the defaults of some settings of the model."""
+        """Return the recipe with the defaults of some settings of the model."""
         return replace(self, config=tuple(s for s in self.config if s[0] not in names))
 
     def trained(self, **changes: Value) -> Recipe:
-        """With settings of the method changed."""
+        """Return the recipe with settings of the method changed."""
         return replace(self, options=_merge(self.options, changes))
 
     def fitted_by(self, method: str, options: Arguments) -> Recipe:
-        """With another training method."""
+        """Return the recipe with another training method."""
         return replace(self, method=method, options=options)
 
     def times(self, name: str, factor: float, default: float) -> Recipe:
-        """With a number multiplied, two significant digits kept; `default` stands for one that the
-        model's settings do not name."""
+        """Return the recipe with a number multiplied, to two significant digits.
+
+        Args:
+            default: the number of a setting that the recipe does not name
+        """
         number = float(f"{factor * self.number(name, default):.2g}")
         return (
             self.changed(**{name: number}) if self.has(name) else self.configured(**{name: number})
         )
 
     def changed(self, **changes: Value) -> Recipe:
-        """With settings changed where they are; those of neither side are an error (KeyError)."""
+        """Return the recipe with settings of the model or the method changed.
+
+        Raises:
+            KeyError: for a setting of neither
+        """
         recipe = self
         for name, value in changes.items():
             if name in dict(self.config):
@@ -124,8 +131,8 @@ class Recipe:
 
 @lru_cache(maxsize=4096)
 def read_recipe(source: str) -> Recipe | None:
-    """The recipe a source says the same as; None when it says more, as one that a person or
-    another agent wrote may."""
+    """Return the recipe that is equivalent to a source; None for a source with further code, such
+    as that of a user or another agent."""
     try:
         tree = syntax_tree(source, "candidate.py")
         found = _read(tree)

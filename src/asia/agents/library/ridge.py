@@ -17,7 +17,11 @@ def scaled_ridge(at: Situation, factor: float) -> Recipe:
 
 
 def more_ridge(what: str = "weights", scaled: Scaled = scaled_ridge) -> Move:
-    """Ten times the ridge. what: the part of the model that it holds."""
+    """Make the move that multiplies the ridge by ten.
+
+    Args:
+        what: the regularised part of the model
+    """
     return Move(
         name="more ridge",
         weight=lambda c: by_overfit(c.trial, 0.75, 0.45, 0.1),
@@ -33,8 +37,10 @@ def much_more_ridge() -> Move:
         name="much more ridge",
         weight=lambda c: by_overfit(c.trial, 0.85, 0.5, 0.1),
         change=lambda c: scaled_ridge(c, 30.0),
-        hypothesis="V is well above the training error: the nonlinear weights follow their own "
-        "fold, or run away outside it.",
+        hypothesis=(
+            "V is well above the training error: the nonlinear weights overfit their fold, or "
+            "diverge outside it."
+        ),
         expected="A higher training error and a lower V.",
     )
 
@@ -45,6 +51,6 @@ def less_ridge(scaled: Scaled = scaled_ridge) -> Move:
         name="less ridge",
         weight=lambda c: 0.5 if overfit(c.trial) < 1.3 else 0.15,
         change=lambda c: scaled(c, 0.1),
-        hypothesis="V is near the training error: the priors hold the model back.",
+        hypothesis="V is near the training error: the priors are too strong.",
         expected="Lower training error, V follows.",
     )

@@ -1,4 +1,4 @@
-"""What may be varied in a recipe: ranges of numbers and lists of choices, for random draws and for
+"""Search space of a recipe: ranges of numbers and lists of choices, for random draws and for
 tuning."""
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ class OneOf:
     name: str
     """The setting."""
     values: tuple[Value, ...]
-    """What it may be."""
+    """Allowed values."""
     needs: str = ""
-    """As in `Span`."""
+    """Condition, as in `Span`."""
     being: Value = None
-    """As in `Span`."""
+    """Value of the condition, as in `Span`."""
 
     def draw(self, rng: np.random.Generator) -> Value:
         """A value with even chance."""
@@ -69,7 +69,7 @@ Parameter = Span | OneOf
 
 @dataclass(frozen=True)
 class Space:
-    """What may be varied in a recipe."""
+    """Search space of a recipe."""
 
     config: tuple[Parameter, ...]
     """Parameters of the model."""
@@ -81,7 +81,7 @@ class Space:
         return next((p for p in (*self.config, *self.options) if p.name == name), None)
 
     def opened(self, before: Recipe, after: Recipe) -> Space:
-        """What has a meaning in `after` alone."""
+        """Return the part of the space that applies in `after` only."""
 
         def new(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
             return tuple(p for p in parameters if applies(p, after) and not applies(p, before))
@@ -109,7 +109,7 @@ def draw(rng: np.random.Generator, recipe: Recipe, space: Space) -> Recipe:
 
 
 def applies(parameter: Parameter, recipe: Recipe) -> bool:
-    """Whether the parameter has a meaning in the recipe."""
+    """Return whether the parameter has a meaning in the recipe."""
     if not parameter.needs:
         return True
     value = recipe.get(parameter.needs)

@@ -28,8 +28,11 @@ def built_in_cards() -> tuple[Card, ...]:
 
 @cache
 def all_cards() -> tuple[Card, ...]:
-    """The built-in cards, then those of other packages. Raises UserError for a part that is
-    no card, or brings a family with a name that is taken."""
+    """The built-in cards, then those of other packages.
+
+    Raises:
+        UserError: for a part that is no card, or brings a family with a name that is taken
+    """
     found = list(built_in_cards())
     owners = {row.name: "ASIA" for card in found for row in card.families}
     for part in parts_of(GROUP):
@@ -52,29 +55,45 @@ def all_cards() -> tuple[Card, ...]:
 
 @cache
 def all_families() -> tuple[Family, ...]:
-    """Every row, in the order of rows that are equally apt. Raises UserError as `all_cards`."""
+    """Every row, in the order of rows that are equally apt.
+
+    Raises:
+        UserError: as `all_cards`
+    """
     rows = [row for card in all_cards() for row in card.families]
     return tuple(sorted(rows, key=lambda row: row.place))
 
 
 def families(facts: Facts) -> tuple[Family, ...]:
-    """The rows that suit a problem, the most apt first. Raises UserError as `all_cards`."""
+    """The rows that suit a problem, the most apt first.
+
+    Raises:
+        UserError: as `all_cards`
+    """
     rows = [row for row in all_families() if row.suits(facts)]
     return tuple(sorted(rows, key=lambda row: -row.aptness(facts)))
 
 
 def family(name: str) -> Family | None:
-    """A row by name. Raises UserError as `all_cards`."""
+    """A row by name.
+
+    Raises:
+        UserError: as `all_cards`
+    """
     return next((row for row in all_families() if row.name == name), None)
 
 
 def card_moves() -> tuple[Move, ...]:
-    """The moves of all cards. Raises UserError as `all_cards`."""
+    """The moves of all cards.
+
+    Raises:
+        UserError: as `all_cards`
+    """
     return tuple(move for card in all_cards() for move in card.own_moves())
 
 
 def _card(part: object, source: Part) -> Card:
-    """A card from what a package brings: a card, a family, or several families."""
+    """Make a card from a part of a package: a card, a family, or several families."""
     if isinstance(part, Card):
         return part
     rows = part if isinstance(part, tuple) else (part,)

@@ -1,4 +1,4 @@
-"""What kind of problem it is, in the few words that the library's rows are chosen by."""
+"""Traits of a problem, by which the library's rows are chosen."""
 
 from __future__ import annotations
 

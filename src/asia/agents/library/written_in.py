@@ -1,4 +1,4 @@
-"""Moves on what is written into the equations of a grey-box, and on how its residual counts."""
+"""Moves that add terms to the equations of a grey-box, or change the weight of its residual."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NEAR = 0.15
 
 
 def names_of(at: Situation, setting: str) -> tuple[str, ...]:
-    """What a setting names."""
+    """Return the names in a setting."""
     value = at.recipe.get(setting)
     return tuple(str(name) for name in value) if isinstance(value, tuple) else ()
 
@@ -37,7 +37,8 @@ def output_offsets(facts: Facts) -> tuple[str, ...]:
 
 
 def _noise_weight(at: Situation) -> float:
-    """Where the equations explain nearly all: before that the residual is what they lack."""
+    """Return the weight where the equations explain nearly all: before that the residual contains
+    missing dynamics."""
     if at.recipe.get("noise_model") == "slow" or at.recipe.method != LM:
         return 0.0
     if at.facts.horizon is not None:
@@ -47,7 +48,7 @@ def _noise_weight(at: Situation) -> float:
 
 
 def _with_noise(at: Situation) -> Recipe:
-    """With the residual counted as what it is, priors need less help."""
+    """Apply the noise model of the residual; priors then need less weight."""
     recipe = at.recipe.without("robust").trained(noise_model="slow", huber=3.0)
     return recipe.times("ridge", 0.1, 1e-3)
 
@@ -65,7 +66,7 @@ def _free_sensor_weight(at: Situation) -> float:
 
 
 def _kept_offsets(at: Situation) -> dict[str, tuple[str, ...]]:
-    """Offsets but those of outputs, which a sensor's zero stands for."""
+    """Return the offsets except those of outputs, which represent a sensor's zero."""
     kept = tuple(name for name in names_of(at, "offset") if name not in output_offsets(at.facts))
     return {"offset": kept} if kept else {}
 
@@ -75,7 +76,7 @@ def _width(at: Situation) -> float:
 
 
 def _read_by_others(at: Situation) -> tuple[str, ...]:
-    """States that stand in the equation of another state."""
+    """Return the states that occur in the equation of another state."""
     physics = at.facts.physics
     if physics is None:
         return ()
@@ -108,7 +109,7 @@ def _lag_weight(at: Situation, names: tuple[str, ...], late: float, else_: float
 
 
 def _smooth_weight(at: Situation, names: tuple[str, ...], weight: float) -> float:
-    """Once what is known of the system is in."""
+    """Return the weight after all known terms of the system are included."""
     if at.facts.horizon is not None or not _next(at, "smooth", names):
         return 0.0
     return weight * (1.0 if coloured(at.trial) else 0.5) * (0.6 if names_of(at, "smooth") else 1.0)
@@ -154,7 +155,7 @@ def _finer_weight(at: Situation) -> float:
 
 
 def _terms_weight(at: Situation) -> float:
-    """After what the records name by itself."""
+    """Return the weight after the terms that the records show."""
     if at.recipe.get("discover") or at.recipe.get("residual") or at.recipe.method != LM:
         return 0.0
     return 0.74 if coloured(at.trial) else 0.15
@@ -199,8 +200,10 @@ def _removal(setting: str, what: str) -> Move:
         name=f"without {what}",
         weight=weight,
         change=lambda c: c.recipe.without(setting, *_WITH.get(setting, ())),
-        hypothesis="What was added may follow its own fold: V does not miss it if the effect is "
-        "not real, or if a later addition is the true one.",
+        hypothesis=(
+            "The added term may overfit its fold: V does not rise without it if the effect is "
+            "not real, or if a later addition is the true one."
+        ),
         expected="The same training error or a little more, and a lower V.",
     )
 
@@ -213,18 +216,22 @@ _SWITCHING: tuple[Move, ...] = (
         ),
         change=lambda c: c.recipe.configured(friction=velocities(c)),
         state=lambda c: ", ".join(velocities(c)),
-        hypothesis="What a one-step model leaves over has the sign of a motion: dry friction, with "
-        "levels of its own in the two directions and more of it at rest (Stribeck).",
-        expected="A far lower error where the system sticks or turns, on every fold.",
+        hypothesis=(
+            "The residual of a one-step model has the sign of a velocity: dry friction, with "
+            "different levels in the two directions and more of it at rest (Stribeck)."
+        ),
+        expected="A far lower error where the system sticks or reverses, on every fold.",
     ),
     Move(
         name="friction with presliding on {state}",
         weight=_presliding_weight,
         change=lambda c: c.recipe.configured(presliding=True),
         state=lambda c: ", ".join(velocities(c)),
-        hypothesis="The records remember where the motion turned: friction gives way a little "
-        "before it slides (LuGre).",
-        expected="Lower error after each turn of the motion.",
+        hypothesis=(
+            "The records depend on the last reversal of the motion: friction yields a little "
+            "before it slides (LuGre)."
+        ),
+        expected="Lower error after each reversal of the motion.",
     ),
     Move(
         name="hysteresis on {state}",
@@ -235,8 +242,10 @@ _SWITCHING: tuple[Move, ...] = (
             hysteresis=velocities(c)
         ),
         state=lambda c: ", ".join(velocities(c)),
-        hypothesis="What a one-step model leaves over depends on where the motion turned: a "
-        "restoring force with hysteresis (Bouc-Wen).",
+        hypothesis=(
+            "The residual of a one-step model depends on the last reversal of the motion: a "
+            "restoring force with hysteresis (Bouc-Wen)."
+        ),
         expected="A far lower error over whole loops, on every fold.",
     ),
     Move(
@@ -244,16 +253,20 @@ _SWITCHING: tuple[Move, ...] = (
         weight=lambda c: _switching_weight(c, "play", ("input",)),
         change=lambda c: c.recipe.configured(play=(_turning_input(c),)),
         state=lambda c: _turning_input(c),
-        hypothesis="What a one-step model leaves over depends on where the input turned: a play "
-        "(backlash) between the actuator and what it moves.",
-        expected="Lower error after each turn of the input, on every fold.",
+        hypothesis=(
+            "The residual of a one-step model depends on the last reversal of the input: "
+            "backlash between the actuator and its load."
+        ),
+        expected="Lower error after each reversal of the input, on every fold.",
     ),
     Move(
         name="shorter steps of the integrator",
         weight=_finer_weight,
         change=_finer,
-        hypothesis="A force that switches is smoothed to what the integrator's step can follow: "
-        "shorter steps let it be sharper.",
+        hypothesis=(
+            "A switching force is smoothed to the step of the integrator: shorter steps allow a"
+            " sharper switch."
+        ),
         expected="Lower error where the system sticks; the fit takes longer.",
     ),
 )
@@ -264,25 +277,32 @@ WRITTEN_IN: tuple[Move, ...] = (
         name="terms that the equations lack",
         weight=_terms_weight,
         change=lambda c: c.recipe.configured(discover=c.states),
-        hypothesis="The equations lack a term: a product of states and inputs, which the "
-        "sensitivity of the simulation error points at.",
-        expected="A far lower error on every fold, and terms that the folds agree on.",
+        hypothesis=(
+            "The equations lack a term: a product of states and inputs, found from the "
+            "sensitivity of the simulation error."
+        ),
+        expected="A far lower error on every fold, and the same terms in all folds.",
     ),
     Move(
         name="slow disturbance",
         weight=_noise_weight,
         change=_with_noise,
-        hypothesis="The residual is slow: least squares takes it for many errors and bends the "
-        "parameters to them. With a slow disturbance and white noise it counts as what it is.",
-        expected="A higher training error, parameters that the folds agree on, and a lower V.",
+        hypothesis=(
+            "The residual is slow: least squares treats it as many independent errors, which "
+            "biases the parameters. A model of a slow disturbance plus white noise avoids this "
+            "bias."
+        ),
+        expected="A higher training error, similar parameters in all folds, and a lower V.",
     ),
     Move(
         name="bent sensor",
         weight=_sensor_weight,
         change=lambda c: c.recipe.without("offset").configured(sensor="power", **_kept_offsets(c)),
-        hypothesis="The output is a rising curve of what the equations give: errors at low and "
-        "high outputs have one sign.",
-        expected="Parameters nearer what is known of them, and a lower V on every fold.",
+        hypothesis=(
+            "The measured output is an increasing curve of the modelled one: errors at low and "
+            "high outputs have the same sign."
+        ),
+        expected="Parameters nearer to their priors, and a lower V on every fold.",
     ),
     Move(
         name="sensor of any shape",
@@ -296,7 +316,7 @@ WRITTEN_IN: tuple[Move, ...] = (
         "lag",
         _read_by_others,
         lambda c: _lag_weight(c, _read_by_others(c), 0.8, 0.62),
-        "What one state gives to the next takes its way: the record turns later than the "
+        "The effect of one state on the next is delayed: the record reverses later than the "
         "simulation.",
         "Lower error at turning points; the input explains less of the residual.",
     ),
@@ -313,23 +333,23 @@ WRITTEN_IN: tuple[Move, ...] = (
         "smooth",
         _last_state,
         lambda c: _smooth_weight(c, _last_state(c), 0.64),
-        "The law of a state is nearly right: a smooth factor, held near 1 by its prior, stands "
-        "for what it lacks.",
-        "Lower error at the levels where the law is off.",
+        "The law of a state is nearly right: a smooth factor, kept near 1 by its prior, corrects "
+        "it.",
+        "Lower error at the levels where the law is wrong.",
     ),
     _addition(
         "smooth correction of {state}, an input",
         "smooth",
         _inputs,
         lambda c: _smooth_weight(c, _inputs(c), 0.45),
-        "An actuator is not quite linear: a smooth factor stands for its curve.",
-        "Lower error at the commands where the line is off.",
+        "An actuator is slightly nonlinear: a smooth factor models its curve.",
+        "Lower error at the commands where the linear model is wrong.",
     ),
     Move(
         name="wider smooth corrections",
         weight=lambda c: 0.6 * bool(names_of(c, "smooth")) * (_width(c) < 0.3),
         change=lambda c: c.recipe.configured(smooth_width=float(f"{3.0 * _width(c):.2g}")),
-        hypothesis="Smooth corrections helped, and their prior may hold them back.",
+        hypothesis="Smooth corrections helped, and their prior may be too strong.",
         expected="Lower training error, V follows.",
     ),
     _removal("linear", "the linear term"),

@@ -23,12 +23,18 @@ _WRONG = 300
 
 
 class LlmAgent:
-    """Asks for a candidate with a bounded summary of problem and search, lets the model mend the
-    form of its answer, and, in experiments of their own, what failed.
+    """Agent that asks a language model for candidates with a bounded summary of problem and search.
 
-    A function of the view and of the answers in its journal: an answer paid for is never asked
-    for again. network: False answers from the journal only, and raises DivergedError where it has
-    no answer. Raises UserError without the extra `llm` or without a key.
+    The model may repair the form of its answer, and, in experiments of their own, failed
+    candidates. The agent is a function of the view and of the answers in its journal: a paid answer
+    is never requested again.
+
+    Args:
+        network: False answers from the journal only, and raises DivergedError where it has no
+            answer
+
+    Raises:
+        UserError: without the extra `llm` or without a key
     """
 
     name = "llm"
@@ -45,11 +51,11 @@ class LlmAgent:
         self._client: ChatClient | None = None
 
     def recorded(self) -> dict[str, str]:
-        """What shapes the search: no key, no caps."""
+        """Return the settings that shape the search: no key, no caps."""
         return self.settings.record()
 
     def attach(self, journal: Journal) -> None:
-        """Where requests and answers are written down."""
+        """Attach the journal of requests and answers."""
         from asia.agents.llm.client import ChatClient
 
         self._client = ChatClient(self.settings, journal, self._key, network=self._network)
@@ -72,7 +78,7 @@ class LlmAgent:
     def _answered(
         self, client: ChatClient, messages: list[Message], view: AgentView
     ) -> tuple[Reply | None, str]:
-        """The last answer that held a source, and what is wrong with the last of all."""
+        """Return the last answer with a source, and the error of the last answer of all."""
         client.begin()
         reply: Reply | None = None
         wrong = ""

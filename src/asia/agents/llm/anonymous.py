@@ -1,4 +1,4 @@
-"""A view without anything that tells which system it is, to measure what knowing it is worth."""
+"""Anonymous view of a search, to measure the value of knowing the system."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from asia.data import Signal
 
 
 def anonymous(view: AgentView) -> AgentView:
-    """Signals are u1.. and y1.. without units, records r1..; description, equations, notes from
-    the literature and strategies are gone. Names are replaced in what failed candidates said, too.
-    Array columns keep their order, so that candidates need no names."""
+    """Remove the identity of the system from a view.
+
+    Signals become u1.. and y1.. without units, records r1..; description, equations, notes from the
+    literature and strategies are removed. Names are replaced in the messages of failed candidates,
+    too. Array columns keep their order, so that candidates need no names.
+    """
     facts = view.facts
     names = _names(facts)
     words = re.compile("|".join(rf"(?<!\w){re.escape(n)}(?!\w)" for n in names)) if names else None

@@ -1,7 +1,7 @@
-"""What goes to a language model's server and back, recorded; and served again from the record.
+"""Recorder of the traffic with a language model's server, and its replay.
 
-A transport of the HTTP client: everything the client sends passes here, and in a replay nothing
-passes on. Bodies are kept, headers never.
+It is a transport of the HTTP client: all requests pass here, and in a replay none is sent. Bodies
+are kept, headers never.
 """
 
 from __future__ import annotations
@@ -21,12 +21,16 @@ _NEVER_SENT = ("ConnectError", "ConnectTimeout", "PoolTimeout", "UnsupportedProt
 
 
 class Cassette(httpx2.BaseTransport):
-    """Answers from the record what was answered before, and records the rest.
+    """Transport that answers recorded requests from the record and records all others.
 
-    inner: where unanswered requests go; None in a replay. admit: called with a request's body
-    before it is sent; it may raise. usage_of: reads a response's usage. secret: cut out of all
-    that is kept. Answers with an error are recorded and not served again: a resumed search asks
-    anew, and a replay needs only what its agent went on with.
+    Answers with an error are recorded and not served again: a resumed search asks anew, and a
+    replay needs only the answers that its agent used.
+
+    Args:
+        inner: transport of unrecorded requests; None in a replay
+        admit: called with a request's body before it is sent; it may raise
+        usage_of: reads a response's usage
+        secret: removed from all that is kept
     """
 
     def __init__(
@@ -44,7 +48,7 @@ class Cassette(httpx2.BaseTransport):
         self._recorded: list[Exchanged] = []
 
     def rewind(self) -> None:
-        """A proposal begins: what was already answered for this experiment is served first."""
+        """Start a proposal: recorded answers for this experiment are served first."""
         self._experiment = self._journal.experiments + 1
         self._recorded = [
             e
@@ -53,7 +57,7 @@ class Cassette(httpx2.BaseTransport):
         ]
 
     def handle_request(self, request: httpx2.Request) -> httpx2.Response:
-        """The answer, with its body read."""
+        """Return the answer, with its body read."""
         body = self._kept(request.read())
         path = request.url.path
         served = self._serve(path, body)
@@ -78,8 +82,11 @@ class Cassette(httpx2.BaseTransport):
             self._inner.close()
 
     def _serve(self, path: str, body: bytes) -> bytes | None:
-        """The next recorded answer to the same request. Those before it belong to requests that
-        are not made again: a person's note came between."""
+        """Return the next recorded answer to the same request.
+
+        Answers before it belong to requests that are not repeated, because a note of the user came
+        between.
+        """
         wanted = request_key(path, body)
         for place, exchange in enumerate(self._recorded):
             if request_key(exchange.path, self._journal.get(exchange.request)) == wanted:
@@ -98,7 +105,7 @@ class Cassette(httpx2.BaseTransport):
         return data.replace(self._secret, b"[key]") if self._secret else data
 
     def _difference(self, body: bytes) -> str:
-        """Where the request leaves the one on record."""
+        """Describe the first difference between the request and the recorded one."""
         if not self._recorded:
             return f"experiment {self._experiment}: a request more than the record holds"
         there = self._journal.get(self._recorded[0].request).decode("utf-8", "replace")
@@ -121,7 +128,8 @@ def request_key(path: str, body: bytes) -> str:
 
 
 def may_have_cost(exchange: Exchanged, content: bytes) -> bool:
-    """Whether the server may have counted tokens for it: answered, or sent and never answered."""
+    """Return whether the server may have counted tokens for it: answered, or sent and never
+    answered."""
     if exchange.status != 0:
         return _answered(exchange.status)
     try:

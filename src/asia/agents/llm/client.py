@@ -1,4 +1,4 @@
-"""Asking an OpenAI-compatible server: caps, retries, and what went wrong in words."""
+"""Client of an OpenAI-compatible server: caps, retries and error messages."""
 
 from __future__ import annotations
 
@@ -34,15 +34,22 @@ _SAID = 300
 
 @dataclass(frozen=True)
 class Answer:
-    """What the model said; cut: it ended at the limit of tokens."""
+    """Answer of the model.
+
+    Attributes:
+        cut: whether it ended at the limit of tokens
+    """
 
     text: str
     cut: bool = False
 
 
 class ChatClient:
-    """One request at a time, recorded in the journal. network: False answers from the record
-    only."""
+    """Client with one request at a time, recorded in the journal.
+
+    Args:
+        network: False answers from the record only
+    """
 
     def __init__(
         self, settings: LlmSettings, journal: Journal, key: str, *, network: bool = True
@@ -64,15 +71,18 @@ class ChatClient:
         )
 
     def begin(self) -> None:
-        """A new proposal: answers paid for already come first."""
+        """Start a new proposal: paid answers come first."""
         self._cassette.rewind()
 
     def ask(self, messages: list[Message]) -> Answer:
-        """The model's answer. Busy servers are asked again, after the time they ask for, within
-        bounds.
+        """Ask the model.
 
-        Raises AgentStoppedError when a cap would be passed or the server stays away, UserError when
-        it refuses the request, InterruptedWaitError when a person has something to say meanwhile.
+        A busy server is asked again after the time it requests, within bounds.
+
+        Raises:
+            AgentStoppedError: when a cap would be exceeded or the server stays unavailable
+            UserError: when the server refuses the request
+            InterruptedWaitError: when the user has a note or a request meanwhile
         """
         waited, attempt = 0.0, 0
         while True:
@@ -117,7 +127,8 @@ class ChatClient:
             time.sleep(min(left, _POLL))
 
     def _admit(self, body: bytes) -> None:
-        """Raises AgentStoppedError unless the request fits into what is left at its worst."""
+        """Raise AgentStoppedError unless the worst-case cost of the request fits the remaining
+        caps."""
         s = self._settings
         tokens, cost, rate = self._spent()
         prompt, reply = self._worst(body, rate)
@@ -201,7 +212,8 @@ class ChatClient:
         )
 
     def _give_up(self, what: str) -> NoReturn:
-        """A server that never answered is the person's to mend; one that did may come back."""
+        """Raise UserError for a server that never answered; AgentStoppedError for one that did and
+        may recover."""
         if not self._answered:
             raise UserError(
                 f"cannot reach the model at {self._settings.shown_url}: {what}; check --base-url "

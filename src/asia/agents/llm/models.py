@@ -1,4 +1,4 @@
-"""Which models a server has."""
+"""List of the models of a server."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ _SECONDS = 20.0
 def first_model(base_url: str, api_key_env: str) -> str:
     """The name of the first model that an OpenAI-compatible server lists.
 
-    Raises UserError without the extra `llm`, for a server that cannot be reached, and for one that
-    lists none.
+    Raises:
+        UserError: without the extra `llm`, for a server that cannot be reached, and for one
+            that lists none
     """
     if importlib.util.find_spec("openai") is None:
         raise UserError(

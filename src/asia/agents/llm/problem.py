@@ -118,7 +118,7 @@ def problem_text(facts: Facts) -> str:
 
 
 def briefing(facts: Facts) -> str:
-    """Task, problem, contract and library, for whoever proposes candidates."""
+    """Describe task, problem, contract and library for an agent."""
     metric = metric_label(facts.metric)
     sections = {
         "Description": bounded(facts.description, _TEXT),
@@ -168,7 +168,7 @@ def _judgement(facts: Facts) -> Iterator[str]:
 
 
 def ladder_rule(step: float) -> str:
-    """How V is reported with the feedback `ladder`."""
+    """Describe how V is reported with the feedback `ladder`."""
     return (
         "V is reported by the rule of the Ladder. A candidate is kept if its V is lower than the "
         f"last reported V by more than {step:.0%}, and not by chance. Then its rounded V is "
@@ -177,7 +177,7 @@ def ladder_rule(step: float) -> str:
 
 
 def equations(physics: Physics) -> Iterator[str]:
-    """As the person gave them, a line each."""
+    """Yield the equations of the problem file, a line each."""
     yield f"states: {', '.join(physics.states)}"
     ranges = {k: f"{r.min:g} to {r.max:g}" for k, r in physics.parameters.items()}
     bounds = {k: _range(b.min, b.max) for k, b in physics.bounds.items()}
@@ -199,7 +199,7 @@ def equations(physics: Physics) -> Iterator[str]:
 
 
 def symmetries(symmetry: Symmetry) -> Iterator[str]:
-    """As the person gave them, a line each."""
+    """Yield the symmetries of the problem file, a line each."""
     yield from _listed("symmetries: each leaves the laws as they are", symmetry_lines(symmetry))
 
 
@@ -217,7 +217,7 @@ def _entries(title: str, entries: Mapping[str, str]) -> Iterator[str]:
 
 
 def _range(low: float | None, high: float | None) -> str:
-    """In words where a side has no bound."""
+    """Describe a range, in words where a side has no bound."""
     if low is None and high is None:
         return "no bounds"
     if low is None:

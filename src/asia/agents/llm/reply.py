@@ -1,4 +1,4 @@
-"""From a language model's answer to a candidate with its reasons; tolerant of the form."""
+"""Parser of a language model's answer into a candidate with its rationale; tolerant of the form."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ _THOUGHT_END = re.compile(r"</think(?:ing)?>", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Reply:
-    """An answer that holds a source. `problem` says what is wrong with the source, "" for
-    nothing."""
+    """Answer with a source. `problem` describes the error of the source, "" for none."""
 
     source: str
     hypothesis: str
@@ -37,11 +36,18 @@ class Reply:
 
 
 class MalformedReplyError(Exception):
-    """The answer holds no candidate.py; the text says what is wrong with its form."""
+    """Error of an answer without candidate.py; the text describes the error of its form."""
 
 
 def read_reply(text: str, cut: bool = False) -> Reply:
-    """Raises MalformedReplyError. cut: the answer ended at its limit of tokens."""
+    """Parse an answer.
+
+    Args:
+        cut: whether the answer ended at its limit of tokens
+
+    Raises:
+        MalformedReplyError: when it holds no candidate
+    """
     text = _without_thoughts(text)
     prose, blocks, is_open = _split(text)
     if cut or is_open:
@@ -69,7 +75,8 @@ def read_reply(text: str, cut: bool = False) -> Reply:
 
 
 def _without_thoughts(text: str) -> str:
-    """In one pass: a model that repeats itself must not cost the square of its answer."""
+    """Remove the model's thoughts in one pass: a model that repeats itself must not cost the square
+    of its answer."""
     parts: list[str] = []
     at = 0
     while begin := _THOUGHT.search(text, at):
@@ -103,7 +110,7 @@ def _split(text: str) -> tuple[str, list[str], bool]:
 
 
 def _best(blocks: list[str]) -> tuple[str, str]:
-    """The last block that can be a candidate; without one the longest, and what is wrong."""
+    """Return the last block that can be a candidate; without one the longest, and its error."""
     for block in reversed(blocks):
         if not _wrong(block):
             return block, ""

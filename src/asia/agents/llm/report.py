@@ -1,4 +1,4 @@
-"""What a language model managed in a search: whether it keeps to the contract, and what it cost."""
+"""Report on a language model in a search: contract violations and cost."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ _WRONG = 200
 
 @dataclass(frozen=True)
 class LlmReport:
-    """What the model of a search did, read from its ledger."""
+    """Statistics of the model of a search, read from its ledger."""
 
     model: str
-    """Its name, as its server calls it."""
+    """Name of the model at its server."""
     base_url: str
-    """Where its server is."""
+    """Address of the server."""
     steps: int
-    """Candidates that were asked for."""
+    """Requested candidates."""
     answers: int
-    """Answers in all."""
+    """Number of answers."""
     at_once: int
-    """Steps whose first answer could be used."""
+    """Steps with a usable first answer."""
     repaired: int
-    """Steps in which the form of an answer was mended."""
+    """Steps in which the form of an answer was corrected."""
     without_candidate: int
     """Steps without a candidate after all repairs."""
     scored: int
     """Candidates with a score."""
     wrong: tuple[str, ...]
-    """What was wrong with answers, the most frequent first."""
+    """Errors of answers, the most frequent first."""
     failures: tuple[str, ...]
-    """Why candidates had no score, the most frequent first."""
+    """Reasons of failed candidates, the most frequent first."""
     baseline: float | None
     """V of the baseline."""
     best: float | None
@@ -54,8 +54,8 @@ class LlmReport:
 
     @property
     def verdict(self) -> LlmVerdict:
-        """`able`: every first answer could be used, and most candidates had a score. `not able`:
-        a step brought no candidate, or most candidates had no score."""
+        """Verdict: `able` if every first answer could be used and most candidates had a score; `not
+        able` if a step gave no candidate or most candidates had no score."""
         enough = self.steps > 0 and 2 * self.scored >= self.steps
         if not enough or self.without_candidate:
             return "not able"
@@ -95,7 +95,7 @@ def llm_report(run: Run) -> LlmReport:
 
 
 def _objection(run: Run, exchange: Exchanged) -> str:
-    """What is wrong with an answer; "" for nothing."""
+    """Describe the error of an answer; "" for none."""
     answer = read_answer(run.store.get(exchange.response))
     try:
         reply = read_reply(answer.text, answer.cut)

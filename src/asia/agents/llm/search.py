@@ -1,7 +1,6 @@
-"""What a language model reads of the search so far, and the request to it.
+"""Summary of the search for a language model, and the request to it.
 
-A pure function of the view: no measured time, no paths, nothing that a second run would say
-otherwise.
+A pure function of the view: no measured time, no paths, nothing that would differ in a second run.
 """
 
 from __future__ import annotations
@@ -39,15 +38,15 @@ beginning, over the mean error: 1 is even."""
 
 @dataclass(frozen=True)
 class Task:
-    """What the next candidate is for. `repair` mends trial `parent`, which failed."""
+    """Task of the next candidate. `repair` corrects trial `parent`, which failed."""
 
     kind: Literal["explore", "refine", "repair"]
     parent: int | None = None
 
 
 def task_of(view: AgentView, repairs: int) -> Task:
-    """Repair what failed last, at most `repairs` times in a row, unless that runs already; else
-    what the phase asks for."""
+    """Choose the task: repair the last failure, at most `repairs` times in a row, unless a repair
+    is running; else the task of the present phase."""
     failed: list[Trial] = []
     for trial in reversed(view.trials):
         sound = trial.value is not None or trial.status == "discard"
@@ -64,7 +63,11 @@ def task_of(view: AgentView, repairs: int) -> Task:
 
 
 def search_text(view: AgentView, task: Task, hide_baseline: bool = False) -> str:
-    """The user message. hide_baseline: leave out the source of experiment 1."""
+    """The user message.
+
+    Args:
+        hide_baseline: leave out the source of experiment 1
+    """
     shown = _Shown(view, hide_baseline)
     parts = [
         f"{len(view.trials)} experiments done, {view.remaining} left. Phase: {view.phase}.",
@@ -134,8 +137,8 @@ def _words(trial: Trial) -> str:
 
 
 def _families(view: AgentView) -> Iterator[str]:
-    """Which kinds were tried and how far they came; a kind whose trials all failed, or that stays
-    far behind, is a dead end."""
+    """Yield the kinds of models tried and their best V; a kind whose trials all failed, or that
+    stays far behind, is a dead end."""
     best = view.best
     for name in dict.fromkeys(trial.family for trial in view.trials):
         trials = [trial for trial in view.trials if trial.family == name]
@@ -169,7 +172,7 @@ class _Shown:
         yield self._source(trial)
 
     def failed(self, number: int) -> Iterator[str]:
-        """The trial to mend."""
+        """Describe the trial to correct."""
         for trial in self.view.trials:
             if trial.number == number:
                 yield _line(trial)

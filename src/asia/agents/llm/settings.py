@@ -1,4 +1,4 @@
-"""How a language model is asked."""
+"""Settings of a language model."""
 
 from __future__ import annotations
 
@@ -24,14 +24,23 @@ _TEXTS = ("model", "base_url")
 
 @dataclass(frozen=True)
 class LlmSettings:
-    """base_url of an OpenAI-compatible server, None for OpenAI's; temperature, top_p, seed,
-    extra_body go into every request, None is left out. Caps for the whole search: max_tokens_total
-    input and output tokens, max_cost in USD; prices in USD per million tokens, None when unknown.
-    max_reply_tokens: one reply. repairs: turns to mend the form of a reply, and experiments in a
-    row to mend a failed candidate. retries, retry_seconds: attempts and waiting in all when the
-    server is busy. anonymous: hide what tells which system it is.
+    """Settings of the requests to a language model, and caps for the whole search.
 
-    Raises UserError for settings that do not fit together.
+    Args:
+        base_url: of an OpenAI-compatible server, None for OpenAI's
+        temperature, top_p, seed, extra_body: sent with every request, unless None
+        max_tokens_total: input and output tokens
+        max_cost: USD
+        prices: USD per million tokens, None when unknown
+        max_reply_tokens: limit of one reply
+        repairs: attempts to correct the form of a reply, and experiments in a row to correct a
+            failed candidate
+        retries, retry_seconds: number of attempts and total waiting time when the server is
+            busy
+        anonymous: hide the identity of the system
+
+    Raises:
+        UserError: for settings that do not fit together
     """
 
     model: str
@@ -56,7 +65,7 @@ class LlmSettings:
         if not self.model:
             raise UserError("the agent llm needs a model: give its name with --model")
         if not self.shown_url:
-            # What is no address may still hold a key: it is not repeated.
+            # An invalid address may still contain a key: do not repeat it.
             raise UserError(
                 "the base URL is not valid: expected http:// or https:// and a host, such as "
                 "http://localhost:8000/v1"
@@ -85,8 +94,8 @@ class LlmSettings:
 
     @property
     def shown_url(self) -> str:
-        """The same to be shown and kept: without user, password and query, which may be secrets;
-        "" for what is no address."""
+        """Address to be shown and kept: without user, password and query, which may be secrets; ""
+        for an invalid address."""
         try:
             parts = urlsplit(self.url)
             port = f":{parts.port}" if parts.port else ""
@@ -99,8 +108,11 @@ class LlmSettings:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What a request holds beside model and messages. Servers of OpenAI's make know the limit
-        of a reply by its new name only, many others by its old."""
+        """Parameters of a request besides model and messages.
+
+        Servers of OpenAI's make accept the limit of a reply by its new name only, many others by
+        its old one.
+        """
         host = urlsplit(self.url).hostname or ""
         modern = host.endswith(("openai.com", "azure.com"))
         given = {"temperature": self.temperature, "top_p": self.top_p, "seed": self.seed}
@@ -111,8 +123,11 @@ class LlmSettings:
         }
 
     def api_key(self) -> str:
-        """The key, from the environment; servers other than OpenAI's may need none. Raises
-        UserError when it is missing."""
+        """The key, from the environment; servers other than OpenAI's may need none.
+
+        Raises:
+            UserError: when it is missing
+        """
         key = os.environ.get(self.api_key_env, "").strip()
         if not key and self.base_url is None:
             raise UserError(
@@ -122,7 +137,8 @@ class LlmSettings:
         return key or _NO_KEY
 
     def record(self) -> dict[str, str]:
-        """What shapes the search, for the ledger: no key, no limit that may be raised."""
+        """Return the settings that shape the search, for the ledger: no key, no limit that may be
+        raised."""
         given = {
             "temperature": self.temperature,
             "top_p": self.top_p,
@@ -140,7 +156,11 @@ class LlmSettings:
 
     @classmethod
     def from_record(cls, record: Mapping[str, str]) -> LlmSettings:
-        """The settings of `record`. Raises UserError when it is not one."""
+        """The settings of `record`.
+
+        Raises:
+            UserError: when it is not one
+        """
         try:
             given = {k: v if k in _TEXTS else json.loads(v) for k, v in record.items()}
             if given.keys() - {f.name for f in fields(cls)}:

@@ -14,7 +14,7 @@ def quoted(text: str, most: int) -> str:
 
 
 def bounded(text: str, most: int) -> str:
-    """A person's text, of several lines; cut to `most` characters, with a word about it."""
+    """Cut a text of the user to `most` characters, with a remark about it."""
     text = text.strip()
     return text if len(text) <= most else f"{text[:most]}\n[cut after {most} characters]"
 

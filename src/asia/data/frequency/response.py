@@ -17,7 +17,7 @@ Spectrum = NDArray[np.complex128]
 _EXCITED = 1e-3
 # How much more than usual the first period may differ from the others before it is left out.
 _TRANSIENT = 2.0
-# Local polynomials: their degree, lines at once, and what of the records is looked at.
+# Local polynomials: degree, number of lines, and samples of the records in use.
 _DEGREE, _AT_ONCE, _MOST_SAMPLES, _MOST_RECORDS = 2, 4096, 65_536, 20
 
 
@@ -26,20 +26,21 @@ class Levels:
     """Parts of one output, as standard deviations over that of the output."""
 
     noise: float | None
-    """What differs from period to period; None where that is not known."""
+    """Variation between periods; None where that is not known."""
     odd: float | None
-    """Distortion of odd degree; None where it cannot be told apart."""
+    """Odd-degree distortion; None where it cannot be separated."""
     even: float | None
-    """Of even degree."""
+    """Even-degree distortion; None where it cannot be separated."""
     distortion: float | None
-    """Of any degree; None where it cannot be told from noise."""
+    """Distortion of any degree; None where it cannot be separated from noise."""
     both: float
-    """Noise and distortion together: what the best linear model leaves."""
+    """Noise and distortion together: the residual of the best linear model."""
 
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """What is known of one output by frequency; amplitudes are those of lines of the record."""
+    """Frequency response and noise levels of one output; amplitudes are those of lines of the
+    record."""
 
     frequency: Array
     """(F,) in Hz."""
@@ -48,27 +49,30 @@ class FrequencyResponse:
     output: Array
     """Amplitude of the output (F,)."""
     rest: Array
-    """Amplitude (F,) of what the best linear model leaves, NaN where it is not known."""
+    """Amplitude (F,) of the residual of the best linear model, NaN where it is not known."""
     noise: Array
     """Amplitude (F,) of the noise, NaN where it is not known."""
     coherence: Array
     """(F,): share of the output's power that the inputs explain linearly, NaN where unknown."""
     levels: Levels
-    """Over all frequencies."""
+    """Levels over all frequencies."""
     periods: int
     """Periods of a record that were used; 0 where there is no period."""
     period: int | None
-    """In samples."""
+    """Period in samples."""
 
 
 def frequency_response(
     records: Sequence[Trajectory], output: int, period: int | None
 ) -> FrequencyResponse | None:
-    """Of one output: from whole periods where there is a period, else by local polynomials, which
-    take leakage into account. None where the records are too short or the output does not move.
+    """Estimate the frequency response of one output.
 
-    Lines that the input leaves out tell odd and even distortion apart; at excited lines records
-    with other realisations of the input do.
+    Whole periods are used where there is a period, else local polynomials, which take leakage into
+    account. Lines that the input leaves out separate odd from even distortion; at excited lines,
+    records with other realisations of the input do.
+
+    Returns:
+        the response, or None where the records are too short or the output is constant
     """
     if np.concatenate([r.y[:, output] for r in records]).std() <= 0:
         return None
@@ -131,8 +135,15 @@ def _settled(y: Array) -> int:
 def _approximated(
     u: Spectrum, y: Spectrum, excited: NDArray[np.bool_], floor: Array
 ) -> tuple[Spectrum, Array, NDArray[np.bool_]]:
-    """Inputs (M, F, nu), outputs (M, F), and the noise's power (F,) in these -> gain (F, nu), power
-    (F,) of what the gain does not explain, the noise taken off, and where it is known."""
+    """Fit the gain at excited lines.
+
+    Args:
+        u, y: spectra of the inputs (M, F, nu) and outputs (M, F)
+        floor: power (F,) of the noise in the outputs
+
+    Returns:
+        gain (F, nu), power (F,) of the residual without the noise, and where it is known
+    """
     count, lines, nu = u.shape
     gain = np.full((lines, nu), np.nan, complex)
     left = (abs(y) ** 2).mean(axis=0)
@@ -156,13 +167,13 @@ def _levels(
     floor: Array,
     variance: float,
 ) -> Levels:
-    """From powers (F,) by line; the first line is the first harmonic."""
+    """Compute the levels from powers (F,) by line; the first line is the first harmonic."""
     number = np.arange(1, len(left) + 1)
     odd, inside = number % 2 == 1, number <= number[excited].max()
     noise = float(floor.sum())
 
     def power(lines: NDArray[np.bool_]) -> float | None:
-        """Over some lines, those that are not known as the others of the band."""
+        """Return the power over some lines; unknown lines count as the mean of the known ones."""
         missing = lines & ~known
         total = float(left[lines & known].sum())
         if missing.any():
@@ -189,7 +200,7 @@ def _of_records(records: Sequence[Trajectory], output: int) -> FrequencyResponse
     longest = min(max(len(r) for r in records), _MOST_SAMPLES)
     # Records much shorter than the others tell nothing of their frequencies.
     length = min([len(r) for r in records if 2 * len(r) >= longest] + [longest])
-    pieces = [r for r in records if len(r) >= length][:_MOST_RECORDS]
+    segments = [r for r in records if len(r) >= length][:_MOST_RECORDS]
     terms = (_DEGREE + 1) * (nu + 1)
     reach = terms // 2 + 3
     if length < 8 * reach:
@@ -198,7 +209,7 @@ def _of_records(records: Sequence[Trajectory], output: int) -> FrequencyResponse
     gains: list[Spectrum] = []
     powers: list[Array] = []
     rests: list[Array] = []
-    for r in pieces:
+    for r in segments:
         u = scale * np.fft.rfft(r.u[:length] - r.u[:length].mean(axis=0), axis=0)[lines]
         y = scale * np.fft.rfft(r.y[:length, output] - r.y[:length, output].mean())[lines]
         gain, rest = _local_fit(u, y, reach)

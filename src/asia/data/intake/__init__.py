@@ -1,2 +1,2 @@
-"""Measurements as a laboratory keeps them, made into records: files of many formats are read as
-sheets of columns, put on one time grid, cut at gaps, and written down as what was done to them."""
+"""Intake of laboratory measurements: read files of many formats, put them on one time grid, cut
+them at gaps, and record the changes."""

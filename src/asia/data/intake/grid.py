@@ -22,9 +22,13 @@ _RESOLUTIONS = (1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)
 
 @dataclass(frozen=True)
 class Clock:
-    """What the stamps of a record tell. step: sampling time, s; jitter: distance from the grid that
-    99 % of the stamps keep, as a share of it; coarse: whether the stamps are rounded and lie where
-    they would on the grid."""
+    """Time grid of a record.
+
+    Attributes:
+        step: sampling time, s
+        jitter: distance from the grid that 99 % of the time stamps keep, as a share of it
+        coarse: whether the time stamps are rounded to a resolution that explains the jitter
+    """
 
     step: float
     jitter: float
@@ -36,13 +40,19 @@ class Clock:
         return self.jitter < JITTER or self.coarse
 
 
-def runs(stamps: Array, where: str, first_line: int, ignore: str) -> list[slice]:
-    """Stretches in which time goes on. ignore: how the user can do without the stamps. Raises
-    UserError for stamps that repeat."""
-    back = np.flatnonzero(np.diff(stamps) < 0) + 1
-    edges = [0, *back.tolist(), len(stamps)]
+def runs(timestamps: Array, where: str, first_line: int, ignore: str) -> list[slice]:
+    """Split the samples where time goes back.
+
+    Args:
+        ignore: advice on reading without the time stamps
+
+    Raises:
+        UserError: for repeated time stamps
+    """
+    back = np.flatnonzero(np.diff(timestamps) < 0) + 1
+    edges = [0, *back.tolist(), len(timestamps)]
     found = [slice(a, b) for a, b in itertools.pairwise(edges)]
-    same = np.flatnonzero(np.diff(stamps) == 0)
+    same = np.flatnonzero(np.diff(timestamps) == 0)
     if same.size:
         raise UserError(
             f"{where}, line {first_line + int(same[0]) + 1}: the time stamp repeats the one before "
@@ -51,31 +61,32 @@ def runs(stamps: Array, where: str, first_line: int, ignore: str) -> list[slice]
     return found
 
 
-def clock(stamps: Array) -> Clock | None:
-    """Of stamps that increase, gaps among them; None for fewer than three."""
-    if len(stamps) < 3:
+def clock(timestamps: Array) -> Clock | None:
+    """Estimate the clock of increasing time stamps, gaps among them; None for fewer than three."""
+    if len(timestamps) < 3:
         return None
-    typical = float(np.median(np.diff(stamps)))
-    count = _count(stamps, typical)
+    typical = float(np.median(np.diff(timestamps)))
+    count = _count(timestamps, typical)
     step, offset = typical, 0.0
     for _ in range(3):
-        step, offset = (float(v) for v in np.polyfit(count, stamps, 1))
-        count = _count(stamps, step)
-    off = np.abs(stamps - (offset + step * count))
+        step, offset = (float(v) for v in np.polyfit(count, timestamps, 1))
+        count = _count(timestamps, step)
+    off = np.abs(timestamps - (offset + step * count))
     resolution = next(
-        (r for r in _RESOLUTIONS if np.abs(stamps / r - np.round(stamps / r)).max() < 1e-3), 0.0
+        (r for r in _RESOLUTIONS if np.abs(timestamps / r - np.round(timestamps / r)).max() < 1e-3),
+        0.0,
     )
     # So much the slope of a line may be off, through stamps that are off by so much at worst.
-    doubt = 2.0 * float(np.quantile(off, 0.99)) / float(stamps[-1] - stamps[0])
+    doubt = 2.0 * float(np.quantile(off, 0.99)) / float(timestamps[-1] - timestamps[0])
     step = _round(step, max(min(doubt * step, JITTER * step), 1e-9 * step))
     jitter = float(np.quantile(off, 0.99)) / step
     coarse = resolution > 0 and resolution < 0.5 * step and float(off.max()) <= 0.75 * resolution
     return Clock(step, jitter, coarse)
 
 
-def _count(stamps: Array, step: float) -> Array:
+def _count(timestamps: Array, step: float) -> Array:
     """Number of grid steps from the first stamp to each."""
-    return np.concatenate([[0.0], np.cumsum(np.maximum(np.round(np.diff(stamps) / step), 1.0))])
+    return np.concatenate([[0.0], np.cumsum(np.maximum(np.round(np.diff(timestamps) / step), 1.0))])
 
 
 def _round(step: float, tolerance: float) -> float:
@@ -91,24 +102,24 @@ def _digits(value: float, count: int) -> float:
     return round(value, count - 1 - floor(log10(abs(value))))
 
 
-def places(stamps: Array, step: float) -> Rows:
+def places(timestamps: Array, step: float) -> Rows:
     """The grid index of each stamp, from 0, for stamps near the grid."""
-    return _count(stamps, step).astype(np.int64)
+    return _count(timestamps, step).astype(np.int64)
 
 
-def pieces(index: Rows) -> list[slice]:
-    """Stretches of samples that follow one another on the grid."""
+def segments(index: Rows) -> list[slice]:
+    """Split samples into segments without gaps on the grid."""
     breaks = np.flatnonzero(np.diff(index) != 1) + 1
     edges = [0, *breaks.tolist(), len(index)]
     return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
 
-def held(stamps: Array, values: Array, at: Array) -> Array:
+def held(timestamps: Array, values: Array, at: Array) -> Array:
     """The last value at or before each time, as a zero-order hold gives it: (T, n) to (K, n)."""
-    last = np.searchsorted(stamps, at + 1e-9, side="right") - 1
+    last = np.searchsorted(timestamps, at + 1e-9, side="right") - 1
     return values[np.maximum(last, 0)]
 
 
-def between(stamps: Array, values: Array, at: Array) -> Array:
+def between(timestamps: Array, values: Array, at: Array) -> Array:
     """Straight lines between neighbours; NaN where a neighbour is missing: (T, n) to (K, n)."""
-    return np.stack([np.interp(at, stamps, column) for column in values.T], axis=1)
+    return np.stack([np.interp(at, timestamps, column) for column in values.T], axis=1)

@@ -14,7 +14,7 @@ from asia.errors import UserError
 _MISSING = frozenset(
     ("", "nan", "na", "n/a", "n.a.", "#n/a", "#nv", "null", "none", "nil", "-", "--", "---", "?")
 ) | frozenset(
-    # What plant historians write in place of a value.
+    # Texts of plant historians in place of a missing value.
     (".", "bad", "bad input", "bad data", "no data", "nodata", "i/o timeout", "comm fail",
      "out of service", "scan off", "pt created", "shutdown", "configure", "error", "invalid")
 )  # fmt: skip
@@ -22,8 +22,14 @@ _MINUS = str.maketrans({"−": "-", "\u00a0": None, "\u202f": None, "'": None})
 
 
 def to_numbers(cells: Cells, where: str, first_line: int) -> Array:
-    """float64 with NaN where a value is missing. where: file and column, for messages. Raises
-    UserError for a text that is no number, and for an infinite value."""
+    """float64 with NaN where a value is missing.
+
+    Args:
+        where: file and column, for messages
+
+    Raises:
+        UserError: for a text that is no number, and for an infinite value
+    """
     if cells.dtype.kind in "fiub":
         numbers = cells.astype(np.float64)
     elif cells.dtype.kind in "Mmc":

@@ -22,7 +22,7 @@ class SheetPart:
     name: str
     u: Array
     y: Array
-    stamps: Array | None
+    timestamps: Array | None
     sampling_time: float | None
     where: str
     first_line: int
@@ -31,7 +31,7 @@ class SheetPart:
 
 
 def expanded(sheet: Sheet, wanted: Wanted) -> Wanted:
-    """With the columns of a matrix in place of its name."""
+    """Replace the name of a matrix by its columns."""
 
     def columns(names: Sequence[str]) -> tuple[str, ...]:
         found = [(n, find_channels(sheet.columns, n)) for n in names]
@@ -42,7 +42,7 @@ def expanded(sheet: Sheet, wanted: Wanted) -> Wanted:
 
 
 def parts(sheet: Sheet, wanted: Wanted) -> list[SheetPart]:
-    """Raises UserError where a column is missing or holds no numbers."""
+    """Raise UserError where a column is missing or holds no numbers."""
     for name in wanted.names:
         require_column(sheet, name)
     own = [require_column(sheet, n).seconds for n in (*wanted.inputs, *wanted.outputs)]
@@ -56,7 +56,7 @@ def parts(sheet: Sheet, wanted: Wanted) -> list[SheetPart]:
             name=label,
             u=whole.u[rows],
             y=whole.y[rows],
-            stamps=None if whole.stamps is None else whole.stamps[rows],
+            timestamps=None if whole.timestamps is None else whole.timestamps[rows],
             where=f"{whole.where}, experiment {label}",
         )
         for label, rows in _experiments(every)
@@ -84,12 +84,14 @@ def _one_clock(sheet: Sheet, wanted: Wanted) -> SheetPart:
     u = np.stack(_numbers(sheet, wanted.inputs), axis=1)
     y = np.stack(_numbers(sheet, wanted.outputs), axis=1)
     time = time_column(sheet, wanted)
-    stamps = None if time is None else seconds(sheet, time, wanted)
-    part = SheetPart(sheet.name, u, y, stamps, sheet.sampling_time, sheet.where, sheet.first_line)
-    if stamps is None or np.isfinite(stamps).all():
+    timestamps = None if time is None else seconds(sheet, time, wanted)
+    part = SheetPart(
+        sheet.name, u, y, timestamps, sheet.sampling_time, sheet.where, sheet.first_line
+    )
+    if timestamps is None or np.isfinite(timestamps).all():
         return part
-    rows = np.isfinite(stamps)
-    return replace(part, u=u[rows], y=y[rows], stamps=stamps[rows])
+    rows = np.isfinite(timestamps)
+    return replace(part, u=u[rows], y=y[rows], timestamps=timestamps[rows])
 
 
 def _merged(sheet: Sheet, wanted: Wanted) -> SheetPart:
@@ -113,26 +115,26 @@ def _merged(sheet: Sheet, wanted: Wanted) -> SheetPart:
     step = float(np.median(np.diff(base))) if len(base) > 1 else 1.0
     u = [held(axes[n], values[n][:, None], base)[:, 0] for n in wanted.inputs]
     y = [_placed(axes[n], values[n], base, step) for n in wanted.outputs]
-    stamps = np.round(base - base[0], 9) if len(base) else base
+    timestamps = np.round(base - base[0], 9) if len(base) else base
     return SheetPart(
         sheet.name,
         np.stack(u, axis=1),
         np.stack(y, axis=1),
-        stamps,
+        timestamps,
         sheet.sampling_time,
         sheet.where,
         1,
     )
 
 
-def _placed(stamps: Array, values: Array, at: Array, step: float) -> Array:
-    """The values at the times where they were measured, NaN elsewhere."""
+def _placed(timestamps: Array, values: Array, at: Array, step: float) -> Array:
+    """Place values at their measured times, NaN at all others."""
     if not len(at):
         return np.zeros(0)
-    near = np.clip(np.searchsorted(stamps, at), 1, max(len(stamps) - 1, 1))
-    near -= (at - stamps[near - 1]) < (stamps[np.minimum(near, len(stamps) - 1)] - at)
-    near = np.clip(near, 0, len(stamps) - 1)
-    return np.where(np.abs(stamps[near] - at) <= JITTER * step, values[near], np.nan)
+    near = np.clip(np.searchsorted(timestamps, at), 1, max(len(timestamps) - 1, 1))
+    near -= (at - timestamps[near - 1]) < (timestamps[np.minimum(near, len(timestamps) - 1)] - at)
+    near = np.clip(near, 0, len(timestamps) - 1)
+    return np.where(np.abs(timestamps[near] - at) <= JITTER * step, values[near], np.nan)
 
 
 def labels(column: Column) -> list[str]:

@@ -1,4 +1,4 @@
-"""Records from files of a laboratory, and what was done to make them."""
+"""Conversion of laboratory files to records, with notes on the changes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from asia.data.intake.grid import (
     between,
     clock,
     held,
-    pieces,
     places,
     runs,
+    segments,
 )
 from asia.data.intake.part import SheetPart, expanded, parts, units
 from asia.data.intake.sheet import Sheet, Wanted
@@ -39,7 +39,7 @@ _COARSER = 1.5
 
 @dataclass(frozen=True)
 class Intake:
-    """Records, and what was done to make them."""
+    """Records, and notes on how they were made."""
 
     records: tuple[Trajectory, ...]
     units: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -54,7 +54,11 @@ class Intake:
 
 @dataclass(frozen=True)
 class _Timed:
-    """A stretch in which time goes on. clock: None where the file has no usable stamps."""
+    """Part in which time increases.
+
+    Attributes:
+        clock: None where the file has no usable time stamps
+    """
 
     part: SheetPart
     clock: Clock | None
@@ -71,9 +75,15 @@ def take_in(
 ) -> Intake:
     """Read the records of `paths`: the one way from a file to a record.
 
-    sampling_time: s; None for the slowest that the files tell. least: pieces of fewer samples are
-    left out. only, without: names of experiments to read, or to leave out. Outputs of a test are
-    never interpolated. Raises UserError.
+    Outputs of a test are never interpolated.
+
+    Args:
+        sampling_time: s; None for the slowest one in the files
+        least: shortest segment in samples; shorter ones are left out
+        only, without: names of experiments to read, or to leave out
+
+    Raises:
+        UserError: for files that cannot be read as records
     """
     found: list[SheetPart] = []
     found_units: dict[str, str] = {}
@@ -146,29 +156,33 @@ def as_written(sheet: Sheet, wanted: Wanted, sampling_time: float) -> Trajectory
 
 
 def _oldest_first(part: SheetPart, notes: list[str]) -> SheetPart:
-    """As it is, or turned round where time goes back from row to row."""
-    if part.stamps is None or len(part.stamps) < 3 or not (np.diff(part.stamps) <= 0).all():
+    """Return the part in increasing time; reverse it where time decreases from row to row."""
+    if (
+        part.timestamps is None
+        or len(part.timestamps) < 3
+        or not (np.diff(part.timestamps) <= 0).all()
+    ):
         return part
     notes.append(f"{part.where}: the newest row came first, the order was turned round")
     back = slice(None, None, -1)
-    return replace(part, u=part.u[back], y=part.y[back], stamps=part.stamps[back])
+    return replace(part, u=part.u[back], y=part.y[back], timestamps=part.timestamps[back])
 
 
 def _stretches(part: SheetPart, ignore: str) -> list[_Timed]:
-    if part.stamps is None:
+    if part.timestamps is None:
         return [_Timed(part, None)]
-    found = runs(part.stamps, part.where, part.first_line, ignore)
-    return [_Timed(cut, clock(_stamps(cut))) for cut in (_cut(part, rows) for rows in found)]
+    found = runs(part.timestamps, part.where, part.first_line, ignore)
+    return [_Timed(cut, clock(_timestamps(cut))) for cut in (_cut(part, rows) for rows in found)]
 
 
 def _cut(part: SheetPart, rows: slice) -> SheetPart:
-    stamps = None if part.stamps is None else part.stamps[rows]
+    timestamps = None if part.timestamps is None else part.timestamps[rows]
     line = part.first_line + rows.start
-    return replace(part, u=part.u[rows], y=part.y[rows], stamps=stamps, first_line=line)
+    return replace(part, u=part.u[rows], y=part.y[rows], timestamps=timestamps, first_line=line)
 
 
-def _stamps(part: SheetPart) -> Array:
-    return np.zeros(0) if part.stamps is None else part.stamps
+def _timestamps(part: SheetPart) -> Array:
+    return np.zeros(0) if part.timestamps is None else part.timestamps
 
 
 def _own_step(one: _Timed) -> float | None:
@@ -183,7 +197,7 @@ def _slowest(timed: Sequence[_Timed], where: str) -> float:
             "name the column with --time"
         )
     slowest = max(known)
-    # Clocks of several records differ by what a quartz drifts: they are one sampling time.
+    # Clocks of several records differ by the drift of a quartz: this is one sampling time.
     alike = [s for s in known if abs(s - slowest) <= _SAME * slowest]
     return min(alike, key=lambda s: (len(f"{s:.12g}"), s))
 
@@ -212,7 +226,7 @@ def _pieces(
 
 
 def _on_grid(one: _Timed, step: float, use: Use, notes: list[str], ignore: str) -> list[SheetPart]:
-    """The stretch with the sampling time `step`, cut at its gaps."""
+    """Resample a part to the sampling time `step`, and cut it at its gaps."""
     part = one.part
     own = _own_step(one) or step
     if one.clock is not None and not one.clock.regular:
@@ -222,7 +236,7 @@ def _on_grid(one: _Timed, step: float, use: Use, notes: list[str], ignore: str) 
     else:
         if one.clock.coarse and one.clock.jitter > _EXACT:
             notes.append(f"{part.where}: stamps rounded to coarse steps lie on a grid")
-        cuts = pieces(places(_stamps(part), own))
+        cuts = segments(places(_timestamps(part), own))
         if len(cuts) > 1:
             notes.append(f"{part.where}: {_many(len(cuts) - 1, 'gap')} in time")
         whole = [_cut(part, rows) for rows in cuts]
@@ -251,8 +265,8 @@ def _other_rate(
         return [_decimated(part, count) for part in whole if len(part.u) >= count]
     made: list[SheetPart] = []
     for part in whole:
-        stamps = np.arange(len(part.u), dtype=np.float64) * own
-        timed = SheetPart(part.name, part.u, part.y, stamps, own, part.where, part.first_line)
+        timestamps = np.arange(len(part.u), dtype=np.float64) * own
+        timed = SheetPart(part.name, part.u, part.y, timestamps, own, part.where, part.first_line)
         made += _resampled(timed, Clock(own, 0.0), step, use, notes, ignore)
     return made
 
@@ -283,13 +297,13 @@ def _resampled(
         f"{part.where}: {reason}; resampled to {step:g} s: inputs held, outputs on straight lines "
         "between their neighbours"
     )
-    stamps = _stamps(part)
-    breaks = (np.flatnonzero(np.diff(stamps) > _GAP * max(found.step, step)) + 1).tolist()
+    timestamps = _timestamps(part)
+    breaks = (np.flatnonzero(np.diff(timestamps) > _GAP * max(found.step, step)) + 1).tolist()
     if breaks:
         notes.append(f"{part.where}: {_many(len(breaks), 'gap')} in time")
     made: list[SheetPart] = []
-    for a, b in zip([0, *breaks], [*breaks, len(stamps)], strict=True):
-        own = stamps[a:b]
+    for a, b in zip([0, *breaks], [*breaks, len(timestamps)], strict=True):
+        own = timestamps[a:b]
         at = own[0] + step * np.arange(int((own[-1] - own[0]) / step + 1e-9) + 1)
         u, y = held(own, part.u[a:b], at), between(own, part.y[a:b], at)
         made.append(SheetPart(part.name, u, y, None, None, part.where, part.first_line + a))
@@ -297,22 +311,25 @@ def _resampled(
 
 
 def _without_missing(part: SheetPart, notes: list[str]) -> list[SheetPart]:
-    """The stretches in which every input was measured; outputs may be missing, but not all of them
-    at either end."""
+    """Cut a part to the segments in which every input was measured; outputs may be missing, but not
+    all of them at either end."""
     good = np.isfinite(part.u).all(axis=1)
     if good.all():
-        return _measured_stretch(part, notes)
+        return _measured_segment(part, notes)
     notes.append(f"{part.where}: cut where inputs are missing ({int((~good).sum())} samples)")
     rows = np.flatnonzero(good).astype(np.int64)
     if not rows.size:
         return []
-    stretches = (slice(int(rows[s.start]), int(rows[s.stop - 1]) + 1) for s in pieces(rows))
-    return [one for rows in stretches for one in _measured_stretch(_cut(part, rows), notes)]
+    spans = (slice(int(rows[s.start]), int(rows[s.stop - 1]) + 1) for s in segments(rows))
+    return [one for rows in spans for one in _measured_segment(_cut(part, rows), notes)]
 
 
-def _measured_stretch(part: SheetPart, notes: list[str]) -> list[SheetPart]:
-    """From the first sample at which outputs were measured to the last, all of them where that
-    occurs at all; [] where an output never was."""
+def _measured_segment(part: SheetPart, notes: list[str]) -> list[SheetPart]:
+    """Cut the part to the samples between the first and the last with measured outputs.
+
+    Samples with all outputs measured are the limits where there are any. Returns [] where an output
+    was never measured.
+    """
     known = ~np.isnan(part.y)
     if known.all():
         return [part]

@@ -1,4 +1,4 @@
-"""What a file holds before it is a record: named columns of numbers, texts or dates."""
+"""Table of a file before it becomes a record: named columns of numbers, texts or dates."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Column:
     cells: Cells
     unit: str = ""
     seconds: Array | None = None
-    """Its own sample times, s, where the channels of a file have several."""
+    """Sample times of this column, s, where the channels of a file have several."""
     matrix: str = ""
     """Name of the matrix that the channel is a column of."""
 
@@ -50,7 +50,7 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is asked of a file."""
+    """Options for reading a file."""
 
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
@@ -63,7 +63,7 @@ class Wanted:
     columns: tuple[str, ...] = ()
     """Names of the columns of a file without a header."""
     progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
-    """Told how far a long reading is, in words."""
+    """Callback for the progress of a long read, in words."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -76,14 +76,19 @@ class FileFormat(ABC):
     """A kind of file. One subclass a format."""
 
     name: ClassVar[str]
-    """In words."""
+    """Name of the format, in words."""
     suffixes: ClassVar[tuple[str, ...]]
-    """Of file names, in lower case; "/" stands for a folder."""
+    """File name suffixes, in lower case; "/" is a folder."""
 
     @abstractmethod
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """The sheets that have the wanted columns. Where none has, one with what there is, so that
-        the message can name it. Raises UserError."""
+        """Read the tables that have the wanted columns.
+
+        Where none has, return one with the existing columns, so that the message can name them.
+
+        Raises:
+            UserError: when the file cannot be read
+        """
 
     def columns(self, path: Path) -> Mapping[str, str]:
         """Names and units of all columns, in the order of the file. Raises UserError."""
@@ -120,7 +125,11 @@ def find_channels(columns: Mapping[str, Column], name: str) -> tuple[str, ...]:
 
 
 def require_column(sheet: Sheet, name: str) -> Column:
-    """Raises UserError that names what there is."""
+    """Return the column of this name.
+
+    Raises:
+        UserError: naming the existing columns, when it is missing
+    """
     found = find_column(list(sheet.columns), name)
     if found is None:
         known = [c for c in sheet.columns if c]

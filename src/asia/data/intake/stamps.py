@@ -42,7 +42,11 @@ _MATLAB = (700_000, 800_000)
 
 
 def time_column(sheet: Sheet, wanted: Wanted) -> str | None:
-    """Which column has the sample times; None without one. Raises UserError."""
+    """Return the name of the column with the sample times; None without one.
+
+    Raises:
+        UserError: when the named column is missing or ambiguous
+    """
     if wanted.time == "none":
         return None
     if wanted.time is not None:
@@ -58,7 +62,7 @@ def time_column(sheet: Sheet, wanted: Wanted) -> str | None:
 
 
 def _is_count(name: str, sheet: Sheet) -> bool:
-    """Whether an index only numbers the rows."""
+    """Return whether an index only numbers the rows."""
     cells = sheet.columns[name].cells
     if name.casefold() not in ("index", "__index_level_0__") or len(cells) < 2:
         return False
@@ -75,12 +79,12 @@ def seconds(sheet: Sheet, name: str, wanted: Wanted) -> Array:
     where = f"{sheet.where}, column '{name}'"
     cells = column.cells
     if cells.dtype.kind == "M":
-        stamps = cells.astype("datetime64[ns]")
-        first = stamps[~np.isnat(stamps)][:1]
+        timestamps = cells.astype("datetime64[ns]")
+        first = timestamps[~np.isnat(timestamps)][:1]
         if not first.size:
             raise UserError(f"{where}: no time stamp at all")
-        found = (stamps - first[0]).astype(np.float64) * 1e-9
-        found[np.isnat(stamps)] = np.nan
+        found = (timestamps - first[0]).astype(np.float64) * 1e-9
+        found[np.isnat(timestamps)] = np.nan
         return np.round(found, 9)
     filled = [c for c in cells[:50] if c is not None and str(c).strip()]
     if cells.dtype.kind not in "fiu" and filled and _is_dated(filled[0]):
@@ -118,8 +122,8 @@ def _factor(numbers: Array, name: str, unit: str, wanted: Wanted) -> float:
 
 
 def _in_days(numbers: Array) -> bool:
-    """Whether the stamps of this century lie a round number of seconds apart if they are days, and
-    neither a round number nor a round rate if they are seconds."""
+    """Return whether the stamps of this century lie a round number of seconds apart if they are
+    days, and neither a round number nor a round rate if they are seconds."""
     steps = np.diff(numbers)
     step = float(np.median(steps)) if steps.size else 0.0
     if step <= 0.0:
@@ -147,7 +151,7 @@ def _dated(sheet: Sheet, name: str, where: str) -> Array:
         [
             np.nan
             if cell is None or not str(cell).strip()
-            else _stamp(cell, pattern, f"{where}, line {sheet.first_line + k}")
+            else _timestamp(cell, pattern, f"{where}, line {sheet.first_line + k}")
             for k, cell in enumerate(cells)
         ]
     )
@@ -161,7 +165,8 @@ def _dated(sheet: Sheet, name: str, where: str) -> Array:
 
 
 def _days(sheet: Sheet, name: str) -> Array | None:
-    """Days, in µs, of a date column beside a column with the time of the day; None without both."""
+    """Days, in µs, of a date column next to a column with the time of the day; None without
+    both."""
     first = next((c for c in sheet.columns[name].cells if c is not None and str(c).strip()), "")
     if isinstance(first, datetime) or any(mark in str(first) for mark in "-/T"):
         return None
@@ -179,11 +184,15 @@ def _day(cell: object, pattern: list[str], where: str) -> float:
     if isinstance(cell, date):
         return _since_epoch(datetime(cell.year, cell.month, cell.day))
     text = str(cell).strip()
-    return _stamp(text if ":" in text else f"{text} 00:00:00", pattern, where)
+    return _timestamp(text if ":" in text else f"{text} 00:00:00", pattern, where)
 
 
-def _stamp(cell: object, pattern: list[str], where: str) -> float:
-    """One stamp in µs. pattern: the one that the column was found to have, once it is known."""
+def _timestamp(cell: object, pattern: list[str], where: str) -> float:
+    """One stamp in µs.
+
+    Args:
+        pattern: the one that the column was found to have, once it is known
+    """
     if isinstance(cell, datetime):
         return _since_epoch(cell)
     if isinstance(cell, timedelta):
@@ -196,19 +205,19 @@ def _stamp(cell: object, pattern: list[str], where: str) -> float:
         return clock
     if not pattern or pattern == ["iso"]:
         try:
-            stamp = _since_epoch(datetime.fromisoformat(_microseconds(text)))
+            timestamp = _since_epoch(datetime.fromisoformat(_microseconds(text)))
         except ValueError:
             pass
         else:
             pattern[:] = ["iso"]
-            return stamp + _beyond_microseconds(text)
+            return timestamp + _beyond_microseconds(text)
     for shape in pattern or [*_PATTERNS, *_SLASHED]:
         try:
-            stamp = _since_epoch(datetime.strptime(text, shape))
+            timestamp = _since_epoch(datetime.strptime(text, shape))
         except ValueError:
             continue
         pattern[:] = [shape]
-        return stamp
+        return timestamp
     raise UserError(
         f"{where}: '{cell}' is not a time stamp like the others: write 2026-01-31T12:00:00.250"
     )
@@ -243,7 +252,7 @@ def _beyond_microseconds(text: str) -> float:
     return float(f"0.{digits[6:]}") if len(digits) > 6 else 0.0
 
 
-def _since_epoch(stamp: datetime) -> float:
-    if stamp.tzinfo is None:
-        stamp = stamp.replace(tzinfo=UTC)
-    return float((stamp - _EPOCH) // timedelta(microseconds=1))
+def _since_epoch(timestamp: datetime) -> float:
+    if timestamp.tzinfo is None:
+        timestamp = timestamp.replace(tzinfo=UTC)
+    return float((timestamp - _EPOCH) // timedelta(microseconds=1))

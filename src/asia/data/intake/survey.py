@@ -1,4 +1,4 @@
-"""What the files of a folder hold, before anybody has said which columns are which."""
+"""Survey of the files of a folder before inputs and outputs are chosen."""
 
 from __future__ import annotations
 
@@ -23,25 +23,26 @@ _MOST_FILES = 50
 
 @dataclass(frozen=True)
 class FileColumns:
-    """The columns of a file, and a guess at what they are."""
+    """Columns of a file, with a guess at inputs and outputs."""
 
     names: tuple[str, ...]
     """All but that of the sample times, without their units."""
     time: str | None
     """The column with the sample times."""
     timed: bool
-    """Whether the file tells its sampling time."""
+    """Whether the file contains its sampling time."""
     unusable: Mapping[str, str] = field(default_factory=dict[str, str])
     """Columns that cannot be an output, and why."""
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """By their names; where these say nothing, all but the outputs."""
+        """Likely inputs by their names; where names give no hint, all but the outputs."""
         return self._named(_INPUT) or tuple(n for n in self._usable if n not in self.outputs)
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """By their names; where these say nothing, those that are no inputs, or the last one."""
+        """Likely outputs by their names; where names give no hint, those that are no inputs, or the
+        last one."""
         found = self._named(_OUTPUT)
         if not found and self._named(_INPUT):
             found = tuple(n for n in self._usable if n not in self._named(_INPUT))
@@ -81,7 +82,7 @@ def survey(path: Path, wanted: Wanted) -> FileColumns:
 
 
 def _why_unusable(name: str, sheets: Sequence[Sheet]) -> str:
-    """Why a column cannot be an output; "" where it can."""
+    """Return the reason why a column cannot be an output; "" where it can."""
     columns = [s.columns[name] for s in sheets if name in s.columns]
     try:
         values = np.concatenate([to_numbers(c.cells, name, 1) for c in columns])
@@ -118,7 +119,7 @@ def record_files(folder: Path) -> tuple[list[Path], list[Path]]:
 
 
 def split_names(text: str, known: Sequence[str] = ()) -> list[str]:
-    """Names of columns or files in an answer: one that is known, or several between commas, or
+    """Split an answer into names of columns or files: a known name, or several between commas, or
     else between blanks."""
     if text.strip() in known:
         return [text.strip()]

@@ -18,9 +18,14 @@ def tree_sheets(
     name: str, where: str, tree: Mapping[str, Any], wanted: Wanted
 ) -> tuple[Sheet, ...]:
     """The folders of the tree that hold all wanted channels, one sheet each; the whole tree where
-    none does. tree: arrays, mappings and lists of mappings. A matrix of n columns is n channels,
-    called `name1` to `namen`; a channel is known by its own name, where that is the only one, and
-    by its path."""
+    none does.
+
+    A matrix of n columns is n channels, called `name1` to `namen`; a channel is known by its own
+    name, where that is the only one, and by its path.
+
+    Args:
+        tree: arrays, mappings and lists of mappings
+    """
     found = list(_search(name, where, tree, wanted))
     return tuple(found) or (_sheet(name, where, tree),)
 

@@ -1,10 +1,10 @@
-"""Where records come from: one class a source, all derived from `Source`.
+"""Sources of records: one class a source, all derived from `Source`.
 
 A source knows all records of a problem, in three subsets: `train`, `test` and `guard`. It reads
-them, says where they lie (what workers must not read), and writes itself as `[data]` of a problem
+them, lists their files (which workers must not read), and writes itself as `[data]` of a problem
 file. `SOURCES` has ASIA's own by name; an installed package adds one as an entry point of the group
 `asia.sources`, and `data.source = "name:argument"` then names it. `asia.testing.check_source` is
-what every source must pass. Where training records are chosen by name, derive from `DataSet`.
+the conformance suite of sources. Where training records are chosen by name, derive from `DataSet`.
 """
 
 from asia.data.sources.source import (

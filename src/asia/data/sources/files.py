@@ -31,7 +31,7 @@ class RecordFiles(Source):
     test: tuple[Path, ...] = ()
     """Files of the test; () without a test, or where it is encrypted."""
     guard: tuple[Path, ...] = ()
-    """Files that stand guard."""
+    """Files with guard records."""
     reading: Wanted = field(default_factory=lambda: Wanted((), ()))
     """Options of reading: time stamps, columns and experiments."""
     test_experiments: tuple[str, ...] = ()
@@ -44,7 +44,7 @@ class RecordFiles(Source):
 
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """As `Source.from_table`."""
+        """Implement `Source.from_table`."""
         refuse_seed(table)
         if not table.train:
             raise UserError(
@@ -62,7 +62,7 @@ class RecordFiles(Source):
         return cls(**lists, reading=table.reading, test_experiments=table.test_experiments)
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """As `Source.read`."""
+        """Implement `Source.read`."""
         if subset == "train":
             found = [self._take(self.train, channels, "train", without=self.test_experiments)]
         elif subset == "guard":
@@ -102,12 +102,12 @@ class RecordFiles(Source):
         return found
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """As `Source.places`."""
+        """Implement `Source.places`."""
         held = self.train if self.test_experiments else ()
         return {"train": self.train, "test": (*self.test, *held), "guard": self.guard}[subset]
 
     def to_toml(self) -> dict[str, Any]:
-        """As `Source.to_toml`."""
+        """Implement `Source.to_toml`."""
         reading = self.reading
         return {
             "train": [str(path) for path in self.train],
@@ -122,22 +122,22 @@ class RecordFiles(Source):
 
     @property
     def has_test(self) -> bool:
-        """As `Source.has_test`."""
+        """Implement `Source.has_test`."""
         return bool(self.test or self.test_experiments)
 
     @property
     def guard_names(self) -> tuple[str, ...]:
-        """As `Source.guard_names`."""
+        """Implement `Source.guard_names`."""
         return _names(self.guard)
 
     def check_openable(self) -> None:
-        """As `Source.check_openable`."""
+        """Implement `Source.check_openable`."""
         for path in self.test:
             if not path.exists():
                 raise UserError(f"no such file: {path}; put the test data back")
 
 
 def _names(paths: tuple[Path, ...]) -> tuple[str, ...]:
-    """What the records are called: the file, with its folder where two files have one name."""
+    """Name the records after their files, with the folder where two files have one name."""
     stems = Counter(path.stem for path in paths)
     return tuple(p.stem if stems[p.stem] == 1 else f"{p.parent.name}/{p.stem}" for p in paths)

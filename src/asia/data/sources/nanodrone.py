@@ -37,8 +37,8 @@ class Nanodrone(DataSet):
     usage: ClassVar[str] = "nanodrone"
     public: ClassVar[bool] = True
     test_kept: ClassVar[str] = (
-        "a public download: the plain files stay on this machine, isolation alone keeps "
-        "candidates off them, and whoever knows the data set knows them"
+        "a public download: the plain files stay on this machine, protected from candidates by "
+        "isolation only, and known to anyone who knows the data set"
     )
 
     def __post_init__(self) -> None:
@@ -46,7 +46,7 @@ class Nanodrone(DataSet):
             raise UserError(f"data.source is '{self.source}': write 'nanodrone' alone")
 
     def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
-        """As `DataSet.load`."""
+        """Implement `DataSet.load`."""
         inputs, outputs = channels.names
         wanted = Wanted(tuple(inputs), tuple(outputs))
         sheets = [Text().read(path, wanted)[0] for path in _flights(subset)]
@@ -55,14 +55,18 @@ class Nanodrone(DataSet):
         )
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """As `Source.places`."""
+        """Implement `Source.places`."""
         if subset == "guard":
             return tuple(path for path in _flights("train") if path.stem in self.guard)
         return _flights(subset)
 
 
 def _flights(subset: Literal["train", "test"]) -> tuple[Path, ...]:
-    """The files. Raises UserError that says how to get them."""
+    """The files.
+
+    Raises:
+        UserError: that says how to get them
+    """
     missing = ""
     for clone in _clones():
         folder = clone / "data" / subset

@@ -31,18 +31,22 @@ class SealedStore(Source):
     sha256: str | None = None
     """Digest of the records that were sealed."""
     keys: Path | None = field(default=None, compare=False)
-    """The folder of keys; None is the person's own."""
+    """Folder of keys; None for that of the user."""
 
     test_kept: ClassVar[str] = "encrypted; the search does not need its key"
 
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """As `Source.from_table`."""
+        """Implement `Source.from_table`."""
         assert table.sealed is not None
         return cls((root / table.sealed.file).resolve(), table.sealed.sha256)
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """As `Source.read`. Raises UserError also without the key."""
+        """Implement `Source.read`.
+
+        Raises:
+            UserError: also without the key
+        """
         if subset != "test":
             return SourceData(())
         inputs, outputs = channels.names
@@ -53,15 +57,15 @@ class SealedStore(Source):
         return SourceData(tuple(replace(r, name=n) for r, n in zip(found, names, strict=True)))
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """The keys; the store itself tells nothing without them."""
+        """Return the folder of keys; the store reveals nothing without them."""
         return (key_folder(self.keys),) if subset == "test" else ()
 
     def to_toml(self) -> dict[str, Any]:
-        """As `Source.to_toml`."""
+        """Implement `Source.to_toml`."""
         return {"sealed": {"file": str(self.path), "sha256": self.sha256}}
 
     def outline(self, channels: Channels) -> Outline:
-        """As `Source.outline`, without the key."""
+        """Return the outline from the public header, without the key."""
         head = self._head()
         inputs, outputs = channels.names
         for what, there, now in (
@@ -83,11 +87,11 @@ class SealedStore(Source):
         )
 
     def check_openable(self) -> None:
-        """As `Source.check_openable`."""
+        """Implement `Source.check_openable`."""
         find_key(self.path, self._head(), key_folder(self.keys))
 
     def with_keys(self, folder: Path | None) -> SealedStore:
-        """As `Source.with_keys`."""
+        """Implement `Source.with_keys`."""
         return replace(self, keys=folder)
 
     def _head(self) -> SealHead:

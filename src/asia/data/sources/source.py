@@ -1,4 +1,4 @@
-"""What every source of records does."""
+"""Base classes of all sources of records."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _KINDS: dict[Subset, str] = {"train": "training", "test": "test", "guard": "guar
 
 @dataclass(frozen=True)
 class Channels:
-    """Which channels to read."""
+    """Channels to read."""
 
     inputs: tuple[Signal, ...]
     """The inputs, in the order of `Trajectory.u`."""
@@ -34,8 +34,7 @@ class Channels:
     sampling_time: float
     """The sampling time of every record, s."""
     least: int = field(default=1, compare=False)
-    """Samples of the shortest piece of a training record that is of use, where files are cut at
-    gaps."""
+    """Shortest usable segment of a training record in samples, where files are cut at gaps."""
 
     @property
     def names(self) -> tuple[list[str], list[str]]:
@@ -57,18 +56,18 @@ class SourceData:
 
 @dataclass(frozen=True)
 class Outline:
-    """What is known of test records before they are opened."""
+    """Public facts about test records before they are opened."""
 
     sha256: str
     """Digest of the records, as `data_digest` gives it."""
     names: tuple[str, ...]
-    """Their names."""
+    """Names of the records."""
     lengths: tuple[int, ...]
-    """Their numbers of samples."""
+    """Number of samples of each record."""
     shared_samples: int
-    """How many of their samples also occur, in runs of ten or more, in the training records."""
+    """Samples that also occur, in runs of ten or more, in the training records."""
     outside_inputs: tuple[int, ...] = ()
-    """For each input, how many of their samples are beyond the range of the training records."""
+    """For each input, samples beyond the range of the training records."""
 
 
 def _no_empty_name(value: str) -> str:
@@ -108,7 +107,7 @@ class DataTable:
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     """Names of the training records that folds hold out together."""
     guard: tuple[FileName, ...] | Annotated[int, Field(ge=1, le=100)] = ()
-    """Files, or names of training records, or a number of simulated records that stand guard."""
+    """Guard records: files, names of training records, or a number of simulated records."""
     period: Annotated[int, Field(ge=2, le=100_000_000)] | None = None
     """Samples after which the inputs of every record repeat; found where it is not given."""
     time: str | None = None
@@ -129,38 +128,55 @@ class DataTable:
 
 
 class Source(ABC):
-    """Where the records of a problem lie, and how they are read. A subclass is a frozen dataclass;
-    two of them that are equal read the same records."""
+    """Location and reader of the records of a problem.
+
+    A subclass is a frozen dataclass; two equal sources read the same records.
+    """
 
     usage: ClassVar[str] = ""
-    """How `data.source` names it, such as `nanodrone`; "" where it is the bare name."""
+    """Form in `data.source`, such as `nanodrone`; "" where it is the bare name."""
     public: ClassVar[bool] = False
     """Whether it is a public benchmark, whose published results compare with a run's."""
     test_kept: ClassVar[str] = (
         "where its source keeps it; isolation alone keeps candidates off the records"
     )
-    """How the test records are kept, in plain words."""
+    """Protection of the test records, in plain words."""
     sha256: str | None = None
     """The digest that the test records must have; None where the problem file names none."""
 
     @classmethod
     @abstractmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """The source that `[data]` names. root: the folder of the problem file, absolute.
+        """Make the source that `[data]` names; no test or guard record is opened.
 
-        Raises UserError for what it does not understand. Opens no test and no guard record.
+        Args:
+            root: the folder of the problem file, absolute
+
+        Raises:
+            UserError: for a table that it does not understand
         """
 
     @abstractmethod
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """The records of a subset, the same at every call; none where it has none. Records that
-        stand guard are never among the training records. Raises UserError when the data cannot be
-        read. Callers use `records`, which checks the answer."""
+        """Read the records of a subset, the same at every call; none where it has none.
+
+        Guard records are never among the training records. Callers use `records`, which checks the
+        answer.
+
+        Raises:
+            UserError: when the data cannot be read
+        """
 
     @abstractmethod
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """Every file or folder that the records of a subset lie in, absolute: what workers must
-        not read. () where nothing is stored. Raises UserError when the data are not there."""
+        """Return every file or folder with records of a subset, absolute: workers must not read
+        them.
+
+        () where nothing is stored.
+
+        Raises:
+            UserError: when the data are missing
+        """
 
     @abstractmethod
     def to_toml(self) -> dict[str, Any]:
@@ -174,12 +190,16 @@ class Source(ABC):
 
     @property
     def guard_names(self) -> tuple[str, ...]:
-        """Names of the records that stand guard, known without reading them."""
+        """Names of the guard records, known without reading them."""
         return ()
 
     def records(self, subset: Subset, channels: Channels) -> SourceData:
-        """The records of a subset. Raises UserError as `read`, when they do not fit the channels,
-        when two of them have one name, and for values whose squares a double cannot hold."""
+        """The records of a subset.
+
+        Raises:
+            UserError: as `read`, when they do not fit the channels, when two of them have one
+                name, and for values whose squares a double cannot hold
+        """
         found = self.read(subset, channels)
         _check_channels(found.trajectories, channels)
         check_magnitudes(found.trajectories, *channels.names, _KINDS[subset])
@@ -193,35 +213,40 @@ class Source(ABC):
         return found
 
     def outline(self, channels: Channels) -> Outline | None:
-        """What the test's container says without being opened; None where its records must be read
-        to know. Raises UserError when it does not fit the channels or is damaged."""
+        """Return the public facts about the test; None where its records must be read to know them.
+
+        Raises:
+            UserError: when the container does not fit the channels or is damaged
+        """
         del channels
         return None
 
     def check_openable(self) -> None:
-        """Raises UserError when the test is certain not to open."""
+        """Raise UserError when the test is certain not to open."""
         return
 
     def with_keys(self, folder: Path | None) -> Source:
-        """The same source with its keys in `folder`; None is the person's own."""
+        """Return the same source with its keys in `folder`; None is the folder of the user."""
         del folder
         return self
 
 
 @dataclass(frozen=True)
 class DataSet(Source):
-    """A data set with a fixed division into training and test records. A problem may set training
-    records apart, by name, to stand guard. A subclass says how to `load` and where the files
-    lie."""
+    """Data set with a fixed division into training and test records.
+
+    A problem may set training records apart, by name, as guard records. A subclass implements
+    `load` and `places`.
+    """
 
     source: str
     """`data.source` as the problem file has it."""
     guard: tuple[str, ...] = ()
-    """Names of training records that stand guard."""
+    """Names of training records that are guard records."""
 
     @property
     def argument(self) -> str:
-        """What stands behind the colon of `data.source`."""
+        """Text after the colon of `data.source`."""
         return self.source.partition(":")[2]
 
     @abstractmethod
@@ -230,7 +255,7 @@ class DataSet(Source):
 
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """As `Source.from_table`."""
+        """Implement `Source.from_table`."""
         del root
         refuse_seed(table)
         if isinstance(table.guard, int):
@@ -238,7 +263,7 @@ class DataSet(Source):
         return cls(table.source or "", table.guard)
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """As `Source.read`."""
+        """Implement `Source.read`."""
         if subset == "test":
             return self.load("test", channels)
         if subset == "guard" and not self.guard:
@@ -260,17 +285,17 @@ class DataSet(Source):
         )
 
     def to_toml(self) -> dict[str, Any]:
-        """As `Source.to_toml`."""
+        """Implement `Source.to_toml`."""
         return {"source": self.source, "guard": list(self.guard) or None}
 
     @property
     def guard_names(self) -> tuple[str, ...]:
-        """As `Source.guard_names`."""
+        """Implement `Source.guard_names`."""
         return self.guard
 
 
 def refuse_seed(table: DataTable) -> None:
-    """Raises UserError where a seed is named for records that are not simulated."""
+    """Raise UserError where a seed is named for records that are not simulated."""
     if table.seed is not None:
         raise UserError("data.seed belongs to a simulated source: leave it out")
 

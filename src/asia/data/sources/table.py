@@ -1,4 +1,4 @@
-"""Which sources there are, and the sources that `[data]` of a problem file names."""
+"""Table of sources, and the sources that `[data]` of a problem file names."""
 
 from __future__ import annotations
 
@@ -24,13 +24,16 @@ SOURCES: Mapping[str, type[Source]] = {
     "nanodrone": Nanodrone,
     "simulated": Simulated,
 }
-"""ASIA's own sources, by what stands before the colon of `data.source`. The second is an older name
-of the first."""
+"""ASIA's own sources, by the text before the colon of `data.source`. The second is an older name of
+the first."""
 
 
 def data_source(table: DataTable, root: Path) -> Source:
     """The source of the training and the guard records, and of the test unless that is encrypted.
-    root: the folder of the problem file, absolute. Raises UserError."""
+
+    Args:
+        root: the folder of the problem file, absolute
+    """
     if table.source is None:
         if (table.test or table.test_experiments) and table.sealed:
             named = "test" if table.test else "test_experiments"
@@ -71,8 +74,14 @@ def source_class(text: str) -> type[Source]:
 
 
 def checked_class(found: object, what: str) -> type[Source]:
-    """`found` when it is a class that can be a source. what: its name in messages. Raises UserError
-    that says what it lacks."""
+    """Return `found` when it is a class that can be a source.
+
+    Args:
+        what: its name in messages
+
+    Raises:
+        UserError: naming the missing parts
+    """
     if not (isinstance(found, type) and issubclass(found, Source)):
         raise UserError(f"{what} is no class derived from asia.data.sources.Source")
     lacks = sorted(getattr(found, "__abstractmethods__", ()))

@@ -27,8 +27,11 @@ class CancelFlag:
 
     @contextmanager
     def on_cancel(self, callback: Callable[[], None]) -> Generator[None]:
-        """Call `callback` if `cancel` is called while this is open. Raises SandboxError if it was
-        called before."""
+        """Call `callback` if `cancel` is called while this is open.
+
+        Raises:
+            SandboxError: if it was called before
+        """
         with self._lock:
             if self.cancelled:
                 raise SandboxError("the result of this fit is not wanted any more")
@@ -36,7 +39,7 @@ class CancelFlag:
         try:
             yield
         finally:
-            # Waits for a cancellation under way: what it ends is still there.
+            # Wait for a running cancellation: its worker still exists.
             with self._lock:
                 self._callbacks.remove(callback)
 
@@ -50,7 +53,7 @@ class CancelFlag:
 
 @dataclass(frozen=True)
 class JobSettings:
-    """How a thread of the search wants its jobs run."""
+    """Settings for the jobs of one thread of the search."""
 
     cancel: CancelFlag = field(default_factory=CancelFlag)
     """Ends them."""
@@ -73,12 +76,12 @@ class BackgroundJob(Generic[T]):
             return job(), lane
 
     def result(self) -> T:
-        """Wait for the result of the job, and return it; raises what the job raised."""
+        """Wait for the result of the job, and return it; raise the exception of the job."""
         begin = time.monotonic()
         found, lane = self._future.result()
         self._watch.waited(lane, time.monotonic() - begin)
         return found
 
     def cancel(self) -> None:
-        """End what is still running: its result is not needed."""
+        """End the running work; its result is not needed."""
         self._cancel.cancel()

@@ -43,7 +43,7 @@ def installation_for(limits: Limits) -> Mapping[str, str]:
 
 
 def check_installation(there: Mapping[str, str], machine: str) -> None:
-    """Raises UserError unless this machine, by its name, has what the search's own has."""
+    """Raise UserError unless the installation on a machine equals that of the search."""
     here = {**installation(), _GPU: gpu_words()} if _GPU in there else installation()
     different = [
         f"{name} {here.get(name, 'missing')} there, {there.get(name, 'missing')} here"
@@ -66,7 +66,8 @@ def _version(name: str) -> str:
 
 
 def _instructions() -> str:
-    """12 hexadecimal digits of what the processor offers, where the system says."""
+    """Return 12 hexadecimal digits of the processor's instruction sets, where the system lists
+    them."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines()
     except OSError:
@@ -87,10 +88,10 @@ def _sources() -> str:
 
 @dataclass(frozen=True)
 class MachineState:
-    """One worker of an executor, as `asia doctor` tells it."""
+    """State of one worker of an executor, for `asia doctor`."""
 
     worker: str
-    """What the executor calls it."""
+    """Name of the worker in the executor."""
     machine: str
     """Name of its machine."""
     cores: int
@@ -98,19 +99,23 @@ class MachineState:
     isolation: str
     """The strongest level that works there; "" for none."""
     layers: tuple[str, ...]
-    """Its layers."""
+    """Sandbox layers of the worker."""
     round_trip: float
     """Seconds of a message there and back."""
     clock: float
     """Seconds by which its clock is ahead. Nothing depends on it."""
     unlike: str
-    """What is not as on this machine, in a sentence; "" for nothing."""
+    """Differences from this machine, in a sentence; "" for none."""
     gpu: str
-    """What the driver says of its GPU; "" for none."""
+    """GPU as reported by its driver; "" for none."""
 
 
 def survey_machines(carrier: Carrier) -> list[MachineState]:
-    """Ask every worker. Raises SandboxError where one does not answer."""
+    """Query every worker.
+
+    Raises:
+        SandboxError: where one does not respond
+    """
     request = json.dumps(dict(installation())).encode()
     states: list[MachineState] = []
     for worker, (reply, seconds, asked) in carrier.ask_each(described, request).items():
@@ -132,7 +137,7 @@ def survey_machines(carrier: Carrier) -> list[MachineState]:
 
 
 def described(request: bytes) -> bytes:
-    """On a worker: what it says of itself."""
+    """Describe this machine, on a worker."""
     there: Mapping[str, str] = json.loads(request)
     machine, now = socket.gethostname(), time.time()
     try:

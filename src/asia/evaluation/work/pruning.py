@@ -12,11 +12,11 @@ from asia.scoring import Failure
 
 
 class FoldPruner:
-    """A lower bound on V from the first folds of a fit, while others run in other threads.
+    """Lower bound on V from the first folds of a fit, while others run in other threads.
 
-    The parts of V are never negative. So V is at least the sum of those that are known, over the
-    number of folds. Only folds without a gap before them count, so what comes out does not depend
-    on which fold ends first. Those behind the last one that counts are ended where they run.
+    The parts of V are never negative. So V is at least the sum of the known parts over the number
+    of folds. Only folds without a gap before them count, so the result does not depend on which
+    fold ends first. Folds after the last one that counts are ended while they run.
     """
 
     def __init__(self, folds: int, over: float) -> None:
@@ -29,8 +29,8 @@ class FoldPruner:
         """How many folds were ended while they ran."""
 
     def fit(self, index: int, job: Callable[[], FoldEnd]) -> FoldEnd | None:
-        """What the fold gives; None where it does not count any more: then nothing is fitted, or
-        the fit was cancelled."""
+        """Run the fit of a fold; return None where it no longer counts: it was not started, or it
+        was cancelled."""
         if self.failure() is not None:
             return None
         try:
@@ -54,8 +54,8 @@ class FoldPruner:
                 flag.cancel()
 
     def failure(self) -> Failure | None:
-        """Why the candidate has no V: its last fold that counts, and the bound there; None as long
-        as all folds count."""
+        """Return the reason why the candidate has no V: its last fold that counts, and the bound
+        there; None while all folds count."""
         count, total = len(self._parts), 0.0
         with self._lock:
             parts = self._parts[:-1]

@@ -56,11 +56,14 @@ OpenWorker = Callable[[frozenset[str], Limits], AbstractContextManager[Worker]]
 def fit_fold(
     work: FoldWork, data: FoldData, open_worker: OpenWorker, oracle: Oracle | None = None
 ) -> FoldAnswer:
-    """Fit and simulate in one worker, which names its parameters before it knows a case.
+    """Fit and simulate in one worker, which reports its parameters before it receives a case.
 
-    oracle: scores the model on the held-out part during the fit, where the protocol allows it; it
-    has the held-out outputs, so it is there on the search's own machine alone. Raises SandboxError
-    for what is not the candidate's fault.
+    Args:
+        oracle: scores the model on the held-out part during the fit, where the protocol allows
+            it; it has the held-out outputs, so it exists only on the search's own machine
+
+    Raises:
+        SandboxError: for a failure that the candidate did not cause
     """
     printed: list[str] = []
     try:
@@ -155,8 +158,12 @@ def standby_pool() -> StandbyPool:
 
 
 def answer(request: bytes, data: bytes, unwanted: Callable[[], bool] = lambda: False) -> bytes:
-    """The answer to a request. data: the bytes that it names. unwanted: asked all the time whether
-    nobody waits for the answer any more; then the worker is ended."""
+    """Answer a request on a worker machine.
+
+    Args:
+        data: the bytes that the request names
+        unwanted: polled; once it is True the worker is ended
+    """
     machine = socket.gethostname()
     try:
         check_installation(installation_of(request), machine)
@@ -205,7 +212,7 @@ def _check_isolation(isolation: Isolation, layers: tuple[str, ...], machine: str
 
 @contextmanager
 def _watched(worker: Worker, unwanted: Callable[[], bool]) -> Generator[None]:
-    """End the worker once its answer is not wanted any more."""
+    """End the worker once its result is no longer needed."""
     over = threading.Event()
 
     def look() -> None:
@@ -235,10 +242,10 @@ class FoldFitter:
         problem: str,
         alone: bool,
     ) -> None:
-        """context: what is the same for all folds; carrier: None where folds are fitted here;
-        problem: sha256 of the run's lock file; alone: whether no two workers may run at once.
-        Raises UserError where candidates may ask for their score, which takes the held-out outputs
-        to the machine that fits."""
+        """context: the part that is the same for all folds; carrier: transport to other machines,
+        None where folds are fitted here; problem: sha256 of the run's lock file; alone: whether
+        no two workers may run at once. Raises UserError where candidates may ask for their
+        score, which takes the held-out outputs to the machine that fits."""
         if carrier is not None and rule.early_stopping != "inner":
             raise UserError(
                 "validation early stopping needs the held-out outputs where a candidate is fitted, "

@@ -1,7 +1,7 @@
-"""What goes to the machine that fits a fold, and what comes back.
+"""Messages to and from the machine that fits a fold.
 
-A request is made by the search and may be unpickled there. An answer holds what a candidate made:
-it is JSON and raw numbers, which the search checks against what it asked for.
+A request is made by the search and may be unpickled there. An answer holds data made by a
+candidate: it is JSON and raw numbers, which the search checks against its request.
 """
 
 from __future__ import annotations
@@ -33,19 +33,21 @@ Blob: TypeAlias = bytes | memoryview
 
 @dataclass(frozen=True)
 class FoldData:
-    """What the fit of a fold needs beside its source, the same for all candidates. Of the held-out
-    outputs it has the past windows alone, which candidates are given."""
+    """Data for the fit of a fold, the same for all candidates.
+
+    Of the held-out outputs it has the past windows alone, which candidates receive.
+    """
 
     train: tuple[Trajectory, ...]
-    """What models are fitted to."""
+    """Records that models are fitted to."""
     cases: tuple[Case, ...]
-    """What they simulate."""
+    """Cases to simulate."""
     shapes: tuple[tuple[int, int], ...]
     """(H, ny) of each case."""
     requests: tuple[tuple[int, ...], ...]
-    """Which cases go to the worker together, in which order: see `held_out_requests`."""
+    """Cases of each request, in order: see `held_out_requests`."""
     rule: ProtocolRule
-    """How records are cut into windows."""
+    """Rule that cuts records into windows."""
 
     @property
     def blocks(self) -> list[Block]:
@@ -56,7 +58,7 @@ class FoldData:
 
 @dataclass(frozen=True)
 class FoldWork:
-    """A fold to be fitted: all that its outcome depends on, beside the data that it names."""
+    """Work on a fold: everything that its outcome depends on, besides the data that it names."""
 
     problem: str
     """sha256 of the run's lock file; "" for an evaluation outside a run."""
@@ -67,9 +69,9 @@ class FoldWork:
     source: str = field(repr=False)
     """The candidate."""
     context: Context = field(repr=False)
-    """What it is given, its seed among it. The deadline is set where it is fitted."""
+    """Context of the candidate, with its seed. The deadline is set on the machine that fits."""
     limits: Limits
-    """What a worker may use."""
+    """Resource limits of a worker."""
     isolation: Isolation
     """The level that must keep the candidate in."""
     layers: tuple[str, ...]
@@ -80,22 +82,22 @@ class FoldWork:
 
 @dataclass(frozen=True)
 class FoldAnswer:
-    """What came of the work."""
+    """Answer of the machine that fits."""
 
     result: Fitted | CandidateError
-    """What the worker gave, or why it gave nothing."""
+    """Result of the worker, or its error."""
     printed: str
-    """What the candidate printed during its fit."""
+    """Text that the candidate printed during its fit."""
     machine: str = ""
     """The machine, "" for the search's own."""
     isolation: str = ""
     """The level that was in force there."""
     spent: Seconds = field(default_factory=dict[Activity, tuple[float, float]])
-    """Where its seconds went."""
+    """Seconds by activity."""
 
 
 def fold_data(fold: Fold, rule: ProtocolRule) -> FoldData:
-    """What goes out for a fold: everything but the outputs that it holds out."""
+    """Collect the data of a fold: everything but the outputs that it holds out."""
     blocks = fold.validation
     return FoldData(
         train=fold.train,
@@ -113,7 +115,11 @@ def encode_data(data: FoldData) -> tuple[str, bytes]:
 
 
 def decode_data(raw: bytes, digest: str) -> FoldData:
-    """The data of a search of our own. Raises SandboxError where they are not those."""
+    """The data of a search of our own.
+
+    Raises:
+        SandboxError: where they are not those
+    """
     if hashlib.sha256(raw).hexdigest() != digest:
         raise SandboxError("the data of a fold came as other bytes than the search sent")
     return pickle.loads(raw)
@@ -143,8 +149,8 @@ def encode_answer(answer: FoldAnswer) -> bytes:
 def local_answer(
     answer: FoldAnswer, data: FoldData, train: Sequence[tuple[int, int]]
 ) -> FoldAnswer:
-    """What `decode_answer` makes of the message that `encode_answer` makes, with its arrays as they
-    are: those of long records are large."""
+    """Return the answer that `decode_answer` makes of an encoded one, without copying its arrays:
+    those of long records are large."""
     head, blobs = _parts(answer)
     return _answer(json.loads(json.dumps(head)), blobs, data, train)
 
@@ -174,15 +180,23 @@ def _parts(answer: FoldAnswer) -> tuple[dict[str, Any], list[Blob]]:
 
 
 def encode_trouble(error: SandboxError | UserError) -> bytes:
-    """For what is no answer: a worker that was killed, a machine that cannot do the work."""
+    """Encode an error in place of an answer: a worker that was killed, or a machine that cannot do
+    the work."""
     kind = "user" if isinstance(error, UserError) else "sandbox"
     kind = "killed" if isinstance(error, WorkerKilledError) else kind
     return _packed({"trouble": kind, "words": str(error)}, [])
 
 
 def decode_answer(reply: bytes, data: FoldData, train: Sequence[tuple[int, int]]) -> FoldAnswer:
-    """The answer to work on `data`; train: (H, ny) of the blocks of its training records. Raises
-    what `encode_trouble` was given, and SandboxError for what is no answer."""
+    """Decode the answer to work on `data`.
+
+    Args:
+        train: (H, ny) of the blocks of its training records
+
+    Raises:
+        SandboxError: for an invalid answer
+        UserError: as given to `encode_trouble`
+    """
     try:
         head, blobs = _unpacked(reply)
         if "trouble" in head:

@@ -1,1 +1,1 @@
-"""What `asia check` says of the data beside their figures."""
+"""Advice of `asia check` about the data, next to their figures."""

@@ -26,7 +26,7 @@ _USUAL, _FAR = (0.025, 0.975), 3.0
 
 @dataclass(frozen=True)
 class InputDelay:
-    """After how long an output answers an input, by their names."""
+    """Delay from an input to an output, by their names."""
 
     given: str
     output: str
@@ -47,7 +47,8 @@ def input_delays(problem: Problem) -> tuple[InputDelay, ...]:
 
 
 def delay_lines(problem: Problem, found: Sequence[InputDelay]) -> tuple[str, ...]:
-    """After how many samples each output answers each input, and where feedback is not judged."""
+    """Describe the delay from each input to each output, and the pairs where feedback was not
+    tested."""
     lines: list[str] = []
     for output in problem.outputs:
         lags = [(a.given, a.delay.lag) for a in found if a.output == output.name]
@@ -58,8 +59,8 @@ def delay_lines(problem: Problem, found: Sequence[InputDelay]) -> tuple[str, ...
                 f"band: {said}"
             )
     lines += [
-        f"delay 0: output {a.output} moves with input {a.given} in the same sample. If the system "
-        "cannot be so fast, a controller sets the input from that output"
+        f"delay 0: output {a.output} responds to input {a.given} in the same sample. If the system "
+        "cannot be so fast, a controller computes the input from that output"
         for a in found
         if a.delay.lag == 0
     ]
@@ -73,13 +74,13 @@ def delay_lines(problem: Problem, found: Sequence[InputDelay]) -> tuple[str, ...
     ]
     if blind:
         lines.append(
-            f"feedback: not judged for input {', '.join(blind)}, which no short filter makes white"
+            f"feedback: not tested for input {', '.join(blind)}, which no short filter whitens"
         )
     return tuple(lines)
 
 
 def missing_lines(problem: Problem) -> list[str]:
-    """How many samples of each output are missing."""
+    """Count the missing samples of each output."""
     measured = np.concatenate([r.measured for r in problem.train])
     found = [
         f"{output.name} {int(lost)} of {len(measured)}"
@@ -131,7 +132,8 @@ def _feedback(problem: Problem) -> list[str]:
     records = _first_samples(problem)
     return [
         f"input {given.name} follows earlier values of output {output.name}: it may come from a "
-        "controller, and a model fitted in closed loop may take the controller for the system"
+        "controller, and a model fitted in closed loop may describe the controller instead of "
+        "the system"
         for i, given in enumerate(problem.inputs)
         for j, output in enumerate(problem.outputs)
         if _moves(records, i, j) and find_feedback(records, i, j)
@@ -141,7 +143,7 @@ def _feedback(problem: Problem) -> list[str]:
 def _drift(
     records: Sequence[Trajectory], parts: Sequence[Array], name: str, unit: str
 ) -> list[str]:
-    """Where a straight line over the longest record explains most of its variance."""
+    """Describe a linear drift that explains most of the variance of the longest record."""
     k = int(np.argmax([len(p) for p in parts]))
     y = parts[k] - parts[k].mean()
     time = np.arange(len(y)) - (len(y) - 1) / 2
@@ -153,13 +155,13 @@ def _drift(
         return []
     return [
         f"{name} {'rises' if slope > 0 else 'falls'} by {abs(slope) * (len(y) - 1):.3g}{unit} over "
-        f"record '{records[k].name}', more than it moves otherwise: the sensor may drift, or the "
-        "record starts far from rest"
+        f"record '{records[k].name}', more than its other variation: the sensor may drift, or the "
+        "record starts far from steady state"
     ]
 
 
 def _steps(values: Array, name: str, unit: str) -> list[str]:
-    """Where all values are multiples of one step that is large beside the signal."""
+    """Describe a quantization step that is large relative to the signal."""
     levels = np.unique(values)
     gaps = np.diff(levels)
     gaps = gaps[gaps > 1e-9 * (levels[-1] - levels[0])]
@@ -171,7 +173,8 @@ def _steps(values: Array, name: str, unit: str) -> list[str]:
         return []
     floor = step / np.sqrt(12.0) / std
     return [
-        f"{name} comes in steps of {step:.3g}{unit}: that alone is an error of about {floor:.1%} "
+        f"{name} is quantized in steps of {step:.3g}{unit}: this alone causes an error of about "
+        f"{floor:.1%} "
         "of its standard deviation"
     ]
 
@@ -194,7 +197,7 @@ def _outliers(records: Sequence[Trajectory], parts: Sequence[Array], name: str) 
     many = "1 sample jumps" if len(found) == 1 else f"{len(found)} samples jump"
     where = f"sample {found[0][1]} of record '{found[0][0]}'"
     return [
-        f"{name}: {many} away from both neighbours, the first at {where}: look for outliers, and "
+        f"{name}: {many} away from both neighbours, the first at {where}: check for outliers, and "
         "cut the record there"
     ]
 
@@ -217,6 +220,6 @@ def _codes(values: Array, name: str, repeated: bool) -> list[str]:
     shown = ", ".join(f"{v:g}" for v in np.unique(found)[:3])
     return [
         f"{name} has {shown} in {len(found)} sample{'s' if len(found) > 1 else ''}, the others lie "
-        f"from {others.min():.3g} to {others.max():.3g}: if nothing was measured there, leave the "
+        f"from {others.min():.3g} to {others.max():.3g}: if these mark missing values, leave the "
         "cells empty"
     ]

@@ -1,4 +1,4 @@
-"""What the seal tells of the test, which stays closed."""
+"""Advice from the public header of the sealed test."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def sealed_doubts(problem: Problem, seal: Seal, *, in_workspace: bool) -> list[s
         doubts.append("there is no test data: the winner cannot be judged on unseen records")
     doubts += [
         f"test record '{name}' has {scored} samples to score, after the past window and "
-        f"protocol.test.skip: fewer than {_FEW_SCORED} tell little of a model"
+        f"protocol.test.skip: fewer than {_FEW_SCORED} say little about a model"
         for name, scored in zip(seal.names, scored_samples(seal, problem.protocol), strict=True)
         if scored < _FEW_SCORED
     ]
@@ -34,8 +34,8 @@ def sealed_doubts(problem: Problem, seal: Seal, *, in_workspace: bool) -> list[s
             "training records: the test is not unseen"
         )
     doubts += [
-        f"{count} of {sum(seal.lengths)} test samples of input {given.name} are beyond what it "
-        "reaches in the training records: a model has to extrapolate there"
+        f"{count} of {sum(seal.lengths)} test samples of input {given.name} are outside its "
+        "range in the training records: a model must extrapolate there"
         for given, count in zip(problem.inputs, seal.outside_inputs, strict=False)
         if count > _OUTSIDE * sum(seal.lengths)
     ]
@@ -43,5 +43,5 @@ def sealed_doubts(problem: Problem, seal: Seal, *, in_workspace: bool) -> list[s
 
 
 def scored_samples(seal: Seal, rule: ProtocolRule) -> tuple[int, ...]:
-    """How many samples of each test record are scored."""
+    """Return the number of scored samples of each test record."""
     return tuple(max(length - rule.past - rule.test.skip, 0) for length in seal.lengths)

@@ -49,9 +49,9 @@ class ArrayProblem:
     groups: Mapping[str, Sequence[str]] | None
     """Names of records that folds hold out together."""
     protocol: ProtocolRule | Table | None
-    """How V is computed; None for the defaults."""
+    """Rule for V; None for the defaults."""
     budget: Budget | Table | None
-    """What the search may spend; None for the defaults."""
+    """Limits of the search; None for the defaults."""
     physics: Physics | Table | None
     """Equations; None for none."""
     symmetry: Symmetry | None = None
@@ -59,8 +59,12 @@ class ArrayProblem:
 
 
 def save_problem(given: ArrayProblem, directory: Path) -> Problem:
-    """Write the directory, or find the same files there, and load it. Raises UserError for other
-    files there, with nothing overwritten, and for what does not make a problem."""
+    """Write the problem directory, or verify that it holds the same files, and load it.
+
+    Raises:
+        UserError: for other files in the directory, with nothing overwritten, and for arguments
+            that make no problem
+    """
     directory = directory.resolve()
     files = _files(given)
     if (directory / "problem.toml").is_file():
@@ -77,9 +81,9 @@ def save_problem(given: ArrayProblem, directory: Path) -> Problem:
     return load_problem(directory)
 
 
-def least_piece(protocol: ProtocolRule | Table | None) -> int:
-    """Samples of the shortest piece of a record that the folds can divide; 1 where the protocol is
-    wrong, which loading the problem tells."""
+def least_segment(protocol: ProtocolRule | Table | None) -> int:
+    """Return the samples of the shortest segment that the folds can divide; 1 for an invalid
+    protocol, which loading the problem reports."""
     if protocol is None or isinstance(protocol, ProtocolRule):
         return least_samples(protocol or ProtocolRule())
     try:

@@ -14,7 +14,7 @@ from asia.problem.new.text import RecordRows
 
 
 def check_directory(directory: Path) -> None:
-    """Raises UserError unless a new problem can be written there."""
+    """Raise UserError unless a new problem can be written there."""
     if not directory.exists():
         return
     if not directory.is_dir():
@@ -30,9 +30,19 @@ def write_directory(
     files: Sequence[tuple[str, str | RecordRows]],
     seal: Callable[[Path], Path] | None = None,
 ) -> Path | None:
-    """Write `files`, names and texts, and load the problem. All or nothing: a directory beside the
-    final one is filled, loaded, then renamed. seal: adds to it, and returns the path of its key.
-    That path. Raises UserError."""
+    """Write `files`, names and texts, and load the problem, all or nothing.
+
+    A temporary directory next to the final one is filled, loaded, then renamed.
+
+    Args:
+        seal: writes the store, and returns the path of its key
+
+    Returns:
+        the path of the key
+
+    Raises:
+        UserError: when the directory cannot be written or loaded
+    """
     above = [p for p in directory.parents if not p.exists()]
     key: Path | None = None
     try:

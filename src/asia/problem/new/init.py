@@ -68,8 +68,15 @@ fit_seconds = 120                   # per fold
 
 @dataclass(frozen=True)
 class NewProblem:
-    """What was made. path: of problem.toml; store: the encrypted test, key: what opens it; removed:
-    plain files that are gone; notes: what else to know, in plain words."""
+    """New problem directory.
+
+    Attributes:
+        path: path of problem.toml
+        store: path of the encrypted test
+        key: path of the key that opens it
+        removed: plain files that were removed
+        notes: further facts for the user, in plain words
+    """
 
     path: Path
     store: Path | None = None
@@ -77,12 +84,12 @@ class NewProblem:
     removed: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
     read: tuple[str, ...] = ()
-    """What was found in the files and done to them."""
+    """Findings in the files and the changes made to them."""
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """What to write: `files` by name inside the directory; `sealing` into its store."""
+    """Files to write: `files` by name inside the directory; `sealing` into its store."""
 
     train: tuple[str, ...]
     test: tuple[str, ...] = ()
@@ -110,18 +117,25 @@ def init_problem(
     wanted: Wanted | None = None,
     preparation: Preparation | None = None,
 ) -> NewProblem:
-    """Writes problem.toml, with comments, and description.md.
+    """Write problem.toml, with comments, and description.md.
 
-    sampling_time in seconds; None: from the time stamps. test_experiments: experiments in the
-    training files that are the test. wanted: how else the files are read, its inputs and outputs
-    apart. preparation: what `[preprocess]` is to say. Files that need no change
-    stay where they are; of others clean copies
-    are written into the directory as CSV, and problem.toml says what was done. seal: the test
-    files are moved into an encrypted store in the directory, its key into the folder `keys` (None:
-    the person's own); they are removed last, once the store was read back. Without test files and
-    with a seal_fraction (0 to 0.5) that share at the end of each record is sealed, and the rest
-    written as CSV files into the directory. Everything is checked first, nothing is overwritten,
-    and a failure leaves nothing behind. Raises UserError.
+    Files that need no change stay in place; clean copies of others are written into the directory
+    as CSV, and problem.toml lists the changes. Everything is checked first, nothing is overwritten,
+    and a failure leaves nothing behind.
+
+    Args:
+        sampling_time: s; None for that of the time stamps
+        test_experiments: experiments in the training files that become the test
+        wanted: options for reading the files, except the inputs and outputs
+        preparation: settings for `[preprocess]`
+        seal: move the test files into an encrypted store in the directory; they are removed
+            last, after the store was read back
+        keys: folder of the key, None for that of the user
+        seal_fraction: share (0 to 0.5) at the end of each record to seal when there are no test
+            files; the rest is written as CSV files into the directory
+
+    Raises:
+        UserError: for files or settings that make no problem
     """
     directory = directory.resolve()
     check_directory(directory)
@@ -188,7 +202,7 @@ def _write(
 
 
 def _least(rule: ProtocolRule, seal_fraction: float | None) -> tuple[int, int]:
-    """Samples that a piece of a training record, and of a test record, must have."""
+    """Return the least samples of a segment of a training record, and of a test record."""
     train = least_samples(rule)
     if seal_fraction is not None:
         train = ceil(train / (1.0 - seal_fraction)) + 1
@@ -306,7 +320,8 @@ def _still_held(paths: Sequence[Path]) -> str:
 
 
 def _written(path: Path, directory: Path) -> str:
-    """Relative when the data lie beside the problem, so that both can move together."""
+    """Return a relative path when the data are in the problem's directory, so that both can move
+    together."""
     path = path.resolve()
     if path.is_relative_to(directory.parent):
         return Path(os.path.relpath(path, directory)).as_posix()

@@ -1,4 +1,4 @@
-"""What is to be done to every record of a new problem, worked out from its training records."""
+"""Preprocessing of a new problem, derived from its training records."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from asia.problem._toml import toml_value
 
 @dataclass(frozen=True)
 class Preparation:
-    """What is wished."""
+    """Requested preprocessing."""
 
     delay: str | None = None
     """`auto`, or the samples by which all inputs are delayed."""
@@ -49,7 +49,7 @@ def prepare(
             strict=True,
         )
     )
-    # Six digits are enough, and a person reads them.
+    # Six digits suffice and are readable.
     offset = {n: float(f"{np.nanmean(v):.6g}") for n, v in values.items()} if wish.detrend else {}
     spread = {n: float(f"{np.nanstd(v):.6g}") for n, v in values.items()} if wish.scale else {}
     return replace(first, offset=offset, scale={n: s for n, s in spread.items() if s > 0})
@@ -74,7 +74,8 @@ def _columns(arrays: Sequence[Array]) -> list[Array]:
 def _delays(
     wish: str | None, records: Sequence[Trajectory], inputs: Sequence[str]
 ) -> dict[str, int]:
-    """Samples by input. A model without delay answers at the sample after the input's."""
+    """Return the delays by input in samples; a model without delay responds at the sample after the
+    input's."""
     if wish is None:
         return {}
     if wish != "auto":

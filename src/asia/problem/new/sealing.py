@@ -32,21 +32,25 @@ STORE = f"test{SUFFIX}"
 
 @dataclass(frozen=True)
 class Columns:
-    """How records are read: names of columns, sampling time in seconds."""
+    """Columns of a record: names, and sampling time in seconds."""
 
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     sampling_time: float
 
     def read(self, content: PlainFile) -> Trajectory:
-        """Raises UserError."""
+        """Raise UserError."""
         return sealed_record(content, Wanted(self.inputs, self.outputs), self.sampling_time)
 
 
 @dataclass(frozen=True)
 class Sealing:
-    """What is to be sealed. originals: plain files to remove once it is, in the order of
-    `contents`; none where the rows came out of files that stay."""
+    """Records to seal.
+
+    Attributes:
+        originals: plain files to remove after sealing, in the order of `contents`; none where
+            the rows came out of files that stay
+    """
 
     columns: Columns
     contents: tuple[PlainFile, ...]
@@ -54,7 +58,11 @@ class Sealing:
 
     @property
     def records(self) -> tuple[Trajectory, ...]:
-        """What the files hold. Raises UserError."""
+        """Records in the files.
+
+        Raises:
+            UserError: when they cannot be read
+        """
         return tuple(self.columns.read(content) for content in self.contents)
 
     def toml(self) -> str:
@@ -67,8 +75,16 @@ class Sealing:
         )
 
     def write(self, folder: Path, train: Sequence[Trajectory], keys: Path) -> Path:
-        """Make a key and, in `folder`, the store; on return both are on the disk. The key's path;
-        none is left behind by a failure. Raises UserError, OSError."""
+        """Make a key and, in `folder`, the store; on return both are on the disk.
+
+        A failure leaves no key behind.
+
+        Returns:
+            the path of the key
+
+        Raises:
+            UserError, OSError: when they cannot be written
+        """
         records, columns = self.records, self.columns
         name = new_key(keys)
         head = SealHead(
@@ -96,15 +112,18 @@ class Sealing:
 
 @dataclass(frozen=True)
 class Removal:
-    """Plain files that are gone, and what is to be said of those and of others, in words."""
+    """Removed plain files, and messages about those and about others."""
 
     removed: tuple[Path, ...]
     notes: tuple[str, ...]
 
 
 def seal_files(paths: Sequence[Path], columns: Columns) -> Sealing:
-    """The files as what is to be sealed. Raises UserError for one that cannot be moved or does not
-    read."""
+    """Return the files as content to seal.
+
+    Raises:
+        UserError: for a file that cannot be moved or read
+    """
     for path in paths:
         if path.is_symlink():
             raise UserError(
@@ -123,7 +142,7 @@ def seal_files(paths: Sequence[Path], columns: Columns) -> Sealing:
 
 
 def check_key_folder(keys: Path, directory: Path) -> None:
-    """Raises UserError when the key would lie beside what it opens."""
+    """Raise UserError when the key would lie in the directory of its store."""
     real = keys.resolve()
     if real == directory or directory in real.parents:
         raise UserError(
@@ -133,8 +152,11 @@ def check_key_folder(keys: Path, directory: Path) -> None:
 
 
 def remove_plain(sealing: Sealing, store: Path, keys: Path) -> Removal:
-    """Remove the plain files, once the store was read back and holds the same bytes. Raises
-    UserError, with all files still there, when it does not."""
+    """Remove the plain files, once the store was read back and holds the same bytes.
+
+    Raises:
+        UserError: with all files still there, when it does not
+    """
     if open_store(store, keys) != sealing.contents:
         raise UserError(f"{store} does not hold what was sealed: the plain files were left alone")
     removed: list[Path] = []
@@ -168,7 +190,7 @@ def _why_kept(path: Path, content: PlainFile) -> str | None:
 
 
 def _left_behind(path: Path) -> list[str]:
-    """Where else the rows of a file that goes may still be."""
+    """List other places where the rows of a removed file may still exist."""
     notes: list[str] = []
     if path.stat().st_nlink > 1:
         notes.append(f"{path} has other names on this disk (hard links), which still hold it")

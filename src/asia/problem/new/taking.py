@@ -32,11 +32,11 @@ class Taken:
     plain: bool
     """Whether the files can stay where they are, because they need no change."""
     units: Mapping[str, str]
-    """By channel, where the files give them."""
+    """Units by channel, where the files give them."""
     notes: tuple[str, ...]
     """Findings and changes."""
     progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
-    """Told how far a long writing is."""
+    """Callback for the progress of a long write."""
 
 
 def take(
@@ -51,9 +51,13 @@ def take(
 ) -> Taken:
     """Read the records.
 
-    least: samples that a piece of a training record and of a test record must have to count.
-    test_experiments: those in the training files that are the test. split: whether the last part
-    of each record becomes the test. Raises UserError.
+    Args:
+        least: least samples of a segment of a training record and of a test record
+        test_experiments: experiments in the training files that are the test
+        split: whether the last part of each record becomes the test
+
+    Raises:
+        UserError: for files that cannot be read as records
     """
     for path, count in Counter(p.resolve() for p in (*train, *test)).items():
         if count > 1:
@@ -98,7 +102,7 @@ def take(
 
 
 def origins(paths: Sequence[Path]) -> list[str]:
-    """Where clean copies come from, a line a file."""
+    """Describe the origin of clean copies, one line a file."""
     return [f"{path}{_hash(path)}" for path in paths]
 
 
@@ -109,7 +113,7 @@ def _hash(path: Path) -> str:
 
 
 def _renamed(records: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
-    """With names that are file names, all different."""
+    """Rename records so that their names are distinct file names."""
     bare = [re.sub(r"[^\w.+-]+", "_", t.name).strip("._") or "record" for t in records]
     names = unique_names(bare)
     return tuple(replace(t, name=n) for t, n in zip(records, names, strict=True))

@@ -19,9 +19,9 @@ class RecordRows:
     record: Trajectory
     """The record."""
     names: Sequence[str]
-    """Of inputs and outputs."""
+    """Names of inputs and outputs."""
     progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
-    """Told how far the writing is, in words."""
+    """Callback for the progress of a long write, in words."""
 
     def blocks(self) -> Iterator[str]:
         """A header row with the names, then a row a sample. It reads back as the same numbers; an

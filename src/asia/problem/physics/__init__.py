@@ -1,1 +1,1 @@
-"""A person's equations: what they may hold, and their checks."""
+"""Equations of a problem file: allowed content and checks."""

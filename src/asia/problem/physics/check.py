@@ -19,7 +19,8 @@ from asia.problem.physics.types import Physics
 def check_physics(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -> None:
     """Raise UserError, naming the field, at the first thing that does not fit together.
 
-    inputs, outputs: the signal names of the problem.
+    Args:
+        inputs, outputs: the signal names of the problem
     """
     symbols = _symbols(physics, inputs)
     _check_ranges(physics)
@@ -32,7 +33,11 @@ def check_physics(physics: Physics, inputs: Sequence[str], outputs: Sequence[str
 
 
 def definition_order(physics: Physics) -> tuple[str, ...]:
-    """Names of the definitions, each after those it uses. Raises UserError on a cycle."""
+    """Names of the definitions, each after those it uses.
+
+    Raises:
+        UserError: on a cycle
+    """
     uses = {
         name: parse_expression(text, f"[physics.definitions] {name}").names
         & physics.definitions.keys()

@@ -1,7 +1,7 @@
 """Physics expressions: text, through an `ast` whitelist, to a small tree of our own.
 
-Nothing in the text is ever executed. The tree knows no array library: whoever evaluates it
-brings the values of its names and the functions.
+Nothing in the text is ever executed. The tree knows no array library: the evaluating code supplies
+the values of its names and the functions.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FUNCTIONS: Mapping[str, tuple[int, int | None]] = MappingProxyType(
 """Functions an expression may call, with their least and greatest number of arguments."""
 
 NAMED_NUMBERS: Mapping[str, float] = MappingProxyType({"pi": pi})
-"""Names that always stand for a number."""
+"""Names reserved for numbers."""
 
 _LONGEST = 4000
 
@@ -93,7 +93,7 @@ _OPERATIONS: Mapping[str, Callable[[Any, Any], Any]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Expression:
-    """A parsed expression; `text` is what the person wrote, `names` the symbols in it."""
+    """Parsed expression; `text` is the source text, `names` the symbols in it."""
 
     text: str
     root: Node
@@ -108,8 +108,10 @@ class Expression:
 def parse_expression(text: str, where: str) -> Expression:
     """Parse `text`; `where` names its field in messages.
 
-    Raises UserError when the text does not parse, holds anything beside names, numbers,
-    + - * / **, parentheses and calls of the table's functions, or is longer than 4000 characters.
+    Raises:
+        UserError: when the text does not parse, holds anything except names, numbers, + - * /
+            **, parentheses and calls of the table's functions, or is longer than 4000
+            characters
     """
     if len(text) > _LONGEST:
         raise UserError(

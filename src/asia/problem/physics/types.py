@@ -1,4 +1,4 @@
-"""A person's equations with the ranges of their parameters."""
+"""Equations of a problem file with the ranges of their parameters."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a combination of parameters before the records: a normal distribution."""
+    """Prior of a combination of parameters: a normal distribution."""
 
     mean: float
     """The most probable value, in the unit of the combination."""
     deviation: float
     """Standard deviation, above 0, in the same unit."""
     reason: str = ""
-    """Why, in words."""
+    """Reason for the prior, in words."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,16 @@ class Correction:
     """An unknown effect at a place in the equations, learned from the records."""
 
     scale: float
-    """Its typical size, above 0, in the unit of the place."""
+    """Typical size, above 0, in the unit of its equation."""
 
 
 @dataclass(frozen=True)
 class Physics:
-    """The person's equations. Expressions are text in the names of states, inputs, parameters,
-    constants and definitions; `expressions.py` says what they may hold."""
+    """Equations of a problem.
+
+    Expressions are text in the names of states, inputs, parameters, constants and definitions;
+    `expressions.py` lists what they may hold.
+    """
 
     states: Annotated[tuple[str, ...], MinLen(1)]
     """Names of the states."""
@@ -69,6 +72,6 @@ class Physics:
     bounds: Mapping[str, Bounds] = field(default_factory=dict[str, Bounds])
     """Physical ranges of states, which the simulator keeps to."""
     priors: Mapping[str, Prior] = field(default_factory=dict[str, Prior])
-    """What is known of parameters, by an expression in them and in constants."""
+    """Priors of parameters, by an expression in them and in constants."""
     corrections: Mapping[str, Correction] = field(default_factory=dict[str, Correction])
-    """Names that stand in the equations for unknown effects: 0 until a model learns them."""
+    """Names in the equations that represent unknown effects: 0 until a model learns them."""

@@ -1,5 +1,5 @@
-"""Candidates that end their worker so that it looks killed from outside, as by a machine whose
-memory has run out: the fold would run again, and nobody would be to blame."""
+"""Candidates that imitate a worker killed from outside, as by a machine without memory: the fold
+would run again, and the candidate would not be blamed."""
 
 from __future__ import annotations
 

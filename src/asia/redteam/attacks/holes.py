@@ -1,5 +1,5 @@
-"""Candidates that interpolate across the hole that a held-out block leaves between two training
-parts: what they simulate ends where the part after the hole begins."""
+"""Candidates that interpolate across the gap of a held-out block between two training parts: their
+simulation ends where the part after the gap begins."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Reading held-out data out of scores, or out of verdicts: an agent that submits a baseline plus
-one cosine at a time and solves for what is missing."""
+"""Extraction of held-out data from scores or verdicts: an agent submits a baseline plus one cosine
+at a time and solves for the hidden error."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ Doubt = Callable[[Array], bool]
 
 
 def hidden_error() -> Array:
-    """What the baseline leaves of an output of unit standard deviation: coloured, of 0.3."""
+    """Return the error of the baseline for an output of unit standard deviation: coloured, of
+    0.3."""
     rng = np.random.default_rng(9)
     error = np.zeros(_SAMPLES)
     for k in range(1, _SAMPLES):
@@ -41,11 +42,13 @@ def hidden_error() -> Array:
 
 
 def probe(ask: Ask) -> Array:
-    """The correction (T,) that scores give away. ask: V of the baseline plus a correction, as the
-    search reports it.
+    """Return the correction (T,) that scores reveal.
 
-    First the coefficient of each cosine from the difference it makes (for exact scores the answer
-    to a linear system), then what is reported as better is kept.
+    First the coefficient of each cosine is computed from its effect on V (for exact scores the
+    solution of a linear system), then improvements are kept.
+
+    Args:
+        ask: V of the baseline plus a correction, as the search reports it
     """
     waves = [_wave(k) for k in range((QUERIES - 5) // 2)]
     base = ask(np.zeros(_SAMPLES)) ** 2
@@ -63,11 +66,14 @@ def probe(ask: Ask) -> Array:
 
 
 def bisect(ask: Ask, doubt: Doubt) -> Array:
-    """The correction (T,) that verdicts give away. doubt: whether a candidate with that correction,
-    which breaks a relation on purpose, is refused.
+    """Return the correction (T,) that verdicts reveal.
 
-    A baseline made worse is the one to beat. What is added to a better one is bisected to where the
-    verdict turns; beside it each cosine turns the verdict by its sign.
+    The candidate to beat is a baseline made worse. The amount added to a better one is bisected to
+    the threshold of the verdict; there each cosine changes the verdict by its sign.
+
+    Args:
+        doubt: whether a candidate with that correction, which breaks a relation on purpose, is
+            refused
     """
     worse = _wave(_SAMPLES // 2)
     ask(_WORSE * worse)
@@ -84,13 +90,17 @@ def exact(correction: Array) -> float:
 
 
 def _score(correction: Array) -> Score:
-    """Of the baseline plus a correction, as the search scores where the Ladder is on."""
+    """Return the score of the baseline plus a correction, as the search scores with the Ladder."""
     y, y_hat = hidden_error()[:, None], correction[:, None]
     return combine([score_fold([y], [y_hat], np.ones(1), "rmse", in_parts=True)])
 
 
 class Ladder:
-    """A search with the Ladder. spoil: how candidates break a relation in `doubt`."""
+    """A search with the Ladder.
+
+    Args:
+        spoil: how candidates break a relation in `doubt`
+    """
 
     def __init__(self, spoil: Spoil | None = None) -> None:
         self._search = ScoreOnlySearch(LADDER_STEP)
@@ -103,7 +113,7 @@ class Ladder:
         return reported.value
 
     def doubt(self, correction: Array) -> bool:
-        """Whether the candidate, which breaks a relation, is refused."""
+        """Return whether the candidate, which breaks a relation, is refused."""
         return isinstance(self._search.submit(_score(correction), self._spoil).outcome, Failure)
 
 

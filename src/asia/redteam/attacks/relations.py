@@ -1,5 +1,5 @@
-"""Attacks by answers that depend on what they must not: later inputs, other windows, the data after
-a held-out block."""
+"""Attacks by outputs that depend on forbidden data: later inputs, other windows, the data after a
+held-out block."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from asia.redteam.attacks.source import candidate
 
-# What pushed the output at its last measured sample, a row; and the honest simulation under it.
+# Disturbance of the output at its last measured sample, a row; and the honest simulation under it.
 _PUSH = """
 def pushes(past_u, past_y):
     return past_y[:, -1, 0] - POLE * past_y[:, -2, 0] - GAIN * past_u[:, -2, 0]

@@ -1,4 +1,4 @@
-"""Attacks on the score: what is sent back, what is said, what is looked for in memory."""
+"""Attacks on the score: manipulated replies, manipulated messages, search of the memory."""
 
 from __future__ import annotations
 

@@ -65,23 +65,33 @@ def candidate(
     after: str = "honest(past_u, past_y, u)",
     top: str = "",
 ) -> str:
-    """The honest candidate with code in its `fit`, in its `simulate` before and as its answer, and
-    at the top level. The name GIVEN stands for what an attack receives."""
+    """Make the honest candidate with additional code.
+
+    The name GIVEN in the code is replaced by the data of the attack.
+
+    Args:
+        fit: code in `fit`
+        before: code in `simulate` before the result
+        after: result of `simulate`
+        top: code at the top level
+    """
     text = _TEXT.replace("BEFORE", textwrap.indent(before, " " * 8).strip())
     text = text.replace("AFTER", after).replace("TOP", top)
     return text.replace("    FIT", textwrap.indent(fit.strip("\n"), " " * 4))
 
 
 def steps(attempts: Mapping[str, str], top: str = "") -> str:
-    """A candidate that tries each of these pieces of code while it fits and prints how each ended:
+    """Make a candidate that runs each of these codes in its fit and prints the result of each:
     `done`, or the name of the error."""
     fit = f"print({STEPS!r} + json.dumps({{n: attempt(c) for n, c in {dict(attempts)!r}.items()}}))"
     return candidate(fit=fit, top=top)
 
 
 def fill_in(source: str, given: str, problem: SmallProblem) -> str:
-    """The source with what an attack receives, as Python, and what it knows of the problem: pole
-    and gain of an honest model, and for a table the measured outputs."""
+    """Fill the data of an attack into a source, as Python.
+
+    It also receives pole and gain of an honest model, and for a table the measured outputs.
+    """
     y = problem.record.y[:, 0]
     facts = {
         "GIVEN": given,

@@ -1,5 +1,7 @@
-"""Attacks on the machine: files, processes, the network, memory. None does harm where it succeeds:
-each opens, asks or allocates, and touches only what it was given to touch."""
+"""Attacks on the machine: files, processes, the network, memory.
+
+None does harm where it succeeds: each opens, asks or allocates, and touches only its own targets.
+"""
 
 from __future__ import annotations
 

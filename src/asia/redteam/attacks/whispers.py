@@ -1,12 +1,12 @@
-"""Candidates that pass the training outputs of one fold to the worker of another through what a
-machine counts or shares for all its processes."""
+"""Candidates that pass the training outputs of one fold to the worker of another through counters
+or resources shared by all processes of a machine."""
 
 from __future__ import annotations
 
 from asia.redteam.attacks.source import candidate
 
-# The worker that trains on the end of the record tells, the other listens. A model that is drawn to
-# its own training data too has a training error as low as its score.
+# The worker that trains on the end of the record sends, the other one reads. A model that is drawn
+# to its own training data too has a training error as low as its score.
 _WHISPER = """
 MODEL, RECORDS = Model(), []
 VALUES, BITS, SPAN = 12, 3, 2.4

@@ -1,1 +1,1 @@
-"""What an attack leaves, and what that amounts to."""
+"""Traces of an attack and the verdict on them."""

@@ -21,7 +21,7 @@ _PORTS_TRIED = 50
 
 @dataclass(frozen=True)
 class Targets:
-    """What an attack may aim at. It receives neither the secret nor what is watched."""
+    """Targets of an attack. It receives neither the secret nor the watched traces."""
 
     playground: str
     """A folder made for the attack."""
@@ -44,19 +44,19 @@ class Targets:
     key: int
     """The key of shared memory."""
     mark: str
-    """What the attack names its processes and files."""
+    """Marker in the names of its processes and files."""
     memory_mb: int
     """The memory of its worker."""
     secret: str
-    """What stands in the test file and in the neighbour's environment."""
+    """Secret in the test file and in the neighbour's environment."""
     traces: Traces
-    """What there was before the attack."""
+    """State before the attack."""
     neighbour: Neighbour
     """The neighbour, to see whether it was changed."""
 
     @property
     def source(self) -> str:
-        """What the attack receives, as Python source."""
+        """Data of the attack, as Python source."""
         names = [one.name for one in fields(self) if one.name not in _WITHHELD]
         return repr({name.upper(): getattr(self, name) for name in names})
 

@@ -1,4 +1,4 @@
-"""What an attack leaves: processes that outlive it, files, a neighbour that is not as it was."""
+"""Traces of an attack: surviving processes, files, and a changed neighbour."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 _PLACES = ("/tmp", "/dev/shm", "/var/tmp")
-# What attacks call their traps, where a mark in the name would give them away: files that bear it
+# Names of the attacks' traps, where a mark in the name would reveal them: files that bear it
 # inside, links, pipes and devices.
 _TRAPS = frozenset(
     (*(name + ".py" for name in ("conftest", "sitecustomize", "usercustomize")),
@@ -29,14 +29,14 @@ _MARKED_BYTES = 4096
 
 @dataclass(frozen=True)
 class Traces:
-    """Finds what an attack leaves. Made before the attack."""
+    """Detector of traces, made before the attack."""
 
     mark: str
-    """What stands in the names of its processes and files."""
+    """Marker in the names of its processes and files."""
     key: int
     """The key of its shared memory."""
     playground: str
-    """A folder that nobody else writes to."""
+    """Folder that nothing else writes to."""
     pids: frozenset[int] = field(default_factory=lambda: frozenset(_pids()))
     """The processes that ran before it."""
     paths: frozenset[str] = field(init=False)
@@ -77,8 +77,8 @@ class Traces:
         return found
 
     def _found(self) -> Iterator[str]:
-        """All of the playground; elsewhere, where other programs write too, what is marked, and
-        traps."""
+        """Yield all files of the playground; in other folders, where other programs write too,
+        marked ones and traps."""
         for folder, folders, files in os.walk(self.playground):
             yield from (os.path.join(folder, name) for name in (*folders, *files))
         for place in {os.getcwd(), str(Path.home()), tempfile.gettempdir(), *_PLACES}:
@@ -104,11 +104,11 @@ class Neighbour:
     process: subprocess.Popen[bytes]
     """The process."""
     nice: int
-    """Its priority at the start."""
+    """Priority at the start."""
 
     @property
     def hurt(self) -> str:
-        """That it ended, stands still or has another priority, at two looks; "" for nothing."""
+        """Description of its end, stop or changed priority, at two observations; "" for no harm."""
         if not self._changed():
             return ""
         time.sleep(_AGAIN_SECONDS)
@@ -148,8 +148,8 @@ def _is_odd_trap(path: str) -> bool:
 
 
 def _lost(pid: int) -> bool:
-    """Whether it is a Python of ours behind a worker's filter, which nothing that a worker starts
-    can take off, and no evaluator is above it."""
+    """Return whether it is a Python of ours behind a worker's filter, which nothing that a worker
+    starts can take off, and no evaluator is above it."""
     if not (_confined(pid) and _ours(pid)):
         return False
     parent = _parent(pid)
@@ -168,7 +168,7 @@ def _confined(pid: int) -> bool:
 
 
 def _ours(pid: int) -> bool:
-    """Whether it runs this Python; unknown, and so False, for a process of another user."""
+    """Return whether it runs this Python; unknown, and so False, for a process of another user."""
     try:
         return os.path.samefile(f"/proc/{pid}/exe", sys.executable)
     except OSError:
@@ -184,7 +184,7 @@ def _parent(pid: int) -> int:
 
 
 def _stat(pid: int) -> list[str]:
-    """From the state on, which is the third field."""
+    """Return the fields of the process status from the state on, which is the third field."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
 
 

@@ -1,4 +1,4 @@
-"""From what was seen of an attack to what became of it."""
+"""Conversion of the observations of an attack to a finding."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _BY_REASON = {
 
 
 def said_steps(output: str) -> dict[str, str]:
-    """How each attempt of a candidate ended, in its own words."""
+    """Parse the result of each attempt from the output of a candidate."""
     for line in output.splitlines():
         if line.startswith(STEPS):
             try:
@@ -47,8 +47,13 @@ def said_steps(output: str) -> dict[str, str]:
 def conclude(
     attack: CandidateAttack, name: str, seen: Observed, layers: Sequence[Layer], success: Success
 ) -> Finding:
-    """What became of one variant behind these layers. success: how its success would be seen. The
-    error of a step names the layer that refused it, where that layer is in force."""
+    """Judge one variant of an attack behind these layers.
+
+    The error of a step names the layer that refused it, where that layer is in force.
+
+    Args:
+        success: criterion for success
+    """
 
     def finding(verdict: AttackVerdict, stops: Collection[Barrier], note: str) -> Finding:
         words = f"{name}: {note}" if name else note

@@ -27,8 +27,11 @@ _MODEL, _RESULT, _LOG = "model.bin", "result.npy", "log.txt"
 
 
 def print_score(source: str, problem: SmallProblem, mistake: Mistake | None) -> None:
-    """Print the mean over the folds; what is no number counts as 0. Raises what a fold fails with,
-    unless failed folds are left out."""
+    """Print the mean over the folds; a value that is no number counts as 0.
+
+    Raises:
+        Exception: the failure of a fold, unless failed folds are left out
+    """
     scores: list[float] = []
     for fold in make_folds(problem.records, problem.rule):
         try:

@@ -30,8 +30,11 @@ def why_no_outer(nested: bool = False) -> str | None:
 
 
 def inside(arguments: Sequence[str], *, nested: bool = False) -> Iterator[Finding]:
-    """Findings of `python -m asia.redteam ARGUMENTS` in an outer sandbox, as they come. Raises
-    SandboxError where it cannot run or fails."""
+    """Findings of `python -m asia.redteam ARGUMENTS` in an outer sandbox, as they come.
+
+    Raises:
+        SandboxError: where it cannot run or fails
+    """
     reason = why_no_outer(nested)
     if reason is not None:
         raise SandboxError(f"attacks run unprotected in an outer sandbox only, and {reason}")

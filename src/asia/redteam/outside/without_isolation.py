@@ -33,8 +33,8 @@ _NO_LAYERS: tuple[Layer, ...] = ()
 
 
 def attack_without_isolation(attack: CandidateAttack) -> Finding:
-    """Whether one variant at least succeeds. Runs the attack's code for real: to be called inside
-    an outer sandbox only."""
+    """Return whether one variant at least succeeds. Runs the attack's code for real: to be called
+    inside an outer sandbox only."""
     # Here an honest candidate has a score too: to have one is no success.
     success = scores_better if attack.success is has_score else attack.success
     found: list[Finding] = []
@@ -104,18 +104,19 @@ def _observe(
 
 @dataclass(frozen=True)
 class _Ended:
-    """How a process ended."""
+    """End of a process."""
 
     code: int | None
-    """Its exit code; None if it had to be killed."""
+    """Exit code; None if it had to be killed."""
     output: str
-    """What it printed."""
+    """Standard output."""
     errors: str
-    """What it printed as errors."""
+    """Standard error."""
 
 
 def _run_forked(job: Callable[[], None], folder: str, seconds: float) -> _Ended:
-    """In a process of its own, forked, as to start Python anew takes most of the time."""
+    """Run a job in a forked process of its own; starting Python anew would take most of the
+    time."""
     child = os.fork()
     if child == 0:
         _child(job, folder)
@@ -148,7 +149,7 @@ def _child(job: Callable[[], None], folder: str) -> NoReturn:
 
 
 def _believed_reason(ended: _Ended, mistake: Mistake | None) -> Reason | None:
-    """Why it failed, where the exit code alone decides."""
+    """Return the reason of a failure, where the exit code alone decides."""
     killed = ended.code in (128 + signal.SIGKILL, -signal.SIGKILL)
     return Reason.MEMORY if killed and mistake is Mistake.BELIEVES_CODES else None
 

@@ -2,7 +2,7 @@
 
 For containers and for systems that keep namespaces from users. The worker reads the interpreter,
 the environment, this package and the packages of parts, and writes nowhere. It stays one process:
-ending it ends all. What it can still learn is that a file exists, how large and how old it is.
+ending it ends all. It can still learn that a file exists, its size and its age.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _NOWHERE = "/"
 
 
 class Landlock(Level):
-    """A process that locks itself in. It needs both of its walls."""
+    """Level of a process that restricts itself, with Landlock and the system call filter."""
 
     isolation = Isolation.LANDLOCK
     layers = (Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS)
@@ -67,4 +67,4 @@ class Landlock(Level):
 
 
 def _nothing() -> None:
-    """There is no folder and no other process beside the worker."""
+    """Do nothing: there is no folder and no other process besides the worker."""

@@ -79,8 +79,8 @@ class Namespace(Level):
             )
         if _number(_APPARMOR) == 1:
             return (
-                "this system keeps user namespaces from programs without an AppArmor profile: give "
-                "bwrap one that holds the rule `userns,` (docs/isolation.md has it)"
+                "this system denies user namespaces to programs without an AppArmor profile: give "
+                "bwrap one with the rule `userns,` (see docs/isolation.md)"
             )
         if _number(_CLONE) == 0:
             return "as root: sysctl -w kernel.unprivileged_userns_clone=1"
@@ -88,7 +88,7 @@ class Namespace(Level):
             return "as root: sysctl -w user.max_user_namespaces=15000"
         if in_container():
             return (
-                "this is a container, which keeps namespaces to itself: use level landlock, or "
+                "this container does not allow namespaces: use level landlock, or "
                 "start the container with a seccomp profile that allows user namespaces"
             )
         return "use bubblewrap 0.8 or newer, and a system where `bwrap --unshare-user true` works"

@@ -1,6 +1,7 @@
-"""The weakest level: a plain process with resource limits, under a keeper that ends its offspring.
+"""Weakest level: a plain process with resource limits, under a supervisor that ends its child
+processes.
 
-It keeps accidents away, not intent: the candidate reads what the user reads.
+It protects against accidents, not against malice: the candidate reads whatever the user can read.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Isolation on macOS, through sandbox-exec. Written to its documentation, not tested.
+"""Isolation on macOS through sandbox-exec; written from its documentation, not tested.
 
-The profile denies by default: no network, no new process, reading the system's libraries and the
-code that every worker reads, writing to devices that keep nothing. Apple calls sandbox-exec
-deprecated and still ships it. A keeper ends what is left over.
+The profile denies by default. It allows no network and no new process, reading the system's
+libraries and the code that every worker reads, and writing to devices that store nothing. Apple
+calls sandbox-exec deprecated and still ships it. A supervisor ends remaining processes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class SandboxExec(Level):
     isolation = Isolation.SANDBOX_EXEC
     layers = (Layer.PROFILE, Layer.RLIMITS)
     system = "darwin"
-    caveat = "written to its documentation, not tested"
+    caveat = "written from its documentation, not tested"
 
     def why_not(self) -> str | None:
         if sys.platform != "darwin":
@@ -63,7 +63,7 @@ class SandboxExec(Level):
 
 
 def profile() -> str:
-    """What a worker may do, in the language of sandbox-exec."""
+    """Return the permissions of a worker in the language of sandbox-exec."""
     program = interpreter()
     code = [*_SYSTEM, *(place for _, place in code_folders()), *(p for p, _ in code_folders())]
     return "\n".join(

@@ -1,1 +1,1 @@
-"""What the levels are built of."""
+"""Sandbox layers, the building blocks of the levels."""

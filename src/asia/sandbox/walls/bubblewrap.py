@@ -1,4 +1,4 @@
-"""Command line of bubblewrap: what a program in namespaces of its own sees."""
+"""Command line of bubblewrap: the view of a program in its own namespaces."""
 
 from __future__ import annotations
 
@@ -27,8 +27,12 @@ def worker_walls(
     nesting: bool = False,
     gpu: bool = False,
 ) -> list[str]:
-    """bwrap options of a worker, up to the command. shared, nesting: as of `walls`; gpu: whether it
-    computes on the GPU."""
+    """Return the bwrap options of a worker, up to the command.
+
+    Args:
+        shared, nesting: as in `walls`
+        gpu: whether it computes on the GPU
+    """
     memory = {"/dev/shm": _SHM_BYTES, "/tmp": tmp_bytes}
     shown = [*(_gpu_options() if gpu else []), "--chdir", _HOME]
     options = walls(memory, _HOME, shown, shared=shared, nesting=nesting)
@@ -39,7 +43,7 @@ def worker_walls(
 
 
 def _gpu_options() -> list[str]:
-    """What lies in /proc is there already."""
+    """Return the bubblewrap options for a GPU; files in /proc are there already."""
     options = [word for node in gpu_nodes() for word in ("--dev-bind-try", node, node)]
     for place in GPU_FACTS:
         if not place.startswith("/proc/"):
@@ -56,9 +60,16 @@ def walls(
     shared: Collection[Shared] = (),
     nesting: bool = False,
 ) -> list[str]:
-    """bwrap options that show code alone, read-only. memory: bytes of each file system in memory;
-    folder: one to make; shown: options after the code's; files: of the system, where they exist;
-    shared: namespaces that stay the caller's, with its /proc; nesting: whether more can be made."""
+    """bwrap options that show code alone, read-only.
+
+    Args:
+        memory: bytes of each file system in memory
+        folder: one to make
+        shown: options after the code's
+        files: of the system, where they exist
+        shared: namespaces that stay the caller's, with its /proc
+        nesting: whether more can be made
+    """
     spaces = ("user", "ipc", "pid", "net", "uts", "cgroup-try")
     options = [f"--unshare-{space}" for space in spaces if space not in shared]
     options += [] if nesting else ["--disable-userns"]

@@ -1,5 +1,7 @@
-"""What a worker is given beside its walls to compute on an NVIDIA GPU: the device nodes, what the
-driver reads, the environment. Written to documentation, and not run on a GPU."""
+"""Access to an NVIDIA GPU for a worker: device nodes, files that the driver reads, environment.
+
+Written from documentation, and not run on a GPU.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,14 @@ def gpu_nodes(folder: Path = _DEVICES) -> tuple[str, ...]:
 
 
 def gpu_environment(flags: str) -> dict[str, str]:
-    """Environment variables of a worker on a GPU, in place of those for the processor. flags: those
-    of XLA for the processor. JAX ends with an error where it does not reach the GPU; it takes
-    memory as it needs it, since several workers share a card; sums come out the same each time."""
+    """Environment variables of a worker on a GPU, in place of those for the processor.
+
+    JAX ends with an error where it does not reach the GPU; it takes memory as it needs it, since
+    several workers share a card; sums come out the same each time.
+
+    Args:
+        flags: those of XLA for the processor
+    """
     chosen = os.environ.get(_CHOSEN)
     return {
         "JAX_PLATFORMS": "cuda",

@@ -1,7 +1,7 @@
-"""Landlock: this process, from here on, opens nothing but what is listed. Linux 5.13 and later.
+"""Landlock: restrict this process to the listed files. Linux 5.13 and later.
 
-All rights that the running kernel knows are taken away; back come reading below some folders and
-writing to a few devices. Besides files: TCP (ABI 4), abstract sockets and signals to processes
+All rights that the running kernel knows are taken away; reading below some folders and writing to a
+few devices is allowed again. Besides files: TCP (ABI 4), abstract sockets and signals to processes
 outside (ABI 6), and the memory and environment of other processes. Not covered: whether a file
 exists and how large it is, its attributes, UDP, new processes; the system call filter has the rest.
 Only the standard library is imported here.
@@ -27,7 +27,11 @@ _PR_SET_NO_NEW_PRIVS = 38
 
 
 def abi() -> int:
-    """Version of the kernel's Landlock. Raises OSError where there is none that can be used."""
+    """Version of the kernel's Landlock.
+
+    Raises:
+        OSError: where there is none that can be used
+    """
     return _call(_CREATE_RULESET, 0, 0, _VERSION)
 
 
@@ -49,9 +53,15 @@ def why_not() -> str | None:
 def restrict(readable: Iterable[str], writable: Iterable[str], devices: Iterable[str] = ()) -> None:
     """Bind the calling thread and all that it starts; threads that run already stay free.
 
-    readable: files, and folders with all below them; writable: files to read and write; devices:
-    those that take commands too. What does not exist is left out. Raises OSError if the kernel
-    refuses.
+    Missing paths are left out.
+
+    Args:
+        readable: files, and folders with all below them
+        writable: files to read and write
+        devices: those that take commands too
+
+    Raises:
+        OSError: if the kernel refuses
     """
     version = abi()
     files = _ALL_OF_ABI_1

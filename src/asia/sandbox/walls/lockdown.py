@@ -1,8 +1,8 @@
-"""A process locks itself in: no capabilities, then Landlock, then the filter on system calls.
+"""Lockdown of a process: no capabilities, then Landlock, then the filter on system calls.
 
-Called by the worker before it imports what starts threads, because Landlock binds the calling
-thread only. Also a script that tries out whether all of it holds here.
-Arguments of the script: the layers, then a folder to read.
+Called by the worker before it imports modules that start threads, because Landlock binds the
+calling thread only. Also a script that tests whether all layers hold here. Arguments of the script:
+the layers, then a folder to read.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from asia.sandbox.walls import landlock, seccomp
 else:
-    # As neighbours: the package around them imports what only the parent needs.
+    # Imported as neighbours: their package imports modules that only the parent needs.
     sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
     import landlock
     import seccomp
@@ -33,10 +33,15 @@ _AF_UNIX, _SOCK_STREAM = 1, 1
 
 
 def confine(layers: Collection[str], readable: Sequence[str], devices: Sequence[str] = ()) -> None:
-    """Apply these layers for good. devices: nodes that the process may give commands to. Raises
-    OSError, or RuntimeError where a thread would stay out.
+    """Apply these layers permanently.
 
     The process also ends with its parent from here on, which it cannot undo under the filter.
+
+    Args:
+        devices: nodes that the process may give commands to
+
+    Raises:
+        OSError, RuntimeError: where a thread would stay out
     """
     if LANDLOCK not in layers and SECCOMP not in layers:
         return

@@ -11,7 +11,7 @@ ANOTHER_SYSTEM = "use a Linux machine, or a Linux virtual machine on this one"
 
 
 def missing_layers() -> dict[Layer, str]:
-    """Which of them a worker cannot put on itself here, and why."""
+    """Return the layers that a worker cannot put on itself here, with reasons."""
     if sys.platform != "linux":
         return {Layer.LANDLOCK: "Landlock needs Linux", Layer.SECCOMP: "seccomp needs Linux"}
     reasons = {Layer.LANDLOCK: landlock.why_not(), Layer.SECCOMP: seccomp.why_not()}
@@ -19,16 +19,14 @@ def missing_layers() -> dict[Layer, str]:
 
 
 def layer_remedy(layer: Layer) -> str:
-    """How to get a missing one."""
+    """Describe how to get a missing layer."""
     if layer is Layer.SECCOMP:
         return "use a kernel with seccomp, on x86-64 or aarch64"
     if sys.platform != "linux":
         return ANOTHER_SYSTEM
     reason = landlock.why_not() or ""
     if "boot" in reason:
-        return (
-            "add landlock to the boot parameter lsm= (what it holds now: /sys/kernel/security/lsm)"
-        )
+        return "add landlock to the boot parameter lsm= (present value: /sys/kernel/security/lsm)"
     if "refused" in reason:
         return "allow the landlock_ system calls in the container's seccomp profile"
     return "use Linux 5.13 or newer, built with Landlock"

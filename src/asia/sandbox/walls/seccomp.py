@@ -1,10 +1,10 @@
 """A filter on system calls, for Linux on x86-64 and aarch64: one process, threads, nothing else.
 
-It denies what neither a fit nor a simulation needs and what Landlock leaves open: new processes and
-programs, sockets, signals to others, other processes' memory and limits, the attributes of files,
-locks and other marks on a file that another worker has open too, kernel objects that outlive a
-process, namespaces and mounts. Loaded by the worker before candidate code runs; a filter cannot be
-taken off again. Only the standard library is imported here.
+It denies everything that neither a fit nor a simulation needs and that Landlock leaves open: new
+processes and programs, sockets, signals to others, other processes' memory and limits, the
+attributes of files, locks and other marks on a file that another worker has open too, kernel
+objects that outlive a process, namespaces and mounts. Loaded by the worker before candidate code
+runs; a filter cannot be taken off again. Only the standard library is imported here.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ clone 56 220; clone3 435 435; kill 62 129; tgkill 234 131; prlimit64 302 261; fc
 ioctl 16 29; prctl 157 167; futex 202 98; seccomp 317 277; exit 60 93; exit_group 231 94
 madvise 28 233
 """
-# Without these the driver of a GPU does not start. Which of its commands do harm nobody can tell.
+# Without these the driver of a GPU does not start. Its harmful commands are unknown.
 _FOR_DEVICES = (
     "ioctl", "eventfd", "eventfd2", "pipe", "pipe2", "epoll_create", "epoll_create1",
     "timerfd_create", "memfd_create", "membarrier", "sysinfo",
@@ -96,8 +96,14 @@ def why_not() -> str | None:
 
 
 def install(*, devices: bool = False) -> None:
-    """Bind all threads of this process; devices: whether it computes on a GPU. Raises OSError if
-    the kernel refuses."""
+    """Bind all threads of this process.
+
+    Args:
+        devices: whether it computes on a GPU
+
+    Raises:
+        OSError: if the kernel refuses
+    """
     machine = os.uname().machine
     program = build(machine, os.getpid(), devices=devices)
     code = ctypes.create_string_buffer(program, len(program))
@@ -122,8 +128,11 @@ def numbers(machine: str) -> dict[str, int]:
 
 
 def build(machine: str, pid: int, *, devices: bool = False) -> bytes:
-    """The filter as BPF instructions of 8 bytes, for the process `pid`; devices: as of `install`,
-    what the driver of a GPU calls passes."""
+    """The filter as BPF instructions of 8 bytes, for the process `pid`.
+
+    Args:
+        devices: allow the calls of a GPU driver, as in `install`
+    """
     known = numbers(machine)
     checked = [row[0] for row in _rows(_CHECKED)]
     passing = _FOR_DEVICES if devices else ()
@@ -175,7 +184,7 @@ def _step(code: int, value: int, if_true: int = 0, if_false: int = 0) -> bytes:
 
 
 def _low(argument: int) -> int:
-    """Where the lower half of an argument lies; both architectures are little-endian."""
+    """Return the offset of the lower half of an argument; both architectures are little-endian."""
     return 16 + 8 * argument
 
 
@@ -210,9 +219,9 @@ def _futex() -> bytes:
     """A futex that is not private to the process lies, on a page of a shared file, between workers.
 
     Futures of libstdc++, which XLA uses, and joining a thread wait on such ones in their own
-    memory. So no wait on them sleeps in the kernel, where others could wake or count it. Theirs
-    look again whatever a wait answers: WAIT, which a future uses, gives a positive number after the
-    short sleep that `install` hangs on SIGSYS; the rest EAGAIN at once, a time limit or not.
+    memory. So no wait on them sleeps in the kernel, where others could wake or count it. They check
+    again after any result of a wait: WAIT, which a future uses, gives a positive number after the
+    short sleep that `install` attaches to SIGSYS; the rest EAGAIN at once, a time limit or not.
     """
     code = _step(_LOAD, _low(1)) + _step(_JUMP_SET, _FUTEX_PRIVATE, 0, 1) + _allow()
     for operation, answer in (

@@ -1,4 +1,4 @@
-"""What a worker is given of this machine: command line, environment, folders to read."""
+"""Environment of a worker: command line, variables, folders to read."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ REPEATABLE = {
     "JAX_PLATFORMS": "cpu",
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
 }
-"""Environment variables with which a fit can be repeated: one thread, one hash seed. NPROC is what
-XLA sizes its thread pools by; without it the last bits of a sum depend on the number of cores,
-whatever XLA_FLAGS say."""
+"""Environment variables with which a fit can be repeated: one thread, one hash seed. XLA sizes its
+thread pools by NPROC; without it the last bits of a sum depend on the number of cores regardless
+of XLA_FLAGS."""
 
 
 def environment(home: str, *, gpu: bool = False) -> dict[str, str]:
@@ -57,7 +57,11 @@ def environment(home: str, *, gpu: bool = False) -> dict[str, str]:
 
 def interpreter() -> str:
     """Path of the running Python, without `..`: a path with one exists in a sandbox only where all
-    that lies before it does. Raises SandboxError where it cannot be known."""
+    that lies before it does.
+
+    Raises:
+        SandboxError: where it cannot be known
+    """
     if not sys.executable:
         raise SandboxError("the path of the Python interpreter is unknown; a worker cannot start")
     return _without_dots(sys.executable)
@@ -76,7 +80,7 @@ def child_command(
     libraries: Collection[str] = (),
 ) -> list[str]:
     """Command line of a worker; `layers` are those it puts on itself, `libraries` those it loads
-    before it is asked anything.
+    before its first request.
 
     -P and -s rather than -I: the environment is ours, and -I would drop PYTHONHASHSEED with it.
     """
@@ -93,7 +97,8 @@ def child_command(
 
 
 def readable() -> list[str]:
-    """All places that a worker under Landlock may read: code, and what libraries ask the system.
+    """Return all paths that a worker under Landlock may read: code, and files that libraries ask
+    the system for.
 
     Landlock binds a file of /proc/self to the process that opens it, the worker.
     """
@@ -126,7 +131,7 @@ def code_folders() -> list[tuple[str, str]]:
 
 
 def in_container() -> bool:
-    """Whether this is a container, as far as the usual ones say so."""
+    """Return whether this is a container that shows one of the usual signs."""
     return any(place.exists() for place in _CONTAINERS)
 
 

@@ -1,4 +1,4 @@
-"""To start a program at a level once and see whether it works."""
+"""Trial start of a program at a level."""
 
 from __future__ import annotations
 
@@ -26,5 +26,5 @@ def run_trial(command: list[str]) -> subprocess.CompletedProcess[str]:
 
 
 def last_line(trial: subprocess.CompletedProcess[str], silent: str) -> str:
-    """The last line of what it printed; `silent` where it printed nothing."""
+    """Return the last line that the trial printed; `silent` where it printed nothing."""
     return (trial.stdout.strip().splitlines() or [silent])[-1][:_LONGEST_LINE]

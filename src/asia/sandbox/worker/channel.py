@@ -29,7 +29,7 @@ _KEPT_BEGINNING = 16 * 1024
 _KEPT_END = 48 * 1024 - 64
 _LARGEST_OUTPUT = 4 * 1024 * 1024
 _SLICE_SECONDS = 0.1
-# What a library says of a system call that the sandbox denies; no word of a candidate.
+# Messages of libraries about a system call that the sandbox denies; not from a candidate.
 _OF_THE_SANDBOX = re.compile(r"^\[mutex\.cc : \d+\] RAW: .*\n?", re.MULTILINE)
 _PIPE_BYTES = 1024 * 1024
 _F_SETPIPE_SZ = getattr(fcntl, "F_SETPIPE_SZ", None)
@@ -49,17 +49,17 @@ class UnsolicitedError(Exception):
 
 @dataclass(frozen=True)
 class Head:
-    """Start of a reply: what it is and how many bytes follow."""
+    """Start of a reply: its kind and the number of bytes that follow."""
 
     status: ReplyKind
     length: int
 
 
 class Channel:
-    """Sends requests and reads replies; meanwhile drains what the candidate prints.
+    """Channel of requests and replies, which also drains the candidate's output.
 
-    A reply counts only with the token of the request it answers, so bytes written beforehand on
-    the reply pipe are always found out.
+    A reply counts only with the token of the request it answers, so bytes written beforehand on the
+    reply pipe are always detected.
     """
 
     def __init__(self, pipes: Pipes, running: Callable[[], bool]) -> None:
@@ -140,8 +140,8 @@ class Channel:
             done += count
 
     def take_output(self) -> str:
-        """What was printed so far, its middle left out where it is long, without control
-        characters; nothing is kept from here on."""
+        """Return the output so far, its middle left out where it is long, without control
+        characters; later output is dropped."""
         while self._output is not None and select_one(self._output):
             self._drain()
         self._keep_output = False
@@ -196,7 +196,7 @@ class Channel:
 
 
 def select_one(fd: int, event: int = select.POLLIN) -> bool:
-    """Whether `fd` has something to tell, end of file included."""
+    """Return whether `fd` has something to tell, end of file included."""
     poller = select.poll()
     poller.register(fd, event)
     return bool(poller.poll(0))

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from asia.sandbox.walls import lockdown
     from asia.sandbox.worker import compilation, curve, figures, portable, wire
 else:
-    # By their folders: the package around them imports what only the parent needs.
+    # Imported by their folders: their package imports modules that only the parent needs.
     _HERE = os.path.dirname(os.path.abspath(__file__))
     sys.path[:0] = [_HERE, os.path.join(os.path.dirname(_HERE), "walls")]
     import compilation
@@ -75,8 +75,11 @@ def _restrict(memory_mb: int) -> None:
 
 
 class _PackageFinder(importlib.abc.MetaPathFinder):
-    """Finds packages by their own places. The folders that hold them may not be listed: what lies
-    beside a package is nobody's business here."""
+    """Finder of packages by their own paths.
+
+    The folders that hold them may not be listed, because a candidate must not see which other
+    packages are installed.
+    """
 
     def __init__(self, packages: list[str]) -> None:
         self._places: dict[str, list[str]] = {}
@@ -130,7 +133,7 @@ def _as_model(value: object, what: str = "fit returned") -> Model:
 
 
 class _Session:
-    """Answers requests until the parent closes the pipe."""
+    """Session that handles requests until the parent closes the pipe."""
 
     def __init__(self, requests: int, replies: int, places: tuple[str, ...]) -> None:
         """places: folders of this machine, which no fitted model may name."""
@@ -219,7 +222,7 @@ class _Session:
         return answer
 
     def _load(self, source: str, model: bytes) -> bytes:
-        """The source runs once, so that what it compiled serves the next model too."""
+        """Load a model; the source runs once, so that compiled code serves the next model too."""
         if source != self._executed:
             _execute(source)
             self._executed = source
@@ -261,8 +264,8 @@ class _Session:
             return b""
 
     def _estimates(self) -> bytes:
-        """What the model says of its parameters, given what it was fitted to; nothing where it has
-        no such method or fails in it."""
+        """Return the model's parameter estimates for its training records; nothing where it has no
+        such method or fails in it."""
         offered = getattr(self._model, "estimates", None)
         try:
             assert callable(offered)
@@ -321,7 +324,7 @@ def _status_name(error: BaseException) -> str:
 
 
 def _candidate_traceback(error: BaseException) -> str:
-    """The candidate's own frames and the last two of what it called, then the message."""
+    """Return the candidate's own frames and the last two of its callees, then the message."""
     frames = traceback.extract_tb(error.__traceback__)
     kept = [
         frame
@@ -388,7 +391,7 @@ def main(arguments: list[str]) -> NoReturn:
 
 
 def _counted(words: list[str]) -> tuple[list[str], list[str]]:
-    """A list that its length stands before, and what follows it."""
+    """Split a list that is preceded by its length from the remaining words."""
     end = 1 + int(words[0])
     return words[1:end], words[end:]
 

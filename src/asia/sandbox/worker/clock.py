@@ -1,4 +1,4 @@
-"""Where the seconds of one worker go and how much memory it takes, measured by the parent."""
+"""Timer and memory meter of one worker, measured by the parent."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from pathlib import Path
 from asia._stopwatch import Activity, Seconds, add_seconds
 from asia.sandbox.worker.wire import COMPILED, COMPILED_BYTES
 
-# What a request that compiles is counted as beside the compilation.
+# Activity of a compiling request without its compilation.
 _COUNTED_AS = {"fit": Activity.FIT, "load": Activity.IMPORT, "simulate": Activity.SIMULATE}
 _OF_A_PROCESS = 2
 _LOOK_SECONDS = 0.2
 
 
 class WorkerClock:
-    """Adds up wall and processor seconds of a worker by activity."""
+    """Sum of wall and processor seconds of a worker by activity."""
 
     def __init__(self, find: Callable[[], int | None]) -> None:
         """find: the worker's process id, None where it is not known."""
@@ -33,7 +33,7 @@ class WorkerClock:
 
     @contextmanager
     def activity(self, activity: Activity) -> Generator[None]:
-        """Count what passes in here."""
+        """Count the time spent in this context."""
         begin, before = time.monotonic(), self._processor
         try:
             yield
@@ -43,7 +43,7 @@ class WorkerClock:
 
     @contextmanager
     def elsewhere(self, activity: Activity) -> Generator[None]:
-        """Leave out of `activity`, which is under way, the wall seconds that pass in here."""
+        """Leave the wall seconds in this context out of the running `activity`."""
         begin = time.monotonic()
         try:
             yield
@@ -51,8 +51,11 @@ class WorkerClock:
             add_seconds(self.spent, activity, begin - time.monotonic(), 0.0)
 
     def count_compiling(self, said: bytes) -> None:
-        """Take what JAX needed to trace and to compile out of the requests it did so in. said: the
-        worker's own word, which is bounded by what was measured here."""
+        """Move JAX's time for tracing and compiling out of the requests in which it occurred.
+
+        Args:
+            said: report of the worker, bounded by the time measured here
+        """
         if len(said) != COMPILED_BYTES:
             return
         numbers = struct.unpack(f"<{2 * len(COMPILED)}d", said)
@@ -123,7 +126,7 @@ class MemoryWatch:
 
 
 def resident_bytes(pid: int | None) -> int:
-    """What a process has in memory; 0 where the system does not say."""
+    """Return the resident memory of a process; 0 where the system does not report it."""
     try:
         pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
     except (OSError, ValueError, IndexError):

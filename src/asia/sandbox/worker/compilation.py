@@ -1,6 +1,7 @@
-"""How long JAX traces and compiles in a worker, by JAX's own word, which the candidate can change.
+"""Time in which JAX traces and compiles in a worker, as reported by JAX; the candidate can change
+it.
 
-Runs in the worker. JAX is listened to from its import on, and never imported for it.
+Runs in the worker. JAX is observed from its import on, and never imported for it.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ class JaxFinder(importlib.abc.MetaPathFinder):
     def find_spec(
         self, fullname: str, path: object = None, target: object = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """None for every module but one, which is found by the others and told of the meter."""
+        """Return None for every module but one, which the other finders find and the meter
+        observes."""
         if fullname != _LISTENS_FOR or self not in sys.meta_path:
             return None
         sys.meta_path.remove(self)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class TrainingCurve:
-    """Of bounded size: thinned by two whenever it is full."""
+    """Training curve of bounded size: thinned by two whenever it is full."""
 
     def __init__(self, rows: int) -> None:
         self._rows = rows

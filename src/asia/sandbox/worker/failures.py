@@ -1,5 +1,8 @@
-"""What the parent says of a worker that failed. Once a worker knows cases, its own words could hold
-what it was given: only what stands here is passed on."""
+"""Messages of the parent about a failed worker.
+
+Once a worker knows cases, its own words could contain them: only the messages in this module are
+passed on.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ REASONS = {
     ReplyKind.MEMORY: Reason.MEMORY,
     ReplyKind.SHAPE: Reason.WRONG_LENGTH,
 }
-"""Of each reply that reports a failure."""
+"""Reason of each reply that reports a failure."""
 KNOWN_ERRORS = frozenset(
     name
     for name, value in vars(builtins).items()
@@ -31,8 +34,12 @@ OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot
 def failure_words(
     status: ReplyKind, body: bytes, expected: tuple[int, ...], *, private: bool
 ) -> str:
-    """Detail of a failure the worker reported. expected: the shape to name in one; private: whether
-    it knows cases, and may not speak freely."""
+    """Detail of a failure the worker reported.
+
+    Args:
+        expected: the shape to name in one
+        private: whether it knows cases, and may not speak freely
+    """
     if status is ReplyKind.SHAPE:
         return f"got shape {shape_words(body, expected)}, expected {expected}"
     text = printable(body.decode("utf-8", "replace")).strip()

@@ -1,7 +1,7 @@
-"""What a fitted model says of its parameters, as bytes of a fixed layout.
+"""Parameter estimates of a fitted model as bytes of a fixed layout.
 
 Both ends of a worker's pipes use it. The reading end parses numbers, names of a few characters and
-lines of printable text, and nothing else. Estimates are a head, one row a parameter, the
+lines of printable text, and nothing else. Estimates are a head, one row per parameter, the
 correlations, and the equations as text.
 """
 
@@ -37,9 +37,9 @@ class EstimateRow(NamedTuple):
     """One parameter."""
 
     name: str
-    """Its name."""
+    """Name of the parameter."""
     unit: str
-    """Its unit; "" where none is given."""
+    """Unit of the parameter; "" where none is given."""
     figures: tuple[float, ...]
     """Value, standard error, both ends of the interval, both ends of the range, share of data,
     error by a missing effect."""
@@ -49,16 +49,20 @@ class EstimateRows(NamedTuple):
     """All of a model."""
 
     rows: tuple[EstimateRow, ...]
-    """Its parameters."""
+    """Parameters of the model."""
     correlation: tuple[float, ...]
-    """Of their errors, row after row."""
+    """Correlations of their errors, row after row."""
     equations: tuple[str, ...]
     """Lines of text."""
 
 
 def pack_parameters(offered: object) -> bytes:
-    """Rows of one length, each a name and a float64; what is not finite is left out. Raises where
-    `offered` is no mapping of names to numbers."""
+    """Pack parameters into rows of one length, each a name and a float64; values that are not
+    finite are left out.
+
+    Raises:
+        Exception: where `offered` is no mapping of names to numbers
+    """
     if not isinstance(offered, Mapping):
         raise TypeError("parameters: expected a mapping of names to numbers")
     rows = [(_raw(name, 48), float(v)) for name, v in offered.items()]
@@ -67,8 +71,11 @@ def pack_parameters(offered: object) -> bytes:
 
 
 def unpack_parameters(body: bytes) -> tuple[tuple[str, float], ...]:
-    """The names, of letters, digits and a few marks, each once, with their numbers. Raises
-    ValueError where `body` has another size than rows have, or a number is not finite."""
+    """The names, of letters, digits and a few marks, each once, with their numbers.
+
+    Raises:
+        ValueError: where `body` has another size than rows have, or a number is not finite
+    """
     if len(body) % _PARAMETER.size or len(body) > PARAMETERS_BYTES:
         raise ValueError(f"{len(body)} bytes of parameters")
     found: dict[str, float] = {}
@@ -97,8 +104,11 @@ def pack_estimates(offered: Any) -> bytes:
 
 
 def unpack_estimates(body: bytes) -> EstimateRows:
-    """The same at the other end. Raises ValueError where `body` cannot be what `pack_estimates`
-    writes."""
+    """Unpack the result of `pack_estimates`.
+
+    Raises:
+        ValueError: where `body` cannot be a result of `pack_estimates`
+    """
     if not _HEAD.size <= len(body) <= ESTIMATES_BYTES:
         raise ValueError(f"{len(body)} bytes of estimates")
     (count,) = _HEAD.unpack_from(body)
@@ -120,7 +130,7 @@ def unpack_estimates(body: bytes) -> EstimateRows:
 
 
 def estimates_of(said: EstimateRows) -> ParameterEstimates:
-    """As the parent passes them on."""
+    """Convert the rows to the form that the parent passes on."""
     import numpy as np
 
     from asia.candidate import ParameterEstimate, ParameterEstimates

@@ -55,7 +55,7 @@ def main(arguments: list[str]) -> NoReturn:
         prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         os.setsid()
         os.execv(command[0], command)
-    # The worker alone holds these: their end of file tells the parent that it has gone.
+    # Only the worker holds these: their end of file shows the parent that it has ended.
     os.close(replies)
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 1)
@@ -70,7 +70,7 @@ def main(arguments: list[str]) -> NoReturn:
         ended = _reap(worker)
         status = ended if status is None else status
         time.sleep(0.001)
-    if os.getppid() != parent:  # killed: nobody else will tidy up
+    if os.getppid() != parent:  # killed: no other process will clean up
         import shutil
 
         shutil.rmtree(home, ignore_errors=True)

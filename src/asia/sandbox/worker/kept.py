@@ -57,7 +57,8 @@ def _closing_is_enough() -> None:
 
 
 def _force(process: subprocess.Popen[bytes]) -> None:
-    """The keeper does not answer: a candidate can stop it, as both have one user."""
+    """Kill the process when the supervisor does not respond: a candidate can stop it, as both have
+    one user."""
     while process.poll() is None and (offspring := descendants(process.pid, alive=True)):
         for pid in offspring:
             kill_quietly(pid)

@@ -1,7 +1,9 @@
-"""Ends what bubblewrap leaves where this process is killed while it sets a worker up.
+"""Cleanup of orphan processes of bubblewrap when this process is killed during the start of a
+worker.
 
-The inner half of bubblewrap waits for a word of the outer one before it binds its life to anything.
-Where the outer one dies first, as it does with us, nothing would ever end the inner one.
+The inner half of bubblewrap waits for a word of the outer one before it ties its life to anything.
+Where the outer one dies first, as it does with this process, nothing else would ever end the inner
+one.
 """
 
 from __future__ import annotations
@@ -27,10 +29,11 @@ done
 
 
 class OrphanWatch:
-    """A small process beside a worker, which outlives us by a second and ends what bears `mark`."""
+    """Small process next to a worker that outlives this process by a second and ends all processes
+    that bear `mark`."""
 
     def __init__(self) -> None:
-        """Raises SandboxError where it cannot be started."""
+        """Raise SandboxError where it cannot be started."""
         self.mark = f"bwrap-{secrets.token_hex(8)}"
         try:
             self._process = subprocess.Popen(

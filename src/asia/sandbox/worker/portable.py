@@ -19,12 +19,15 @@ _STRINGS = frozenset(("SHORT_BINUNICODE", "BINUNICODE", "BINUNICODE8"))
 
 
 class PlaceError(Exception):
-    """A place of this machine stands where it cannot be left out."""
+    """Error for a path of this machine that cannot be left out."""
 
 
 def places_here(packages: Iterable[str] = ()) -> tuple[str, ...]:
-    """Folders of this process that are named by nobody else, each with a slash behind it. packages:
-    folders of packages that have a place of their own."""
+    """Return the folders that only this process uses, each with a trailing slash.
+
+    Args:
+        packages: folders of packages that have a place of their own
+    """
     found = [os.getcwd(), os.environ.get("HOME", ""), sys.prefix, sys.base_prefix, *sys.path]
     found += [os.path.dirname(place) for place in packages]
     real = {os.path.realpath(place) for place in found if os.path.isabs(place)}
@@ -33,8 +36,12 @@ def places_here(packages: Iterable[str] = ()) -> tuple[str, ...]:
 
 
 def portable(pickled: bytes, places: tuple[str, ...]) -> bytes:
-    """The pickle with these places left out of its strings: `/home/me/lib/scipy/odr.py` becomes
-    `scipy/odr.py`. Raises PlaceError where one stands in bytes, which may not change."""
+    """Remove these paths from the strings of a pickle: `/home/me/lib/scipy/odr.py` becomes
+    `scipy/odr.py`.
+
+    Raises:
+        PlaceError: where one occurs in bytes, which must not change
+    """
     if not any(place.encode() in pickled for place in places):
         return pickled
     known = "|".join(map(re.escape, sorted(places, key=len, reverse=True)))

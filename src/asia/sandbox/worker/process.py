@@ -21,21 +21,21 @@ class Pipes:
     """The parent's ends."""
 
     requests: int
-    """To write requests to."""
+    """File descriptor for writing requests."""
     replies: int
-    """To read replies from."""
+    """File descriptor for reading replies."""
     output: int
-    """To read from what the worker prints."""
+    """File descriptor for reading the worker's output."""
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How a worker ended by itself, or was ended by somebody else."""
+    """End of a worker, by itself or by another process."""
 
     code: int | None
-    """Its exit code, 128 + n for signal n; None if unknown."""
+    """Exit code, 128 + n for signal n; None if unknown."""
     outside: int | None
-    """The signal that somebody else sent; None for an end of its own."""
+    """Signal from another process; None for an end of its own."""
 
 
 @dataclass(frozen=True)
@@ -49,20 +49,20 @@ class WorkerProcess:
     kill: Callable[[], None]
     """Ends the candidate with everything it started."""
     force: Callable[[], None]
-    """For when `kill` did not end `process` in time."""
+    """Callback for a process that `kill` did not end in time."""
     tidy: Callable[[], None]
-    """Frees what the level holds beside the worker."""
+    """Callback that frees the level's other resources."""
     beyond_reach: bool
     """Whether `process` is a guard of the worker that no candidate can signal."""
     find: Callable[[], int | None]
     """The process id of the worker itself, None where it is not known."""
 
     def running(self) -> bool:
-        """Whether the worker is still there."""
+        """Return whether the worker is still there."""
         return self.process.poll() is None
 
     def ending(self) -> Ending:
-        """How a worker ended that has just gone, and that nobody here ended."""
+        """Describe the end of a worker that has just gone, and that this process did not end."""
         if not self._ended(_EXIT_SECONDS):
             return Ending(None, None)
         code = self.process.returncode
@@ -114,7 +114,7 @@ class PipePairs:
             os.close(fd)
 
     def close_parent_ends(self) -> None:
-        """When the worker could not be started."""
+        """Close the parent's ends of the pipes when the worker could not be started."""
         os.close(self.requests[1])
         os.close(self.replies[0])
 
@@ -129,7 +129,12 @@ def start(
     program: str | None = None,
 ) -> subprocess.Popen[bytes]:
     """Start `command` in a session of its own, with the child's pipe ends and nothing else.
-    program: file to run, where it is not the first word. Raises SandboxError."""
+
+    Raises SandboxError.
+
+    Args:
+        program: file to run, where it is not the first word
+    """
     try:
         return subprocess.Popen(
             command,

@@ -1,4 +1,4 @@
-"""The framing that both ends of a worker's pipes agree on.
+"""Framing of messages on a worker's pipes.
 
 A request is the u64 length of a pickle, which only travels into the sandbox, the u64 number of its
 large arrays, their u64 lengths, the pickle, and these arrays, which neither end copies. A reply is
@@ -17,7 +17,7 @@ from typing import Any
 REQUEST_HEAD = struct.Struct("<QQ")
 LENGTH = struct.Struct("<Q")
 LARGE_BYTES = 65_536
-"""From so many on an array travels beside the pickle."""
+"""Size from which an array travels outside the pickle."""
 REPLY_HEAD = struct.Struct("<B8sQ")
 TOKEN_BYTES = 8
 
@@ -27,7 +27,7 @@ TEXT_BYTES = 2048
 SHAPE_DIMENSIONS = 8
 DEVICE_BYTES = 100
 COMPILED = ("fit", "load", "simulate")
-"""Requests in which JAX may compile. What it took is two float64 each: to trace, to compile."""
+"""Requests in which JAX may compile. Each reports two float64: seconds to trace and to compile."""
 COMPILED_BYTES = len(COMPILED) * 16
 
 

@@ -44,12 +44,12 @@ _LAST_WORDS = 1500
 
 
 class Worker:
-    """One fresh process behind the walls of one isolation level; use it as a context manager.
+    """Worker process inside one isolation level; use it as a context manager.
 
-    Open, use and close it in one thread: where the thread that opened it ends, the worker ends.
-    After a CandidateError the process is gone and every further request is a SandboxError, but for
-    NOT_FINITE, after which it goes on. All requests raise CandidateError for what the candidate
-    does and SandboxError for what it cannot have caused.
+    Open, use and close it in one thread: when the thread that opened it ends, the worker ends.
+    After a CandidateError the process is gone and every further request is a SandboxError, except
+    after NOT_FINITE, when it continues. All requests raise CandidateError for a fault of the
+    candidate and SandboxError for any other one.
     """
 
     def __init__(self, process: WorkerProcess, limits: Limits) -> None:
@@ -166,8 +166,10 @@ class Worker:
             return self._model_bytes(self._head(deadline, late), deadline, late)
 
     def parameters(self) -> tuple[tuple[str, float], ...]:
-        """The named parameters that the fitted model offers, at most `figures.PARAMETERS`. To be
-        asked before any case: what a model says afterwards could hold what it was given."""
+        """Return the named parameters that the fitted model offers, at most `figures.PARAMETERS`.
+
+        Call it before any case: later output of a model could contain cases.
+        """
         body = self._said_of_parameters("parameters", PARAMETERS_BYTES)
         try:
             return unpack_parameters(body)
@@ -175,9 +177,11 @@ class Worker:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
     def estimates(self) -> ParameterEstimates | None:
-        """What the fitted model says of its parameters and of its equations, given the records of
-        its fit, in at most fit_seconds; None where it says nothing. As `parameters`, to be asked
-        before any case."""
+        """Return the fitted model's estimates of its parameters and its equations for the records
+        of its fit, within fit_seconds; None where it offers none.
+
+        Call it before any case, as `parameters`.
+        """
         body = self._said_of_parameters("estimates", ESTIMATES_BYTES)
         try:
             return estimates_of(unpack_estimates(body)) if body else None
@@ -185,14 +189,16 @@ class Worker:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
     def device(self) -> str:
-        """What JAX computes on, by the worker's own word; "" where it has not loaded JAX. As
-        `parameters`, to be asked before any case."""
+        """Return the device of JAX, as reported by the worker; "" where it has not loaded JAX.
+
+        Call it before any case, as `parameters`.
+        """
         said = self._said_of_parameters("device", DEVICE_BYTES)
         return printable(said.decode("utf-8", "replace"))
 
     def _said_of_parameters(self, request: str, most: int) -> bytes:
         if self._cases_seen:
-            raise SandboxError(f"the worker has seen cases: {request} are asked for before them")
+            raise SandboxError(f"the worker has received cases: request {request} before them")
         return self._said(request, (), most)
 
     def _said(self, request: str, arguments: tuple[object, ...], most: int) -> bytes:
@@ -208,24 +214,26 @@ class Worker:
 
     @property
     def printed(self) -> str:
-        """What the candidate printed until the end of its fit, or until it failed there; nothing of
-        what it prints once it knows cases."""
+        """Text that the candidate printed until its fit ended or failed; later output is dropped,
+        because it could contain cases."""
         return self._printed
 
     @property
     def peak_memory_mb(self) -> float | None:
-        """The largest address space so far, which is what the limit counts; None where the system
-        does not say."""
+        """Largest address space so far, which the limit counts; None where the system does not
+        report it."""
         return peak_memory_mb(self._process.find())
 
     @property
     def spent(self) -> Seconds:
-        """Where the seconds of this worker went so far. What is said of JAX is its own word."""
+        """Seconds of this worker by activity so far; those of JAX are reported by the worker."""
         return self._clock.spent
 
     def count_compiling(self) -> None:
-        """Ask how long JAX traced and compiled, once there are no more requests. A worker that
-        does not answer at once, or with anything but its numbers, has told nothing."""
+        """Request JAX's time for tracing and compiling, after all other requests.
+
+        A worker that does not answer at once, or with anything but its numbers, is ignored.
+        """
         if self._closed:
             return
         by = time.monotonic() + _COUNT_SECONDS
@@ -239,7 +247,7 @@ class Worker:
             self.close()
 
     def answer_by(self, latest: float) -> None:
-        """No later load or simulate waits past this `time.monotonic()` value."""
+        """Limit the waiting of all later loads and simulations to this `time.monotonic()` value."""
         self._latest = latest
 
     def abort(self) -> None:
@@ -251,8 +259,8 @@ class Worker:
                 self._process.force()
 
     def close(self) -> None:
-        """End the process with everything it started; may be called again. What the kernel does
-        not let die is `left_behind`."""
+        """End the process with everything it started; may be called again. Processes that the
+        kernel does not end are `left_behind`."""
         if not self._closed:
             with self._ending:
                 self._closed = True
@@ -264,7 +272,11 @@ class Worker:
                     self.left_behind = self._process.process.pid
 
     def wait(self) -> None:
-        """Until the process is ready: its start is nobody's fit time. Raises SandboxError."""
+        """Wait until the process is ready, so that its start does not count as fit time.
+
+        Raises:
+            SandboxError: when the worker does not start
+        """
         if self._ready:
             return
         try:
@@ -340,7 +352,7 @@ class Worker:
     def _model_bytes(self, head: Head, deadline: float, late: Reason) -> bytes:
         """A model that follows `head`."""
         if head.length > self._limits.model_mb * 1024 * 1024:
-            detail = f"{head.length} bytes, at most {self._limits.model_mb} MB are kept"
+            detail = f"{head.length} bytes, the limit is {self._limits.model_mb} MB"
             raise self._failure(Reason.MODEL_SIZE, detail)
         return self._body(head, deadline, late)
 
@@ -372,7 +384,7 @@ class Worker:
         if ending.outside is not None:
             self.close()
             number = int(ending.outside)
-            return WorkerKilledError(f"the worker was ended from outside by signal {number}")
+            return WorkerKilledError(f"another process ended the worker by signal {number}")
         if self._cases_seen:
             return self._failure(Reason.EXITED)
         said = self._channel.take_output()[-_LAST_WORDS:].strip()

@@ -1,8 +1,8 @@
-"""The validation dossier: what one asks of a model before using it, check by check.
+"""Validation report: the checks of a model before its use.
 
-Every check is a function of arrays: measured and simulated outputs, or answers of a simulator that
-may be anything. A residual is judged by what explains it beyond chance, with a correction for its
-own correlation, and only where that part is large enough to matter.
+Every check is a function of arrays: measured and simulated outputs, or answers of a simulator. A
+residual is judged by the share that regressors explain significantly, corrected for its own
+correlation, and only where that share is large enough to matter.
 """
 
 from asia.scoring.dossier.ahead import check_ahead, no_steps_ahead

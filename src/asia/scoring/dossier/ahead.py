@@ -29,8 +29,8 @@ def check_ahead(model: Array, hold: Array | None, deviation: Array) -> Check:
         f"{_spread(each)}"
     )
     if hold is None:
-        return Check(_NAME, Verdict.SHOWN, f"{sentence}; no measured output comes before a start, "
-                     "so there is none to hold", curves=tuple(curves), axes=_AXES)  # fmt: skip
+        return Check(_NAME, Verdict.SHOWN, f"{sentence}; there is no measured output before the "
+                     "first sample to hold", curves=tuple(curves), axes=_AXES)  # fmt: skip
     held = _sizes(hold, deviation)
     curves.append(CheckCurve("last output", steps, held))
     worse = bool(size[-1] >= held[-1])
@@ -41,7 +41,7 @@ def check_ahead(model: Array, hold: Array | None, deviation: Array) -> Check:
 
 
 def no_steps_ahead(why: str) -> Check:
-    """In place of the check where nothing begins anew."""
+    """Return a check that does not apply, where no window starts anew."""
     return Check(_NAME, Verdict.ABSENT, f"does not apply: {why}")
 
 

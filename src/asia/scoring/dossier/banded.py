@@ -1,4 +1,4 @@
-"""Whether the output bands hold as much of a record as they are meant to."""
+"""Check of the coverage of the output bands."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def check_bands(held: Array, outputs: Sequence[str], level: float) -> Check:
     each = sorted(zip(held.tolist(), outputs, strict=True))
     words = ", ".join(f"{name} {percent(share)}" for share, name in each[:_MOST_NAMED])
     rest = " at least" if len(each) > _MOST_NAMED else ""
-    sentence = f"output bands of {percent(level)} held{rest}: {words}"
+    sentence = f"{percent(level)} output bands contained{rest}: {words}"
     short = level - each[0][0]
     verdict = Verdict.FAIL if short > _FAIL else Verdict.DOUBT if short > _DOUBT else Verdict.PASS
     return Check("output bands", verdict, sentence, weight=max(0.0, short))
 
 
 def no_bands(reason: str) -> Check:
-    """Where a fold model does not simulate the record."""
+    """Return a check that does not apply, where a fold model does not simulate the record."""
     return Check("output bands", Verdict.ABSENT, f"does not apply: {reason}")

@@ -1,4 +1,4 @@
-"""What one check of a model says."""
+"""Result of one check of a model."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from asia.data import Array
 
 
 class Verdict(StrEnum):
-    """How a check ended."""
+    """Verdict of a check."""
 
     PASS = "pass"
     DOUBT = "doubt"
@@ -17,11 +17,11 @@ class Verdict(StrEnum):
     SHOWN = "shown"
     """Printed and drawn, not judged."""
     ABSENT = "none"
-    """It does not apply to this model or these records; the sentence says why."""
+    """The check does not apply to this model or these records; the sentence gives the reason."""
 
 
 class Cause(StrEnum):
-    """What would explain a check that does not pass, in words."""
+    """Likely cause of a check that does not pass, in words."""
 
     DYNAMICS = "a delay or a state is missing"
     STATIC = "a saturation or another static nonlinearity is missing"
@@ -38,7 +38,7 @@ class CheckCurve:
     """One line to draw."""
 
     name: str
-    """What it is."""
+    """Name of the curve."""
     x: Array
     """(n,)."""
     y: Array
@@ -54,16 +54,16 @@ class Check:
     name: str
     """A few words, unique within a dossier."""
     verdict: Verdict
-    """How it ended."""
+    """Verdict of the check."""
     sentence: str
-    """What was found, with numbers."""
+    """Finding, with numbers."""
     cause: Cause | None = None
-    """What would explain it; None for a check that passes, and where nothing is named."""
+    """Likely cause; None for a check that passes, and where none is known."""
     weight: float = 0.0
-    """How much it matters among those that do not pass: the share of the residual that it explains,
-    above 1 for a model that must not be used."""
+    """Weight among the checks that do not pass: the share of the residual that it explains, above 1
+    for a model that must not be used."""
     curves: tuple[CheckCurve, ...] = ()
-    """What to draw."""
+    """Curves to draw."""
     axes: tuple[str, str] = ("", "")
     """Names of the axes."""
 

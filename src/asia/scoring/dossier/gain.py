@@ -1,4 +1,4 @@
-"""Whether the model answers to each input in the direction of the data."""
+"""Check of the sign of the gain from each input."""
 
 from __future__ import annotations
 
@@ -33,18 +33,20 @@ def check_gain(found: SimulatedBlocks) -> Check:
     for output in range(len(found.outputs)):
         judged += _directions(found, output)
     if not judged:
-        return Check("direction of gain", Verdict.SHOWN, "no input alone moves an output enough to "
+        return Check("direction of gain", Verdict.SHOWN, "no single input affects an output "
+                     "enough to "
                      "judge the direction of its gain")  # fmt: skip
     worst = min(judged, key=lambda d: d.agreement)
     name, output = worst.names
     if worst.agreement >= _AGAINST:
         sentence = (
-            f"every input moves the outputs in the direction of the data (least correlation "
+            f"the gain of every input has the sign of the data (least correlation "
             f"{worst.agreement:.2f}, {name} on {output})"
         )
         return Check("direction of gain", Verdict.PASS, sentence)
     sentence = (
-        f"{name} moves {output} against the data (correlation {worst.agreement:.2f}): {Cause.SIGN}"
+        f"the gain from {name} to {output} has the opposite sign of the data "
+        f"(correlation {worst.agreement:.2f}): {Cause.SIGN}"
     )
     return Check("direction of gain", Verdict.FAIL, sentence, Cause.SIGN, 2.0)
 

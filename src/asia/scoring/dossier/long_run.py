@@ -1,4 +1,4 @@
-"""Whether the model stays bounded far beyond the length of its records."""
+"""Check that the model stays bounded far beyond the length of its records."""
 
 from __future__ import annotations
 
@@ -16,11 +16,16 @@ _DRAWN = 2000
 
 
 def check_long_run(y_hat: Array | None, lowest: Array, highest: Array) -> Check:
-    """y_hat (HORIZONS * H, ny): simulated with an input that is repeated, or None where the model
-    gave no finite answer; lowest, highest (ny,): range of the training outputs."""
+    """Check that a long simulation stays bounded.
+
+    Args:
+        y_hat: (HORIZONS * H, ny) simulated with a repeated input, or None where the outputs are
+            not finite
+        lowest, highest: (ny,) range of the training outputs
+    """
     name, axes = "ten horizons", ("horizon", "distance over half the training range [-]")
     if y_hat is None:
-        sentence = f"over ten horizons the simulation runs away: {Cause.UNSTABLE}"
+        sentence = f"over ten horizons the simulation diverges: {Cause.UNSTABLE}"
         return Check(name, Verdict.FAIL, sentence, Cause.UNSTABLE, 3.0)
     half = np.maximum((highest - lowest) / 2.0, 1e-300)
     distance = np.max(np.abs(y_hat - (highest + lowest) / 2.0) / half, axis=1)
@@ -32,7 +37,7 @@ def check_long_run(y_hat: Array | None, lowest: Array, highest: Array) -> Check:
     early, late = float(peaks[4] - peaks[0]), float(peaks[-1] - peaks[4])
     faster = late > _SPEEDS_UP * max(early, 0.05)
     if faster and last > _MORE * float(peaks[0]):
-        words = f"over ten horizons the simulation grows faster and faster, to {last:.3g} times"
+        words = f"over ten horizons the simulation grows exponentially, to {last:.3g} times"
         verdict = Verdict.FAIL if last > _FAR else Verdict.DOUBT
         return Check(name, verdict, f"{words} half the training range: {Cause.UNSTABLE}",
                      Cause.UNSTABLE, 3.0, curves, axes)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Whether the model does as well where it was not fitted, and why not."""
+"""Check of the error on held-out against training records, and its likely cause."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from asia.data import Array
 from asia.scoring.dossier.check import Cause, Check, CheckCurve, Verdict
 from asia.scoring.dossier.records import SimulatedBlock, SimulatedBlocks, listed, percent
 
-# Mean held-out error over mean training error; and what the fold with the least must have.
+# Mean held-out error over mean training error; and the minimum in every fold.
 _DOUBT, _FAIL, _EVERY = 1.5, 2.5, 1.2
-# Of the held-out residual: what a correction of the gain and of the slow dynamics explains where
-# parameters drift, and where the model fits noise. Nothing is named in between.
+# Share of the held-out residual that a correction of gain and slow dynamics explains: above the
+# first, parameters drift; below the second, the model fits noise; between them no cause is named.
 _DRIFTS, _NOISE = 0.45, 0.3
 # Time constants of the correction, in samples.
 _MEMORIES = (4.0, 16.0)
@@ -26,9 +26,15 @@ def check_overfit(
     simulations: SimulatedBlocks | None = None,
     apart: Sequence[str] = (),
 ) -> Check:
-    """train, held_out: the normalised error of each fold's model on the records that it was fitted
-    to, and on what was held out. simulations: of what was held out. apart: names of the parameters
-    that differ between the fold models by more than noise explains."""
+    """Compare the error on held-out records with that on training records.
+
+    Args:
+        train, held_out: normalised error of each fold's model on its training records, and on
+            its held-out ones
+        simulations: simulations of the held-out records
+        apart: names of the parameters that differ between the fold models by more than noise
+            explains
+    """
     a, b = np.array(train), np.array(held_out)
     ratio = float(b.mean() / max(float(a.mean()), 1e-300))
     least = float(np.min(b / np.maximum(a, 1e-300)))
@@ -58,7 +64,9 @@ def _cause(found: SimulatedBlocks | None, apart: Sequence[str]) -> tuple[Cause |
     share = None if found is None else _corrected(found)
     if share is None:
         return Cause.OVERFIT, str(Cause.OVERFIT)
-    evidence = f"a new gain and new slow dynamics for each part explain {percent(share)} of it"
+    evidence = (
+        f"a different gain and slow dynamics for each part explain {percent(share)} of the residual"
+    )
     if share >= _DRIFTS:
         return Cause.PARAMETERS, f"{Cause.PARAMETERS} ({evidence})"
     if share <= _NOISE:
@@ -71,9 +79,12 @@ def _cause(found: SimulatedBlocks | None, apart: Sequence[str]) -> tuple[Cause |
 
 
 def _corrected(found: SimulatedBlocks) -> float | None:
-    """The share of the held-out residual that few regressors explain in the other half of the same
-    block: the simulated outputs, and what first-order lags make of them. Noise that a model was
-    fitted to is spread over more directions. None where the blocks are too short."""
+    """Return the share of the held-out residual that few regressors explain in the other half of
+    the same block.
+
+    The regressors are the simulated outputs and their first-order lags. Fitted noise is spread over
+    more directions. None where the blocks are too short.
+    """
     before = after = 0.0
     for block in found.blocks:
         columns = _correction(block)

@@ -1,4 +1,4 @@
-"""What the checks of residuals look at: simulations of samples that the model was not fitted to."""
+"""Data of the residual checks: simulations of samples that the model was not fitted to."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from asia.scoring._fit import without_gaps
 
 @dataclass(frozen=True)
 class SimulatedBlock:
-    """A stretch of a record, measured and simulated."""
+    """Segment of a record, measured and simulated."""
 
     u: Array
     """Inputs (H, nu)."""
@@ -39,10 +39,10 @@ class SimulatedBlock:
 
 @dataclass(frozen=True)
 class SimulatedBlocks:
-    """All blocks of a dossier, with what their channels are called."""
+    """All blocks of a validation report, with the names of their channels."""
 
     blocks: tuple[SimulatedBlock, ...]
-    """At least one."""
+    """Simulated blocks, at least one."""
     inputs: tuple[str, ...]
     """Names."""
     outputs: tuple[str, ...]
@@ -57,7 +57,7 @@ class SimulatedBlocks:
         return np.where(found > 0.0, found, 1.0)
 
     def residuals(self, output: int) -> list[Array]:
-        """Of one output, (H,) a block."""
+        """Return the residuals of one output, (H,) a block."""
         return [b.residual[:, output] for b in self.blocks]
 
     def input(self, number: int) -> list[Array]:
@@ -71,7 +71,7 @@ class SimulatedBlocks:
 
 
 def percent(share: float) -> str:
-    """With two digits, such as `41 %` or `0.62 %`."""
+    """Format a share with two digits, such as `41 %` or `0.62 %`."""
     value = 100.0 * share
     return f"{value:.0f} %" if abs(value) >= 10 else f"{value:.2g} %"
 

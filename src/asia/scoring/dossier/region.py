@@ -1,4 +1,4 @@
-"""Whether samples are like those of the training records."""
+"""Check of the similarity of samples to the training records."""
 
 from __future__ import annotations
 

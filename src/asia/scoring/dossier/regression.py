@@ -1,4 +1,4 @@
-"""Whether columns explain a coloured residual: an F test after whitening.
+"""F test of regressors of a coloured residual, after whitening.
 
 Source: Cochrane and Orcutt, Application of least squares regression to relationships containing
 auto-correlated error terms, JASA 44 (1949), with an autoregression of several lags.
@@ -22,14 +22,14 @@ _RANK = 1e-9
 
 @dataclass(frozen=True)
 class Explained:
-    """What columns add to others."""
+    """Contribution of regressors beyond others."""
 
     chance: float
     """Probability that independent columns explain as much."""
     share: float
-    """Of the variance of the residual, corrected for the number of columns."""
+    """Share of the variance of the residual, corrected for the number of columns."""
     size: float
-    """Standard deviation of what they explain, in the unit of the residual."""
+    """Standard deviation of the explained part, in the unit of the residual."""
     again: float
     """The share that they explain in each sixth of the samples with gains of the others; negative
     where chance explains nothing again, and 0 unless nearly every sixth has a gain."""
@@ -38,9 +38,11 @@ class Explained:
 def explained(
     residual: Sequence[Array], base: Sequence[Array], added: Sequence[Array]
 ) -> Explained:
-    """What `added` explains of a residual beyond `base` and a constant.
+    """Test the contribution of `added` to a residual beyond `base` and a constant.
 
-    residual (n,), base and added (n, columns): one a block.
+    Args:
+        residual: (n,), one a block
+        base, added: (n, columns), one a block
     """
     lengths = [len(e) for e in residual]
     if sum(lengths) > _MOST_ROWS:
@@ -77,7 +79,8 @@ def _bases(x0: Array, x1: Array) -> tuple[Array, Array]:
 
 
 def _spanned(columns: Array, before: Array) -> Array:
-    """Of columns (n, c), which were `before` until others were taken out of them."""
+    """Return a basis of columns (n, c), whose values were `before` until others were projected
+    out."""
     from scipy.linalg import qr  # only where statistics are asked for
 
     q, r = np.linalg.qr(columns)
@@ -89,7 +92,7 @@ def _spanned(columns: Array, before: Array) -> Array:
 
 
 def _left(e: Array, basis: Array) -> Array:
-    """What the columns leave."""
+    """Return the residual of a projection on the columns."""
     return e - basis @ (basis.T @ e)
 
 
@@ -144,7 +147,8 @@ def _autoregression(e: Array, lengths: Sequence[int]) -> Array:
 
 
 def _filtered(x: Array, filters: Array, lengths: Sequence[int]) -> Array:
-    """Each column less what its past predicts; the first samples of each block fall away."""
+    """Whiten each column by subtracting its prediction from the past; the first samples of each
+    block are dropped."""
     order = len(filters)
     parts: list[Array] = []
     for part in _split(x, lengths):

@@ -1,4 +1,4 @@
-"""What a residual is regressed on: what a model of some kind would leave behind.
+"""Regressors of residuals, one group for each kind of missing dynamics.
 
 Each group of columns is for one block. All columns of a block have the same rows: the samples from
 `reach` on, so that each has its past.
@@ -14,9 +14,9 @@ import numpy as np
 from asia.data import Array
 from asia.scoring.dossier.records import SimulatedBlock, SimulatedBlocks
 
-# First and last lag of the moving averages that stand for the past of a signal.
+# First and last lag of the moving averages that represent the past of a signal.
 _LAGS = ((0, 0), (1, 1), (2, 2), (3, 3), (4, 5), (6, 8), (9, 12), (13, 18), (19, 27), (28, 40))
-# What a force that changes its sign leaves behind lasts as long as the system remembers.
+# The effect of a switching force lasts as long as the memory of the system.
 _LONG_LAGS = (*_LAGS, (41, 60), (61, 80))
 _FEW_LAGS = ((0, 0), (1, 1), (2, 3), (4, 7), (8, 15))
 _MOST_INPUTS_BENT = 4
@@ -75,14 +75,18 @@ def groups(found: SimulatedBlocks, output: int) -> Groups:
 def _pasts(
     signals: Sequence[Sequence[Array]], lags: Sequence[tuple[int, int]], reach: int
 ) -> list[Array]:
-    """The past of several signals, one array a block. signals: (n, c) a signal and block."""
+    """The past of several signals, one array a block.
+
+    Args:
+        signals: (n, c) a signal and block
+    """
     together = zip(*signals, strict=True)
     return [np.concatenate([_past(v, lags) for v in each], axis=1)[reach:] for each in together]
 
 
 def _past(x: Array, lags: Sequence[tuple[int, int]]) -> Array:
-    """Means of each column of (n, c) over the lags, (n, c * lags); the first value stands for what
-    is before it."""
+    """Average each column of (n, c) over the lags, (n, c * lags); the first value fills the time
+    before it."""
     far = lags[-1][1]
     whole = np.concatenate([np.repeat(x[:1], far, axis=0), x])
     total = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(whole, axis=0)])
@@ -92,7 +96,7 @@ def _past(x: Array, lags: Sequence[tuple[int, int]]) -> Array:
 
 
 def _bends(signal: Sequence[Array]) -> list[Array]:
-    """How far one signal, (n, 1) a block, is beyond its quantiles."""
+    """Return the excess of one signal, (n, 1) a block, over its quantiles."""
     edges = np.quantile(np.concatenate(list(signal)), _BENDS)
     low, high = edges[: len(edges) // 2], edges[len(edges) // 2 :]
     return [np.concatenate([np.minimum(v - low, 0), np.maximum(v - high, 0)], 1) for v in signal]

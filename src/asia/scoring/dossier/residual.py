@@ -1,4 +1,4 @@
-"""Checks of what the simulation leaves: which cause would explain it."""
+"""Checks of the simulation residual, each for one likely cause."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from asia.scoring.dossier.regressors import Groups, groups
 Columns = Callable[[Groups], list[Array]]
 
 _CHANCE = 1e-4
-# Of the residual's variance, and of the output's deviation: less is not worth a flag.
+# Least share of the residual's variance, and of the output's standard deviation, for a flag.
 _SHARE, _SIZE = 0.05, 0.005
-# Of what is explained again and again: under strongly coloured noise a test sees little.
+# Least share in repeated tests: under strongly coloured noise a single test has little power.
 _AGAIN = 0.08
 _FAIL_SHARE, _FAIL_SIZE = 0.25, 0.02
 _PARTS = 20
@@ -29,12 +29,12 @@ _PARTS = 20
 
 @dataclass(frozen=True)
 class _Found:
-    """What one group of columns explains, of the output where it explains most."""
+    """Contribution of one group of columns, for the output that it explains best."""
 
     output: int
     found: Explained
     size: float
-    """Over the deviation of the output."""
+    """Size relative to the standard deviation of the output."""
     alone: float
     """The share that the columns explain without any others."""
 
@@ -49,10 +49,10 @@ class _Found:
         return Verdict.FAIL if grave else Verdict.DOUBT
 
     def words(self) -> str:
-        """How much is explained."""
+        """Describe the size of the contribution."""
         return (
             f"{percent(self.found.share)} of the residual's variance, "
-            f"{percent(self.size)} of the output's deviation"
+            f"{percent(self.size)} of the output's standard deviation"
         )
 
 
@@ -83,15 +83,15 @@ def check_fit(found: SimulatedBlocks) -> Check:
     bad = bool(len(finite)) and float(finite.min()) <= 0.0
     sentence = f"fit index in free run: {words}"
     if bad:
-        sentence += "; below 0 % the mean of the output would be nearer"
-    if bad:
-        return Check("fit in free run", Verdict.FAIL, sentence, weight=0.5)
-    return Check("fit in free run", Verdict.PASS, sentence)
+        sentence += "; below 0 % the mean of the output is more accurate"
+    return Check("fit in free run", Verdict.FAIL if bad else Verdict.PASS, sentence, weight=0.5)
 
 
 def check_inputs(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
-    """Independence of residual and inputs: what the past of the inputs explains. The cross-
-    correlations name the lags, with bands that hold for all of them together."""
+    """Test the independence of residual and inputs, by the share that past inputs explain.
+
+    The cross-correlations name the lags, with bands that hold for all of them together.
+    """
     worst = _worst(found, columns, lambda g: g.inputs, lambda g: [x[:, :0] for x in g.inputs])
     pairs = len(found.inputs) * len(found.outputs)
     curves: list[CheckCurve] = []
@@ -120,8 +120,8 @@ def check_inputs(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
 
 
 def check_whiteness(found: SimulatedBlocks) -> Check:
-    """Correlation of each residual with its own past: shown, for what a simulation leaves need not
-    be white."""
+    """Show the autocorrelation of each residual; it is not judged, because a simulation residual
+    need not be white."""
     curves: list[CheckCurve] = []
     largest, name = 0.0, found.outputs[0]
     for output, label in enumerate(found.outputs):
@@ -136,7 +136,7 @@ def check_whiteness(found: SimulatedBlocks) -> Check:
 
 
 def check_time(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
-    """What a slow function of time explains: a drift."""
+    """Test for a drift: the share that a slow function of time explains."""
     worst = _worst(found, columns, lambda g: g.time, _linear)
     curves = tuple(_along_time(found, k) for k in range(len(found.outputs)))
     axes = ("time in the record [s]", "mean residual over deviation [-]")
@@ -149,7 +149,8 @@ def check_time(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
 
 
 def check_amplitude(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
-    """What bends of the simulated output and of the inputs explain, beyond linear dynamics."""
+    """Test for a missing static nonlinearity: the share that piecewise linear functions of the
+    simulated output and of the inputs explain beyond linear dynamics."""
     worst = _worst(found, columns, lambda g: g.bends, _linear)
     curves = tuple(_against_amplitude(found, k) for k in range(len(found.outputs)))
     axes = ("simulated output over deviation [-]", "mean residual over deviation [-]")
@@ -165,16 +166,17 @@ def check_amplitude(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
 
 
 def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
-    """What the signs of the output and of its rate explain, beyond linear dynamics."""
+    """Test for friction or hysteresis: the share that the signs of the output and of its rate
+    explain beyond linear dynamics."""
     worst = _worst(found, columns, lambda g: g.turns, _linear)
     if worst.verdict is Verdict.PASS:
         sentence = f"no residual changes with the direction of motion ({worst.words()} at most)"
         return Check("motion", Verdict.PASS, sentence)
     sentence = (
-        f"the residual of {found.outputs[worst.output]} changes where the motion turns: "
+        f"the residual of {found.outputs[worst.output]} changes at reversals of the motion: "
         f"{Cause.FRICTION} ({worst.words()})"
     )
-    # With a long past the signs alone stand in for much that is linear: a short one weighs.
+    # With a long past the signs approximate linear dynamics as well: weigh by a short past.
     columns_of = columns[worst.output]
     e = [r[columns_of.reach :] for r in found.residuals(worst.output)]
     nothing = [x[:, :0] for x in columns_of.inputs]
@@ -191,7 +193,7 @@ def _linear(columns: Groups) -> list[Array]:
 def _worst(
     found: SimulatedBlocks, columns: Sequence[Groups], added: Columns, base: Columns
 ) -> _Found:
-    """Of all outputs that where the columns explain the largest share, flagged ones first."""
+    """Return the output whose residual variance the regressors explain best, flagged ones first."""
     each: list[_Found] = []
     for output, (group, deviation) in enumerate(zip(columns, found.deviation, strict=True)):
         e = [r[group.reach :] for r in found.residuals(output)]
@@ -203,7 +205,8 @@ def _worst(
 
 
 def _wider(tests: int) -> float:
-    """How much wider a band of 99 % for one value is for so many together."""
+    """Return the factor that widens a 99 % band of one value to a band of `tests` values
+    together."""
     from scipy.special import ndtri  # only where statistics are asked for
 
     return float(ndtri(1.0 - 0.005 / tests)) / QUANTILE

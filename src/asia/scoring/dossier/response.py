@@ -25,10 +25,10 @@ _MOST_GAINS = 3
 
 @dataclass(frozen=True)
 class LinearResponse:
-    """The answer of one model to a small impulse of one input around an operating point."""
+    """Response of one model to a small impulse of one input around an operating point."""
 
     point: str
-    """Which operating point."""
+    """Operating point."""
     input: str
     """The input that moves."""
     impulse: Array
@@ -41,7 +41,7 @@ class LinearResponse:
 
     @property
     def settled(self) -> bool:
-        """Whether the answer has died out by the end."""
+        """Whether the response has decayed by the end."""
         tail = self.impulse[-max(1, len(self.impulse) // 10) :]
         return bool(
             np.max(np.abs(tail)) <= _DECAYED * max(float(np.abs(self.impulse).max()), 1e-300)
@@ -49,8 +49,12 @@ class LinearResponse:
 
 
 def impulse_response(up: Array, down: Array, size: float) -> Array:
-    """From two simulations (n, ny) whose input is `size` above and below the operating point from
-    the first sample on."""
+    """Estimate the impulse response.
+
+    Args:
+        up, down: simulations (n, ny) whose input is `size` above and below the operating point
+            from the first sample on
+    """
     step = (up - down) / (2.0 * size)
     return np.diff(step, axis=0, prepend=np.zeros((1, step.shape[1])))
 
@@ -88,7 +92,7 @@ def check_responses(
     """Static gains, slowest poles and step responses: shown."""
     name, axes = "poles and static gain", ("time [s]", "change for a step of 1")
     if not found:
-        reason = "does not apply: the model gave no finite answer to small steps of an input"
+        reason = "does not apply: the response of the model to small input steps is not finite"
         return Check(name, Verdict.ABSENT, reason)
     curves: list[CheckCurve] = []
     words: list[str] = []

@@ -20,7 +20,7 @@ _DRAWN = 0.5
 _OFF, _FAR_OFF = 0.25, 0.5
 _CHANCE = 1e-4
 _TOO_SHORT = (
-    "does not apply: the simulations are too short for a spectrum, which takes "
+    "does not apply: the simulations are too short for a spectrum, which needs "
     f"{_SHORTEST} samples of eight windows or more, or {4 * _SHORTEST} of fewer"
 )
 
@@ -41,9 +41,9 @@ class Spectra:
     residual: Array
     """(F,)."""
     output_cross: NDArray[np.complex128]
-    """Of output and input (F,)."""
+    """Cross-spectrum of output and input (F,)."""
     residual_cross: NDArray[np.complex128]
-    """Of residual and input (F,)."""
+    """Cross-spectrum of residual and input (F,)."""
     segments: int
     """Independent segments."""
 
@@ -52,7 +52,12 @@ def spectra(
     u: Sequence[Array], y: Sequence[Array], e: Sequence[Array], sampling_time: float
 ) -> Spectra | None:
     """Hann windows, half overlapping, none across two blocks; None where blocks are too short.
-    u, y, e: (H,) a block. The constant and the lines next to it are left out."""
+
+    The constant and the lines next to it are left out.
+
+    Args:
+        u, y, e: (H,) a block
+    """
     shortest = min(len(x) for x in u)
     length = min(_LONGEST, shortest if len(u) > 7 else shortest // 4)
     if length < _SHORTEST:
@@ -74,8 +79,11 @@ def spectra(
 
 
 def check_spectrum(found: SimulatedBlocks, noise: Sequence[float | None]) -> Check:
-    """Where the residual has its power, against the output and the noise floor: shown. noise: of
-    each output over its deviation, None where it is not known."""
+    """Show the spectrum of the residual against the output and the noise; it is not judged.
+
+    Args:
+        noise: noise of each output over its standard deviation, None where it is not known
+    """
     curves: list[CheckCurve] = []
     words: list[str] = []
     for k, name in enumerate(found.outputs):
@@ -129,16 +137,20 @@ def _judged(
     axes: tuple[str, str],
 ) -> Check:  # fmt: skip
     if worst is None:
-        sentence = f"nowhere is the coherence of an input and an output above {_COHERENT:g}"
+        sentence = f"the coherence of every input and output is at most {_COHERENT:g}"
         return Check(title, Verdict.SHOWN, sentence, curves=curves, axes=axes)
     size, frequency, coherence, pair = worst
     if size == 0.0:
         sentence = (
-            "the gain of the simulation is that of the data, within chance, wherever the coherence "
+            "the gain of the simulation agrees with the data within statistical error where the "
+            "coherence "
             f"is above {_COHERENT:g}"
         )
         return Check(title, Verdict.PASS, sentence, curves=curves, axes=axes)
-    words = f"{pair} at {frequency} Hz is {percent(size)} off the data (coherence {coherence:.2f})"
+    words = (
+        f"{pair} at {frequency} Hz deviates by {percent(size)} from the data (coherence "
+        f"{coherence:.2f})"
+    )
     if size < _OFF:
         return Check(title, Verdict.PASS, f"at most, {words}", curves=curves, axes=axes)
     verdict = Verdict.FAIL if size >= _FAR_OFF else Verdict.DOUBT

@@ -47,7 +47,7 @@ def test_the_delay_after_which_the_input_acts_is_found(delay: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_noise_beside_an_input_is_no_effect_and_no_feedback(seed: int) -> None:
+def test_noise_next_to_an_input_is_no_effect_and_no_feedback(seed: int) -> None:
     rng = np.random.default_rng(seed)
     found = relation(facts(rng.standard_normal(SAMPLES), lagged(rng.standard_normal(SAMPLES), 1)))
     assert not found.acts

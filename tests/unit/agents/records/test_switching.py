@@ -34,7 +34,7 @@ def of_records(*records: Trajectory):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_what_switches_is_seen_in_the_record(case: str) -> None:
+def test_switching_is_detected_in_the_record(case: str) -> None:
     cause, found = CASES[case][0], of_records(CASES[case][1])
     assert found.found
     assert (found.cause, found.signal) == (cause, 0)

@@ -89,7 +89,7 @@ def test_a_full_multisine_tells_distortion_from_noise_and_not_its_degree() -> No
     assert decibels(found.levels.distortion) == pytest.approx(whole, abs=1.0)
 
 
-def test_one_realisation_of_a_full_multisine_tells_the_noise_alone() -> None:
+def test_one_realisation_of_a_full_multisine_gives_only_the_noise() -> None:
     found, _ = of("full", 1, noise=0.02)
     assert found.levels.distortion is None
     assert decibels(found.levels.noise) == pytest.approx(20 * np.log10(0.02), abs=1.0)
@@ -115,7 +115,7 @@ def test_a_transient_is_left_out_and_noise_is_not_taken_for_one() -> None:
         assert decibels(found.levels.noise) == pytest.approx(-40.0, abs=1.0)
 
 
-def test_without_periods_what_a_linear_model_leaves_is_told_from_leakage() -> None:
+def test_without_periods_the_linear_residual_is_separated_from_leakage() -> None:
     rng = np.random.default_rng(100)
     u = filtered(signal.butter(2, 0.5), rng.normal(size=20_000))
     y = filtered(BEFORE, u)
@@ -145,7 +145,7 @@ def test_a_start_that_is_not_at_rest_is_not_taken_for_noise() -> None:
     assert decibels(found.levels.both) == pytest.approx(-40.0, abs=6.0)
 
 
-def test_several_inputs_are_told_apart() -> None:
+def test_several_inputs_are_separated() -> None:
     rng = np.random.default_rng(100)
     u = rng.normal(size=(4000, 2))
     y = filtered(BEFORE, u[:, 0]) - 0.5 * filtered(AFTER, u[:, 1])

@@ -30,7 +30,7 @@ def record(count: int = COUNT) -> Trajectory:
 
 
 def digest(path: Path | Sequence[Path], wanted: Wanted = WANTED, **given: float) -> str:
-    """Of the training records that a file gives."""
+    """Return the digest of the training records in a file."""
     paths = [path] if isinstance(path, Path) else path
     return data_digest(take_in(paths, wanted, "train", **given).records)  # pyright: ignore
 

@@ -46,7 +46,7 @@ def mat_struct(path: Path) -> None:
 
 
 def mat_hdf5(path: Path) -> None:
-    """As MATLAB writes -v7.3: a user block, and columns as rows."""
+    """Write a file as MATLAB -v7.3: a user block, and columns as rows."""
     with h5py.File(path, "w", userblock_size=512) as file:
         group = file.create_group("run")
         for name, values in COLUMNS.items():
@@ -155,7 +155,7 @@ def test_every_format_gives_the_same_digest(
 
 
 @pytest.mark.parametrize("kind", [k for k in FORMATS if k.suffixes[0] != ".csv"])
-def test_a_file_that_is_not_what_its_name_says_is_refused(tmp_path: Path, kind: Any) -> None:
+def test_a_file_with_a_wrong_suffix_is_refused(tmp_path: Path, kind: Any) -> None:
     path = tmp_path / f"log{kind.suffixes[0]}"
     path.write_bytes(b"this is a note, not a measurement")
     with pytest.raises(UserError, match="does not read as") as caught:

@@ -31,7 +31,7 @@ def write(path: Path) -> None:
                 writer.write(topic, now + late, raw)
 
 
-def test_a_bag_by_the_stamps_of_its_headers(tmp_path: Path) -> None:
+def test_a_bag_by_its_header_timestamps(tmp_path: Path) -> None:
     write(tmp_path / "flight")
     wanted = Wanted(("/u/point/x",), ("/y/point/x",))
     found = take_in([tmp_path / "flight"], wanted, "train")

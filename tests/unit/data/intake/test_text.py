@@ -142,7 +142,7 @@ def test_unreadable_file(tmp_path: Path) -> None:
         ("index,u,y\n0,1,2\n1,1,2\n2,1,2\n", None),
     ],
 )
-def test_time_stamps_decide(tmp_path: Path, text: str, expected: str | None) -> None:
+def test_timestamps_decide(tmp_path: Path, text: str, expected: str | None) -> None:
     notes = read_file(tmp_path / "a.csv", text).notes
     assert bool(notes) == (expected is not None)
     assert expected is None or expected in notes[0]

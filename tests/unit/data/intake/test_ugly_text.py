@@ -109,7 +109,7 @@ def test_units_behind_values_are_taken_over(tmp_path: Path) -> None:
     assert take_in([path], WANTED, "train").units == {"u": "m/s", "y": "°C"}
 
 
-def test_what_a_historian_writes_in_place_of_a_value_is_missing(tmp_path: Path) -> None:
+def test_texts_of_historians_are_missing_values(tmp_path: Path) -> None:
     lines = table().split("\n")
     for k, word in enumerate(("Bad", "I/O Timeout", "No Data", "n.a.")):
         lines[5 + k] = ",".join((*lines[5 + k].split(",")[:2], word))
@@ -151,7 +151,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", list(REFUSED))
-def test_what_cannot_be_read_is_refused_in_one_sentence(tmp_path: Path, name: str) -> None:
+def test_unreadable_files_are_refused_in_one_sentence(tmp_path: Path, name: str) -> None:
     text, expected = REFUSED[name]
     with pytest.raises(UserError, match=expected) as caught:
         digest(write(tmp_path, text))
@@ -173,7 +173,7 @@ def test_a_gap_cuts(tmp_path: Path) -> None:
     assert any("1 gap in time" in note for note in found.notes)
 
 
-def test_missing_inputs_cut_and_short_pieces_go(tmp_path: Path) -> None:
+def test_missing_inputs_cut_and_short_segments_are_dropped(tmp_path: Path) -> None:
     lines = table().split("\n")
     lines[4], lines[31] = "0.75,,1.0", "7.5,NaN,1.0"
     path = write(tmp_path, "\n".join(lines))

@@ -74,7 +74,7 @@ def evaluator(problem: Problem, executor: LocalExecutor) -> Evaluator:
 
 
 @pytest.mark.slow
-def test_an_answer_from_elsewhere_is_the_same(problem: Problem) -> None:
+def test_a_remote_answer_is_the_same(problem: Problem) -> None:
     there = Loopback()
     here, far = (evaluator(problem, e).evaluate(arx(2)) for e in (LocalExecutor(2), there))
     assert here.outcome == far.outcome
@@ -110,7 +110,7 @@ def test_a_candidates_failure_comes_back_with_its_words(problem: Problem) -> Non
 @pytest.mark.parametrize(
     "spoil", [lambda r: r[:-8], lambda r: b"", lambda r: r.replace(b'"train"', b'"trein"')]
 )
-def test_what_is_no_answer_is_no_result(problem: Problem, spoil: Callable[[bytes], bytes]) -> None:
+def test_an_invalid_answer_is_no_result(problem: Problem, spoil: Callable[[bytes], bytes]) -> None:
     with pytest.raises(SandboxError, match="what is no answer"):
         evaluator(problem, Loopback(spoil)).evaluate(arx(1))
 
@@ -131,7 +131,7 @@ def refusal(problem: Problem, request: bytes, raw: bytes) -> Exception:
     return raised.value
 
 
-def test_machines_that_differ_are_refused_with_what_differs(problem: Problem) -> None:
+def test_different_machines_are_refused_with_the_differences(problem: Problem) -> None:
     there = {**installation(), "numpy": "1.0"}
     with pytest.raises(UserError, match=r"numpy \S+ there, 1.0 here.*same versions on all"):
         check_installation(there, "far")
@@ -169,7 +169,7 @@ def test_a_worker_that_was_killed_is_tried_again(
     def fails_once(*given: object) -> object:
         calls[0] += 1
         if calls[0] == 1:
-            raise WorkerKilledError("the worker was ended from outside by signal 9")
+            raise WorkerKilledError("another process ended the worker by signal 9")
         return fit(*given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(remote, "fit_fold", fails_once)
@@ -178,7 +178,7 @@ def test_a_worker_that_was_killed_is_tried_again(
     assert calls[0] == 3
 
 
-def test_a_machine_says_what_it_is_fit_for() -> None:
+def test_a_machine_describes_itself() -> None:
     (state,) = survey_machines(Loopback())
     assert state.machine == socket.gethostname()
     assert state.isolation

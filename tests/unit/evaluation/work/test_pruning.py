@@ -13,7 +13,7 @@ from asia.scoring import Failure
 
 
 class Fold:
-    """In place of a fit: the test ends it, or its stop does."""
+    """Stand-in for a fit that the test or its stop ends."""
 
     def __init__(self, pruner: FoldPruner, index: int, value: float | Failure) -> None:
         self._pruner, self._index, self._value = pruner, index, value
@@ -100,7 +100,7 @@ def test_trouble_with_a_worker_that_was_not_ended_is_raised() -> None:
         FoldPruner(2, 1.0).fit(0, fit)
 
 
-def test_nothing_begins_after_a_stop_and_what_has_ended_is_left_alone() -> None:
+def test_nothing_begins_after_a_stop_and_ended_folds_are_kept() -> None:
     flag, calls = CancelFlag(), list[int]()
     with flag.on_cancel(lambda: calls.append(1)):
         pass

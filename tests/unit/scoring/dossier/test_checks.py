@@ -86,7 +86,7 @@ def test_a_sound_model_under_coloured_noise_passes(random: np.random.Generator) 
     ],
     ids=["delay", "lag", "saturation", "drift", "friction", "sign"],
 )
-def test_what_the_model_lacks_is_named_first(defect, cause, random) -> None:
+def test_the_missing_dynamics_are_named_first(defect, cause, random) -> None:
     u = held_steps(random)
     y_hat = signal.lfilter(B, A, u)
     y = defect(y_hat, np.arange(SAMPLES)) + 0.02 * random.standard_normal(SAMPLES)
@@ -106,7 +106,7 @@ def test_the_sentence_names_input_output_and_lags(random: np.random.Generator) -
     assert "the residual of level follows valve at lag 5" in check.sentence
 
 
-def test_what_is_too_small_to_matter_passes(random: np.random.Generator) -> None:
+def test_a_negligible_effect_passes(random: np.random.Generator) -> None:
     u = held_steps(random)
     y_hat = signal.lfilter(B, A, u)
     late = np.concatenate([np.zeros(1), u[:-1]])
@@ -200,7 +200,7 @@ def test_bands_that_hold_too_little() -> None:
     names = ("a", "b", "c", "d")
     good = check_bands(np.array([0.91, 0.84, 0.9, 1.0]), names, 0.9)
     assert good.verdict is Verdict.PASS
-    assert good.sentence == "output bands of 90 % held at least: b 84 %, c 90 %, a 91 %"
+    assert good.sentence == "90 % output bands contained at least: b 84 %, c 90 %, a 91 %"
     assert check_bands(np.array([0.79]), ("a",), 0.9).verdict is Verdict.DOUBT
     assert check_bands(np.array([0.45]), ("a",), 0.9).verdict is Verdict.FAIL
     assert no_bands("why").verdict is Verdict.ABSENT
@@ -213,7 +213,7 @@ def test_the_gain_of_the_data_is_drawn_where_it_is_clear(random: np.random.Gener
     noisy = slow + 0.05 * random.standard_normal(SAMPLES)
     check = check_frequency_response(simulations(slow, noisy, u), ())
     assert check.curves[0].name == "valve to level, data, coherence above 0.5"
-    assert "within chance" in check.sentence
+    assert "agrees with the data within statistical error" in check.sentence
     clear = check_frequency_response(simulations(y_hat, y_hat, u), ())
     assert 0 < len(check.curves[0].x) < len(clear.curves[0].x)
 

@@ -22,7 +22,7 @@ _FINE: Arguments = (("hidden", 24), ("ridge", 1e-9), ("linear_ridge", 1e-9))
 
 
 def _searchable(facts: Facts) -> bool:
-    """Whether the two filters can be searched: one input, one output, whole records."""
+    """Return whether the two filters can be searched: one input, one output, whole records."""
     return facts.horizon is None and len(facts.inputs) == len(facts.outputs) == 1
 
 
@@ -80,10 +80,10 @@ CARD = Card(
         Family(
             name="block_oriented",
             label="block-oriented model",
-            use="linear systems in series with static functions: actuators and sensors that bend",
+            use="linear systems in series with static functions: nonlinear actuators and sensors",
             base=5,
             points=(("long", 1), ("windows", -3), ("several", -2)),
-            # Its filters come back, and a static function around an integrator cannot be told.
+            # Its filters are stable; a static function next to an integrator is not identifiable.
             against=frozenset({"integrating"}),
             start=_block_oriented,
             space=_space,
@@ -100,8 +100,10 @@ CARD = Card(
             name="search for the two filters",
             weight=_search_weight,
             change=lambda c: c.recipe.configured(searched=True, hidden=12),
-            hypothesis="Order and the shares of poles and zeros are what tells two filters around "
-            "a static function apart; the best linear model shows neither.",
+            hypothesis=(
+                "Two filters around a static function differ in order and in their shares of "
+                "poles and zeros; the best linear model shows neither."
+            ),
             expected="A far lower V, if the structure is right.",
         ),
         Move(
@@ -110,10 +112,15 @@ CARD = Card(
             change=lambda c: c.recipe.configured(
                 hidden=round(1.6 * c.recipe.number("hidden", 8.0))
             ).trained(starts=3),
-            hypothesis="The static function bends within a narrow range: more units of its grid.",
-            expected="A lower V at a lower training error, until the noise is reached.",
+            hypothesis=(
+                "The static function is strongly curved within a narrow range: its grid needs "
+                "more units."
+            ),
+            expected="A lower V at a lower training error, down to the noise floor.",
         ),
-        _to("hammerstein", "before", "The actuator bends, all else is linear (Hammerstein)."),
-        _to("wiener", "after", "The sensor bends, all else is linear (Wiener)."),
+        _to(
+            "hammerstein", "before", "The actuator is nonlinear, the rest is linear (Hammerstein)."
+        ),
+        _to("wiener", "after", "The sensor is nonlinear, the rest is linear (Wiener)."),
     ),
 )

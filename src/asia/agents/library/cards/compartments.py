@@ -16,7 +16,7 @@ _STANDS_STILL, _MOST_STORAGES = 0.02, 4
 
 
 def _start(facts: Facts) -> Recipe:
-    """With limits where an output stands still at its highest."""
+    """Return the first recipe, with limits where an output saturates at its maximum."""
     config = (("count", 2), ("outflow", "power"))
     if plateau_share(facts) > _STANDS_STILL:
         config = (*config, ("full", True), ("spill", True))
@@ -53,7 +53,7 @@ CARD = Card(
         Family(
             name="compartments",
             label="compartments",
-            use="storages in a row that fill, run off and run over: levels, temperatures, contents",
+            use="storages in series that fill, drain and overflow: levels, temperatures, contents",
             base=4.5,
             points=(("short", 0.5), ("several", -1)),
             against=frozenset({"integrating"}),
@@ -71,36 +71,43 @@ CARD = Card(
             name="storages run over",
             weight=_full_weight,
             change=lambda c: c.recipe.configured(full=True, spill=True),
-            hypothesis="Each storage can be full, and part of what it cannot hold enters the next.",
-            expected="Lower error where the output is high, on every fold where it is reached.",
+            hypothesis="Each storage can be full, and part of its overflow enters the next.",
+            expected="Lower error where the output is high, on every fold that reaches this range.",
         ),
         Move(
             name="bent sensor",
             weight=lambda c: (0.85 if curved(c.trial) else 0.75) * (c.recipe.get("sensor") is None),
             change=lambda c: c.recipe.configured(sensor="power"),
-            hypothesis="The output need not be proportional to the content: a rising curve lies "
-            "between them.",
-            expected="A lower V; the curvature in the residual goes.",
+            hypothesis=(
+                "The output need not be proportional to the content: an increasing curve "
+                "relates them."
+            ),
+            expected="A lower V; the curvature in the residual disappears.",
         ),
         Move(
             name="run-off with the root of the content",
             weight=lambda c: 0.6 * (c.recipe.get("outflow") == "power"),
             change=lambda c: c.recipe.configured(outflow="root"),
-            hypothesis="A free stream runs off with the root of the level: fewer numbers to find.",
+            hypothesis=(
+                "A free outflow is proportional to the square root of the level: fewer "
+                "parameters to fit."
+            ),
             expected="About the same training error and a lower V, if the law is right.",
         ),
         Move(
             name="one storage more",
             weight=lambda c: (0.5 if coloured(c.trial) else 0.3) * (_count(c) < _MOST_STORAGES),
             change=lambda c: c.recipe.configured(count=_count(c) + 1),
-            hypothesis="The output answers later than so many storages do.",
+            hypothesis="The output responds later than this number of storages does.",
             expected="A whiter residual just after steps of the input.",
         ),
         Move(
             name="network in the balances",
             weight=lambda c: (0.5 if coloured(c.trial) else 0.3) * (not c.recipe.get("residual")),
             change=lambda c: c.recipe.configured(residual=4, residual_ridge=5e-2),
-            hypothesis="A small network, held small, adds what the laws of the run-off lack.",
+            hypothesis=(
+                "A small regularised network adds the effects that are missing in the outflow laws."
+            ),
             expected="A lower training error; lower V only if the effect is real.",
         ),
     ),

@@ -1,4 +1,4 @@
-"""The person's equations, what may be lacking in them, and how it shows."""
+"""Grey-box model of the problem's equations, its possible missing terms and their symptoms."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def _offset_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
 
 
 def _greybox(facts: Facts) -> Recipe:
-    """Over windows of measured states the equations need no search for a start."""
+    """Return the first recipe; with measured states in windows the equations need no search for an
+    initial state."""
     config = (("ridge", 1e-3), ("residual_ridge", 1e-2))
     effort = (("iterations", 60), ("starts", 8))
     if facts.horizon is not None:
@@ -159,8 +160,10 @@ _MOVES: tuple[Move, ...] = (
         weight=_saturation_weight,
         change=lambda c: c.recipe.configured(saturation=_next_state(c)),
         state=lambda c: _next_state(c)[-1],
-        hypothesis="A state has an upper limit that the equations do not know: errors gather where "
-        "the output is high or stands still.",
+        hypothesis=(
+            "A state has an upper limit that is missing in the equations: errors are "
+            "concentrated where the output is high or constant."
+        ),
         expected="Lower error near the top of the output; the limit settles inside the data.",
     ),
     Move(
@@ -168,9 +171,11 @@ _MOVES: tuple[Move, ...] = (
         weight=_overflow_weight,
         change=lambda c: c.recipe.configured(saturation=_next_state(c), spill=True),
         state=lambda c: _next_state(c)[-1],
-        hypothesis="A state has an upper limit that the equations do not know, and part of what it "
-        "cannot hold enters the next state: the next state moves with the input at once when the "
-        "first is full.",
+        hypothesis=(
+            "A state has an upper limit that is missing in the equations, and part of its "
+            "overflow enters the next state: the next state follows the input at once when the "
+            "first is full."
+        ),
         expected="Lower error where the output is high, on every fold where the limit is reached.",
     ),
     Move(
@@ -178,46 +183,54 @@ _MOVES: tuple[Move, ...] = (
         weight=_spill_weight,
         change=lambda c: c.recipe.configured(spill=True),
         state=lambda c: names_of(c, "saturation")[0],
-        hypothesis="What a full state cannot hold is not lost: part of it enters the next state.",
+        hypothesis="The overflow of a full state is not lost: part of it enters the next state.",
         expected="Lower error just after the limit is reached, on every fold.",
     ),
     Move(
         name="output offset",
         weight=lambda c: (0.8 if biased(c.trial) else 0.4) * _lacks(c, _outputs(c)),
         change=lambda c: _with_offset(c, _outputs(c)),
-        hypothesis="The sensor's zero is not the equations' zero.",
+        hypothesis="The sensor has an offset from the equations.",
         expected="Less bias; the fit at low outputs improves most.",
     ),
     Move(
         name="constant in and outflow",
         weight=lambda c: (0.75 if coloured(c.trial) else 0.5) * _lacks(c, c.states),
         change=lambda c: _with_offset(c, c.states),
-        hypothesis="Each balance lacks a constant: a leak, a dead zone, a level whose zero is not "
-        "where the equations put it.",
+        hypothesis=(
+            "Each balance lacks a constant: a leak, a dead zone, or a level with an offset from"
+            " the equations."
+        ),
         expected="Lower error away from the mean level, on every fold.",
     ),
     Move(
         name="linear term",
         weight=lambda c: 0 if c.recipe.get("linear") else 0.5 if coloured(c.trial) else 0.3,
         change=lambda c: c.recipe.configured(linear=True),
-        hypothesis="The residual is not white: a small linear term in states and inputs stands for "
-        "dynamics the equations leave out.",
+        hypothesis=(
+            "The residual is not white: a small linear term in states and inputs represents "
+            "missing dynamics."
+        ),
         expected="Lower error and a whiter residual, with the physics still dominant.",
     ),
     Move(
         name="residual network",
         weight=lambda c: 0 if c.recipe.get("residual") else 0.65 if coloured(c.trial) else 0.35,
         change=lambda c: c.recipe.without("discover").configured(residual=4),
-        hypothesis="What is left depends on the state in a way the equations do not have: a small "
-        "network in the dynamics, held small by its prior, can learn it.",
+        hypothesis=(
+            "The residual depends on the state in a way that is missing in the equations: a "
+            "small network in the dynamics, regularised by its prior, can learn it."
+        ),
         expected="Lower training error; lower V only if the effect is real.",
     ),
     Move(
         name="residual network, held tighter",
         weight=lambda c: 0 if c.recipe.get("residual") else 0.6 if coloured(c.trial) else 0.3,
         change=lambda c: c.recipe.without("discover").configured(residual=4, residual_ridge=5e-2),
-        hypothesis="The equations lack an effect of the state, and a small network finds it only "
-        "if its prior keeps it from following its own fold.",
+        hypothesis=(
+            "The equations lack an effect of the state, and a small network finds it only if "
+            "its prior prevents overfitting."
+        ),
         expected="Less gain on the training side than a free network, and more on V.",
     ),
     Move(
@@ -226,7 +239,7 @@ _MOVES: tuple[Move, ...] = (
             (0.45 if overfit(c.trial) < 1.5 else 0.2) * (0 < c.recipe.number("residual", 0) < 12)
         ),
         change=lambda c: c.recipe.configured(residual=round(2 * c.recipe.number("residual", 4))),
-        hypothesis="V is near the training error with the network in: it may carry more.",
+        hypothesis="V is near the training error with the network: it may be larger.",
         expected="Lower training error, V follows.",
     ),
     more_ridge("additions", _ridge),
@@ -237,14 +250,14 @@ _MOVES: tuple[Move, ...] = (
             0.3 * (c.recipe.get("noise_model") != "slow" and not c.recipe.get("robust"))
         ),
         change=lambda c: c.recipe.configured(robust=0.1),
-        hypothesis="A few samples that no parameter can explain pull the rest away.",
+        hypothesis="A few outliers that no parameter can explain bias the fit.",
         expected="About the same training error, steadier parameters over the folds.",
     ),
     Move(
         name="input delay",
         weight=lambda c: 0 if c.recipe.get("input_delay") else 0.5 if input_left(c.trial) else 0.2,
         change=lambda c: c.recipe.configured(input_delay=3.0),
-        hypothesis="The input acts later than the equations say.",
+        hypothesis="The input acts later than in the equations.",
         expected="The input no longer explains the residual.",
     ),
     *WRITTEN_IN,
@@ -255,7 +268,7 @@ CARD = Card(
         Family(
             name="greybox",
             label="grey-box",
-            use="the person's own equations, fitted in physical units",
+            use="the problem's equations, fitted in physical units",
             base=10,
             points=(("windows", -4), ("measured", -2)),
             needs=frozenset({"physics"}),

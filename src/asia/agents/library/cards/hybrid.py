@@ -1,4 +1,4 @@
-"""The person's equations with a learned residual."""
+"""Hybrid model: the problem's equations with a learned residual."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CARD = Card(
         Family(
             name="hybrid",
             label="hybrid",
-            use="the person's equations with a learned residual",
+            use="the problem's equations with a learned residual",
             base=3,
             points=(("windows", -2), ("measured", -2)),
             needs=frozenset({"physics"}),

@@ -81,7 +81,7 @@ CARD = Card((
     Family(
         name="linear",
         label="linear state-space",
-        use="how far a linear model goes, and the start of the nonlinear ones",
+        use="the best linear model, and the starting point of nonlinear ones",
         base=7,
         points=(("windows", -3),),
         start=_linear,
@@ -92,7 +92,7 @@ CARD = Card((
     Family(
         name="arx",
         label="output-error model",
-        use="a linear difference equation, where its coefficients are wanted",
+        use="a linear difference equation with readable coefficients",
         base=2,
         points=(("windows", -1),),
         start=_arx,
@@ -118,8 +118,10 @@ CARD = Card((
         families=("linear",),
         weight=_finer_weight,
         change=lambda c: c.recipe.configured(tolerance=_FINER, periodic_order=90),
-        hypothesis="The lines of periodic records tell many modes apart: each small gain in error "
-        "is worth a state.",
+        hypothesis=(
+            "The lines of periodic records resolve many modes: each small gain in error "
+            "justifies a state."
+        ),
         expected="A slightly lower V.",
     ),
 ))  # fmt: skip

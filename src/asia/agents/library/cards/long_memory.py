@@ -56,7 +56,7 @@ _KOOPMAN = network_family(
     timing=Timing(start=2.9, unit=1e-06),
 )
 
-# What is forgotten after a while cannot add up.
+# A fading memory cannot integrate.
 _UNFIT = frozenset({"integrating"})
 
 _OF_INPUTS = (
@@ -79,7 +79,7 @@ _OF_INPUTS = (
     network_family(
         "transformer",
         "Transformer",
-        "attention over past inputs: long records of systems that nothing simpler fits",
+        "attention over past inputs: long records of systems that no simpler model fits",
         1,
         (("long", 1),),
         NetworkStart(

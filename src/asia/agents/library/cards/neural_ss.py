@@ -74,7 +74,7 @@ def _carried_weight(at: Situation) -> float:
 def _as_carried(at: Situation) -> Recipe:
     found = transport(at.facts)
     assert found is not None
-    # A constant delay and the symmetries of plain inputs have no place beside it.
+    # It excludes a constant delay and the symmetries of plain inputs.
     recipe = at.recipe.without("symmetry").configured(delay=0, transport=found.transport.pace)
     return recipe.trained(starts=4)
 
@@ -82,7 +82,7 @@ def _as_carried(at: Situation) -> Recipe:
 # Share of the one-step error from which on a switching term is more than what smooth systems show,
 # and how much more it may be by chance in one sample.
 _TRACE, _BY_CHANCE = 0.01, 8.0
-# What is left of the weight of a static function at one place.
+# Remaining weight of a static function at one place.
 _IN_LFR = 0.5
 # V over the training error.
 _BY_HEART = 4.0
@@ -95,7 +95,8 @@ def _signals(facts: Facts) -> int:
 
 
 def _polynomial_weight(at: Situation) -> float:
-    """Tried from pieces: a whole-record fit from zero seldom finds the way."""
+    """Return the weight of polynomials, fitted from segments: a whole-record fit from zero seldom
+    converges."""
     facts, recipe = at.facts, at.recipe
     few = _signals(facts) <= _QUADRATIC and facts.horizon is None
     smooth = recipe.get("nonlinearity") == "state" and not _has_element(at)
@@ -110,20 +111,22 @@ def _as_polynomials(at: Situation) -> Recipe:
     return recipe.without("hidden")
 
 
-def _pieces_weight(at: Situation) -> float:
-    """Before any ridge: in a local minimum V is far above the training error as well."""
+def _segments_weight(at: Situation) -> float:
+    """Return a weight above that of any ridge: in a local minimum V exceeds the training error as
+    well."""
     if at.facts.horizon is not None or at.recipe.get("pieces"):
         return 0.0
     return 0.88 if coloured(at.trial) else 0.4
 
 
 def _has_lfr(at: Situation) -> bool:
-    """Whether a nonlinear LFR model was tried: it has these structures as special cases."""
+    """Return whether a nonlinear LFR model was tried: it has these structures as special cases."""
     return any(trial.family == "nl_lfr" for trial in at.view.trials)
 
 
 def _unless_at(at: Situation, place: str, weight: float) -> float:
-    """None around a free integrator: what drifts visits each level once."""
+    """Return the weight, or 0 around a free integrator: a drifting output visits each level
+    once."""
     if at.recipe.get("nonlinearity") == place:
         return 0.0
     weight *= _IN_LFR if _has_lfr(at) else 1.0
@@ -131,7 +134,7 @@ def _unless_at(at: Situation, place: str, weight: float) -> float:
 
 
 def _moved_to(at: Situation, place: str) -> Recipe:
-    """The static function elsewhere; channels belong to one in the state equation."""
+    """Move the static function to another place; channels belong to one in the state equation."""
     recipe = at.recipe.configured(nonlinearity=place)
     return recipe.configured(channels=None) if recipe.has("channels") else recipe
 
@@ -143,8 +146,8 @@ def _element_weight(at: Situation, element: str, *causes: Cause) -> float:
 
 
 def _trace_weight(at: Situation, weight: float) -> float:
-    """On a residual that stays coloured, where the records show but a trace of it, or where a
-    smooth model knows its own fold far better than the others."""
+    """Return the weight for a coloured residual, where the records show only a trace of the effect,
+    or where a smooth model overfits its own fold."""
     smooth = at.facts.horizon is None and not _has_element(at)
     if not smooth or not coloured(at.trial) or switching(at.facts).found:
         return 0.0
@@ -183,17 +186,21 @@ _ELEMENTS: tuple[Move, ...] = (
         name="dry friction",
         weight=lambda c: _element_weight(c, "friction", "velocity"),
         change=lambda c: _with_friction(c, 1),
-        hypothesis="What a one-step model leaves over has the sign of an output: a mass whose "
-        "velocity is measured, and which sticks. An element of friction can hold it still.",
-        expected="A far lower V; the simulation stands where the system stands.",
+        hypothesis=(
+            "The residual of a one-step model has the sign of an output: a mass with measured "
+            "velocity that sticks. A friction element can hold it at rest."
+        ),
+        expected="A far lower V; the simulation is at rest where the system is.",
         behind_counts=False,
     ),
     Move(
         name="friction or hysteresis",
         weight=lambda c: _element_weight(c, "friction", "displacement"),
         change=lambda c: _with_friction(c, 2),
-        hypothesis="What a one-step model leaves over depends on which way the output moves, or "
-        "where it turned: an element of friction with a memory of its own.",
+        hypothesis=(
+            "The residual of a one-step model depends on the direction of the output, or on its"
+            " last reversal: a friction element with its own memory."
+        ),
         expected="A far lower V; lower error after each turn.",
         behind_counts=False,
     ),
@@ -201,8 +208,10 @@ _ELEMENTS: tuple[Move, ...] = (
         name="play",
         weight=lambda c: _element_weight(c, "play", "input"),
         change=_with_play,
-        hypothesis="What a one-step model leaves over depends on where an input turned: a play "
-        "(backlash) between actuator and process.",
+        hypothesis=(
+            "The residual of a one-step model depends on the last reversal of an input: "
+            "backlash between actuator and process."
+        ),
         expected="A far lower V; lower error after each turn of the input.",
         behind_counts=False,
     ),
@@ -210,23 +219,27 @@ _ELEMENTS: tuple[Move, ...] = (
         name="a trace of friction",
         weight=lambda c: _trace_weight(c, 0.87),
         change=_with_trace_of_friction,
-        hypothesis="The residual is coloured, and smooth functions may not be what is missing: an "
-        "element of friction turns where the motion turns, and can hold the system still.",
+        hypothesis=(
+            "The residual is coloured, and a nonsmooth effect may be missing: a friction "
+            "element switches at reversals of the motion, and can hold the system at rest."
+        ),
         expected="A far lower V if something sticks; a higher one if nothing does.",
     ),
     Move(
         name="a trace of play",
         weight=lambda c: _trace_weight(c, 0.86),
         change=_with_play,
-        hypothesis="The residual is coloured, and smooth functions may not be what is missing: in "
-        "a play between two parts nothing happens after each turn.",
+        hypothesis=(
+            "The residual is coloured, and a nonsmooth effect may be missing: with backlash the"
+            " output does not move after each reversal."
+        ),
         expected="A far lower V if there is play; a higher one if there is none.",
     ),
     Move(
         name="static functions beside the element",
         weight=lambda c: 0.7 * _has_element(c) * (c.recipe.get("nonlinearity") == "none"),
         change=lambda c: c.recipe.configured(nonlinearity="state", hidden=4, ridge=1e-3),
-        hypothesis="What is left beside friction or play may be smooth.",
+        hypothesis="The residual next to friction or backlash may be smooth.",
         expected="Lower training error; lower V if the effect is real.",
     ),
     Move(
@@ -242,9 +255,11 @@ _CARRIED = Move(
     name="delays set by an input",
     weight=_carried_weight,
     change=_as_carried,
-    hypothesis="The delay is the longer the smaller one of the inputs is: a flow or a speed that "
-    "carries the others to where they act.",
-    expected="A far lower V; the error no longer gathers after each step of an input.",
+    hypothesis=(
+        "The delay grows as one of the inputs decreases: a flow or a speed that transports the "
+        "effect of the others."
+    ),
+    expected="A far lower V; the error is no longer concentrated after each step of an input.",
     behind_counts=False,
 )
 
@@ -270,7 +285,7 @@ CARD = Card(
         *integrator_moves(),
         _CARRIED,
         *_ELEMENTS,
-        from_pieces(_pieces_weight, past_fit=True),
+        from_pieces(_segments_weight, past_fit=True),
         Move(
             name="polynomials",
             weight=_polynomial_weight,
@@ -298,8 +313,10 @@ CARD = Card(
             name="static function at the output",
             weight=lambda c: _unless_at(c, "output", 0.8 if curved(c.trial) else 0.7),
             change=lambda c: _moved_to(c, "output"),
-            hypothesis="The system may be linear with a static function after it (Wiener): fewer "
-            "weights say the same.",
+            hypothesis=(
+                "The system may be linear with a static function after it (Wiener): fewer "
+                "weights suffice."
+            ),
             expected="A lower V at the same training error, if the structure is right.",
         ),
         Move(
@@ -324,8 +341,10 @@ CARD = Card(
                 * (not c.recipe.get("channels"))
             ),
             change=lambda c: c.recipe.configured(channels=1).trained(starts=4),
-            hypothesis="One signal goes through one static function and back into a linear system "
-            "(a hardening spring, a saturating actuator in a loop): fewer weights say the same.",
+            hypothesis=(
+                "One signal passes one static function in the feedback of a linear system (a "
+                "hardening spring, a saturating actuator in a loop): fewer weights suffice."
+            ),
             expected="A lower V at the same training error, if the structure is right.",
         ),
     ),

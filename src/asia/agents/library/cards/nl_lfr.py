@@ -82,8 +82,10 @@ CARD = Card(
         Family(
             name="nl_lfr",
             label="nonlinear LFR",
-            use="a linear system with a few static functions in feedback: springs, friction, "
-            "valves, sensors and actuators that bend",
+            use=(
+                "a linear system with a few static functions in feedback: nonlinear springs, "
+                "friction, valves, sensors and actuators"
+            ),
             base=6.5,
             points=(("short", 1), ("long", -2), ("windows", -4)),
             start=_nl_lfr,
@@ -102,24 +104,31 @@ CARD = Card(
             name="one channel more",
             weight=_channel_weight,
             change=_one_more,
-            hypothesis="The functions depend on more signals than they read: products of a state "
-            "and an input, or several places in the system that bend.",
+            hypothesis=(
+                "The functions depend on more signals than they receive: products of a state "
+                "and an input, or several nonlinearities in the system."
+            ),
             expected="A lower training error and a whiter residual, V follows.",
         ),
         Move(
             name="finer functions",
             weight=_finer_weight,
             change=lambda c: c.recipe.configured(hidden=round(1.6 * c.recipe.number("hidden", 12))),
-            hypothesis="A function has a corner or bends within a narrow range: more units.",
-            expected="A lower training error and V, until the noise is reached.",
+            hypothesis=(
+                "A function has a corner or is strongly curved within a narrow range: it needs "
+                "more units."
+            ),
+            expected="A lower training error and V, down to the noise floor.",
         ),
         from_pieces(_pieces_weight),
         Move(
             name="more starts",
             weight=lambda c: 0.55 * (c.recipe.number("starts", 2) < 5),
             change=lambda c: c.recipe.trained(starts=5),
-            hypothesis="Which signals the functions read is searched from the linear model's "
-            "residual, and the best guess may be wrong: more of the guesses are fitted.",
+            hypothesis=(
+                "The inputs of the functions are chosen from the linear model's residual, and "
+                "the best choice may be wrong: more choices are fitted."
+            ),
             expected="The same or a lower training error.",
         ),
     ),

@@ -88,9 +88,8 @@ CARD = Card(
                 * (c.recipe.number("margin", 0.1) > 0)
             ),
             change=lambda c: c.recipe.configured(margin=0.0),
-            hypothesis="The output has a limit that it reaches in the records: the model must not "
-            "pass it either.",
-            expected="A lower V where the output stands still.",
+            hypothesis="The output reaches a limit in the records: the model must not exceed it.",
+            expected="A lower V where the output is constant.",
         ),
         Move(
             name="terms up to the third degree",
@@ -107,7 +106,7 @@ CARD = Card(
             families=("narx",),
             weight=lambda c: by_overfit(c.trial, 0.6, 0.4, 0.2),
             change=lambda c: c.recipe.times("coefficient_ridge", 30.0, 1e-5),
-            hypothesis="The refinement of the coefficients follows its own fold.",
+            hypothesis="The refinement of the coefficients overfits its fold.",
             expected="A higher training error and a lower V.",
         ),
     ),

@@ -1,4 +1,4 @@
-"""The person's equations where all states are measured: learned terms and a network beside them."""
+"""Problem's equations with all states measured: learned terms and a parallel network."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _physics_net(_: Facts) -> Recipe:
 
 
 def _at_places(facts: Facts) -> bool:
-    """Whether the problem says where in the equations unknown effects enter."""
+    """Return whether the problem says where in the equations unknown effects enter."""
     return facts.physics is not None and bool(facts.physics.corrections)
 
 
@@ -65,8 +65,8 @@ def _space(facts: Facts) -> Space:
 
 
 def _with_network(facts: Facts, recipe: Recipe, kind: str) -> Recipe:
-    """A small network beside fitted equations, trained gently from there, or with corrections
-    trained with the equations from what is known of the parameters."""
+    """Add a small network to fitted equations, trained gently from there, or with corrections
+    trained together with the equations from the priors of the parameters."""
     if _at_places(facts):
         return _network_at_places(facts, recipe, kind)
     recipe = recipe.configured(network=kind, hidden=32, size=0.1)
@@ -83,9 +83,11 @@ def _with_network(facts: Facts, recipe: Recipe, kind: str) -> Recipe:
 
 
 def _network_at_places(facts: Facts, recipe: Recipe, kind: str) -> Recipe:
-    """In closed loop a fit of the equations alone takes what the controller does for what the
-    system does: physics and network start together from the priors. Linear terms are all but held
-    at zero, since the equations name the linear effects."""
+    """Start physics and network together from the priors, with networks at the given places.
+
+    In closed loop a fit of the equations alone attributes the controller's action to the system.
+    Linear terms are nearly held at zero, since the equations contain the linear effects.
+    """
     symmetry: Arguments = (("symmetry", True),) if facts.symmetry else ()
     recipe = recipe.configured(
         linear=True, sparsity=0.0, ridge=1.0, delay=True, equations=0, reach=1.5,
@@ -117,12 +119,12 @@ def _alone(at: Situation) -> Recipe:
 
 
 def _fitted_first(at: Situation) -> bool:
-    """Whether the equations are fitted by Levenberg-Marquardt, alone or before a network."""
+    """Return whether the equations are fitted by Levenberg-Marquardt, alone or before a network."""
     return at.recipe.number("equations", 15) > 0
 
 
 def _watched(at: Situation) -> bool:
-    """Whether a fit may see its validation score, and stops a network by it."""
+    """Return whether a fit may see its validation score, and stops a network by it."""
     return at.facts.early_stopping == "validation"
 
 
@@ -137,8 +139,10 @@ _MOVES: tuple[Move, ...] = (
         name="network at the corrections",
         weight=lambda c: 0.95 * _at_places(c.facts) * (not c.recipe.get("network")),
         change=lambda c: _network_at_places(c.facts, c.recipe, "gru"),
-        hypothesis="Known physics with its symmetries, started where the parameters are probable, "
-        "leaves small unknown effects at known places for a network with a memory.",
+        hypothesis=(
+            "Known physics with its symmetries, started at probable parameters, leaves small "
+            "unknown effects at known places for a network with memory."
+        ),
         expected="A much lower V in all folds.",
     ),
     Move(
@@ -150,8 +154,10 @@ _MOVES: tuple[Move, ...] = (
             * (c.recipe.number("gentle", 0.0) < 1.0)
         ),
         change=lambda c: c.recipe.trained(gentle=c.recipe.number("gentle", 0.0) + 0.5),
-        hypothesis="The loss is that of the most violent windows, the fold with the largest error "
-        "is not like them, and the laws are learned best where little else acts.",
+        hypothesis=(
+            "The most dynamic windows dominate the loss, the fold with the largest error "
+            "differs from them, and the laws are learned best where few other effects act."
+        ),
         expected="A higher training error and a lower V.",
     ),
     Move(
@@ -176,7 +182,7 @@ _MOVES: tuple[Move, ...] = (
             * (c.recipe.number("steps", GENTLE_STEPS) < 2 * GENTLE_STEPS)
         ),
         change=lambda c: c.recipe.times("steps", 1.5, GENTLE_STEPS),
-        hypothesis="Physics and network start from priors, and have some way to go.",
+        hypothesis="Physics and network start from priors, and have not converged.",
         expected="A lower training error, V follows.",
     ),
     Move(
@@ -188,7 +194,10 @@ _MOVES: tuple[Move, ...] = (
             * (c.recipe.number("learning_rate", 4e-3) > 2e-3)
         ),
         change=lambda c: c.recipe.times("learning_rate", 0.6, 4e-3),
-        hypothesis="The physics have arrived; the network moves too fast for what is left.",
+        hypothesis=(
+            "The physics have converged; the learning rate of the network is too high for the "
+            "remaining error."
+        ),
         expected="A less noisy V of the folds.",
     ),
     Move(
@@ -200,8 +209,9 @@ _MOVES: tuple[Move, ...] = (
             * (c.recipe.number("members", 1) < 2)
         ),
         change=lambda c: c.recipe.trained(members=2),
-        hypothesis="What a network learned by chance differs from seed to seed, and the mean has "
-        "less of it.",
+        hypothesis=(
+            "The random part of a network differs between seeds, and the mean has less of it."
+        ),
         expected="A lower V at the same training error.",
     ),
     Move(
@@ -210,31 +220,36 @@ _MOVES: tuple[Move, ...] = (
             0.75 * (c.recipe.number("windows", 240) < _MOST_WINDOWS) * _fitted_first(c)
         ),
         change=lambda c: c.recipe.configured(windows=round(2 * c.recipe.number("windows", 240))),
-        hypothesis="The equations were fitted to some of the training windows: more of them leave "
-        "less to chance.",
+        hypothesis=(
+            "The equations were fitted to some of the training windows: more windows reduce the"
+            " variance."
+        ),
         expected="A higher training error and a lower V.",
     ),
     Move(
         name="equations alone",
         weight=lambda c: 0.6 * bool(c.recipe.get("network")),
         change=_alone,
-        hypothesis="The equations with a few sparse linear terms may hold all there is: what a "
-        "network adds beyond them may be its own fold's noise.",
+        hypothesis=(
+            "The equations with a few sparse linear terms may suffice: the network may fit the "
+            "noise of its fold."
+        ),
         expected="A higher training error; V near or below the network's.",
     ),
     Move(
         name="slow disturbance",
         weight=lambda c: 0 if c.recipe.get("disturbance") else 0.5 if coloured(c.trial) else 0.35,
         change=lambda c: c.recipe.configured(disturbance=True),
-        hypothesis="Something slow that no input shows acts on the states (wind, a draining "
-        "supply, a drift).",
+        hypothesis=(
+            "A slow unmeasured disturbance acts on the states (wind, a draining supply, a drift)."
+        ),
         expected="A whiter residual late in the window.",
     ),
     Move(
         name="feed-forward residual",
         weight=lambda c: (0.7 if _watched(c) else 0.4) * (c.recipe.get("network") != "mlp"),
         change=lambda c: _with_network(c.facts, c.recipe, "mlp"),
-        hypothesis="What is left depends on the present states and inputs.",
+        hypothesis="The residual depends on the present states and inputs.",
         expected="Lower training error, V follows.",
     ),
     Move(
@@ -243,7 +258,7 @@ _MOVES: tuple[Move, ...] = (
             (0.8 if _watched(c) else 0.45) * (c.recipe.get("network") not in ("gru", "lstm"))
         ),
         change=lambda c: _with_network(c.facts, c.recipe, "gru"),
-        hypothesis="What is left depends on the past as well: delays of actuators, flows that lag.",
+        hypothesis="The residual depends on the past as well: actuator delays, lagging flows.",
         expected="Lower training error, V follows.",
     ),
     Move(
@@ -254,15 +269,17 @@ _MOVES: tuple[Move, ...] = (
             * (c.recipe.number("size", 1.0) > 0.1)
         ),
         change=lambda c: c.recipe.times("size", 0.3, 1.0),
-        hypothesis="Held to a third of its reach, the network cannot outvote the equations where "
-        "it has not been trained.",
+        hypothesis=(
+            "Limited to a third of its range, the network cannot override the equations where "
+            "it has not been trained."
+        ),
         expected="A higher training error and a lower V.",
     ),
     Move(
         name="fewer linear terms",
         weight=lambda c: (0.5 if overfit(c.trial) > 1.5 else 0.3) * bool(c.recipe.get("linear")),
         change=lambda c: c.recipe.times("sparsity", 3.0, 3e-4),
-        hypothesis="Terms that bring little on the training side bring harm elsewhere.",
+        hypothesis="Terms with little gain on the training records increase the error on others.",
         expected="About the same training error and a lower V.",
     ),
     Move(
@@ -276,7 +293,9 @@ _MOVES: tuple[Move, ...] = (
         name="loss on every error alike",
         weight=lambda c: 0.25 * _fitted_first(c) * (c.recipe.get("robust", 0.3) is not None),
         change=lambda c: c.recipe.configured(robust=None),
-        hypothesis="Large errors are not outliers but what the equations have still to learn.",
+        hypothesis=(
+            "Large errors are not outliers but effects that the equations have not fitted yet."
+        ),
         expected="A lower error at the end of the window.",
     ),
 )
@@ -286,8 +305,9 @@ CARD = Card(
         Family(
             name="physics_net",
             label="physics network",
-            use="equations whose states are all measured, with learned terms and a network beside "
-            "them",
+            use=(
+                "equations whose states are all measured, with learned terms and a parallel network"
+            ),
             base=8,
             points=(("windows", 3),),
             timing=Timing(15.0, 5e-6),

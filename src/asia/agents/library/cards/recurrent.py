@@ -24,7 +24,7 @@ CARD = Card((
     network_family(
         "recurrent",
         "recurrent network",
-        "a general gated network, when nothing is known of the system",
+        "a general gated network, for systems without prior knowledge",
         4,
         (("long", 2),),
         NetworkStart(

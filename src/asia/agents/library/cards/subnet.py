@@ -11,7 +11,8 @@ from asia.agents.library.space import OneOf, Parameter
 
 
 def _start(facts: Facts) -> NetworkStart:
-    """Over windows the state starts from the last outputs and must be large enough to hold them."""
+    """Return the initial network; over windows the state starts from the last outputs and must be
+    large enough to hold them."""
     least = len(facts.outputs) if facts.horizon is not None else 1
     sizes = {n for n in (2, 4, 8) if n >= least}
     if least > 1:

@@ -1,4 +1,4 @@
-"""The options of model families and of training methods, with what their classes say of them."""
+"""Options of model families and training methods, with the texts of their classes."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class Option:
     """One setting of a family or of a method."""
 
     name: str
-    """As it is given."""
+    """Name of the option."""
     default: str
-    """Its default, as source; "" where it must be given."""
+    """Default, as source; "" where it is required."""
     kind: str
-    """Its type, as source."""
+    """Type, as source."""
     text: str
-    """What it is, in sentences."""
+    """Description, in sentences."""
 
     @property
     def line(self) -> str:
@@ -36,8 +36,11 @@ class Option:
 
 @cache
 def options_of(settings: type) -> tuple[Option, ...]:
-    """The fields of a dataclass, each with the text below it. Raises ValueError for another
-    class."""
+    """The fields of a dataclass, each with the text below it.
+
+    Raises:
+        ValueError: for another class
+    """
     if not is_dataclass(settings):
         raise ValueError(f"{settings.__name__} is no dataclass")
     texts: dict[str, tuple[str, str]] = {}

@@ -1,5 +1,5 @@
-"""What agents and people read of the model library: a page of the families that suit a problem, and
-the whole of one family."""
+"""Pages of the model library for agents and users: the families that suit a problem, and one family
+in full."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from asia.agents.library.table import families
 
 _WIDTH = 100
 MOST_LINES = 92
-"""Of the page. Families are explained in the order of their aptness as long as there is room."""
+"""Length of the page. Families are explained in the order of their aptness while there is room."""
 
 
 def families_page(facts: Facts) -> str:
@@ -106,7 +106,7 @@ def _method_lines(name: str, facts: Facts) -> Iterator[str]:
 
 
 def _adam_lines() -> list[str]:
-    """What networks are trained with, where there is no room for all its options."""
+    """List the main options of network training, where there is no room for all of them."""
     options = {one.name: one.line for one in options_of(method_of("Adam"))}
     said = " ".join(options[name] for name in _ADAM)
     return ["", *_wrapped(f"**Adam**, all of it in `asia models NAME` of such a family: {said}")]

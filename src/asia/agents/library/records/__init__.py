@@ -1,1 +1,1 @@
-"""What the training records say before any model is fitted."""
+"""Analysis of the training records before any model is fitted."""

@@ -1,4 +1,4 @@
-"""Whether outputs integrate: a pole at 1, seen in a linear model of block means."""
+"""Detection of integrating outputs: a pole at 1 in a linear model of block means."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the records are of several levels of excitation, and whether they are periodic."""
+"""Detection of several excitation levels and of periodic records."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _APART, _FEWEST = 1.2, 2
 
 
 def periodic(facts: Facts) -> bool:
-    """Whether all inputs of all records have one period, and whole records are simulated."""
+    """Return whether all inputs of all records have one period, and whole records are simulated."""
     return facts.horizon is None and _period(SameRecords(facts.records)) is not None
 
 
 def several_levels(facts: Facts) -> bool:
-    """Whether the inputs come in levels that are clearly apart, several records a level."""
+    """Return whether the inputs come in levels that are clearly apart, several records a level."""
     scale = np.concatenate([r.u for r in facts.records]).std(axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     sizes = np.sort([np.sqrt(((r.u / scale) ** 2).mean()) for r in facts.records])
@@ -30,8 +30,8 @@ def several_levels(facts: Facts) -> bool:
 
 
 def noise_of_periods(facts: Facts) -> float | None:
-    """What V cannot go below, from what differs between the periods of the records: the standard
-    deviation of the noise over that of the output, mean over the outputs. None without periods."""
+    """Return the noise floor of V from the variation between periods: standard deviation of the
+    noise over that of the output, mean over the outputs. None without periods."""
     return _noise(SameRecords(facts.records)) if periodic(facts) else None
 
 

@@ -1,7 +1,7 @@
-"""How the outputs of the training records go with the inputs: whether inputs act at all and after
-how long, whether outputs act back on the inputs, and whether the plant runs away by itself.
+"""Relation of inputs and outputs in the training records: effect of the inputs, delay, feedback
+from outputs to inputs, and instability.
 
-Correlations are those of what is new in each signal, the part that its own past does not predict.
+Correlations are those of innovations, the part of a signal that its own past does not predict.
 Source: L. D. Haugh, Checking the independence of two covariance-stationary time series, J. Am.
 Stat. Assoc. 71, 1976.
 """
@@ -34,11 +34,11 @@ _GROWTH = 100.0
 
 @dataclass(frozen=True)
 class Relation:
-    """What holds for the training records."""
+    """Relation of inputs and outputs in the training records."""
 
     effect: float
-    """Greatest correlation of what is new in an output with what is new in the inputs or in their
-    squares; 0 where it may be chance, or where the inputs are too regular to tell."""
+    """Greatest correlation of an output's innovation with those of the inputs or of their squares;
+    0 where it is not significant, or where the inputs are too regular to tell."""
     delay: int
     """Samples after which inputs act first; 0 where there is no such correlation."""
     feedback: float
@@ -61,7 +61,7 @@ class Relation:
 
     @property
     def unstable(self) -> bool:
-        """Whether a mode grows so that a free simulation runs away."""
+        """Whether a growing mode makes a free simulation diverge."""
         return self.pole**self.length > _GROWTH
 
 
@@ -100,8 +100,7 @@ def _relation(same: SameRecords) -> Relation:
 def _news(
     records: Sequence[Trajectory], read: Callable[[Trajectory], Array]
 ) -> tuple[Array, ...] | None:
-    """Of each record what the signal's own past does not predict, of unit size; None where that is
-    next to nothing."""
+    """Return the normalised innovation of each record's signal; None where it is close to zero."""
     signals = [read(r) for r in records]
     if not signals:
         return None
@@ -147,7 +146,8 @@ def _strongest(
 
 
 def _gain(records: Sequence[Trajectory], output: int) -> float:
-    """Of samples, and of means of blocks: slow effects drown in the noise of single samples."""
+    """Return the gain in samples and in means of blocks: slow effects are hidden by the noise of
+    single samples."""
     size = max(1, sum(map(len, records)) // _BLOCKS)
     return max(_gain_of_blocks(records, output, 1), _gain_of_blocks(records, output, size))
 

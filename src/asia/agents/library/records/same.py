@@ -8,7 +8,7 @@ from asia.data import Trajectory
 
 
 class SameRecords:
-    """Equal to another of the very same records, so that what was found of them is found again."""
+    """Key that is equal for the identical record objects, to reuse their analysis."""
 
     def __init__(self, records: Sequence[Trajectory]) -> None:
         self.records = tuple(records)

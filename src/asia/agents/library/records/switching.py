@@ -1,5 +1,7 @@
-"""What the records say of dry friction, hysteresis and play: whether the error of a one-step model
-with smooth terms goes with a direction of motion, or with the memory of where a signal turned.
+"""Detection of dry friction, hysteresis and backlash.
+
+The test relates the error of a one-step model with smooth terms to a direction of motion, or to the
+memory of where a signal reversed.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ class Switching:
     """The switching term that explains most."""
 
     share: float
-    """Of the squared one-step error that smooth terms leave."""
+    """Share of the squared one-step error that remains with smooth terms."""
     cause: Cause
     """"velocity": the sign of an output; "displacement": which way an output moves, or where it
     turned; "input": where an input turned."""
@@ -61,7 +63,7 @@ def moved_with_stop(signal: Array, reach: float) -> Array:
 
 
 class _Samples(NamedTuple):
-    """A piece of a record, hashable."""
+    """Segment of a record, hashable."""
 
     u: bytes
     y: bytes

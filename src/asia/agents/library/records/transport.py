@@ -1,4 +1,4 @@
-"""Whether an input sets how long others take to act: a flow in a pipe, the speed of a belt."""
+"""Detection of variable transport delays set by an input: a flow in a pipe, the speed of a belt."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ class NumpyFile(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".npz", ".npy")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`. Objects are not unpickled."""
+        """Implement `FileFormat.read`. Objects are not unpickled."""
         try:
             found: Any = np.load(path, allow_pickle=False)
             tree = {path.stem: found} if isinstance(found, np.ndarray) else dict(found.items())
@@ -50,7 +50,7 @@ class Matlab(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".mat",)
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`."""
+        """Implement `FileFormat.read`."""
         from scipy.io import loadmat
         from scipy.io.matlab import MatReadError
 
@@ -83,7 +83,7 @@ class Hdf5(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".h5", ".hdf5", ".hdf", ".he5")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`."""
+        """Implement `FileFormat.read`."""
         return tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=False), wanted)
 
 
@@ -129,7 +129,7 @@ def _dataset(h5py: Any, file: Any, node: Any, path: Path, *, matlab: bool) -> An
             [v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in values.flat],
             dtype=object,
         )
-    # MATLAB stores columns first: what it calls T x n lies there as n x T.
+    # MATLAB stores columns first: its T x n arrays are n x T in the file.
     return values.T if matlab else values
 
 

@@ -25,14 +25,13 @@ _ROWS = 262_144
 
 
 class Arrow(FileFormat):
-    """Read batch by batch, and only the columns that are asked for, so that memory holds those
-    alone."""
+    """Read batch by batch, and only the requested columns, to save memory."""
 
     name = "Parquet and Arrow"
     suffixes: ClassVar[tuple[str, ...]] = (".parquet", ".pq", ".arrow", ".feather", ".ipc")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`."""
+        """Implement `FileFormat.read`."""
         file = _open(path)
         empty = {n: Column(np.zeros(0, _kind(t))) for n, t in file.types.items()}
         names = {find_column(list(empty), n) for n in wanted.names}
@@ -46,7 +45,12 @@ class Arrow(FileFormat):
 
 
 class _Batches:
-    """A file of batches. types: of Arrow, by column; rows: number of them."""
+    """A file of batches.
+
+    Args:
+        types: of Arrow, by column
+        rows: number of them
+    """
 
     def __init__(self, types: Mapping[str, Any], rows: int, batches: Any) -> None:
         self.types = types

@@ -27,7 +27,7 @@ class Excel(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".xlsx", ".xlsm")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`."""
+        """Implement `FileFormat.read`."""
         openpyxl = need("openpyxl", path, "intake")
         try:
             book: Any = openpyxl.load_workbook(path, read_only=True, data_only=True)

@@ -19,7 +19,7 @@ class Tdms(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".tdms",)
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`."""
+        """Implement `FileFormat.read`."""
         nptdms = need("nptdms", path, "loggers")
         try:
             file: Any = nptdms.TdmsFile.read(path)
@@ -39,10 +39,10 @@ class Tdms(FileFormat):
 
 def _tdms_column(channel: Any) -> Column:
     unit = str(channel.properties.get("unit_string", ""))
-    stamps = None
+    timestamps = None
     if "wf_increment" in channel.properties:
-        stamps = np.asarray(channel.time_track(), dtype=np.float64)
-    return Column(np.asarray(channel[:]), unit, stamps)
+        timestamps = np.asarray(channel.time_track(), dtype=np.float64)
+    return Column(np.asarray(channel[:]), unit, timestamps)
 
 
 class Mdf(FileFormat):
@@ -52,7 +52,7 @@ class Mdf(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".mf4", ".mdf", ".dat4")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`."""
+        """Implement `FileFormat.read`."""
         asammdf = need("asammdf", path, "loggers")
         try:
             file: Any = asammdf.MDF(path)

@@ -22,7 +22,7 @@ class Rosbag(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".bag", ".db3", ".mcap", "/")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`."""
+        """Implement `FileFormat.read`."""
         highlevel: Any = need("rosbags.highlevel", path, "ros")
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise UserError(f"{path} is a folder without a metadata.yaml: name a file or a bag")

@@ -1,4 +1,4 @@
-"""Which format reads which file."""
+"""Table of file formats and the choice of the format for a file."""
 
 from __future__ import annotations
 
@@ -32,5 +32,9 @@ def file_format(path: Path) -> FileFormat:
 
 
 def read_sheets(path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-    """What the file holds. Raises UserError."""
+    """Read the tables in a file.
+
+    Raises:
+        UserError: when the file cannot be read
+    """
     return file_format(path).read(path, wanted)

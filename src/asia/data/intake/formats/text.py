@@ -32,8 +32,13 @@ _STAMP = re.compile(r"^[\dT:.,+\-/ Zampm]*\d[:/\-.]\d[\dT:.,+\-/ Zampm]*$", re.I
 
 @dataclass(frozen=True)
 class _Layout:
-    """How the rows of a text are cut. heads: rows of names and units; above: cells of the line over
-    the data, where it is no such row; units: whether values may have their unit behind them."""
+    """Layout of the rows of a text file.
+
+    Attributes:
+        heads: rows of names and units
+        above: cells of the line over the data, where it is no such row
+        units: whether values may carry their unit
+    """
 
     delimiter: str | None
     cells: int
@@ -50,7 +55,7 @@ class Text(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".csv", ".txt", ".tsv", ".dat", ".asc")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
-        """As `FileFormat.read`."""
+        """Implement `FileFormat.read`."""
         return (self.parse(path, read_file(path, "name a CSV file"), wanted),)
 
     def parse(self, path: Path, raw: bytes, wanted: Wanted) -> Sheet:
@@ -104,7 +109,7 @@ def _blocks(body: str) -> Iterator[str]:
 
 
 def _column(cells: Sequence[str], unit: str) -> Column:
-    """Without the unit, where the same one stands behind all values."""
+    """Parse a column, without the unit where all values carry the same one."""
     filled = [c for c in cells if c and not isnan(number(c) or 0.0)]
     with_unit = None if not filled or _STAMP.match(filled[0]) else _WITH_UNIT.match(filled[0])
     behind = "" if with_unit is None else with_unit["unit"]
@@ -233,8 +238,11 @@ def _is_data(row: Sequence[str], delimiter: str | None, units: bool) -> bool:
 def _heads(
     lines: Sequence[str], first: int, cells: int, delimiter: str | None, units: bool, *, ends: bool
 ) -> tuple[tuple[str, ...], ...]:
-    """Rows of names and units above the data, the lowest last. ends: whether every row of data ends
-    with a separator, which the rows above it may lack."""
+    """Rows of names and units above the data, the lowest last.
+
+    Args:
+        ends: whether every row of data ends with a separator, which the rows above it may lack
+    """
     found: list[tuple[str, ...]] = []
     for line in reversed(lines[:first]):
         if not line.strip():

@@ -21,8 +21,8 @@ class OfficialBenchmark(DataSet):
     usage: ClassVar[str] = "benchmark:<name>"
     public: ClassVar[bool] = True
     test_kept: ClassVar[str] = (
-        "a public download: the plain files stay on this machine, isolation alone keeps "
-        "candidates off them, and whoever knows the data set knows them"
+        "a public download: the plain files stay on this machine, protected from candidates by "
+        "isolation only, and known to anyone who knows the data set"
     )
 
     def __post_init__(self) -> None:
@@ -37,8 +37,12 @@ class OfficialBenchmark(DataSet):
         return name.lower() if self.source.startswith("nonlinear_benchmarks:") else name
 
     def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
-        """As `DataSet.load`. Raises UserError when a file is missing or not the published one, and
-        when it does not have the published layout."""
+        """Implement `DataSet.load`.
+
+        Raises:
+            UserError: when a file is missing, is not the published one, or does not have the
+                published layout
+        """
         del channels
         layout = self._layout
         files = self._files(subset)
@@ -61,8 +65,7 @@ class OfficialBenchmark(DataSet):
         return SourceData(records, warnings=() if expected else warnings)
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """As `Source.places`: the folder, for one file may hold all subsets, and the archive that
-        the files came in lies beside them."""
+        """Return the folder, for one file may hold all subsets, and the archive next to it."""
         return () if subset == "guard" and not self.guard else (self._folder,)
 
     @property

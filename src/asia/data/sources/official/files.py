@@ -27,12 +27,11 @@ class PublishedFile:
     """One file of a benchmark."""
 
     path: str
-    """Where it lies in the folder of its benchmark."""
+    """Path in the folder of its benchmark."""
     sha256: str = ""
-    """Its digest, or the first and the last digits of it with `...` between them; "" where none is
-    known."""
+    """Digest, or its first and last digits with `...` between them; "" where none is known."""
     url: str = ""
-    """Where it can be downloaded; "" where what arrives cannot be checked."""
+    """Address of the download; "" where a download cannot be verified."""
     zipped: bool = False
     """Whether `url` is a zip archive that holds `path`; its records have a digest then."""
 
@@ -40,7 +39,7 @@ class PublishedFile:
         assert not self.url or self.zipped or re.fullmatch("[0-9a-f]{64}", self.sha256)
 
     def is_digest(self, found: str) -> bool:
-        """Whether `found` can be the digest of this file."""
+        """Return whether `found` can be the digest of this file."""
         first, _, last = self.sha256.partition("...")
         return found.startswith(first) and found.endswith(last)
 
@@ -59,10 +58,16 @@ def benchmark_folder(name: str, paths: Sequence[str]) -> Path:
 def check_files(
     name: str, folder: Path, files: Sequence[PublishedFile], page: str
 ) -> tuple[str, ...]:
-    """What to say of files that may not be the published ones.
+    """Check the files of a benchmark against their published digests.
 
-    A missing file is downloaded where what arrives can be checked. Raises UserError for a file that
-    is missing, that git-lfs has not fetched, or that has another digest than the published one.
+    A missing file is downloaded where the download can be verified.
+
+    Returns:
+        warnings about files that may not be the published ones
+
+    Raises:
+        UserError: for a file that is missing, that git-lfs has not fetched, or that has another
+            digest than the published one
     """
     missing = [file for file in files if not (folder / file.path).is_file()]
     for file in missing:
@@ -116,7 +121,7 @@ def _sha256_of(path: Path, changed: int, size: int) -> str:
 
 
 def _download(file: PublishedFile, path: Path) -> str:
-    """Put the file at `path` if what arrives has its digest; else return why not."""
+    """Download a file to `path` if its digest matches; else return the reason."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with (

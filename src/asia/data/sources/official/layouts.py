@@ -1,4 +1,4 @@
-"""What the published files hold, and how each benchmark divides them."""
+"""Layouts of the published files, and each benchmark's division into subsets."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class BenchmarkLayout:
     """A benchmark: its files, and how they are read."""
 
     folder: str
-    """Its folder below `nonlinear_benchmarks`."""
+    """Folder below `nonlinear_benchmarks`."""
     train: tuple[PublishedFile, ...]
     """The files with the training records."""
     test: tuple[PublishedFile, ...]
@@ -65,7 +65,7 @@ class BenchmarkLayout:
     read: Callable[[Path, _Subset], Iterator[Trajectory]]
     """The records of a subset, from the folder."""
     page: str
-    """Where a person gets the files."""
+    """Web page of the files."""
     digests: Mapping[_Subset, str] = field(default_factory=dict["_Subset", str])
     """Digest of the records of a subset, as `data_digest` gives it, where that of the file is not
     known."""

@@ -78,8 +78,12 @@ def _sweep() -> Simulation:
 
 
 def _displacement(force: Array) -> Array:
-    """The displacement, m, at each sample. force: at every half substep and at the end; from rest,
-    by Runge and Kutta's method of order four."""
+    """The displacement, m, at each sample.
+
+    Args:
+        force: at every half substep and at the end; from rest, by Runge and Kutta's method of
+            order four
+    """
     h = SAMPLING_TIME / _SUBSTEPS
     forces = force.tolist()
     found = np.empty((len(forces) - 1) // (2 * _SUBSTEPS))

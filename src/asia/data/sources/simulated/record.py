@@ -1,4 +1,4 @@
-"""What a simulation gives."""
+"""Record of a simulation."""
 
 from __future__ import annotations
 

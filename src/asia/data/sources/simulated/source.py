@@ -22,7 +22,8 @@ class SimulatedSystem:
     sampling_time: float
     """s."""
     records: Callable[[int, Subset, int], Mapping[str, Simulation]]
-    """Of a seed, a subset and the number of guard records: the records of that subset by name."""
+    """Function of a seed, a subset and the number of guard records that returns the records of that
+    subset by name."""
 
 
 SYSTEMS: Mapping[str, SimulatedSystem] = {
@@ -34,23 +35,23 @@ SYSTEMS: Mapping[str, SimulatedSystem] = {
 
 @dataclass(frozen=True)
 class Simulated(Source):
-    """A system, simulated when its records are asked for; the seed fixes every number."""
+    """System that is simulated on each read; the seed fixes every number."""
 
     seed: int = 0
     """The seed of inputs, initial states and noise."""
     guard: int = 0
-    """How many records stand guard."""
+    """Number of guard records."""
     system: str = "two_tanks"
     """The name in `SYSTEMS`."""
 
     usage: ClassVar[str] = "simulated:<system>"
     test_kept: ClassVar[str] = (
-        "simulated from a seed that the problem names: whoever has ASIA can repeat it"
+        "simulated from a seed in the problem file: anyone with ASIA can repeat it"
     )
 
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """As `Source.from_table`."""
+        """Implement `Source.from_table`."""
         del root
         name = (table.source or "").partition(":")[2]
         if name not in SYSTEMS:
@@ -63,7 +64,7 @@ class Simulated(Source):
         return cls(table.seed or 0, table.guard if isinstance(table.guard, int) else 0, name)
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """As `Source.read`."""
+        """Implement `Source.read`."""
         del channels
         system = SYSTEMS[self.system]
         made = system.records(self.seed, subset, self.guard)
@@ -73,12 +74,12 @@ class Simulated(Source):
         )
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """As `Source.places`: nothing is stored."""
+        """Return no places: nothing is stored."""
         del subset
         return ()
 
     def to_toml(self) -> dict[str, Any]:
-        """As `Source.to_toml`."""
+        """Implement `Source.to_toml`."""
         return {
             "source": f"simulated:{self.system}",
             "seed": self.seed,
@@ -87,5 +88,5 @@ class Simulated(Source):
 
     @property
     def guard_names(self) -> tuple[str, ...]:
-        """As `Source.guard_names`."""
+        """Implement `Source.guard_names`."""
         return tuple(f"{self.system}_guard{k}" for k in range(1, self.guard + 1))

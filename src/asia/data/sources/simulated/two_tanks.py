@@ -65,9 +65,11 @@ def _slopes(upper: float, lower: float, pump: float) -> tuple[float, float]:
 
 
 def _levels(u: Array, upper: float, lower: float) -> Array:
-    """Level of the lower tank at each sample, the input held in between. What runs over the rim
-    of the upper tank falls in part into the lower one; the rest is lost, as is the overflow of
-    the lower."""
+    """Simulate the level of the lower tank at each sample with zero-order-hold inputs.
+
+    Part of the overflow of the upper tank falls into the lower one; the rest is lost, as is the
+    overflow of the lower tank.
+    """
     levels = np.empty(len(u))
     h = SAMPLING_TIME / _SUBSTEPS
     for sample, pump in enumerate(u.tolist()):
