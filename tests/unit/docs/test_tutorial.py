@@ -81,7 +81,7 @@ def test_outputs_are_shortened_and_put_in_their_places() -> None:
 @pytest.mark.parametrize(
     ("shown", "printed"),
     [
-        ("rung    linear model  V=0.1", "reference linear model V=0.1"),
+        ("reference linear model  V=0.1", "rung linear model V=0.1"),
         ("#01 keep V=0.1 min fit 88.0 % 19s a | best #01 0.1", "#01 keep V=0.1 fit 88.0 % 19s a"),
         (" fold  V  top", " fold  V  fit s"),
     ],
