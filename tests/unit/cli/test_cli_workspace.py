@@ -39,7 +39,11 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert made.code == 0, made.err
     # The baseline is judged before the folder is worked in, with a line for each step.
     lines = made.out.splitlines()
-    steps = ("reference linear model: V = ", "#01, the baseline, is being evaluated", "#01 keep    V = ")
+    steps = (
+        "reference linear model: V = ",
+        "#01, the baseline, is being evaluated",
+        "#01 keep    V = ",
+    )
     places = [next(i for i, line in enumerate(lines) if line.startswith(s)) for s in steps]
     assert places == sorted(places)
     assert len((folder / "results.tsv").read_text().splitlines()) == 2
