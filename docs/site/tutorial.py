@@ -17,7 +17,7 @@ OUTPUT = re.compile(
     flags=re.DOTALL,
 )
 """An output of a command. A line is shown if it matches the regular expression `lines`."""
-WIDTH = 116
+WIDTH = 126
 
 
 def blocks(page: str, language: str) -> list[str]:

@@ -145,7 +145,7 @@ def _print_made(made: NewProblem, name: Path, *, has_test: bool) -> None:
     elif has_test:
         say("note     the test files stay where they are, in plain text; --seal encrypts them")
     else:
-        say("note     no test data: asia unseal will have nothing to open")
+        say("note     no test data. --seal holds out the last 20 % of each record as the test")
     say(f"next     describe the system in {made.path.parent / 'description.md'}")
     say(f"         asia check {name}")
     say(f"         asia run {name}")

@@ -153,7 +153,7 @@ def _print(directory: Path, found: Brief) -> None:
     if beside is not None:
         say(f"control {control_words(beside, view.started)}")
     for rung in view.rungs:
-        say(f"rung    {rung.name:<18} V={value_words(rung.outcome)}")
+        say(f"reference {rung.name:<18} V={value_words(rung.outcome)}")
     shown = view.finished[-LAST:]
     if shown:
         say("min fit: over folds and outputs the least 100 (1 - |y - y_hat| / |y - mean of y|) %")

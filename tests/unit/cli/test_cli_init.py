@@ -36,7 +36,7 @@ def test_words_after_a_list_option_belong_to_it() -> None:
 def test_several_records_and_back(data: tuple[str, str], asia: Asia) -> None:
     done = asia("init", "new", "--train", *data, "--no-seal", *SIGNALS)
     assert done.code == 0, done.err
-    assert "no test data" in done.out
+    assert "no test data. --seal holds out the last 20 % of each record" in done.out
     assert "asia check new" in done.out
     loaded = load_problem("new")
     assert loaded.name == "new"
@@ -65,7 +65,7 @@ def test_last_fifth_is_sealed(data: tuple[str, str], asia: Asia, tmp_path: Path)
     done = asia("init", "new", "--train", data[0], "--seal", "--keys", "keys", *SIGNALS)
     assert done.code == 0, done.err
     assert "the last 20 % of each record" in done.out
-    assert "still hold them" in done.out
+    assert f"the test rows are also in {data[0]}, unencrypted" in done.out
     assert "removed" not in done.out
     rows = (tmp_path / data[0]).read_text().splitlines()[1:]
     kept = (tmp_path / "new" / "train_train.csv").read_text().splitlines()[1:]

@@ -39,7 +39,11 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert made.code == 0, made.err
     # The baseline is judged before the folder is worked in, with a line for each step.
     lines = made.out.splitlines()
-    steps = ("rung linear model: V = ", "#01, the baseline, is being evaluated", "#01 keep    V = ")
+    steps = (
+        "reference linear model: V = ",
+        "#01, the baseline, is being evaluated",
+        "#01 keep    V = ",
+    )
     places = [next(i for i, line in enumerate(lines) if line.startswith(s)) for s in steps]
     assert places == sorted(places)
     assert len((folder / "results.tsv").read_text().splitlines()) == 2
@@ -170,7 +174,7 @@ def test_a_search_that_dies_is_not_waited_for(tmp_path: Path, asia: Asia, state:
         assert lines[-1] == said
         if state == "running":
             # This call has started the search: its rungs and its baseline come first.
-            assert any(line.startswith("rung linear model: V = ") for line in lines)
+            assert any(line.startswith("reference linear model: V = ") for line in lines)
             assert any(line.startswith("#01 keep    V = ") for line in lines)
         end_searches(run)
         last = waiting.stderr.read()

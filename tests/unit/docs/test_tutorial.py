@@ -37,6 +37,7 @@ def shape(line: str) -> str:
     line = re.sub(r"^#N (?!STATUS).*", "#N TITLE", line)
     line = re.sub(r"^(best #N V=N \(folds N(, N)*\)).*", r"\1", line)
     line = re.sub(r"\b(refit|ensemble): .*", "MODEL", line)
+    line = re.sub(r"\b(noise|folds|missing effect)$", "SOURCE", line)
     return re.sub(r"^(hypothesis|expected|decision|picture) .*", r"\1", line)
 
 
@@ -75,13 +76,13 @@ def test_outputs_are_shortened_and_put_in_their_places() -> None:
     page = "<!-- output of `asia show`, lines with ^(#|V) -->\n```\nold\n```\nend\n"
     printed = {"asia show": "#01 a\nx\ny\nV 1\nlast\n"}
     assert tutorial.rewritten(page, printed) == page.replace("old", "#01 a\n...\nV 1")
-    assert tutorial.shortened("a" * 120, "a") == "a" * 112 + " ...\n"
+    assert tutorial.shortened("a" * 130, "a") == "a" * 122 + " ...\n"
 
 
 @pytest.mark.parametrize(
     ("shown", "printed"),
     [
-        ("rung    linear model  V=0.1", "reference linear model V=0.1"),
+        ("reference linear model  V=0.1", "rung linear model V=0.1"),
         ("#01 keep V=0.1 min fit 88.0 % 19s a | best #01 0.1", "#01 keep V=0.1 fit 88.0 % 19s a"),
         (" fold  V  top", " fold  V  fit s"),
     ],

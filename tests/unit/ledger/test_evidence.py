@@ -25,8 +25,12 @@ from asia.ledger import (
     put_findings,
     replay,
 )
-from asia.ledger.evidence.agreement import parameter_spreads, shared_residuals
-from asia.ledger.evidence.words import last_lines
+from asia.ledger.evidence.agreement import (
+    ParameterSpread,
+    parameter_spreads,
+    shared_residuals,
+)
+from asia.ledger.evidence.words import last_lines, parameter_lines
 from asia.scoring import Failure, FoldScore, PartKind, Score, SignedResidual
 
 from .conftest import proposed, started
@@ -94,6 +98,11 @@ def lines(store: Store, seen: SearchView, number: int, *, bounded: bool = False)
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     return Store(tmp_path / "artifacts")
+
+
+def test_a_small_spread_is_not_printed_as_zero() -> None:
+    (line,) = parameter_lines((ParameterSpread("inflow", (0.05007, 0.05012)),))
+    assert line == "parameters that agree within 1 %: inflow 0.0501"
 
 
 def test_a_screen_says_what_an_engineer_asks(store: Store) -> None:

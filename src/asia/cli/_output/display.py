@@ -272,7 +272,7 @@ class TextDisplay:
         if view.looks:
             self._print(f"guard    {guard_words(view)}")
         rungs = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.rungs)
-        self._print(f"rungs    {rungs}")
+        self._print(f"references {rungs}")
 
     def profile(self, directory: Path, beside: Sequence[TimeSpent]) -> None:
         """Say where the seconds went; beside: of what no ledger records."""
@@ -301,7 +301,7 @@ class TextDisplay:
 
     def _rung(self, rung: RungScored) -> None:
         note = "   the noise floor" if rung.name == TRUTH else ""
-        self._print(f"rung    {rung.name:<18} V={value_words(rung.outcome)}{note}", style="cyan")
+        self._print(f"reference {rung.name:<18} V={value_words(rung.outcome)}{note}", style="cyan")
         if isinstance(rung.outcome, Failure):
             self._print(f"        {last_line(rung.outcome)}", style="dim")
 

@@ -32,7 +32,7 @@ class Waiting:
         for name, value in now.rungs.items():
             if name not in self._rungs:
                 self._rungs.add(name)
-                self._say(f"rung {name}: {now.v_name} {_value(value)}")
+                self._say(f"reference {name}: {now.v_name} {_value(value)}")
         if now.experiments > self._finished:
             for result in self._desk.results()[self._finished :]:
                 if result.experiment != submission.experiment:

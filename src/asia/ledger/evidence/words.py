@@ -186,7 +186,7 @@ def parameter_lines(parameters: Sequence[ParameterSpread]) -> Iterator[str]:
     if alike:
         within = max(one.spread for one in alike)
         words = ", ".join(f"{one.name} {fmean(one.values):.4g}" for one in reversed(alike))
-        text = f"parameters that agree within {100 * within:.0f} %: {words}"
+        text = f"parameters that agree within {max(100 * within, 1.0):.0f} %: {words}"
         yield from textwrap.wrap(text, WIDTH, subsequent_indent="  ", max_lines=3)
 
 

@@ -314,8 +314,8 @@ def _comments(taken: Taken, paths: Sequence[Path]) -> tuple[str, ...]:
 
 def _still_held(paths: Sequence[Path]) -> str:
     return (
-        f"the rows were copied out of {', '.join(map(str, paths))}, which still hold them: keep "
-        "these files out of reach of whoever builds the models"
+        f"the test rows are also in {', '.join(map(str, paths))}, unencrypted. Do not show these "
+        "rows to people or agents that build the models"
     )
 
 
