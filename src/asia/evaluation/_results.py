@@ -127,6 +127,12 @@ class Evaluation:
         """The held-out simulations of each fold."""
         return [fold.y_hat for fold in self.folds]
 
+    @property
+    def failed_checks(self) -> tuple[str, ...]:
+        """Diagnostics that raised an exception, each line once, whatever the number of folds."""
+        findings = [fold.findings for fold in self.folds if fold.findings is not None]
+        return tuple(dict.fromkeys(line for one in findings for line in one.failed))
+
 
 def same_simulations(first: Sequence[Sequence[Array]], again: Sequence[Sequence[Array]]) -> bool:
     """Return whether every simulation came out bitwise the same; one sequence a fold."""

@@ -46,6 +46,8 @@ class Rung:
     """Name of the reference model."""
     outcome: Outcome
     """Score or failure."""
+    failed_checks: tuple[str, ...] = ()
+    """Diagnostics that raised an exception, a line each."""
 
 
 def score_rungs(
@@ -66,19 +68,21 @@ def score_rungs(
         outputs = [[simulate(fold, block) for block in fold.validation] for fold in folds]
         return score_outputs(folds, outputs, metric)
 
-    rungs: dict[str, Callable[[], Outcome]] = {
-        MEAN_RUNG: lambda: score(_training_mean),
-        "last output held": lambda: score(_last_output),
+    simulations: dict[str, Callable[[Fold, Block], Array]] = {
+        MEAN_RUNG: _training_mean,
+        "last output held": _last_output,
     }
     at_constant_velocity = _constant_velocity_simulation(evaluator)
     if at_constant_velocity is not None:
-        rungs["constant velocity"] = lambda: score(at_constant_velocity)
-    rungs[LINEAR_RUNG] = lambda: evaluator.evaluate(LINEAR).outcome
-    if truth is not None:
-        rungs[TRUTH] = lambda: score(lambda _, block: truth[block.record][block.start : block.stop])
-    for name, outcome in rungs.items():
+        simulations["constant velocity"] = at_constant_velocity
+    for name, simulate in simulations.items():
         if name not in known:
-            yield Rung(name, outcome())
+            yield Rung(name, score(simulate))
+    if LINEAR_RUNG not in known:
+        evaluation = evaluator.evaluate(LINEAR)
+        yield Rung(LINEAR_RUNG, evaluation.outcome, evaluation.failed_checks)
+    if truth is not None and TRUTH not in known:
+        yield Rung(TRUTH, score(lambda _, block: truth[block.record][block.start : block.stop]))
 
 
 def _training_mean(fold: Fold, block: Block) -> Array:

@@ -189,7 +189,8 @@ class SearchView:
     @property
     def failed_checks(self) -> tuple[str, ...]:
         """`#02: check ... failed: ...`: diagnostics that raised an exception, a line each."""
-        found = [
+        found = [f"{rung.name}: {line}" for rung in self.rungs for line in rung.failed_checks]
+        found += [
             f"#{e.number:02d}: {line}"
             for e in self.finished
             if e.result is not None

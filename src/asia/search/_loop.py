@@ -27,7 +27,7 @@ from asia.agents import (
     Proposal,
     agent_of_leg,
 )
-from asia.evaluation import Evaluation, Evaluator, score_rungs
+from asia.evaluation import Evaluator, score_rungs
 from asia.ledger import (
     Chain,
     Evaluated,
@@ -175,7 +175,7 @@ class Loop:
         with self._lock, self.watch.activity(Activity.LEDGER):
             if isinstance(event, Evaluated | Refitted | GuardLooked):
                 event = replace(event, spent=self.watch.take())
-            if isinstance(event, Evaluated | Refitted) and self._failed:
+            if isinstance(event, RungScored | Evaluated | Refitted) and self._failed:
                 event = replace(event, failed_checks=(*event.failed_checks, *self._failed))
                 self._failed.clear()
             self.chain.append(event)
@@ -208,7 +208,7 @@ class Loop:
         problem = self.problem
         with self.watch.activity(Activity.RUNGS, swallows=True):
             for rung in score_rungs(self.evaluator, problem.protocol.metric, problem.truth, names):
-                self.record(RungScored(rung.name, rung.outcome))
+                self.record(RungScored(rung.name, rung.outcome, rung.failed_checks))
 
     def _step(self) -> Stopped | None:
         """A proposal while there is room for one more experiment, else the result of the oldest.
@@ -328,7 +328,7 @@ class Loop:
             lowest=judged.lowest,
             elapsed=None if view.started.parallel == 1 else now - start,
             ended_folds=evaluation.ended_folds,
-            failed_checks=_failed_checks(evaluation),
+            failed_checks=evaluation.failed_checks,
         )
 
     def _refit(self) -> None:
@@ -388,12 +388,6 @@ def _baseline(source: str) -> Proposal:
         hypothesis="The problem's own baseline, untouched, is where every search starts.",
         expected="A reference value that the rest must beat.",
     )
-
-
-def _failed_checks(evaluation: Evaluation) -> tuple[str, ...]:
-    """Each line once, whatever the number of folds."""
-    findings = [fold.findings for fold in evaluation.folds if fold.findings is not None]
-    return tuple(dict.fromkeys(line for one in findings for line in one.failed))
 
 
 def _outcome_of_twin(experiment: Experiment, twin: Experiment) -> Evaluated:

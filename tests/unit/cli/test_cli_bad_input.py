@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.unit.ledger.conftest import finished_run
+
 from .conftest import Asia
 
 PHYSICS = """
@@ -78,6 +80,11 @@ def replaced_by_directory(problem: Path) -> None:
     (problem / "train.csv").mkdir()
 
 
+def problem_file_is_a_folder(problem: Path) -> None:
+    (problem / "problem.toml").unlink()
+    (problem / "problem.toml").mkdir()
+
+
 SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "unknown key": (in_toml("past_inputs", "past_inptus"), ("past_inptus", "past_inputs")),
     "no TOML": (in_toml('name = "toy"', 'name = "toy'), ("problem.toml",)),
@@ -107,6 +114,19 @@ SPOILT: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "huge outputs in the test": (scaled(1e120, "test.csv"), ("test record 'test'", "1e+100")),
     "tiny outputs": (scaled(1e-310), ("output 'y' moves by", "at least 1e-100", "multiply")),
     "not text": (lambda p: (p / "train.csv").write_bytes(b"\0\1\2"), ("train.csv", "text")),
+    "an empty file": (lambda p: (p / "train.csv").write_bytes(b""), ("train.csv", "empty")),
+    "only a header": (in_rows(lambda rows: []), ("train.csv",)),
+    "a binary problem file": (
+        lambda p: (p / "problem.toml").write_bytes(bytes(range(256))),
+        ("problem.toml",),
+    ),
+    "a folder for the problem file": (problem_file_is_a_folder, ("problem.toml",)),
+    "a number for a name": (in_toml('name = "toy"', "name = 3"), ("problem.toml", "name")),
+    "a text for a list": (in_toml('["u"]', '"u"'), ("problem.toml", "inputs")),
+    "a text for a count": (
+        in_toml("past_inputs = 3", 'past_inputs = "three"'),
+        ("problem.toml", "past_inputs"),
+    ),
     "undefined symbol": (physics("-b*x + u"), ("'b'", "[physics.dynamics] x")),
     "call that is not in the table": (physics("-a*system(x)"), ("system", "[physics.dynamics] x")),
     "no baseline": (lambda p: (p / "baseline.py").write_text("def"), ("baseline.py",)),
@@ -182,3 +202,47 @@ def test_bad_usage(problem: Path, tmp_path: Path, asia: Asia, words: tuple[str, 
     assert done.out == ""
     assert "Usage" in done.err
     assert files(tmp_path) == before
+
+
+def line_changed(run: Path) -> None:
+    """A record in the middle, another character."""
+    lines = (run / "ledger.jsonl").read_bytes().splitlines(keepends=True)
+    middle = len(lines) // 2
+    lines[middle] = lines[middle].replace(b'"event"', b'"evemt"', 1)
+    (run / "ledger.jsonl").write_bytes(b"".join(lines))
+
+
+@pytest.mark.parametrize(
+    ("words", "spoil", "expected"),
+    [
+        (("show", "run", "9"), None, "9"),
+        (("show", "run", "0"), None, "0"),
+        (("diff", "run", "1", "9"), None, "9"),
+        (("status", "run"), line_changed, "ledger.jsonl"),
+        (("show", "run"), line_changed, "ledger.jsonl"),
+        (("report", "run"), line_changed, "ledger.jsonl"),
+        (("show", "run"), lambda run: (run / "ledger.jsonl").unlink(), "run"),
+        (("report", "run"), lambda run: (run / "ledger.jsonl").write_bytes(b"\xff\0"), "ledger"),
+    ],
+)
+def test_bad_run(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    asia: Asia,
+    words: tuple[str, ...],
+    spoil: Spoil | None,
+    expected: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = finished_run(tmp_path / "runs" / "run")
+    if spoil is not None:
+        spoil(run)
+    before = files(tmp_path)
+    done = asia(*words)
+    assert done.code == 2
+    assert done.err.startswith("asia: ")
+    assert expected in done.err
+    assert "Traceback" not in done.err
+    assert done.err.count("\n") <= 3
+    now = files(tmp_path)
+    assert {path: now[path] for path in before} == before

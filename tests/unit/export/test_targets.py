@@ -166,3 +166,27 @@ def test_the_program_for_a_csv_file_reproduces_the_example(tmp_path: Path) -> No
         )
         assert refused.returncode == 2
         assert message in refused.stderr
+
+
+@pytest.mark.parametrize("passes", [3, 1000])
+def test_a_long_loop_is_one_function_in_casadi(passes: int) -> None:
+    """x of the next sample is the limit of x / 2 + u / 2; y counts nothing else."""
+    pytest.importorskip("casadi")
+    from asia.export.targets.casadi import _functions  # pyright: ignore[reportPrivateUsage]
+
+    body = Builder(((20,), (20,)))
+    half = body.constant(np.full(20, 0.5))
+    after = body.add("mul", [half, body.add("add", [0, 1])])
+    step = Builder(((20,), (20,)))
+    loop = step.add("loop", [1, 0], (passes, 1, 1), body.program([after]))
+    x = step.add("part", [loop], (0,))
+    start = Builder(((3, 20), (3, 20), (20,)))
+    low = LoweredModel(
+        3, 3, 20, 20, False, start.program([start.constant(np.zeros(20))]), step.program([x, x])
+    )
+    export = replace(ready(MODELS["linear"]()).model, lowered=low)
+    function = _functions(export)[1]
+    assert (function.class_name() == "MXFunction") == (passes > 100)
+    assert np.array(function(np.zeros(20), np.full(20, 2.0))[1]) == pytest.approx(
+        2.0 * (1 - 0.5**passes), rel=1e-12
+    )

@@ -8,11 +8,13 @@ import sys
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.legend import Legend
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
 
@@ -23,7 +25,9 @@ from asia.problem.load import Seal, load_problem, lock_text
 from asia.report import draw_problem, write_report
 from asia.report._drawing.style import drawing, plain
 from asia.report._pictures.checked.data import draw_data
+from asia.report._pictures.dossier import draw_dossier
 from asia.report._write import pictures, save
+from asia.scoring.dossier import Check, CheckCurve, Verdict
 
 from .made_up import BENCHMARK, Outcomes, Shape, make_problem, write_run
 
@@ -93,6 +97,17 @@ def assert_readable(figure: Figure) -> None:
             or min(first.y1, second.y1) - max(first.y0, second.y0) < 1.5
         )
         assert apart, f"{a!r} overlaps {b!r}"
+    for legend in figure.findobj(Legend):
+        assert isinstance(legend, Legend)
+        box = legend.get_window_extent()
+        inside = box.x0 >= -1 and box.y0 >= -1 and box.x1 <= width + 1 and box.y1 <= height + 1
+        assert inside, f"legend cut off at {box.extents} in {width} x {height}"
+        for axes in figure.axes:
+            window = axes.get_window_extent()
+            for line in axes.get_lines():
+                points = line.get_transform().transform(np.array(line.get_xydata()))
+                drawn = [p for p in points if window.contains(p[0], p[1]) or not line.get_clip_on()]
+                assert not box.count_contains(drawn), f"a legend covers {line.get_label()!r}"
 
 
 def draw_all(directory: Path, shape: Shape, outcomes: Outcomes, unsealed: int) -> dict[str, Figure]:
@@ -149,6 +164,35 @@ def test_a_huge_value_does_not_squeeze_the_others(tmp_path: Path) -> None:
     curves = {line.get_label(): line for line in axes.get_lines()}
     assert axes.get_ylim()[1] < 10.0
     assert list(curves["off scale"].get_xdata()) == [6]
+
+
+def test_legends_of_a_validation_report_cover_nothing() -> None:
+    """Curves through every corner of the panel, short and long names, one name or many."""
+    x = np.linspace(0.1, 1.0, 60)
+    names = (
+        ("y1", "y2"),
+        ("motor speed to level, data, coherence above 0.5", "motor speed to level, simulation"),
+        tuple(f"u{k} to the angular velocity of the arm, low" for k in range(7)),
+        ("level",),
+        tuple(f"y{k} with u{k}" for k in range(4)),
+    )
+    checks = [
+        Check(
+            name, Verdict.PASS, "", axes=("frequency [Hz]", "gain"),
+            curves=tuple(
+                CheckCurve(curve, x, 1.1 + np.sin((40 + k) * x)) for k, curve in enumerate(group)
+            ),
+        )
+        for name, group in zip(
+            ("inputs", "frequency response", "poles", "ten horizons", "time"), names, strict=True
+        )
+    ]  # fmt: skip
+    with drawing():
+        figure = draw_dossier(checks, "pass 5, doubt 0, fail 0")
+        assert_readable(figure)
+    assert [axes.get_legend() is not None for axes in figure.axes[:5]] == [
+        True, True, True, False, True,
+    ]  # fmt: skip
 
 
 @pytest.mark.long

@@ -11,6 +11,8 @@ from asia.report import SimulatedCase, SimulatedCases, draw_cases
 from asia.report._drawing.style import drawing
 from asia.report._pictures.tried import draw_tried, draw_tried_residuals
 
+from .test_report_pictures import assert_readable
+
 
 def cases(*, windows: bool = False, outputs: int = 1, held_out: bool = False) -> SimulatedCases:
     random = np.random.default_rng(0)
@@ -31,7 +33,10 @@ def cases(*, windows: bool = False, outputs: int = 1, held_out: bool = False) ->
 
 def drawn(shown: SimulatedCases) -> tuple[Figure, Figure]:
     with drawing():
-        return draw_tried(shown), draw_tried_residuals(shown)
+        figures = draw_tried(shown), draw_tried_residuals(shown)
+        for figure in figures:
+            assert_readable(figure)
+        return figures
 
 
 @pytest.mark.parametrize("windows", [False, True])

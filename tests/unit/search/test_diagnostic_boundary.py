@@ -87,6 +87,8 @@ def test_every_step_fails_and_the_search_ends_well(
     assert view.best is not None
     assert view.best.number == 2
     assert error_of(run.directory) is None
+    reference = next(rung for rung in view.rungs if rung.name == "linear model")
+    assert reference.failed_checks[: len(IN_A_FOLD)] == tuple(map(line, IN_A_FOLD))
     first, second = (e.result for e in view.finished)
     assert first is not None
     assert second is not None

@@ -35,6 +35,7 @@ NEAR = 0.25
 NEAR_EQUATIONS = 0.6
 PROMISING = 0.75
 PATIENCE = 0.85
+_CHOSEN_BY_FIT = frozenset({"order", "delay", "na", "nb"})
 
 
 @dataclass(frozen=True)
@@ -291,8 +292,13 @@ def _share(at: Situation) -> float:
 
 
 def _summary(at: Situation, recipe: Recipe) -> str:
-    settings = ", ".join(f"{k} {v}" for k, v in recipe.config) or "plain"
-    return f"{_sentence(at.row.label)}: {settings}."
+    """Settings of the recipe. None leaves an order or a delay to the fit, and is the default of
+    other settings."""
+    settings = [f"{k} {v}" for k, v in recipe.config if v is not None]
+    chosen = [k for k, v in recipe.config if v is None and k in _CHOSEN_BY_FIT]
+    if chosen:
+        settings.append(f"{' and '.join(chosen)} chosen by the fit")
+    return f"{_sentence(at.row.label)}: {', '.join(settings) or 'plain'}."
 
 
 def _sentence(text: str) -> str:

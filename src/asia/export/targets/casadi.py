@@ -30,6 +30,8 @@ step = casadi.Function.load(str(_HERE / "step.casadi"))
 SAMPLING_TIME = {sampling_time!r}  # s
 '''
 _LARGEST = 1.7976931348623157e308
+# Numbers that a program may compute to be written as scalar expressions, 30 bytes each.
+_MOST_UNROLLED = 4_000
 
 
 class CasadiTarget:
@@ -41,9 +43,10 @@ from model import initial, step
 x = initial(past_u, past_y, u0)
 x, y = step(x, u)                       # y of this sample, x at the next
 ```
-`step` is made of SX expressions: it can be differentiated exactly and used in `nlpsol`, `Opti`,
-do-mpc and acados (`disc_dyn_expr`). Choices, limits and absolute values have no second derivative
-where they switch."""
+`step` can be differentiated exactly and used in `nlpsol`, `Opti`, do-mpc and acados
+(`disc_dyn_expr`). It is made of SX expressions, and of MX expressions where the model iterates so
+often within a sample that the file would be large: call it with MX symbols then. Choices, limits
+and absolute values have no second derivative where they switch."""
 
     def missing(self) -> str | None:
         """Return a sentence if CasADi is not installed."""
@@ -85,36 +88,57 @@ def _functions(model: ExportModel) -> list[Any]:
     import casadi as ca
 
     low = model.lowered
-    past_u = ca.SX.sym("past_u", low.n_past_u, low.nu)
-    past_y = ca.SX.sym("past_y", low.n_past_y, low.ny)
-    u = ca.SX.sym("u", low.nu)
-    x = ca.SX.sym("x", sum(math.prod(s) for s in low.states))
-    start = _run(low.initial, [ca.vec(past_u.T), ca.vec(past_y.T), u])
+    kind = _symbols(low.initial)
+    past_u = kind.sym("past_u", low.n_past_u, low.nu)
+    past_y = kind.sym("past_y", low.n_past_y, low.ny)
+    u = kind.sym("u", low.nu)
+    start = _run(low.initial, [ca.vec(past_u.T), ca.vec(past_y.T), u], kind)
+    initial = ca.Function(
+        "initial", [past_u, past_y, u], [ca.vertcat(*start)], ["past_u", "past_y", "u"], ["x"]
+    )
+    kind = _symbols(low.step)
+    u = kind.sym("u", low.nu)
+    x = kind.sym("x", sum(math.prod(s) for s in low.states))
     parts: list[Any] = []
     place = 0
     for shape in low.states:
         parts.append(x[place : place + math.prod(shape)])
         place += math.prod(shape)
-    y, *after = _run(low.step, [*parts, u])
-    names = ["past_u", "past_y", "u"]
-    return [
-        ca.Function("initial", [past_u, past_y, u], [ca.vertcat(*start)], names, ["x"]),
-        ca.Function("step", [x, u], [ca.vertcat(*after), y], ["x", "u"], ["x_next", "y"]),
-    ]
+    y, *after = _run(low.step, [*parts, u], kind)
+    step = ca.Function("step", [x, u], [ca.vertcat(*after), y], ["x", "u"], ["x_next", "y"])
+    return [initial, step]
 
 
-def _run(program: Program, inputs: Sequence[Any]) -> list[Any]:
-    """Print a program; values are columns, the rows of their arrays one after the other."""
+def _symbols(program: Program) -> Any:
+    """SX with loops unrolled; MX, where loops call their body, if that would be long."""
     import casadi as ca
 
-    constants = [ca.SX(ca.DM(c.reshape(-1))) for c in program.constants]
+    return ca.SX if _numbers(program) <= _MOST_UNROLLED else ca.MX
+
+
+def _numbers(program: Program) -> int:
+    """How many numbers a program computes."""
+    total = 0
+    for node in program.nodes:
+        if node.op == "loop":
+            assert node.body is not None
+            total += node.attrs[0] * _numbers(node.body)
+        elif node.op != "part":
+            total += math.prod(node.shape)
+    return total
+
+
+def _run(program: Program, inputs: Sequence[Any], kind: Any) -> list[Any]:
+    """Values as columns, row after row of their arrays. kind: SX or MX."""
+    import casadi as ca
+
+    constants = [kind(ca.DM(c.reshape(-1))) for c in program.constants]
     shapes, values = program.shapes, [*inputs, *constants]
-    for place, node in enumerate(program.nodes):
+    for node in program.nodes:
         read = [values[i] for i in node.operands]
         sizes = [shapes[i] for i in node.operands]
-        del place
         if node.op == "loop":
-            values.append(_looped(node, read))
+            values.append(_looped(node, read, kind))
         elif node.op == "part":
             values.append(read[0][node.attrs[0]])
         else:
@@ -122,21 +146,30 @@ def _run(program: Program, inputs: Sequence[Any]) -> list[Any]:
     return [values[i] for i in program.outputs]
 
 
-def _looped(node: Node, read: list[Any]) -> list[Any]:
+def _looped(node: Node, read: list[Any], kind: Any) -> list[Any]:
     import casadi as ca
 
     assert node.body is not None
     length, same, carried = node.attrs
-    fixed, carry, rows = read[:same], read[same : same + carried], read[same + carried :]
-    stacked: list[list[Any]] = [[] for _ in node.body.outputs[carried:]]
-    for k in range(length):
-        sizes = [r.numel() // length for r in rows]
-        now = [r[k * n : (k + 1) * n] for r, n in zip(rows, sizes, strict=True)]
-        found = _run(node.body, [*fixed, *carry, *now])
-        carry = found[:carried]
-        for place, value in zip(stacked, found[carried:], strict=True):
-            place.append(value)
-    return [*carry, *(ca.vertcat(*p) for p in stacked)]
+    fixed, carry, stacked = read[:same], read[same : same + carried], read[same + carried :]
+    rows = [ca.reshape(r, r.numel() // length, length) for r in stacked]
+    if kind is ca.SX:
+        passes: list[list[Any]] = []
+        for k in range(length):
+            found = _run(node.body, [*fixed, *carry, *(r[:, k] for r in rows)], kind)
+            carry = found[:carried]
+            passes.append(found[carried:])
+        return [*carry, *(ca.vertcat(*values) for values in zip(*passes, strict=True))]
+    inside = _symbols(node.body)
+    kept = [inside.sym("kept", r.numel()) for r in fixed]
+    before = [inside.sym("before", r.numel()) for r in carry]
+    row = [inside.sym("row", r.size1()) for r in rows]
+    after = _run(node.body, [*kept, *before, *row], inside)
+    body = ca.Function("body", [*before, *kept, *row], after)
+    many = body.mapaccum("loop", length, carried) if carried else body.map(length)
+    found = many.call([*carry, *(ca.repmat(r, 1, length) for r in fixed), *rows])
+    last = [value[:, length - 1] for value in found[:carried]]
+    return [*last, *(ca.vec(value) for value in found[carried:])]
 
 
 def _value(node: Node, read: list[Any], shapes: list[Shape]) -> Any:
@@ -201,13 +234,11 @@ def _reduced(node: Node, x: Any, shape: Shape) -> Any:
 
     order = [*kept_axes(shape, node.attrs), *node.attrs]
     places = np.arange(math.prod(shape)).reshape(shape).transpose(order)
-    found: list[Any] = []
-    for row in places.reshape(max(math.prod(node.shape), 1), -1).tolist():
-        total = x[row[0]]
-        for place in row[1:]:
-            total = _FUNCTIONS[_REDUCED[node.op]](ca, total, x[place])
-        found.append(total)
-    return ca.vertcat(*found)
+    columns = places.reshape(max(math.prod(node.shape), 1), -1).T
+    total = _picked(x, columns[0])
+    for column in columns[1:]:
+        total = _FUNCTIONS[_REDUCED[node.op]](ca, total, _picked(x, column))
+    return total
 
 
 _REDUCED = {"rsum": "add", "rprod": "mul", "rmax": "max", "rmin": "min"}

@@ -129,6 +129,8 @@ class RungScored:
     """Name of the rung."""
     outcome: Outcome
     """Its score, or why there is none."""
+    failed_checks: _FailedChecks = field(default=(), compare=False)
+    """As in `Evaluated`."""
     event: Literal["rung"] = "rung"
 
 

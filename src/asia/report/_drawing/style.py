@@ -4,14 +4,16 @@ come back unchanged."""
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
 from matplotlib import rcParams, style
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
+from matplotlib.transforms import Bbox, offset_copy
 
 from asia.data import Signal
 from asia.protocol import find_metric
@@ -30,6 +32,8 @@ _WIDTH: Final = 7.2
 DPI: Final = 150
 _NARROW: Final = 5.0
 _FONT: Final = "DejaVu Sans"
+# Tick labels and one line of x label, in points.
+_BELOW_AXES: Final = 31.0
 
 _STYLE: Final[dict[str, Any]] = {
     "font.family": _FONT,
@@ -125,6 +129,33 @@ def entitle(figure: Figure, title: str) -> None:
     """The title above all panels, from the left edge on."""
     text = headline(title, figure.get_figwidth())
     figure.suptitle(text, x=0.01, ha="left", fontweight="bold")
+
+
+def figure_legend(figure: Figure, handles: Sequence[Artist], columns: int, **settings: Any) -> None:
+    """Put the legend below all panels, in as many of `columns` columns as the figure is wide."""
+    names = [str(handle.get_label()) for handle in handles]
+    settings = {"loc": "outside lower center", **settings}
+    for count in range(min(columns, len(names)), 0, -1):
+        legend = figure.legend(handles, names, ncols=count, **settings)
+        if count == 1 or legend.get_window_extent().width < figure.bbox.width:
+            return
+        legend.remove()
+
+
+def panel_legend(axes: Axes, width: float, **settings: Any) -> float:
+    """Put the legend of a panel below its x label, in as many columns as `width` inches hold;
+    return its height in inches."""
+    figure = axes.get_figure()
+    assert isinstance(figure, Figure)
+    below = offset_copy(axes.transAxes, figure, y=-_BELOW_AXES, units="points")
+    settings = {"alignment": "left", "borderaxespad": 0.0, "bbox_transform": below, **settings}
+    box = Bbox.null()
+    for columns in range(len(axes.get_legend_handles_labels()[1]), 0, -1):
+        legend = axes.legend(loc="upper left", bbox_to_anchor=(0.0, 0.0), ncols=columns, **settings)
+        box = legend.get_window_extent()
+        if box.width < width * figure.dpi:
+            break
+    return box.height / figure.dpi
 
 
 def v_axis_label(metric: str) -> str:

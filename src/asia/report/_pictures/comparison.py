@@ -18,6 +18,7 @@ from asia.report._drawing.style import (
     ORANGE,
     QUIET,
     entitle,
+    figure_legend,
     number,
     picture_width,
     plain,
@@ -49,8 +50,8 @@ def draw_arms(picture: ArmsPicture) -> Figure:
     axes.set_xlabel("Experiment")
     axes.set_ylabel(v_axis_label(picture.metric))
     entitle(figure, picture.title)
-    if axes.get_legend_handles_labels()[1]:
-        figure.legend(loc="outside lower center", ncols=2, fontsize=7.5, handletextpad=0.6)
+    handles = axes.get_legend_handles_labels()[0]
+    figure_legend(figure, handles, 2, fontsize=7.5, handletextpad=0.6)
     return figure
 
 

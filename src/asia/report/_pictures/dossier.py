@@ -17,6 +17,7 @@ from asia.report._drawing.style import (
     RED,
     SHADE,
     entitle,
+    panel_legend,
     plain,
     quiet_grid,
 )
@@ -25,6 +26,10 @@ from asia.scoring.dossier import Check, Verdict
 _COLOURS = (BLUE, ORANGE, GREEN, RED, QUIET)
 _MOST_CURVES = 5
 _COLUMNS = 3
+# In inches.
+_WIDTH = 11.0
+_ROW = 2.5
+_LEGEND_WIDTH = 3.2
 _VERDICTS = {
     Verdict.PASS: GREEN,
     Verdict.DOUBT: ORANGE,
@@ -41,18 +46,20 @@ _MOST_LETTERS = 40
 def draw_dossier(checks: Sequence[Check], title: str) -> Figure:
     """Of many curves in one check the first ones."""
     drawn = [check for check in checks if check.curves]
-    rows = -(-len(drawn) // _COLUMNS)
-    figure = Figure(figsize=(11.0, 0.7 + 2.5 * rows), layout="constrained")
-    panels = figure.subplots(rows, _COLUMNS, squeeze=False).ravel().tolist()
-    for axes, check in zip(panels, drawn, strict=False):
-        _draw(axes, check)
-    for axes in panels[len(drawn) :]:
-        axes.set_visible(False)
+    rows = [drawn[i : i + _COLUMNS] for i in range(0, len(drawn), _COLUMNS)]
+    figure = Figure(figsize=(_WIDTH, _ROW), layout="constrained")
+    height = 0.7 + _ROW * len(rows)
+    for panels, row in zip(figure.subplots(len(rows), _COLUMNS, squeeze=False), rows, strict=True):
+        height += max(_draw(axes, check) for axes, check in zip(panels, row, strict=False))
+        for axes in panels[len(row) :]:
+            axes.set_visible(False)
+    figure.set_figheight(height)
     entitle(figure, plain(title, 200))
     return figure
 
 
-def _draw(axes: Axes, check: Check) -> None:
+def _draw(axes: Axes, check: Check) -> float:
+    """Draw one check; return the height of its legend in inches."""
     shown = check.curves[:_MOST_CURVES]
     common = _common([curve.name for curve in shown])
     for colour, curve in zip(_COLOURS, shown, strict=False):
@@ -70,10 +77,11 @@ def _draw(axes: Axes, check: Check) -> None:
     axes.set_title(f"{check.name}: {check.verdict}", color=_VERDICTS[check.verdict])
     axes.set_xlabel(check.axes[0])
     axes.set_ylabel(check.axes[1])
-    if len(shown) > 1:
-        title = plain(common.rstrip(" ,"), _MOST_LETTERS)
-        axes.legend(fontsize=6.0, title=title or None, title_fontsize=6.0, alignment="left")
     quiet_grid(axes)
+    if len(shown) == 1:
+        return 0.0
+    title = plain(common.rstrip(" ,"), _MOST_LETTERS)
+    return panel_legend(axes, _LEGEND_WIDTH, fontsize=6.5, title=title or None, title_fontsize=6.5)
 
 
 def _common(names: Sequence[str]) -> str:

@@ -22,6 +22,7 @@ from asia.report._drawing.style import (
     QUIET,
     RED,
     entitle,
+    figure_legend,
     picture_width,
     plain,
     quiet_grid,
@@ -94,7 +95,7 @@ def draw_growth(
         place.set_axis_off()
         place.text(0.0, 1.0, "\n".join(note), va="top", fontsize=6.5, color=QUIET)
     if first is not None:
-        figure.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        figure_legend(figure, first.get_legend_handles_labels()[0], 3)
     entitle(figure, title)
     return figure
 

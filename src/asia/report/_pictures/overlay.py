@@ -20,6 +20,7 @@ from asia.report._drawing.style import (
     QUIET,
     SHADE,
     axis_label,
+    figure_legend,
     headline,
     picture_width,
     plain,
@@ -184,10 +185,7 @@ def _legend(figure: Figure, panels: Sequence[Panel], words: Words) -> None:
         shaded += axes.fill([np.nan], [np.nan], color=BLUE, alpha=_BAND, lw=0, label=words.band)
     if any(p.skip for p in pieces):
         shaded += axes.fill([np.nan], [np.nan], color=SHADE, label="left out of the error")
-    figure.legend(
-        handles=[*handles, *shaded],  # pyright: ignore[reportArgumentType]
-        loc="lower center",
-        borderaxespad=0.3,
-        ncols=3 if len(handles) + len(shaded) > 4 else 4,
-        labelcolor=INK,
+    columns = 3 if len(handles) + len(shaded) > 4 else 4
+    figure_legend(
+        figure, [*handles, *shaded], columns, loc="lower center", borderaxespad=0.3, labelcolor=INK
     )

@@ -24,6 +24,7 @@ from asia.report._drawing.style import (
     INK,
     QUIET,
     RED,
+    figure_legend,
     number,
     picture_width,
     plain,
@@ -86,8 +87,8 @@ def draw_progress(view: SearchView, metric: str, beside: Control | None = None) 
     _mark(axes, search)
     _hand_overs(axes, view)
     labels = [_rung(axes, i, name, value) for i, (name, value) in enumerate(search.rungs)]
-    if axes.get_legend_handles_labels()[1]:
-        figure.legend(loc="outside lower center", ncols=4, handletextpad=0.5, columnspacing=2.2)
+    handles = axes.get_legend_handles_labels()[0]
+    figure_legend(figure, handles, 4, handletextpad=0.5, columnspacing=2.2)
     canvas.draw()
     figure.set_layout_engine("none")
     _spread(labels, figure.dpi)

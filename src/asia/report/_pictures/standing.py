@@ -18,6 +18,7 @@ from asia.report._drawing.style import (
     RED,
     SHADE,
     entitle,
+    panel_legend,
     picture_width,
     plain,
     quantity,
@@ -47,9 +48,10 @@ def draw_standing(
         words = f"{plain(mark[0], 20)}: {quantity(mark[1], output.unit)}"
         (point,) = bars.plot([mark[1]], [0.0], "D", mfc="white", mec=ORANGE, mew=1.6, ms=6.5)
         point.set(clip_on=False, zorder=4, label=words)
-        bars.legend(loc="upper right")
     _histogram(bars, values, ours, quantity(ours, output.unit))
     bars.set_xlabel(label)
+    if mark is not None:
+        panel_legend(bars, 4.0)
     lower = int((values < ours).sum())
     entitle(
         figure,

@@ -18,6 +18,7 @@ from asia.report._drawing.style import (
     RED,
     axis_label,
     entitle,
+    panel_legend,
     picture_width,
     plain,
     quantity,
@@ -167,7 +168,7 @@ def _curve(axes: Axes, shown_cases: SimulatedCases, output: int) -> None:
     unit = plain(signal.unit, 8)
     axes.set_ylabel(f"{plain(signal.name, 20)}\nresidual" + (f" [{unit}]" if unit else ""))
     axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
-    axes.legend(loc="best", fontsize=7, handlelength=1.0, borderaxespad=0.2)
+    panel_legend(axes, 2.0, fontsize=7, handlelength=1.0)
     quiet_grid(axes)
 
 

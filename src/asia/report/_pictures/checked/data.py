@@ -19,6 +19,7 @@ from asia.report._drawing.style import (
     SHADE,
     axis_label,
     entitle,
+    figure_legend,
     picture_width,
     plain,
     quiet_grid,
@@ -196,4 +197,4 @@ def _legend(figure: Figure, axes: Axes, problem: Problem) -> None:
     elif rule.past:
         label = f"past window, {rule.past} samples"
         handles += axes.plot([], [], color=ORANGE, alpha=0.55, lw=7.0, label=label)
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    figure_legend(figure, handles, 3)

@@ -8,7 +8,16 @@ from matplotlib.figure import Figure
 from asia.data import Array
 from asia.data.frequency.response import FrequencyResponse
 from asia.problem.load import Problem
-from asia.report._drawing.style import BLUE, INK, ORANGE, entitle, picture_width, plain, quiet_grid
+from asia.report._drawing.style import (
+    BLUE,
+    INK,
+    ORANGE,
+    entitle,
+    figure_legend,
+    picture_width,
+    plain,
+    quiet_grid,
+)
 
 _MOST_OUTPUTS = 4
 _DEEPEST = 1e-9
@@ -41,8 +50,7 @@ def draw_responses(problem: Problem, found: tuple[FrequencyResponse | None, ...]
     period = shown[0][1].period
     how = f"period of {period} samples" if period is not None else "no period"
     entitle(figure, f"{plain(problem.name, 30)}: levels by frequency, {how}")
-    handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, markerscale=4)
+    figure_legend(figure, grid[0].get_legend_handles_labels()[0], 3, markerscale=4)
     return figure
 
 
