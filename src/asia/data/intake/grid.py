@@ -17,6 +17,9 @@ Rows = NDArray[np.int64]
 
 JITTER = 0.01
 """Share of the sampling time by which stamps may lie off the grid and still count as on it."""
+_UNSORTED = 0.1
+"""Share of rows at which time goes back, above which the rows are in no order; records that begin
+anew are longer than ten samples."""
 _RESOLUTIONS = (1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)
 
 
@@ -38,15 +41,21 @@ class Clock:
 
 def runs(stamps: Array, where: str, first_line: int, ignore: str) -> list[slice]:
     """Stretches in which time goes on. ignore: how the user can do without the stamps. Raises
-    UserError for stamps that repeat."""
+    UserError for stamps that repeat, and for rows in no order."""
     back = np.flatnonzero(np.diff(stamps) < 0) + 1
+    if back.size > _UNSORTED * len(stamps):
+        raise UserError(
+            f"{where}, line {first_line + int(back[0])}: time goes back, as in {back.size} of "
+            f"{len(stamps)} rows: sort the rows by time, or {ignore}"
+        )
     edges = [0, *back.tolist(), len(stamps)]
     found = [slice(a, b) for a, b in itertools.pairwise(edges)]
     same = np.flatnonzero(np.diff(stamps) == 0)
     if same.size:
         raise UserError(
             f"{where}, line {first_line + int(same[0]) + 1}: the time stamp repeats the one before "
-            f"({same.size} such rows): write stamps with more digits, or {ignore}"
+            f"({same.size} such rows): remove rows that were written twice, write stamps with more "
+            f"digits, or {ignore}"
         )
     return found
 
