@@ -8,9 +8,9 @@ laboratories write them: gaps, missing values, jitter, locales, odd headers, sev
 Each record goes through `asia init`, `check`, `run`, `status`, `show`, `validate`, `report` and
 `export --to numpy`. Every fifth also goes through `SystemIdentifier`, and its search has 3
 experiments; the other searches have 1. Where `init` refuses the record, the commands after it are
-left out. A command fails if it prints a traceback, if its exit code is not 0, 2 or, for a search
-without a score, 3, or if it gives no sentence with exit code 2. Each result is a JSON line in
-OUT/results.jsonl. The same command resumes, and --read prints the table of the results there.
+left out. A command fails if it prints a traceback or a warning of Python, if its exit code is not
+0, 2 or, for a search without a score, 3, or if it gives no sentence with exit code 2. Each result
+is a JSON line in OUT/results.jsonl. The same command resumes, and --read prints the table of the results there.
 The exit code is 1 on any failure.
 """
 
@@ -654,6 +654,8 @@ class Outcome:
         """Why this is a defect; "" where it is none."""
         if "Traceback" in self.output or "internal error" in self.output:
             return "traceback"
+        if "Warning: " in self.output:
+            return "warning of Python"
         if self.code not in DOCUMENTED.get(self.command, (0, 2)):
             return f"exit code {self.code}"
         if self.code == 2 and not self.message:
@@ -728,7 +730,7 @@ def identify(one: Case, seed: int) -> int:
         raise SystemExit("error: this case has no arrays")
     budget = {"fit_seconds": FIT_SECONDS}
     found = asia.SystemIdentifier(1, budget=budget, runs="runs-identifier", progress=False)
-    step = float(np.median(np.diff(r.t))) if len(r.t) > 1 else 0.1
+    step = float(np.median(np.abs(np.diff(r.t)))) if len(r.t) > 1 else 0.1
     inputs, outputs = r.channels
     try:
         found.fit(r.u, r.y, sampling_time=step, inputs=inputs, outputs=outputs)

@@ -127,8 +127,8 @@ def _check_values(found: Sequence[SheetPart], wanted: Wanted, where: str) -> Non
     for kind, names, known in channels:
         for name in (n for n, is_known in zip(names, known, strict=True) if not is_known):
             raise UserError(
-                f"{where}: {kind} '{name}' has no value in any of {rows} rows: name another column, "
-                "or bring records in which it was measured"
+                f"{where}: {kind} '{name}' has no value in any of {rows} rows: name another "
+                "column, or bring records in which it was measured"
             )
     if not any(np.isfinite(p.y[np.isfinite(p.u).all(axis=1)]).any() for p in found):
         raise UserError(

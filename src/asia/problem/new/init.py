@@ -205,8 +205,8 @@ def _check_split(
         if len(t) < least:
             raise UserError(
                 f"record '{t.name}' has {len(t)} samples, but {rule.folds.count} folds and a "
-                f"sealed test of the last {share:.0%} need at least {least}: bring a longer record, "
-                f"or use --no-seal, which needs {least_samples(rule)}"
+                f"sealed test of the last {share:.0%} need at least {least}: bring a longer "
+                f"record, or use --no-seal, which needs {least_samples(rule)}"
             )
 
 
