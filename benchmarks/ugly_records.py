@@ -10,8 +10,8 @@ Each record goes through `asia init`, `check`, `run`, `status`, `show`, `validat
 experiments; the other searches have 1. Where `init` refuses the record, the commands after it are
 left out. A command fails if it prints a traceback or a warning of Python, if its exit code is not
 0, 2 or, for a search without a score, 3, or if it gives no sentence with exit code 2. Each result
-is a JSON line in OUT/results.jsonl. The same command resumes, and --read prints the table of the results there.
-The exit code is 1 on any failure.
+is a JSON line in OUT/results.jsonl. The same command resumes, and --read prints the table of the
+results there. The exit code is 1 on any failure.
 """
 
 from __future__ import annotations
