@@ -156,8 +156,8 @@ def make_records(
     if not made:
         found_here = f" ({'; '.join(dict.fromkeys(notes))})" if notes else ""
         raise UserError(
-            f"no piece of {where} has {_many(least, 'sample')} in a row{found_here}: bring records of "
-            f"at least {_many(least, 'sample')} without gaps in time and with every input"
+            f"no piece of {where} has {_many(least, 'sample')} in a row{found_here}: bring records "
+            f"of at least {_many(least, 'sample')} without gaps in time and with every input"
         )
     names = unique_names([t.name for t in made])
     records = tuple(replace(t, name=n) for t, n in zip(made, names, strict=True))
