@@ -49,7 +49,9 @@ def completed(given: InitAnswers, wanted: Wanted, *, yes: bool) -> InitAnswers:
         answers = _with_files(given, asks=asks)
     if asks and not answers.has_test and given.seal is None:
         answers = _with_test(answers, wanted)
-    answers = replace(answers, inputs=_split(answers.inputs), outputs=_split(answers.outputs))
+    answers = replace(
+        answers, inputs=split_at_commas(answers.inputs), outputs=split_at_commas(answers.outputs)
+    )
     if not answers.inputs or not answers.outputs:
         if not asks and not yes:
             missing = "--inputs" if not answers.inputs else "--outputs"
@@ -178,7 +180,8 @@ def _sealed(*, asks: bool, yes: bool) -> bool | None:
     return True if yes else None
 
 
-def _split(names: Sequence[str]) -> list[str]:
+def split_at_commas(names: Sequence[str]) -> list[str]:
+    """Names of columns, one or several in each word."""
     return [part.strip() for name in names for part in name.split(",") if part.strip()]
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asia._text import say
-from asia.cli._asking import InitAnswers, completed
+from asia.cli._asking import InitAnswers, completed, split_at_commas
 from asia.cli._options.shared import ColumnNames, Experiment, Keys, Time, TimeUnit
 from asia.errors import UserError
 
@@ -86,7 +86,7 @@ def init(
     """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y"""
     from asia.problem.load import Preparation, Wanted, init_problem, key_folder
 
-    named = tuple(columns or ())
+    named = tuple(split_at_commas(columns or ()))
     wanted = Wanted((), (), time, time_unit, experiment_column, named, _progress())
     if sampling_time is not None and not 0 < sampling_time < inf:
         raise UserError(

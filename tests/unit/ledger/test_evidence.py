@@ -142,7 +142,7 @@ def test_parameters_that_disagree_come_first() -> None:
     only = parameter_spreads([findings(1), findings(2, parameters=(("k1", 0.5),))])
     assert [one.name for one in only] == ["k1"]
     zero = parameter_spreads([findings(1, parameters=(("z", 0.0),))] * 2)
-    assert not zero[0].disagrees
+    assert (zero[0].spread, zero[0].disagrees) == (0.0, False)
 
 
 def test_a_suspect_experiment_shows_no_held_out_figure(store: Store) -> None:

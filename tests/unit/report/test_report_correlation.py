@@ -1,7 +1,10 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from asia.data import Signal
+from asia.report._pictures.residuals import draw_correlations
 from asia.scoring import cross_correlation, independent_band, white_band
 
 
@@ -43,3 +46,11 @@ def test_products_never_join_two_blocks() -> None:
     a = [np.array([0.0, 0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0, 0.0])]
     joined = cross_correlation([np.concatenate(a)], [np.concatenate(a)], 1)[2]
     assert cross_correlation(a, a, 1)[2] < 0.0 < joined
+
+
+def test_an_input_that_never_moves_is_drawn_without_a_warning() -> None:
+    e = np.random.default_rng(2).standard_normal(200)
+    row = Figure().subplots(1, 2).tolist()
+    draw_correlations(row, [e], [[np.ones(200)]], [Signal("u")], last=True)
+    low, high = row[1].get_ylim()
+    assert low < 0.0 < high

@@ -17,6 +17,9 @@ Rows = NDArray[np.int64]
 
 JITTER = 0.01
 """Share of the sampling time by which stamps may lie off the grid and still count as on it."""
+_UNSORTED = 0.1
+"""Share of rows at which time goes back, above which the rows are in no order; records that begin
+anew are longer than ten samples."""
 _RESOLUTIONS = (1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)
 
 
@@ -47,16 +50,22 @@ def runs(timestamps: Array, where: str, first_line: int, ignore: str) -> list[sl
         ignore: advice on reading without the time stamps
 
     Raises:
-        UserError: for repeated time stamps
+        UserError: for repeated time stamps, and for rows in no order
     """
     back = np.flatnonzero(np.diff(timestamps) < 0) + 1
+    if back.size > _UNSORTED * len(timestamps):
+        raise UserError(
+            f"{where}, line {first_line + int(back[0])}: time goes back, as in {back.size} of "
+            f"{len(timestamps)} rows: sort the rows by time, or {ignore}"
+        )
     edges = [0, *back.tolist(), len(timestamps)]
     found = [slice(a, b) for a, b in itertools.pairwise(edges)]
     same = np.flatnonzero(np.diff(timestamps) == 0)
     if same.size:
         raise UserError(
             f"{where}, line {first_line + int(same[0]) + 1}: the time stamp repeats the one before "
-            f"({same.size} such rows): write stamps with more digits, or {ignore}"
+            f"({same.size} such rows): remove rows that were written twice, write stamps with more "
+            f"digits, or {ignore}"
         )
     return found
 

@@ -35,6 +35,8 @@ _SAME = 1e-3
 _EXACT = 1e-6
 _GAP = 2.5
 _COARSER = 1.5
+_DRIFT = 0.5
+"""Jitter, as a share of a sample, from which on the stamps follow no one grid."""
 
 
 @dataclass(frozen=True)
@@ -117,9 +119,32 @@ def take_in(
             f"every experiment of {', '.join(map(str, paths))} is held out as a test: leave one "
             "to train on"
         )
-    made = make_records(kept, use, sampling_time, least)
     asked = asked or wanted
+    _check_values(kept, asked, ", ".join(map(str, paths)))
+    made = make_records(kept, use, sampling_time, least)
     return replace(made, units=found_units, inputs=asked.inputs, outputs=asked.outputs)
+
+
+def _check_values(found: Sequence[SheetPart], wanted: Wanted, where: str) -> None:
+    """Raise UserError for a channel that has no value in any row, and for outputs that are measured
+    only where inputs are not."""
+    if not any(len(part.u) for part in found):
+        return
+    rows = sum(len(part.u) for part in found)
+    known_u = np.any([np.isfinite(part.u).any(axis=0) for part in found], axis=0)
+    known_y = np.any([np.isfinite(part.y).any(axis=0) for part in found], axis=0)
+    channels = (("input", wanted.inputs, known_u), ("output", wanted.outputs, known_y))
+    for kind, names, known in channels:
+        for name in (n for n, is_known in zip(names, known, strict=True) if not is_known):
+            raise UserError(
+                f"{where}: {kind} '{name}' has no value in any of {rows} rows: name another "
+                "column, or bring records in which it was measured"
+            )
+    if not any(np.isfinite(p.y[np.isfinite(p.u).all(axis=1)]).any() for p in found):
+        raise UserError(
+            f"{where}: no row has every input and an output: a row must hold what was measured at "
+            "one time; put the last value of each input into the rows with outputs"
+        )
 
 
 def make_records(
@@ -132,16 +157,17 @@ def make_records(
     """Put channels on one time grid, cut them at gaps, and name the records. ignore: how the user
     can do without the time stamps, for messages. Raises UserError."""
     notes: list[str] = []
-    timed = [one for part in found for one in _stretches(_oldest_first(part, notes), ignore)]
+    timed = [one for part in found for one in _stretches(_oldest_first(part, notes), ignore, notes)]
     where = ", ".join(dict.fromkeys(part.where for part in found))
     step = _slowest(timed, where) if sampling_time is None else sampling_time
     made: list[Trajectory] = []
     for one in timed:
         made += _pieces(one, step, use, least, notes, ignore)
     if not made:
+        found_here = f" ({'; '.join(dict.fromkeys(notes))})" if notes else ""
         raise UserError(
-            f"no piece of {where} has {least} samples in a row: "
-            + ("; ".join(notes) or "bring longer records")
+            f"no piece of {where} has {_many(least, 'sample')} in a row{found_here}: bring records "
+            f"of at least {_many(least, 'sample')} without gaps in time and with every input"
         )
     names = unique_names([t.name for t in made])
     records = tuple(replace(t, name=n) for t, n in zip(made, names, strict=True))
@@ -168,10 +194,13 @@ def _oldest_first(part: SheetPart, notes: list[str]) -> SheetPart:
     return replace(part, u=part.u[back], y=part.y[back], timestamps=part.timestamps[back])
 
 
-def _stretches(part: SheetPart, ignore: str) -> list[_Timed]:
+def _stretches(part: SheetPart, ignore: str, notes: list[str]) -> list[_Timed]:
     if part.timestamps is None:
         return [_Timed(part, None)]
     found = runs(part.timestamps, part.where, part.first_line, ignore)
+    if len(found) > 1:
+        back = _many(len(found) - 1, "time")
+        notes.append(f"{part.where}: time goes back {back}, a new record begins at each")
     return [_Timed(cut, clock(_timestamps(cut))) for cut in (_cut(part, rows) for rows in found)]
 
 
@@ -191,6 +220,12 @@ def _own_step(one: _Timed) -> float | None:
 
 def _slowest(timed: Sequence[_Timed], where: str) -> float:
     known = [step for step in map(_own_step, timed) if step is not None]
+    rows = sum(len(one.part.u) for one in timed)
+    if not known and any(one.part.timestamps is not None for one in timed):
+        raise UserError(
+            f"{where}: {_many(rows, 'row')} with a time stamp, too few to find the sampling time: "
+            "bring longer records"
+        )
     if not known:
         raise UserError(
             f"{where}: no column with time stamps was found: give --sampling-time in seconds, or "
@@ -206,7 +241,8 @@ def _pieces(
     one: _Timed, step: float, use: Use, least: int, notes: list[str], ignore: str
 ) -> list[Trajectory]:
     on_grid = _on_grid(one, step, use, notes, ignore)
-    cuts = [whole for whole in on_grid for whole in _without_missing(whole, notes)]
+    cuts = [cut for whole in on_grid for cut in _without_missing(whole)]
+    _note_missing(one.part.where, on_grid, cuts, notes)
     # A whole file that is too short is an error, which the folds raise.
     is_whole = one.part.is_file and len(cuts) == 1
     long = [cut for cut in cuts if is_whole or len(cut.u) >= least]
@@ -259,7 +295,7 @@ def _other_rate(
     if abs(ratio - round(ratio)) < _SAME * ratio and ratio > 1:
         count = round(ratio)
         notes.append(
-            f"{where}: sampled every {own:g} s, every {count}th output is kept and the inputs are "
+            f"{where}: sampled every {own:g} s, one output in {count} is kept and the inputs are "
             "averaged in between"
         )
         return [_decimated(part, count) for part in whole if len(part.u) >= count]
@@ -282,8 +318,13 @@ def _decimated(part: SheetPart, count: int) -> SheetPart:
 def _resampled(
     part: SheetPart, found: Clock, step: float, use: Use, notes: list[str], ignore: str
 ) -> list[SheetPart]:
-    jitter = f"the time stamps jitter by {found.jitter:.1%} of a sample"
-    reason = jitter if found.jitter > 0 else f"it is sampled every {found.step:g} s"
+    if found.jitter > _DRIFT:
+        low, high = np.quantile(np.diff(_timestamps(part)), (0.01, 0.99))
+        reason = f"the sampling time varies from {low:.3g} s to {high:.3g} s"
+    elif found.jitter > 0:
+        reason = f"the time stamps jitter by {found.jitter:.1%} of a sample"
+    else:
+        reason = f"it is sampled every {found.step:g} s"
     if use != "train":
         mend = f"bring a test record sampled every {step:g} s"
         if use == "split":
@@ -310,47 +351,47 @@ def _resampled(
     return made
 
 
-def _without_missing(part: SheetPart, notes: list[str]) -> list[SheetPart]:
+def _without_missing(part: SheetPart) -> list[SheetPart]:
     """Cut a part to the segments in which every input was measured; outputs may be missing, but not
     all of them at either end."""
-    good = np.isfinite(part.u).all(axis=1)
-    if good.all():
-        return _measured_segment(part, notes)
-    notes.append(f"{part.where}: cut where inputs are missing ({int((~good).sum())} samples)")
-    rows = np.flatnonzero(good).astype(np.int64)
+    rows = np.flatnonzero(np.isfinite(part.u).all(axis=1)).astype(np.int64)
     if not rows.size:
         return []
     spans = (slice(int(rows[s.start]), int(rows[s.stop - 1]) + 1) for s in segments(rows))
-    return [one for rows in spans for one in _measured_segment(_cut(part, rows), notes)]
+    return [one for rows in spans for one in _measured_segment(_cut(part, rows))]
 
 
-def _measured_segment(part: SheetPart, notes: list[str]) -> list[SheetPart]:
+def _measured_segment(part: SheetPart) -> list[SheetPart]:
     """Cut the part to the samples between the first and the last with measured outputs.
 
     Samples with all outputs measured are the limits where there are any. Returns [] where an output
     was never measured.
     """
     known = ~np.isnan(part.y)
-    if known.all():
-        return [part]
     if not known.any(axis=0).all():
-        notes.append(f"{part.where}: a stretch without a measured output left out")
         return []
     whole = known.all(axis=1) if known.all(axis=1).any() else known.any(axis=1)
     rows = np.flatnonzero(whole)
-    kept = _cut(part, slice(int(rows[0]), int(rows[-1]) + 1))
-    lost = int(np.isnan(kept.y).sum())
+    return [_cut(part, slice(int(rows[0]), int(rows[-1]) + 1))]
+
+
+def _note_missing(
+    where: str, found: Sequence[SheetPart], cuts: Sequence[SheetPart], notes: list[str]
+) -> None:
+    """One line for each kind of missing value in a record."""
+    good = [np.isfinite(part.u).all(axis=1) for part in found]
+    unknown = sum(int((~rows).sum()) for rows in good)
+    if unknown:
+        notes.append(f"{where}: cut where inputs are missing ({unknown} samples)")
+    lost = sum(int(np.isnan(cut.y).sum()) for cut in cuts)
     if lost:
         notes.append(
-            f"{part.where}: {lost} of {kept.y.size} output values were not measured; they do not "
-            "count"
+            f"{where}: {lost} of {sum(cut.y.size for cut in cuts)} output values were not "
+            "measured; they do not count"
         )
-    if len(kept.u) < len(part.u):
-        notes.append(
-            f"{part.where}: {len(part.u) - len(kept.u)} samples before the first and after the "
-            "last measured output left out"
-        )
-    return [kept]
+    outside = sum(int(rows.sum()) for rows in good) - sum(len(cut.u) for cut in cuts)
+    if outside:
+        notes.append(f"{where}: {_many(outside, 'sample')} without measured outputs left out")
 
 
 def _many(count: int, what: str) -> str:

@@ -29,7 +29,9 @@ class ParameterSpread:
         """Largest less smallest value over the size of their mean."""
         mean = abs(fmean(self.values))
         apart = max(self.values) - min(self.values)
-        return apart / mean if mean > 0 else float(apart > 0) * float("inf")
+        if mean > 0:
+            return apart / mean
+        return float("inf") if apart > 0 else 0.0
 
     @property
     def changes_sign(self) -> bool:

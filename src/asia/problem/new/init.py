@@ -156,6 +156,8 @@ def init_problem(
     split = seal_fraction is not None and not has_test
     least = _least(rule, seal_fraction if split else None)
     taken = take(train, test, wanted, sampling_time, least, test_experiments, split=split)
+    if split:
+        _check_split(taken.train, rule, least[0], seal_fraction or 0.0)
     inputs, outputs = taken.inputs, taken.outputs
     columns = Columns(inputs, outputs, taken.sampling_time)
     records = taken.train
@@ -207,6 +209,19 @@ def _least(rule: ProtocolRule, seal_fraction: float | None) -> tuple[int, int]:
     if seal_fraction is not None:
         train = ceil(train / (1.0 - seal_fraction)) + 1
     return train, rule.past + 1
+
+
+def _check_split(
+    records: Sequence[Trajectory], rule: ProtocolRule, least: int, share: float
+) -> None:
+    """Raise UserError for a record too short to be divided into training and test."""
+    for t in records:
+        if len(t) < least:
+            raise UserError(
+                f"record '{t.name}' has {len(t)} samples, but {rule.folds.count} folds and a "
+                f"sealed test of the last {share:.0%} need at least {least}: bring a longer "
+                f"record, or use --no-seal, which needs {least_samples(rule)}"
+            )
 
 
 def _read_lines(taken: Taken, done: Preprocess) -> tuple[str, ...]:

@@ -68,7 +68,7 @@ def _draw(axes: Axes, check: Check) -> float:
         name = plain(curve.name[len(common) :], _MOST_LETTERS)
         mark = "o" if len(curve.x) <= _FEW_POINTS else ""
         axes.plot(curve.x, curve.y, color=colour, lw=1.0, marker=mark, ms=3.0, label=name)
-    if check.name in _LOGARITHMIC:
+    if check.name in _LOGARITHMIC and any((curve.y > 0).any() for curve in shown):
         _logarithmic(axes)
     elif any(curve.band is not None for curve in check.curves):
         axes.axhline(0.0, color=INK, lw=0.7)

@@ -112,6 +112,7 @@ def _stems(axes: Axes, found: Correlation) -> None:
     axes.vlines(lags, 0.0, y, color=BLUE, lw=1.2)
     axes.plot(lags, y, "o", color=BLUE, ms=2.6)
     low, high = min(-band, float(y.min())), max(band, float(y.max()))
-    margin = 0.08 * (high - low)
+    # A signal that never moves has no correlation and no band.
+    margin = 0.08 * (high - low) or 1.0
     axes.set_ylim(low - margin, high + margin)
     quiet_grid(axes)

@@ -34,6 +34,27 @@ def answer(monkeypatch: pytest.MonkeyPatch, *lines: str) -> Terminal:
     return person
 
 
+def test_names_of_columns_are_split_at_commas(asia: Asia) -> None:
+    rng = np.random.default_rng(0)
+    rows = np.column_stack([0.5 * np.arange(200), rng.normal(size=(200, 2))])
+    np.savetxt("log.csv", rows, delimiter=",")
+    names = ("--columns", "t,valve,level", "--inputs", "valve", "--outputs", "level")
+    done = asia("init", "made", "--train", "log.csv", *names, "--no-seal")
+    assert done.code == 0, done.err
+    (record,) = load_problem(Path("made")).train
+    assert np.array_equal(record.y[:, 0], rows[:, 2])
+
+
+def test_a_record_too_short_for_a_sealed_test_is_named(asia: Asia) -> None:
+    write("log.csv", "time,u,y", 3)
+    lines = Path("log.csv").read_text().split("\n")
+    Path("log.csv").write_text("\n".join(lines[:11]))
+    done = asia("init", "made", "--train", "log.csv", "--yes")
+    assert done.code == 2
+    assert "record 'log' has 10 samples, but 2 folds and a sealed test of the last 20%" in done.err
+    assert "or use --no-seal, which needs 50" in done.err
+
+
 def test_the_defaults_are_what_was_found(asia: Asia, monkeypatch: pytest.MonkeyPatch) -> None:
     write("run1.csv", "time,u1,u2 [V],y [m]", 4)
     write("run2.csv", "time,u1,u2 [V],y [m]", 4)

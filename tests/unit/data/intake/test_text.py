@@ -136,7 +136,7 @@ def test_unreadable_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("t,u,y\n0,1,2\n0.5,1,2\n1,1,2\n1.5,1,2\n", "every 2th output is kept"),
+        ("t,u,y\n0,1,2\n0.5,1,2\n1,1,2\n1.5,1,2\n", "one output in 2 is kept"),
         ("t,u,y\n0,1,2\n1,1,2\n2,1,2\n5,1,2\n6,1,2\n", "1 gap in time"),
         ("t,u,y\n0,1,2\n1,1,2\n2,1,2\n", None),
         ("index,u,y\n0,1,2\n1,1,2\n2,1,2\n", None),

@@ -141,7 +141,25 @@ REFUSED = {
     "comma in commas": (table(comma=True), "write decimal points"),
     "no column": (table("t,u,z"), "no column 'y'"),
     "twice": (table("t,u,u").replace("t,u,u", "y,u,u"), "2 columns are named 'u'"),
-    "stamps repeat": (table(stamp=lambda t: f"{t:.0f}"), "repeats the one before"),
+    "stamps repeat": (table(stamp=lambda t: f"{t:.0f}"), "remove rows that were written twice"),
+    "rows in no order": (
+        "\n".join(["t,u,y", *sum(zip(rows()[30:], rows()[:30], strict=True), ())]),
+        "line 3: time goes back, as in 30 of 60 rows: sort the rows by time",
+    ),
+    "one row": ("t,u,y\n0,1,2\n", "1 row with a time stamp, too few to find the sampling time"),
+    "no output": (
+        "\n".join(["t,u,y", *(f"{t},{u}," for t, u in zip(T, U, strict=True))]),
+        "output 'y' has no value in any of 60 rows: name another",
+    ),
+    "no input": (
+        "\n".join(["t,u,y", *(f"{t},,{y}" for t, y in zip(T, Y, strict=True))]),
+        "input 'u' has no value in any of 60 rows: name another",
+    ),
+    "never in one row": (
+        "\n".join(["t,u,y", *(f"{t},{u}," if k % 2 else f"{t},,{y}" for k, (t, u, y) in
+        enumerate(zip(T, U, Y, strict=True)))]),
+        "no row has every input and an output",
+    ),
     "no stamps": ("u,y\n" + "\n".join(r.partition(",")[2] for r in rows()), "--sampling-time"),
     "empty": ("", "is empty"),
     "header alone": ("t,u,y\n", "no data below"),
@@ -162,6 +180,36 @@ def test_unreadable_files_are_refused_in_one_sentence(tmp_path: Path, name: str)
 def test_other_kinds_of_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"kind '\.doc', which ASIA does not read: .*\.csv"):
         digest(write(tmp_path, "x", "log.doc"))
+
+
+def test_missing_values_of_many_pieces_are_one_note(tmp_path: Path) -> None:
+    lines = table().split("\n")
+    for k in range(5, 60, 5):
+        lines[k] = lines[k].rpartition(",")[0] + ","
+        lines[k + 1] = f"{T[k]},,{Y[k]}"
+    found = take_in([write(tmp_path, "\n".join(lines))], WANTED, "train", least=3)
+    notes = [note.partition("log.csv: ")[2] for note in found.notes]
+    assert notes == [
+        "cut where inputs are missing (11 samples)",
+        "11 samples without measured outputs left out",
+        "cut into 12 records",
+    ]
+
+
+def test_a_record_begins_where_time_goes_back(tmp_path: Path) -> None:
+    path = write(tmp_path, "\n".join(["t,u,y", *rows(), *rows(), *rows()]))
+    found = take_in([path], WANTED, "train")
+    assert [data_digest([r]) for r in found.records] == [CLEAN] * 3
+    assert found.notes == (f"{path}: time goes back 2 times, a new record begins at each",)
+
+
+def test_a_sampling_time_that_drifts_is_told_by_its_ends(tmp_path: Path) -> None:
+    stamps = np.cumsum(np.linspace(0.1, 0.14, len(T)))
+    lines = [f"{t:.6f},{u},{y}" for t, u, y in zip(stamps, U, Y, strict=True)]
+    path = write(tmp_path, "\n".join(["t,u,y", *lines]))
+    expected = r"the sampling time varies from 0\.101 s to 0\.14 s, and outputs of a test are never"
+    with pytest.raises(UserError, match=expected):
+        take_in([path], WANTED, "test")
 
 
 def test_a_gap_cuts(tmp_path: Path) -> None:
