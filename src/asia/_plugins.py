@@ -18,6 +18,7 @@ GROUPS = (
     "asia.metrics",
     "asia.executors",
     "asia.sinks",
+    "asia.commands",
 )
 
 

@@ -105,7 +105,7 @@ def test_every_part_serves_a_search_and_its_test(programs: Path, tmp_path: Path)
     assert "95 % error" in run(programs, "asia", "show", "oven", cwd=tmp_path)
     run(programs, "asia", "verify", "oven", cwd=tmp_path)
     assert "95 % error" in run(programs, "asia", "unseal", "oven", "--yes", cwd=tmp_path)
-    run(programs, "asia", "replay", "oven", cwd=tmp_path)
+    run(programs, "asia", "verify", "--replay", "oven", cwd=tmp_path)
 
 
 def test_the_parts_pass_the_suites(programs: Path, tmp_path: Path) -> None:

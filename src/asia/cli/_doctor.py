@@ -1,4 +1,4 @@
-"""asia doctor: how well can this machine keep candidates in, and what is plugged in?"""
+"""asia doctor: isolation levels, plugins and attacks on this machine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asia._text import say
+from asia.cli._options.groups import given
 from asia.cli._options.shared import Json
+from asia.cli._redteam import AttackOptions, run_attacks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,17 +31,36 @@ MACOS = (
 
 
 def doctor(
-    json: Json = False,
+    *,
     executor: Annotated[
         str | None,
         typer.Option(
-            help="Ask the machines of an executor instead: dask://HOST:PORT or dask:FILE."
+            help="Test the machines of an executor instead: dask://HOST:PORT or dask:FILE. With "
+            "--attack: its workers, on this machine, fit the folds of the attacks."
         ),
     ] = None,
+    attack: Annotated[
+        bool,
+        typer.Option(
+            "--attack",
+            help="Run scripted attacks against this installation: each must be blocked or "
+            "flagged, and honest candidates must not be. Exit code 1 if not.",
+        ),
+    ] = False,
+    attacks: AttackOptions,
+    json: Json = False,
 ) -> None:
-    """Test every isolation level on this machine, and print how to enable a stronger one."""
+    """Test every isolation level on this machine, print how to enable a stronger one, and list the
+    installed plugins."""
+    from asia.errors import UserError
     from asia.sandbox import machine, survey
 
+    if attack:
+        run_attacks(attacks, executor, json=json)
+        return
+    for name in given(attacks):
+        option = "no-prove" if name == "prove" else name.replace("_", "-")
+        raise UserError(f"--{option} belongs to --attack: add --attack or leave it out")
     if executor is not None:
         _print_executor(executor, json=json)
         return

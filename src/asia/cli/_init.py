@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 SEAL_FRACTION = 0.2
 _SILENT_SECONDS = 2.0
+BRIEF_HELP = frozenset(
+    {"name", "train", "test", "inputs", "outputs", "sampling_time", "seal", "time", "yes"}
+)
 LISTS = ("--train", "--test", "--inputs", "--outputs", "--columns", "--test-experiments")
 
 

@@ -1,4 +1,4 @@
-"""asia run: search."""
+"""asia run: search for a model."""
 
 from __future__ import annotations
 
@@ -34,6 +34,10 @@ if TYPE_CHECKING:
     from asia.search import Prepared
 
 NOTHING_FOUND = 3
+BRIEF_HELP = frozenset(
+    {"problem", "agent", "experiments", "seed", "hours", "name", "runs", "parallel", "executor"}
+    | {"isolation", "model", "json"}
+)
 
 Space = Annotated[
     str | None,

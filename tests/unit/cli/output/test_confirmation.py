@@ -1,4 +1,4 @@
-"""asia confirm, and what status and show say of it."""
+"""asia validate --repeat, and what status and show say of it."""
 
 from __future__ import annotations
 
@@ -68,17 +68,19 @@ def test_the_command_tells_progress_and_result_and_status_and_show_repeat_it(
 ) -> None:
     runs = ("--runs", searched.runs)
     assert "confirm " not in asia("status", searched.name, *runs).out
-    done = asia("confirm", searched.name, "--seeds", 2, *runs)
+    done = asia("validate", searched.name, "--repeat", "--seeds", 2, *runs)
     assert done.code == 0, done.err
     assert "#01 seed 1: V=" in done.err
     assert "noise floor: " in done.out
     assert "expected of #01 on a new record" in done.out
-    again = asia("confirm", searched.name, "--seeds", 2, *runs)
-    assert "nothing was fitted again" in again.err
+    again = asia("validate", searched.name, "--repeat", "--seeds", 2, *runs)
+    assert "nothing new to fit" in again.err
     assert again.out == done.out
     assert "confirm #01 was repeated alone" in asia("status", searched.name, *runs).out
     assert "confirmed   rank 1" in asia("show", searched.name, *runs).out
-    found = json.loads(asia("confirm", searched.name, "--seeds", 2, "--json", *runs).out)
+    found = json.loads(
+        asia("validate", searched.name, "--repeat", "--seeds", 2, "--json", *runs).out
+    )
     assert (found["winner"], found["new"]) == (1, False)
     status = json.loads(asia("status", searched.name, "--json", *runs).out)
     assert status["confirmed"]["winner"] == 1
@@ -90,6 +92,6 @@ def test_what_cannot_be_confirmed_is_refused_with_a_sentence(
 ) -> None:
     ledger = searched.directory / "ledger.jsonl"
     ledger.write_bytes(b"".join(ledger.read_bytes().splitlines(keepends=True)[:-2]))
-    done = asia("confirm", searched.name, "--runs", searched.runs)
+    done = asia("validate", searched.name, "--repeat", "--runs", searched.runs)
     assert done.code == 2
     assert "not finished" in done.err

@@ -72,4 +72,4 @@ def test_the_recorded_ledger_of_the_nanodrone_is_read(tmp_path: Path) -> None:
         (directory / name).write_bytes((RUNS / NANODRONE / name).read_bytes())
     for command in ("status", "show", "report", "verify"):
         assert command_line(command, NANODRONE, "--runs", str(tmp_path)).code == 0
-    assert command_line("replay", NANODRONE, "--runs", str(tmp_path)).code == 2
+    assert command_line("verify", "--replay", NANODRONE, "--runs", str(tmp_path)).code == 2
