@@ -89,6 +89,7 @@ def test_doctor_lists_every_part_and_where_it_comes_from(programs: Path, tmp_pat
         ("agents", "doubling"),
         ("sources", "tables"),
         ("metrics", "p95"),
+        ("commands", "taps"),
     }
 
 
@@ -104,6 +105,10 @@ def test_every_part_serves_a_search_and_its_test(programs: Path, tmp_path: Path)
     assert view.started.environment["asia-example"] == "1.0"
     assert "95 % error" in run(programs, "asia", "show", "oven", cwd=tmp_path)
     run(programs, "asia", "verify", "oven", cwd=tmp_path)
+    taps = run(programs, "asia", "taps", "runs/oven", cwd=tmp_path).splitlines()
+    assert [line.partition(":")[0] for line in taps] == [
+        f"finite impulse response of {n} taps" for n in (10, 20)
+    ]
     assert "95 % error" in run(programs, "asia", "unseal", "oven", "--yes", cwd=tmp_path)
     run(programs, "asia", "verify", "--replay", "oven", cwd=tmp_path)
 
