@@ -100,7 +100,7 @@ def paper(
 
 
 def load_compared(name: str) -> tuple[Problem, Paper | None]:
-    """The problem, and the paper's figures when it is one of the two it treats."""
+    """Load the problem, and the figures of the paper if it treats this problem."""
     from asia.bench import paper as paper_figures
     from asia.problem.load import builtin_problems, load_problem
 

@@ -86,11 +86,11 @@ def doctor(
         _print_levels(levels)
         _print_parts(plugged, clash)
         say()
-        say("docs/isolation.md says what each level stops and what not.")
+        say("docs/isolation.md lists the attacks that each level stops.")
 
 
 def _print_executor(name: str, *, json: bool) -> None:
-    """Every worker of an executor. Exit code 2 where one cannot work for a search from here."""
+    """Print every worker of an executor. Exit code 2 if one cannot work for a search from here."""
     from json import dumps
 
     from asia.evaluation import survey_machines
@@ -102,7 +102,7 @@ def _print_executor(name: str, *, json: bool) -> None:
     if json:
         say(dumps({"executor": name, "workers": [asdict(state) for state in states]}))
     elif carrier is None:
-        say(f"executor {name} has folds fitted on this machine: asia doctor tells about it")
+        say(f"executor {name} fits folds on this machine: run asia doctor without --executor")
     for state in () if json else states:
         level = f"{state.isolation} ({', '.join(state.layers)})" if state.isolation else "none"
         say(
@@ -121,15 +121,15 @@ class _Gpu:
     """The GPU of this machine."""
 
     driver: str
-    """What its driver says."""
+    """Name that the driver reports."""
     jax: str | None
-    """What JAX calls it; None where workers do not reach it."""
+    """Name in JAX; None if workers cannot use it."""
     why_not: str | None
-    """Why not."""
+    """Reason if workers cannot use it."""
 
 
 def _gpu(levels: Sequence[LevelState]) -> _Gpu | None:
-    """Tried at the level that a search uses here; None where there is none."""
+    """Test the GPU at the isolation level that a search uses here; None without a GPU."""
     from asia.errors import SandboxError
     from asia.sandbox import gpu_here, gpu_nodes, gpu_words
 
@@ -155,7 +155,7 @@ def _print_gpu(gpu: _Gpu | None) -> None:
 
 
 def _plugged() -> tuple[tuple[Part, ...], str | None]:
-    """The parts of other packages; without them, why they cannot be listed."""
+    """Return the parts of other packages, or the reason why they cannot be listed."""
     from asia._plugins import parts
     from asia.errors import UserError
 
@@ -166,7 +166,7 @@ def _plugged() -> tuple[tuple[Part, ...], str | None]:
 
 
 def _part_object(part: Part) -> dict[str, str | None]:
-    """For scripts: the part, and why it cannot be loaded."""
+    """Return a part as JSON, with the reason if it does not load."""
     found = asdict(part)
     kind = found.pop("group").removeprefix("asia.")
     return {"kind": kind, **found, "failure": part.why_not()}
@@ -199,7 +199,7 @@ def _print_levels(levels: Sequence[LevelState]) -> None:
 def _print_parts(plugged: Sequence[Part], clash: str | None) -> None:
     say()
     if not plugged:
-        say(f"{'plugged in':<{_INDENT}}{clash or 'nothing: no other package brings a part'}")
+        say(f"{'plugged in':<{_INDENT}}{clash or 'nothing: no other package adds a part'}")
         return
     heads = [f"{p.group.removeprefix('asia.')} {p.name}" for p in plugged]
     width = max(_INDENT, *(len(head) + 2 for head in heads))

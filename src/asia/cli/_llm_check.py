@@ -82,13 +82,13 @@ def llm_check(
 
 
 def _name(model: str) -> str:
-    """A run of its own each time: a server that was changed is asked anew."""
+    """Return a new run name, because the server may have changed since the last check."""
     words = re.sub(r"\W+", "-", model).strip("-") or "model"
     return f"llm-check-{words}-{time.strftime('%Y%m%d-%H%M%S')}"
 
 
 def _within(ready: Prepared, end: float) -> OnEvent:
-    """Says each result, and ends the search when the time is over."""
+    """Print each result, and stop the search when the time is over."""
     from asia.ledger import Evaluated, describe_result
     from asia.search import Steering
 

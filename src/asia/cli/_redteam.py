@@ -108,7 +108,7 @@ def run_attacks(options: AttackOptions, executor: str | None, *, json: bool) -> 
     levels = _levels(level)
     missing = why_no_outer()
     if prove and missing is not None:
-        say(f"isolation off is not shown: {missing}", file=sys.stderr)
+        say(f"attacks with isolation off are left out: {missing}", file=sys.stderr)
     honest = honest_plan(quick) if attack is None and executor is None else ()
     engine = None if executor is None else _engine(executor)
     chosen = chosen if engine is None else _of_candidates(chosen, attack is not None)
@@ -210,7 +210,7 @@ def _show_unchecked(
 
 
 def _names_checks(words: list[str]) -> bool:
-    """Whether the words name checks and not layers. Raises UserError where both are named."""
+    """Tell whether the words name checks and not layers. Raises UserError if both are named."""
     checks = [word in _check_names() or word == CHECKS for word in words]
     if any(checks) and (not all(checks) or (CHECKS in words and len(words) > 1)):
         raise UserError(
@@ -233,8 +233,8 @@ def _refuse(option: str, others: Sequence[tuple[str, object]], why: str) -> None
 
 @contextmanager
 def _one_interrupt() -> Generator[None]:
-    """The first says that what runs is waited for; others meanwhile change nothing, as they would
-    leave behind what the attack was given to attack."""
+    """End after the running attack on the first interrupt, and ignore others: they would leave the
+    target of the attack behind."""
 
     def end(number: int, frame: FrameType | None) -> None:
         for one in before:
@@ -271,8 +271,8 @@ def _attacks(numbers: list[int] | None) -> tuple[Attack, ...]:
 
 
 def _engine(name: str) -> Executor:
-    """The executor, whose workers are known to be here: attacks aim at files and processes of this
-    machine, and what they leave is looked for on it. Raises UserError."""
+    """Make the executor. Raises UserError if a worker is on another machine: attacks aim at files
+    and processes of this one."""
     import socket
 
     from asia.evaluation import survey_machines
@@ -290,7 +290,7 @@ def _engine(name: str) -> Executor:
 
 
 def _of_candidates(attacks: tuple[Attack, ...], named: bool) -> tuple[Attack, ...]:
-    """Those that a candidate makes. Raises UserError where others are asked for by number."""
+    """Return the attacks made by candidates. Raises UserError if others are requested by number."""
     from asia.redteam import CandidateAttack
 
     left = ", ".join(str(a.number) for a in attacks if not isinstance(a, CandidateAttack))

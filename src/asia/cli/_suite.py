@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 class SuiteLines(Lines):
-    """The lines of each search, and a line for each benchmark."""
+    """Lines of each search, and one line per benchmark."""
 
     def on_benchmark(self, plan: ComparisonPlan) -> None:
-        """Name the benchmark."""
+        """Print the name of the benchmark."""
         self.head(plan)
 
     def on_left_out(self, name: str, reason: str) -> None:
-        """Say why."""
+        """Print the reason."""
         self.print(f"{name} is left out: {one_line(reason)}")
 
 

@@ -1,4 +1,4 @@
-"""Commands whose parameters are groups of options: one dataclass a group, one field an option."""
+"""Groups of options as dataclasses, one field per option; short and full help."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ FOUND = Confirmed(
 
 def test_words_that_a_person_understands() -> None:
     text = "\n".join(confirmation_lines(FOUND))
-    assert "#09 and #12 cannot be told apart: they differ by 0.001 (-0.004 to 0.006)" in text
+    assert "#09 and #12 are statistically equal: they differ by 0.001 (-0.004 to 0.006)" in text
     assert "#12 is better than #03 by 0.099 (0.08 to 0.12)" in text
     assert "rank 1 to 2" in text
     assert "rank 3 " in text
@@ -51,7 +51,7 @@ def test_words_that_a_person_understands() -> None:
 @pytest.mark.parametrize(
     ("found", "words"),
     [
-        (FOUND, "#12 and #09 cannot be told apart"),
+        (FOUND, "#12 and #09 are statistically equal"),
         (replace(FOUND, winner=9, pairs=FOUND.pairs[1:]), "#09 is confirmed"),
         (replace(FOUND, winner=3), "#03 is not confirmed: #09 and #12 are better"),
         (replace(FOUND, winner=7), "not among the candidates"),

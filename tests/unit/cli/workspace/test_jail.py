@@ -77,7 +77,7 @@ def test_an_open_folder_says_so_in_its_first_line(tmp_path: Path, asia: Asia) ->
     assert first.startswith("> **Open folder, no jail.**")
     refused = asia("agent", "workspace", problem, folder, "--network", "--runs", tmp_path / "runs")
     assert refused.code == 2
-    assert "--network is for --jail CMD" in refused.err
+    assert "--network belongs to --jail CMD" in refused.err
 
 
 @needs_jail

@@ -43,7 +43,7 @@ def test_show_tells_all_but_the_source(bare: Run) -> None:
     done = command_line("show", bare.name, "2", *where)
     assert done.code == 0
     assert "V = " in done.out
-    assert "candidate.py and what it printed are not here" in done.out
+    assert "candidate.py and its output are not here" in done.out
     source = command_line("show", bare.name, "2", "--source", *where)
     assert source.code == 2
     assert "a ledger without its artifacts" in source.err
