@@ -71,7 +71,7 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
         "early_stopping", "validation_scores", "residuals", "best", "rungs",
         "control", "stopped", "usage", "metric", "legs", "handed_over", "use", "use_reason",
         "confirmed", "parallel", "running", "floor", "remark", "incumbent", "validated",
-        "stop_folds", "folds_passed_over", "folds_ended", "device",
+        "stop_folds", "folds_passed_over", "folds_ended", "device", "error", "failed_checks",
     }  # fmt: skip
     assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)
     assert answer["problem"] == "toy"
