@@ -54,9 +54,9 @@ def test_words_that_a_person_understands() -> None:
         (FOUND, "#12 and #09 are statistically equal"),
         (replace(FOUND, winner=9, pairs=FOUND.pairs[1:]), "#09 is confirmed"),
         (replace(FOUND, winner=3), "#03 is not confirmed: #09 and #12 are better"),
-        (replace(FOUND, winner=7), "not among the candidates"),
-        (replace(FOUND, failed=(12,)), "failed from every other seed"),
-        (replace(FOUND, candidates=FOUND.candidates[1:2], pairs=()), "compared with nothing"),
+        (replace(FOUND, winner=7), "#07 is not confirmed: it was not repeated"),
+        (replace(FOUND, failed=(12,)), "failed with every other seed"),
+        (replace(FOUND, candidates=FOUND.candidates[1:2], pairs=()), "the only candidate repeated"),
     ],
 )
 def test_the_verdict(found: Confirmed, words: str) -> None:
@@ -76,7 +76,7 @@ def test_the_command_tells_progress_and_result_and_status_and_show_repeat_it(
     again = asia("validate", searched.name, "--repeat", "--seeds", 2, *runs)
     assert "nothing new to fit" in again.err
     assert again.out == done.out
-    assert "confirm #01 was repeated alone" in asia("status", searched.name, *runs).out
+    assert "confirm #01 was the only candidate repeated" in asia("status", searched.name, *runs).out
     assert "confirmed   rank 1" in asia("show", searched.name, *runs).out
     found = json.loads(
         asia("validate", searched.name, "--repeat", "--seeds", 2, "--json", *runs).out
