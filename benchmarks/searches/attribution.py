@@ -4,7 +4,7 @@ Linear systems of second order. In half of the searches the winner has a better 
 baseline (order 2 instead of 1), in the other half a better training (least squares instead of a
 strong ridge). In both the other factor differs in luck alone, so that nothing is the same by its
 text. Prints the share of the gain that goes to the true factor, with the real search, sandbox and
-`asia ablate`.
+`asia validate --ablate`.
 
     python benchmarks/searches/attribution.py --systems 3
 """

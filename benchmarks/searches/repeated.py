@@ -1,8 +1,8 @@
 """What ranking by V says, on eleven repeated searches that were published with their test errors.
 
 Each search is one trial: its V, and the error of its winner on the sealed test [V]. The same
-statistics as `asia confirm` uses for candidates: how low the best of as many equal ones comes by
-luck alone, and what the best by V is worth on the test.
+statistics as `asia validate --repeat` uses for candidates: how low the best of as many equal
+ones comes by luck alone, and what the best by V is worth on the test.
 
     ASIA_DATA_DIR=/path/to/data python benchmarks/searches/repeated.py
 """

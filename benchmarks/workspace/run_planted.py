@@ -25,7 +25,8 @@ def main(folder: Path, wanted: list[str], seed: int) -> None:
         asia = Path(sys.executable).parent / "asia"
         work, runs = here / "work", here / "runs"
         subprocess.run(
-            [asia, "workspace", here / "problem", work, "--experiments", "7", "--runs", runs],
+            [asia, "agent", "workspace", here / "problem", work, "--experiments", "7",
+             "--runs", runs],
             check=True, stdout=subprocess.DEVNULL,
         )  # fmt: skip
         transcript = folder / f"{name}.txt"

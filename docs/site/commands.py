@@ -1,6 +1,7 @@
 """The command-line page, made from the commands themselves."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
 
@@ -11,8 +12,9 @@ from asia.cli import app
 VALUES = {str: "TEXT", int: "N", float: "NUMBER", Path: "PATH"}
 INTRODUCTION = """# Commands
 
-Seven commands take a problem from its records to a model: `init`, `check`, `run`, `status`, `show`,
-`unseal` and `report`. `asia COMMAND --help` prints the same text as this page.
+Ten commands take a problem from its records to a model in use: `init`, `check`, `run`, `status`,
+`show`, `validate`, `report`, `unseal`, `export` and `view`. `asia COMMAND --help-all` prints the
+text of this page; `asia COMMAND --help` leaves rare options out.
 
 **RUN** is the path of a run, its name, or left out for the newest. **PROBLEM** is a built-in name
 or a directory with `problem.toml`.
@@ -30,15 +32,24 @@ or a directory with `problem.toml`.
 def commands_page() -> str:
     """Every command with its arguments and options, as Markdown."""
     group: Any = typer.main.get_command(app)
-    return "\n".join([INTRODUCTION, *(_command(name, c) for name, c in group.commands.items())])
+    return "\n".join([INTRODUCTION, *_commands(group, "")])
+
+
+def _commands(group: Any, prefix: str) -> Iterator[str]:
+    """Sections of the commands of a group, and of the groups in it."""
+    for name, command in sorted(group.commands.items(), key=lambda c: hasattr(c[1], "commands")):
+        if hasattr(command, "commands"):
+            yield from _commands(command, f"{prefix}{name} ")
+        else:
+            yield _command(f"{prefix}{name}", command)
 
 
 def _command(name: str, command: Any) -> str:
     panels: dict[str, list[Any]] = {}
     for option in command.params:
-        if option.param_type_name == "option":
+        if option.param_type_name == "option" and option.name != "help_all":
             panels.setdefault(option.rich_help_panel or "", []).append(option)
-    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    arguments = [p for p in command.params if p.param_type_name == "argument" and not p.hidden]
     words = " ".join(_argument_name(a) for a in arguments)
     text = [f"## asia {name}\n", f"```\nasia {name} [OPTIONS] {words}".rstrip() + "\n```\n"]
     text.append(re.sub(r"(?<!\n)\n(?!\n)", " ", (command.help or "").strip()) + "\n")

@@ -18,8 +18,7 @@ GROUPS = (
     "asia.metrics",
     "asia.executors",
     "asia.sinks",
-    "asia.export_targets",
-    "asia.validation_checks",
+    "asia.commands",
 )
 
 

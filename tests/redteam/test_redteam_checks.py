@@ -53,7 +53,7 @@ def test_every_variant_succeeds_without_the_checks_that_stop_it_and_not_with_the
 
 
 def refused(*words: str) -> str:
-    done = CliRunner().invoke(app, ["redteam", *words])
+    done = CliRunner().invoke(app, ["doctor", "--attack", *words])
     assert isinstance(done.exception, UserError)
     return str(done.exception)
 
@@ -64,7 +64,7 @@ def refused(*words: str) -> str:
     [
         (("--without", "causality", "--without", "seccomp"), "name layers, or checks"),
         (("--without", "checks", "--without", "causality"), "name layers, or checks"),
-        (("--without", "checks", "--attack", "1"), "no part in attack 1"),
+        (("--without", "checks", "--only", "1"), "no part in attack 1"),
         (("--without", "checks", "--level", "process"), "confines nothing"),
         (("--without", "wall"), "causality"),
     ],
@@ -83,7 +83,9 @@ def test_the_command_leaves_out_one_check(monkeypatch):
         "without_checks",
         lambda at, attacks, kinds, on_result: asked.append((*kinds,)) or (),
     )
-    done = CliRunner().invoke(app, ["redteam", "--without", "block-end", "--level", str(ONE_LEVEL)])
+    done = CliRunner().invoke(
+        app, ["doctor", "--attack", "--without", "block-end", "--level", str(ONE_LEVEL)]
+    )
     assert done.exit_code == 0, done.output
     assert asked == [("block end",)]
     assert "with all checks" in done.stdout

@@ -34,6 +34,6 @@ def test_attacks_that_an_agent_makes_do_not_go_through_an_executor() -> None:
     with pytest.raises(UserError, match="no part in attack 29, 31, which an agent makes"):
         CliRunner().invoke(
             app,
-            spread(["redteam", "--executor", "local", "--attack", "5", "29", "31"]),
+            spread(["doctor", "--attack", "--executor", "local", "--only", "5", "29", "31"]),
             catch_exceptions=False,
         )

@@ -1,4 +1,4 @@
-"""`asia redteam`: what it prints, refuses and leaves behind."""
+"""`asia doctor --attack`: what it prints, refuses and leaves behind."""
 
 import json
 import os
@@ -21,13 +21,13 @@ needs_level = pytest.mark.skipif(ONE_LEVEL is None, reason="no level keeps inten
 
 
 def run(*words: str):
-    return CliRunner().invoke(app, ["redteam", *words])
+    return CliRunner().invoke(app, ["doctor", "--attack", *words])
 
 
 @pytest.mark.slow
 @needs_level
 def test_the_command_prints_a_table_and_a_verdict():
-    done = run("--attack", "2", "--attack", "34", "--level", str(ONE_LEVEL), "--no-prove")
+    done = run("--only", "2", "--only", "34", "--level", str(ONE_LEVEL), "--no-prove")
     assert done.exit_code == 0, done.output
     wall = "namespaces" if ONE_LEVEL is Isolation.NAMESPACE else "landlock"
     assert f"| 2  | write the evaluator's code | blocked: {wall}" in done.stdout
@@ -42,7 +42,7 @@ def test_the_command_fails_when_something_gets_through(monkeypatch):
 
     finding = Finding(2, str(ONE_LEVEL), AttackVerdict.THROUGH, (), "done")
     monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level, executor: finding)
-    done = run("--attack", "2", "--level", str(ONE_LEVEL), "--no-prove", "--json")
+    done = run("--only", "2", "--level", str(ONE_LEVEL), "--no-prove", "--json")
     assert done.exit_code == 1
     lines = [json.loads(text) for text in done.stdout.splitlines()]
     assert lines[0]["verdict"] == "through"
@@ -59,7 +59,7 @@ def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
     monkeypatch.setattr(redteam, "why_no_outer", lambda: None)
     monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level, executor: blocked)
     monkeypatch.setattr(_suite, "inside", lambda job, nested: iter([clumsy]))
-    done = run("--attack", "2", "--level", str(ONE_LEVEL))
+    done = run("--only", "2", "--level", str(ONE_LEVEL))
     assert done.exit_code == 1
     assert "blocked: landlock | DOES NOT SUCCEED |" in done.stdout
     assert "1 of 1 blocked or flagged, 0 of 1 succeed with isolation off (not 2)" in done.stdout
@@ -68,15 +68,15 @@ def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--attack", "999"], f"there are attacks 1 to {len(ATTACKS)}"),
+        (["--only", "999"], f"there are attacks 1 to {len(ATTACKS)}"),
         (["--level", "bunker"], "expected one of namespace, landlock, process"),
         (["--without", "namespaces"], "is level landlock"),
         (["--without", "moat"], "expected each, checks, some of landlock, seccomp, rlimits"),
         (["--without", "each", "--quick"], "--without and --quick do not go together"),
         (["--without", "each", "--honest-on", "two_tanks_sim"], "--without and --honest-on"),
         (["--without", "each", "--no-prove"], "--without and --no-prove do not go together"),
-        (["--honest-on", "two_tanks_sim", "--attack", "3"], "--honest-on and --attack do not"),
-        (["--attack", "3", "--quick"], "--attack and --quick do not go together"),
+        (["--honest-on", "two_tanks_sim", "--only", "3"], "--honest-on and --only do not"),
+        (["--only", "3", "--quick"], "--only and --quick do not go together"),
     ],
 )
 def test_the_command_reports_unknown_arguments(words, said):
@@ -86,7 +86,7 @@ def test_the_command_reports_unknown_arguments(words, said):
 
 @needs_level
 def test_an_attack_that_no_layer_has_a_part_in_is_refused():
-    done = run("--without", "seccomp", "--attack", "29", "--level", str(ONE_LEVEL))
+    done = run("--without", "seccomp", "--only", "29", "--level", str(ONE_LEVEL))
     assert "no layer has a part in attack 29: " in str(done.exception)
 
 
@@ -99,8 +99,8 @@ def test_the_level_of_another_system_is_not_for_attacks(monkeypatch):
 @pytest.mark.slow
 @needs_level
 def test_two_interrupts_leave_nothing_behind(tmp_path):
-    command = [str(Path(sys.executable).with_name("asia")), "redteam", "--no-prove"]
-    command += ["--level", str(ONE_LEVEL), "--attack", "13", "18", "19", "22"]
+    command = [str(Path(sys.executable).with_name("asia")), "doctor", "--attack", "--no-prove"]
+    command += ["--level", str(ONE_LEVEL), "--only", "13", "18", "19", "22"]
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     with subprocess.Popen(command, stderr=subprocess.PIPE, env=environment, text=True) as process:
         while not any(tmp_path.glob("asia-redteam-*")):

@@ -1,5 +1,5 @@
-"""The suite that is shipped as `asia redteam`: complete, each attack stopped as it says and a real
-one, and the page of the manual as it is."""
+"""The suite that is shipped as `asia doctor --attack`: complete, each attack stopped as it says
+and a real one, and the page of the manual as it is."""
 
 import os
 import signal

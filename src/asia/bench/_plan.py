@@ -61,7 +61,7 @@ class ComparisonPlan:
     quick: bool = False
     """A few experiments with short fits, to see that everything works."""
     word: Literal["bench", "compare"] = "bench"
-    """The command: `compare` is agents against each other, where no test is declared."""
+    """`compare`: agents against each other (`asia bench agents`), where no test is declared."""
 
     def __post_init__(self) -> None:
         for what, given in (

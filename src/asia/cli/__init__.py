@@ -1,29 +1,30 @@
-"""The command line: parse, call the library, exit code. One file a command.
+"""The command line: parse, call the library, exit code.
 
-Exit codes: 0 done; 1 a bug, a broken sandbox or a replay that differs; 2 something the user can
-mend; 3 a search whose candidates all failed; 130 interrupted (SIGINT), 143 terminated (SIGTERM).
+Exit codes: 0 done; 1 a bug, a broken sandbox or a failed check; 2 an error that the user can
+correct; 3 a search whose candidates all failed; 130 interrupted (SIGINT), 143 terminated (SIGTERM).
 """
 
 from __future__ import annotations
 
+import inspect
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
 from asia._boundary import error_sentence
+from asia._plugins import Part, parts_of
 from asia._text import say
 from asia.cli import (
-    _ablate,
     _bench,
     _check,
     _compare,
-    _confirm,
     _demo,
-    _diff,
     _doctor,
     _export,
     _init,
@@ -31,12 +32,12 @@ from asia.cli import (
     _mcp,
     _models,
     _redteam,
-    _replay,
     _report,
     _run,
     _show,
     _status,
     _steer,
+    _suite,
     _try,
     _unseal,
     _validate,
@@ -49,58 +50,162 @@ from asia.errors import CandidateError, SandboxError, UserError
 
 __all__ = ["app", "main"]
 
-RESUMED = frozenset({"run", "bench", "compare", "confirm", "ablate", "workspace", "mcp"})
 INTERRUPTED = 130
 TERMINATED = 128 + signal.SIGTERM
+PLUGINS = "asia.commands"
+MORE = "More commands"
+MOVED = {
+    "diff": "`asia diff` is now `asia show N M`.",
+    "confirm": "`asia confirm` is now `asia validate --repeat`.",
+    "ablate": "`asia ablate` is now `asia validate --ablate`.",
+    "replay": "`asia replay` is now `asia verify --replay`.",
+    "pause": "`asia pause` is now `asia steer --pause`, and `--end` is `asia steer --resume`.",
+    "stop": "`asia stop` is now `asia steer --stop`.",
+    "compare": "`asia compare` is now `asia bench agents`.",
+    "redteam": "`asia redteam` is now `asia doctor --attack`.",
+    "workspace": "`asia workspace` is now `asia agent workspace`.",
+    "mcp": "`asia mcp` is now `asia agent mcp`.",
+    "mcp-config": "`asia mcp-config` is now `asia agent config`.",
+    "llm-check": "`asia llm-check` is now `asia agent check`.",
+}
+"""Old names of commands, and where each is now."""
 
-app = typer.Typer(
-    name="asia",
-    help=(
-        "Identify a dynamical system from its records: search for models, score them by "
-        "open-loop simulation, return a model with the evidence for it."
-    ),
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
+
+class Commands(TyperGroup):
+    """The commands of ASIA and of installed plugins. An old name is answered with the new one."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """List the names, plugins last; without plugins whose names clash, see `asia doctor`."""
+        own = [*_MAIN, *_MORE]
+        with suppress(UserError):
+            own += [part.name for part in parts_of(PLUGINS) if part.name not in own]
+        return own
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return the command, from a plugin if it is none of ASIA's; None if there is none."""
+        own = super().get_command(ctx, cmd_name)
+        if own is not None or cmd_name in MOVED:
+            return own
+        found = next((part for part in parts_of(PLUGINS) if part.name == cmd_name), None)
+        return None if found is None else _plugin_command(found)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command of a command line. Raises UserError for an old name."""
+        if args and args[0] in MOVED:
+            raise UserError(MOVED[args[0]])
+        return super().resolve_command(ctx, args)
+
+
+class _Benchmarks(TyperGroup):
+    """The benchmarks; the former `asia bench PROBLEM` is answered with the new form."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args and args[0] not in self.commands:
+            raise UserError(f"`asia bench {args[0]}` is now `asia bench paper {args[0]}`.")
+        return super().resolve_command(ctx, args)
+
+
+def _group(text: str, group: type[TyperGroup] = TyperGroup) -> typer.Typer:
+    return typer.Typer(
+        cls=group,
+        help=text,
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="markdown",
+    )
+
+
+app = _group(
+    "Identify a dynamical system from measured records: search for models, score them by "
+    "open-loop simulation, and return a model with the evidence for it.",
+    Commands,
 )
-# What a newcomer needs, then what comes with its capability.
-_FIRST: dict[str, Callable[..., None]] = {
+app.info.name = "asia"
+agent_app = _group("Connect a coding agent or a language model, or work by hand in a workspace.")
+bench_app = _group("Run benchmarks: the paper's, the suite, or agents compared.", _Benchmarks)
+
+_MAIN: dict[str, Callable[..., None]] = {
     "init": _init.init,
     "check": _check.check,
     "run": _run.run,
     "status": _status.status,
     "show": _show.show,
-    "unseal": _unseal.unseal,
-    "report": _report.report,
-}
-_MORE: dict[str, Callable[..., None]] = {
-    "diff": _diff.diff,
-    "confirm": _confirm.confirm,
-    "ablate": _ablate.ablate,
     "validate": _validate.validate,
+    "report": _report.report,
+    "unseal": _unseal.unseal,
     "export": _export.export,
     "view": _view.view,
+}
+_MORE: dict[str, Callable[..., None] | typer.Typer] = {
+    "steer": _steer.steer,
     "verify": _verify.verify,
-    "replay": _replay.replay,
-    "bench": _bench.bench,
-    "compare": _compare.compare,
-    "llm-check": _llm_check.llm_check,
+    "agent": agent_app,
+    "bench": bench_app,
+    "doctor": _doctor.doctor,
     "models": _models.models,
     "demo": _demo.demo,
+    "try": _try.try_,
+}
+_AGENT: dict[str, Callable[..., None]] = {
     "workspace": _workspace.workspace,
     "try": _try.try_,
-    "steer": _steer.steer,
-    "pause": _steer.pause,
-    "stop": _steer.stop,
     "mcp": _mcp.mcp,
-    "mcp-config": _mcp.mcp_config,
-    "doctor": _doctor.doctor,
-    "redteam": _redteam.redteam,
+    "config": _mcp.mcp_config,
+    "check": _llm_check.llm_check,
 }
-for _panel, _commands in ((None, _FIRST), ("More commands", _MORE)):
+_BENCH: dict[str, Callable[..., None]] = {
+    "paper": _bench.paper,
+    "suite": _suite.suite,
+    "agents": _compare.compare_agents,
+}
+_BRIEF_HELP = {
+    _run.run: _run.BRIEF_HELP,
+    _init.init: _init.BRIEF_HELP,
+    _workspace.workspace: _workspace.BRIEF_HELP,
+}
+"""Options that `--help` of a command shows; `--help-all` shows the others too. Without an entry
+here `--help` shows all."""
+for _app, _commands, _panel in (
+    (app, _MAIN, None),
+    (app, _MORE, MORE),
+    (agent_app, _AGENT, None),
+    (bench_app, _BENCH, None),
+):
     for _name, _command in _commands.items():
-        app.command(_name, rich_help_panel=_panel)(with_groups(_command))
+        if isinstance(_command, typer.Typer):
+            _app.add_typer(_command, name=_name, rich_help_panel=_panel)
+        else:
+            _shown = with_groups(_command, _BRIEF_HELP.get(_command))
+            _app.command(_name, rich_help_panel=_panel)(_shown)
+
+
+def _plugin_command(part: Part) -> Any:
+    """Build the command of a plugin: a Typer app, or a function whose parameters are its options.
+    A part that does not load becomes a command that says so."""
+    try:
+        loaded = part.load()
+        if not isinstance(loaded, typer.Typer) and not inspect.isfunction(loaded):
+            raise UserError(
+                f"command {part.name} of package {part.package}: expected a typer.Typer or a "
+                f"function, got {type(loaded).__name__}"
+            )
+    except UserError as error:
+        loaded = _broken(error)
+    plugin = loaded if isinstance(loaded, typer.Typer) else typer.Typer(add_completion=False)
+    if inspect.isfunction(loaded):
+        plugin.command()(with_groups(loaded))
+    command: Any = typer.main.get_command(plugin)
+    command.name, command.rich_help_panel = part.name, f"Commands of {part.package}"
+    return command
+
+
+def _broken(error: UserError) -> Callable[[], None]:
+    def command() -> None:
+        """Does not load; `asia doctor` gives the reason."""
+        raise error
+
+    return command
 
 
 @app.callback(invoke_without_command=True)
@@ -146,26 +251,31 @@ def main() -> None:
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
-    """As an interrupt: what runs ends its workers on the way out, and the ledger stays whole."""
+    """Exit as for an interrupt, so that workers are stopped and the ledger is closed."""
     sys.exit(TERMINATED)
 
 
 def _ended(how: str) -> str:
-    resumed = RESUMED.intersection(sys.argv[1:2])
+    words = sys.argv[1:]
+    resumed = words[:1] in (["run"], ["bench"]) or words[:2] in (
+        ["agent", "workspace"],
+        ["agent", "mcp"],
+    )
+    resumed |= words[:1] == ["validate"] and not {"--repeat", "--ablate"}.isdisjoint(words)
     return f"{how}; the same command continues from here" if resumed else how
 
 
 def spread(words: list[str]) -> list[str]:
-    """`--train a.csv b.csv` and `--train=a.csv b.csv` with the option before each word, for the
-    list options of these commands."""
+    """Repeat a list option before each of its words: `--train a.csv b.csv` becomes `--train a.csv
+    --train b.csv`."""
     known = {
         "init": _init.LISTS,
         "validate": ("--columns",),
-        "bench": _bench.LISTS,
-        "compare": _compare.LISTS,
-        "redteam": _redteam.LISTS,
+        "bench paper": _bench.LISTS,
+        "bench agents": _compare.LISTS,
+        "doctor": _redteam.LISTS,
     }
-    lists = known.get(words[0] if words else "")
+    lists = known.get(" ".join(words[:1])) or known.get(" ".join(words[:2]))
     if lists is None:
         return words
     option: str | None = None

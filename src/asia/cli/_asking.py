@@ -1,4 +1,4 @@
-"""What asia init asks on a terminal, with what it found in the files as the default."""
+"""Questions of asia init on a terminal; the columns found in the files are the defaults."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class InitAnswers:
-    """What a new problem is made of."""
+    """Files, columns and test of a new problem."""
 
     train: list[Path]
     test: list[Path]
@@ -36,13 +36,13 @@ class InitAnswers:
 
     @property
     def has_test(self) -> bool:
-        """Whether test records are named."""
+        """Tell whether test records are named."""
         return bool(self.test or self.test_experiments)
 
 
 def completed(given: InitAnswers, wanted: Wanted, *, yes: bool) -> InitAnswers:
-    """What is missing, asked on a terminal; with `yes` the defaults are taken. Raises UserError
-    where neither is possible."""
+    """Complete the answers: ask on a terminal, or take the defaults with `yes`. Raises UserError if
+    neither is possible."""
     asks = sys.stdin.isatty() and not yes
     answers = given
     if not given.train:
@@ -56,7 +56,7 @@ def completed(given: InitAnswers, wanted: Wanted, *, yes: bool) -> InitAnswers:
         if not asks and not yes:
             missing = "--inputs" if not answers.inputs else "--outputs"
             raise UserError(
-                f"{missing} is missing: name the columns, or take what is found with --yes"
+                f"{missing} is missing: name the columns, or accept the detected ones with --yes"
             )
         answers = _with_columns(answers, wanted, asks=asks)
     if not answers.has_test and answers.seal is None:
@@ -76,7 +76,7 @@ def _with_files(given: InitAnswers, *, asks: bool) -> InitAnswers:
 
 
 def _with_test(given: InitAnswers, wanted: Wanted) -> InitAnswers:
-    """Ask for experiments of the training files, or else for files, that are the test."""
+    """Ask for the test: experiments of the training files, or else files."""
     from asia.data.intake.survey import experiments_in, record_files, split_names
 
     known = experiments_in(given.train, wanted)
@@ -147,7 +147,7 @@ def _columns(
 
     if not asks:
         if not default:
-            raise UserError(f"no column can be one of the {what.lower()}: name them")
+            raise UserError(f"no column is suitable for the {what.lower()}: name the columns")
         say(f"{what.lower():<8} {', '.join(default)}")
         return list(default)
     while True:
@@ -160,7 +160,7 @@ def _columns(
         if unknown:
             say(f"no column '{unknown[0]}'; there are {', '.join(found.names)}")
         elif bad:
-            say(f"'{bad[0]}' {refused[bad[0]]}: there is nothing to identify, name another")
+            say(f"'{bad[0]}' {refused[bad[0]]}: name another column")
 
 
 def _sampling_time() -> float:

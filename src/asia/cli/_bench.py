@@ -1,4 +1,4 @@
-"""asia bench: the paper's comparisons on this machine."""
+"""asia bench paper: the comparisons of the paper on this machine."""
 
 from __future__ import annotations
 
@@ -18,15 +18,13 @@ if TYPE_CHECKING:
 
 LISTS = ("--seeds", "--arms")
 DEFAULT_SEEDS = 3
-SUITE_WORD = "suite"
 
 Problems = Annotated[
     str,
     typer.Argument(
         metavar="PROBLEM",
         help=(
-            "cascaded-tanks, nanodrone, another built-in name, a directory with problem.toml, or "
-            "suite: every benchmark, one search of the expert each."
+            "cascaded-tanks, nanodrone, another built-in name, or a directory with problem.toml."
         ),
     ),
 ]
@@ -54,12 +52,9 @@ Experiments = Annotated[
         min=1, help="Candidates for each search; default the paper's number or the problem's."
     ),
 ]
-Only = Annotated[
-    str | None, typer.Option(metavar="NAME,NAME", help="With suite: some of its benchmarks.")
-]
 
 
-def bench(
+def paper(
     problem: Problems,
     experiments: Experiments = None,
     seeds: Seeds = None,
@@ -75,25 +70,18 @@ def bench(
         typer.Option("--unseal", help="At the very end, open the sealed test of the declared run."),
     ] = False,
     yes_process: YesProcess = False,
-    only: Only = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
-    """Rerun the paper's comparisons: expert against random search, beside the paper's figures.
+    """Repeat the comparisons of the paper, expert against random search, next to its figures.
 
     Each early-stopping setting has its own table. After an interrupt, the same command continues.
     The expert's run with the first seed is declared for the sealed test before it starts. Without
-    --unseal no test is opened. `asia bench suite` searches every benchmark, beside its board.
+    --unseal no test is opened.
     """
     from asia.bench import ComparisonPlan, select_arms
     from asia.bench import bench as compare
-    from asia.cli._suite import run_suite
 
-    if problem == SUITE_WORD:
-        _check_alone(seeds=seeds, arms=arms, quick=quick)
-        run_suite(only, runs, experiments, unseal=unseal, yes_process=yes_process, json=json)
-        return
-    _check_alone(only=only)
     loaded, figures = load_compared(problem)
     plan = ComparisonPlan(
         problem=loaded,
@@ -111,36 +99,26 @@ def bench(
     print_result(result, json=json)
 
 
-def _check_alone(**given: object) -> None:
-    """Raises UserError for options that do not belong to the form of the command."""
-    from asia.errors import UserError
-
-    for name, value in given.items():
-        if value:
-            where = "asia bench suite alone" if name == "only" else "asia bench PROBLEM"
-            raise UserError(f"--{name} belongs to {where}: leave it out")
-
-
 def load_compared(name: str) -> tuple[Problem, Paper | None]:
-    """The problem, and the paper's figures when it is one of the two it treats."""
-    from asia.bench import paper
+    """Load the problem, and the figures of the paper if it treats this problem."""
+    from asia.bench import paper as paper_figures
     from asia.problem.load import builtin_problems, load_problem
 
     builtin = name.replace("-", "_")
     if builtin in builtin_problems():
-        return load_problem(builtin), paper(builtin)
+        return load_problem(builtin), paper_figures(builtin)
     return load_problem(name), None
 
 
 def _arms(figures: Paper | None, quick: bool) -> tuple[Arm, ...]:
-    """The references take their full training or show nothing."""
+    """Return the arms; without the references if `quick`, because they need their full training."""
     from asia.bench import make_arms
 
     return tuple(arm for arm in make_arms(figures) if arm.fixed is None or not quick)
 
 
 def chosen_seeds(given: list[int] | None, default: int) -> tuple[int, ...]:
-    """The seeds that a number, or several, stand for."""
+    """Return the seeds for `--seeds N` (0 to N - 1) or `--seeds S S ...`."""
     from asia.errors import UserError
 
     if given is None:
@@ -167,7 +145,7 @@ def _settings(word: str) -> tuple[EarlyStopping, ...]:
 
 
 def print_result(result: BenchResult, *, json: bool) -> None:
-    """Tables, then where they and the pictures are; with `json` one object instead."""
+    """Print the tables and the paths of documents and pictures; with `json`, one object."""
     from asia.bench import result_object
 
     if json:

@@ -1,4 +1,4 @@
-"""asia check: what was understood of a problem."""
+"""asia check: the data and the protocol of a problem."""
 
 from __future__ import annotations
 

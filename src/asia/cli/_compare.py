@@ -1,4 +1,4 @@
-"""asia compare: agents against each other at equal budgets."""
+"""asia bench agents: agents against each other at equal budgets."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Agents = Annotated[
 ]
 
 
-def compare(
+def compare_agents(
     problem: ProblemName,
     agents: Agents = "expert,random,bayes",
     seeds: Annotated[
@@ -47,9 +47,10 @@ def compare(
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
-    """Search with each agent and each seed at the same budget, and compare V: experiments to reach
-    the best V of the others, a paired test, curves with bands. After an interrupt, the same command
-    continues.
+    """Compare agents: a search with each agent and each seed at the same budget.
+
+    Prints the experiments that each needs to reach the best V of the others, a paired test, and
+    curves with bands. After an interrupt, the same command continues.
     """
     from asia.bench import ComparisonPlan, bench
     from asia.search import with_early_stopping

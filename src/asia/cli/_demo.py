@@ -31,15 +31,15 @@ def demo(
         raise UserError(f"no notebook '{name}'{nearest(name, list(found))}")
     target = out / f"{name}.ipynb"
     if target.exists():
-        raise UserError(f"{target} exists, and nothing is overwritten: give another --out")
+        raise UserError(f"{target} exists: give another --out")
     if not out.is_dir():
-        raise UserError(f"{out} is no directory: make it first, or give another --out")
+        raise UserError(f"{out} is not a directory: make it first, or give another --out")
     shutil.copyfile(found[name], target)
     say(f"{target}: open it with: jupyter lab {target}")
 
 
 def _folder() -> Path:
-    """Beside the package where it is installed, in the repository where it is not."""
+    """Return the folder of the notebooks: in the installed package, or in the repository."""
     import asia
 
     package = Path(asia.__file__).parent

@@ -1,34 +1,23 @@
-"""asia diff: two experiments beside each other."""
+"""asia show N M: two experiments side by side."""
 
 from __future__ import annotations
 
 import difflib
-from typing import Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from asia._text import say
-from asia.cli._options.run_directory import run_directory
-from asia.cli._options.shared import DEFAULT_RUNS, Runs
-from asia.cli._show import split_arguments
+
+if TYPE_CHECKING:
+    from asia.ledger import Experiment, Run
 
 
-def diff(
-    words: Annotated[list[str], typer.Argument(metavar="[RUN] N M", help="Two experiments.")],
-    runs: Runs = DEFAULT_RUNS,
-) -> None:
-    """Print the change of the source from experiment N to M, and both scores."""
+def print_difference(opened: Run, first: Experiment, second: Experiment) -> None:
+    """Print both results, then the change of the source from the first to the second."""
     from rich.text import Text
 
     from asia.cli._output.experiment import wide_console
-    from asia.errors import UserError
-    from asia.ledger import describe_result, open_run
+    from asia.ledger import describe_result
 
-    name, numbers = split_arguments(words, 2)
-    if len(numbers) != 2:
-        raise UserError("diff needs two experiment numbers: asia diff [RUN] N M")
-    opened = open_run(run_directory(runs, name))
-    first, second = (opened.view.experiment(n) for n in numbers)
     console = wide_console()
     for e in (first, second):
         result = describe_result(e, opened.view)

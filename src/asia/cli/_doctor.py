@@ -1,4 +1,4 @@
-"""asia doctor: how well can this machine keep candidates in, and what is plugged in?"""
+"""asia doctor: isolation levels, plugins and attacks on this machine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asia._text import say
+from asia.cli._options.groups import given
 from asia.cli._options.shared import Json
+from asia.cli._redteam import AttackOptions, run_attacks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,17 +31,36 @@ MACOS = (
 
 
 def doctor(
-    json: Json = False,
+    *,
     executor: Annotated[
         str | None,
         typer.Option(
-            help="Ask the machines of an executor instead: dask://HOST:PORT or dask:FILE."
+            help="Test the machines of an executor instead: dask://HOST:PORT or dask:FILE. With "
+            "--attack: its workers, on this machine, fit the folds of the attacks."
         ),
     ] = None,
+    attack: Annotated[
+        bool,
+        typer.Option(
+            "--attack",
+            help="Run scripted attacks against this installation: each must be blocked or "
+            "flagged, and honest candidates must not be. Exit code 1 if not.",
+        ),
+    ] = False,
+    attacks: AttackOptions,
+    json: Json = False,
 ) -> None:
-    """Test every isolation level on this machine, and print how to enable a stronger one."""
+    """Test every isolation level on this machine, print how to enable a stronger one, and list the
+    installed plugins."""
+    from asia.errors import UserError
     from asia.sandbox import machine, survey
 
+    if attack:
+        run_attacks(attacks, executor, json=json)
+        return
+    for name in given(attacks):
+        option = "no-prove" if name == "prove" else name.replace("_", "-")
+        raise UserError(f"--{option} belongs to --attack: add --attack or leave it out")
     if executor is not None:
         _print_executor(executor, json=json)
         return
@@ -65,11 +86,11 @@ def doctor(
         _print_levels(levels)
         _print_parts(plugged, clash)
         say()
-        say("docs/isolation.md says what each level stops and what not.")
+        say("docs/isolation.md lists the attacks that each level stops.")
 
 
 def _print_executor(name: str, *, json: bool) -> None:
-    """Every worker of an executor. Exit code 2 where one cannot work for a search from here."""
+    """Print every worker of an executor. Exit code 2 if one cannot work for a search from here."""
     from json import dumps
 
     from asia.evaluation import survey_machines
@@ -81,7 +102,7 @@ def _print_executor(name: str, *, json: bool) -> None:
     if json:
         say(dumps({"executor": name, "workers": [asdict(state) for state in states]}))
     elif carrier is None:
-        say(f"executor {name} has folds fitted on this machine: asia doctor tells about it")
+        say(f"executor {name} fits folds on this machine: run asia doctor without --executor")
     for state in () if json else states:
         level = f"{state.isolation} ({', '.join(state.layers)})" if state.isolation else "none"
         say(
@@ -100,15 +121,15 @@ class _Gpu:
     """The GPU of this machine."""
 
     driver: str
-    """What its driver says."""
+    """Name that the driver reports."""
     jax: str | None
-    """What JAX calls it; None where workers do not reach it."""
+    """Name in JAX; None if workers cannot use it."""
     why_not: str | None
-    """Why not."""
+    """Reason if workers cannot use it."""
 
 
 def _gpu(levels: Sequence[LevelState]) -> _Gpu | None:
-    """Tried at the level that a search uses here; None where there is none."""
+    """Test the GPU at the isolation level that a search uses here; None without a GPU."""
     from asia.errors import SandboxError
     from asia.sandbox import gpu_here, gpu_nodes, gpu_words
 
@@ -134,7 +155,7 @@ def _print_gpu(gpu: _Gpu | None) -> None:
 
 
 def _plugged() -> tuple[tuple[Part, ...], str | None]:
-    """The parts of other packages; without them, why they cannot be listed."""
+    """Return the parts of other packages, or the reason why they cannot be listed."""
     from asia._plugins import parts
     from asia.errors import UserError
 
@@ -145,7 +166,7 @@ def _plugged() -> tuple[tuple[Part, ...], str | None]:
 
 
 def _part_object(part: Part) -> dict[str, str | None]:
-    """For scripts: the part, and why it cannot be loaded."""
+    """Return a part as JSON, with the reason if it does not load."""
     found = asdict(part)
     kind = found.pop("group").removeprefix("asia.")
     return {"kind": kind, **found, "failure": part.why_not()}
@@ -178,7 +199,7 @@ def _print_levels(levels: Sequence[LevelState]) -> None:
 def _print_parts(plugged: Sequence[Part], clash: str | None) -> None:
     say()
     if not plugged:
-        say(f"{'plugged in':<{_INDENT}}{clash or 'nothing: no other package brings a part'}")
+        say(f"{'plugged in':<{_INDENT}}{clash or 'nothing: no other package adds a part'}")
         return
     heads = [f"{p.group.removeprefix('asia.')} {p.name}" for p in plugged]
     width = max(_INDENT, *(len(head) + 2 for head in heads))

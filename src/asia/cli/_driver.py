@@ -1,4 +1,4 @@
-"""What proposes, as the run command sees it."""
+"""Agents as the run command starts them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Driver:
-    """What the command needs of an agent."""
+    """Name, factory and settings of an agent."""
 
     name: str
     """The agent's name, part of the run's name."""
     make: Callable[[Prepared, int], Agent]
-    """Makes the agent for a search, in the leg of a relay or, with 0, alone."""
+    """Makes the agent for a search: in a leg of a relay, or alone with 0."""
     settings: dict[str, str] = field(default_factory=dict[str, str])
-    """What the ledger holds of the agent's settings, no keys among them."""
+    """Settings of the agent that the ledger records; no keys."""
     words: tuple[str, ...] = ()
-    """Said to the person beforehand."""
+    """Lines that are printed before the search."""
     legs: tuple[Leg, ...] = ()
-    """The legs of a relay, the last one with the number that was asked for."""
+    """The legs of a relay, the last one with the requested number of experiments."""
 
     def search(
         self,
@@ -35,7 +35,7 @@ class Driver:
         on_start: Callable[[SearchView], None],
         executor: Executor,
     ) -> SearchView:
-        """Run the search; what the agent has started is ended afterwards."""
+        """Run the search, then end the processes that the agent started."""
         from asia.agents import RelayAgent
         from asia.drive.command import CommandAgent, search_beside
 
@@ -46,7 +46,8 @@ class Driver:
 
 
 def named_agent(name: str, space: str | None) -> NamedAgent:
-    """As `choose_agent`; the name of a coding agent is answered with how to call it."""
+    """Return the agent as `choose_agent` does. Raises UserError for a coding agent without
+    `command:`."""
     from asia.agents import choose_agent
     from asia.drive.command import PRESETS
     from asia.errors import UserError
@@ -57,7 +58,7 @@ def named_agent(name: str, space: str | None) -> NamedAgent:
 
 
 def refuse_for_others(agents: Sequence[str], *, owners: Sequence[str], **given: object) -> None:
-    """Raises UserError when an option of some agents was given to others: it would be lost."""
+    """Raise UserError if an option of some agents was given to others."""
     from asia.errors import UserError
 
     kinds = [agent.partition(":")[0] for agent in agents]
@@ -71,7 +72,7 @@ def refuse_for_others(agents: Sequence[str], *, owners: Sequence[str], **given: 
 
 
 def agent_driver(chosen: Agent | NamedAgent) -> Driver:
-    """An agent that is asked."""
+    """Return the driver of an agent with `propose`."""
     from asia.agents import NamedAgent, settings_of
 
     if not isinstance(chosen, NamedAgent):
@@ -80,7 +81,7 @@ def agent_driver(chosen: Agent | NamedAgent) -> Driver:
 
 
 def relay_driver(plans: Sequence[LegPlan], drivers: Sequence[Driver]) -> Driver:
-    """Several agents, one after the other. Raises UserError as `RelayAgent`."""
+    """Return the driver of a relay of agents. Raises UserError as `RelayAgent` does."""
     from asia.agents import RelayAgent, Runner, check_legs, relay_name
     from asia.ledger import Leg
 

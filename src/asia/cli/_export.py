@@ -1,4 +1,4 @@
-"""asia export: the model for other programs."""
+"""asia export: code of the model for other programs."""
 
 from __future__ import annotations
 
@@ -21,9 +21,7 @@ def export(
     run: RunName = None,
     to: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Target, more than once for several: numpy, c, onnx, fmu, casadi, control, matlab."
-        ),
+        typer.Option(help="Target, repeatable: numpy, c, onnx, fmu, casadi, control, matlab."),
     ] = None,
     model: Annotated[
         str | None,
@@ -33,15 +31,16 @@ def export(
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for a folder a target; default: export in the run.")
+        Path | None,
+        typer.Option(help="Folder for one folder per target; default: export in the run."),
     ] = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
-    """Print a model of a run as code for other programs.
+    """Write a model of a run as code for other programs.
 
-    Compares what it printed with ASIA's own simulation of the training windows and writes nothing
-    that differs.
+    Compares the code with ASIA's own simulation of the training windows, and writes only code that
+    agrees.
     """
     from asia.errors import UserError
     from asia.export import export as write

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 SEAL_FRACTION = 0.2
 _SILENT_SECONDS = 2.0
+BRIEF_HELP = frozenset(
+    {"name", "train", "test", "inputs", "outputs", "sampling_time", "seal", "time", "yes"}
+)
 LISTS = ("--train", "--test", "--inputs", "--outputs", "--columns", "--test-experiments")
 
 
@@ -31,11 +34,11 @@ Inputs = Annotated[list[str] | None, typer.Option(help="Input columns. Asked for
 Outputs = Annotated[list[str] | None, typer.Option(help="Output columns. Asked for on a terminal.")]
 Yes = Annotated[
     bool,
-    typer.Option("--yes", help="Ask nothing: take the columns that are found, and seal a test."),
+    typer.Option("--yes", help="Ask nothing: use the detected columns, and seal a test."),
 ]
 Step = Annotated[
     float | None,
-    typer.Option(help="Sampling time in seconds, above 0. Left out: found from the time stamps."),
+    typer.Option(help="Sampling time in seconds, above 0. Default: from the time stamps."),
 ]
 Sealed = Annotated[
     bool | None,
@@ -47,7 +50,7 @@ Sealed = Annotated[
 ]
 TestExperiments = Annotated[
     list[str] | None,
-    typer.Option(help="Experiments in the training files that are the test, by their names."),
+    typer.Option(help="Names of the experiments in the training files that are the test."),
 ]
 
 Delay = Annotated[
@@ -56,10 +59,12 @@ Delay = Annotated[
 ]
 Decimate = Annotated[int, typer.Option(help="Keep every Nth sample. [preprocess]")]
 Detrend = Annotated[
-    bool, typer.Option("--detrend", help="Take the training mean off every signal. [preprocess]")
+    bool,
+    typer.Option("--detrend", help="Subtract the training mean from every signal. [preprocess]"),
 ]
 Scale = Annotated[
-    bool, typer.Option("--scale", help="Divide every signal by its spread. [preprocess]")
+    bool,
+    typer.Option("--scale", help="Divide every signal by its standard deviation. [preprocess]"),
 ]
 
 
@@ -124,7 +129,7 @@ def init(
 
 
 def _progress() -> Callable[[str], None]:
-    """Says how far a long reading or writing is, every two seconds."""
+    """Return a callback that prints progress at most every two seconds."""
     said = monotonic()
 
     def tell(text: str) -> None:
@@ -143,9 +148,9 @@ def _print_made(made: NewProblem, name: Path, *, has_test: bool) -> None:
     if made.store is not None:
         _print_sealed(made, "the test records" if has_test else "the last 20 % of each record")
     elif has_test:
-        say("note     the test files stay where they are, in plain text; --seal encrypts them")
+        say("note     the test files are not encrypted; --seal encrypts them")
     else:
-        say("note     no test data. --seal holds out the last 20 % of each record as the test")
+        say("note     no test data: asia unseal cannot score this problem")
     say(f"next     describe the system in {made.path.parent / 'description.md'}")
     say(f"         asia check {name}")
     say(f"         asia run {name}")
@@ -155,18 +160,15 @@ def _print_sealed(made: NewProblem, what: str) -> None:
     from asia.problem.load import key_folder
 
     say(f"sealed   {what}, encrypted, in {made.store}; the search will not see it")
-    say(f"key      {made.key}: keep a copy elsewhere, without it nobody can open the test")
+    say(f"key      {made.key}: keep a copy elsewhere; the test cannot be opened without it")
     if made.key is not None and made.key.parent != key_folder():
         say(
-            f"note     set ASIA_KEYS={made.key.parent} when you search, so that no agent is shown "
-            "that folder"
+            f"note     set ASIA_KEYS={made.key.parent} when you search, so that no agent "
+            "sees that folder"
         )
     for path in made.removed:
         say(f"removed  {path}")
     if made.removed:
-        say(
-            "note     removing a file wipes neither the disk nor backups, snapshots and version "
-            "control"
-        )
+        say("note     disks, backups, snapshots and version control may keep copies of these files")
     for note in made.notes:
         say(f"note     {note}")

@@ -1,4 +1,4 @@
-"""asia llm-check: can this language model do it?"""
+"""asia agent check: test a language model on a simulated problem."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def llm_check(
     models: ModelOptions,
     llm: LlmOptions,
 ) -> None:
-    """Let a language model search on a simulated problem for two minutes, and report whether it
-    keeps to the form of an answer, how often that was mended, and its tokens a step.
+    """Let a language model search on a simulated problem for two minutes. Report whether its
+    answers have the required form, how many were repaired, and its tokens per step.
 
-    Without --model the first one that the server lists. The report stays in the run, in
-    llm-check.json. Exit code 3: not able.
+    Default model: the first one that the server lists. The report is kept as llm-check.json in the
+    run. Exit code 3: not able.
     """
     from asia.agents.llm.models import first_model
     from asia.agents.llm.report import llm_report
@@ -51,7 +51,9 @@ def llm_check(
     from asia.search import prepare, search
 
     if llm.base_url is None and models.model is None:
-        raise UserError("llm-check needs a server or a model: give --base-url, --model or both")
+        raise UserError(
+            "asia agent check needs a server or a model: give --base-url, --model or both"
+        )
     if models.model is None:
         models = replace(models, model=first_model(llm.base_url or "", llm.api_key_env))
     agent = llm.agent(models)
@@ -80,13 +82,13 @@ def llm_check(
 
 
 def _name(model: str) -> str:
-    """A run of its own each time: a server that was changed is asked anew."""
+    """Return a new run name, because the server may have changed since the last check."""
     words = re.sub(r"\W+", "-", model).strip("-") or "model"
     return f"llm-check-{words}-{time.strftime('%Y%m%d-%H%M%S')}"
 
 
 def _within(ready: Prepared, end: float) -> OnEvent:
-    """Says each result, and ends the search when the time is over."""
+    """Print each result, and stop the search when the time is over."""
     from asia.ledger import Evaluated, describe_result
     from asia.search import Steering
 
@@ -115,12 +117,12 @@ def _print(report: LlmReport, seconds: float) -> None:
     say(f"{report.model} at {report.base_url or 'the default server'}: {report.verdict}")
     say(
         f"form of the answer   {report.at_once} of {report.steps} at once, {report.repaired} "
-        f"mended, {report.without_candidate} without a candidate"
+        f"repaired, {report.without_candidate} without a candidate"
     )
     say(f"candidates           {report.scored} of {report.steps} with a score")
     say(f"best                 {best}; the baseline has {baseline}")
     say(
-        f"tokens               {report.tokens_a_step:.0f} a step; longest request "
+        f"tokens               {report.tokens_a_step:.0f} per step; longest request "
         f"{report.prompt_tokens}, longest reply {report.reply_tokens}"
     )
     say(f"time                 {duration(seconds)}")

@@ -1,5 +1,5 @@
-"""asia mcp: the search as a server of the Model Context Protocol; asia mcp-config: what a
-coding agent needs to start it."""
+"""asia agent mcp: a search as a server of the Model Context Protocol; asia agent config: the
+configuration of its clients."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def mcp(
 ) -> None:
     """Serve a search to a coding agent: it submits candidates, the search evaluates them.
 
-    Coding agents start this themselves: asia mcp-config prints their configuration. The search
-    is a separate process and continues after this one; asia status, steer and stop work on it.
+    Coding agents start this command themselves: asia agent config prints their configuration. The
+    search is a separate process and outlives this one; asia status and asia steer work on it.
     """
     from asia.errors import UserError
     from asia.mcp import AGENT, open_search, require_sdk, serve_http, serve_stdio
@@ -44,7 +44,7 @@ def mcp(
     require_sdk()
     request = options.request(problem, AGENT)
     if token_env is not None and http is None:
-        raise UserError("--token-env belongs to --http: over stdio there is no token")
+        raise UserError("--token-env belongs to --http: stdio uses no token")
     opened = open_search(request, runs, options.name)
     if http is not None:
         serve_http(opened, http, token_env)
@@ -61,7 +61,7 @@ def mcp_config(
     options: SearchOptions,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """Print what a coding agent's configuration needs to start asia mcp.
+    """Print the configuration with which a coding agent starts asia agent mcp.
 
     The configuration goes to stdout, the name of its file and notes to stderr.
     """

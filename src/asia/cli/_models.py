@@ -1,4 +1,4 @@
-"""asia models: what a candidate can import."""
+"""asia models: the model families that a candidate can import."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def models(
         typer.Option(help="Problem for the example; default this workspace's, else two_tanks_sim."),
     ] = None,
 ) -> None:
-    """Print the model families, or all about one: its options, how it is trained, an example."""
+    """Print the model families, or one of them: options, training, an example."""
     from asia._nearest import nearest
     from asia.agents import all_families, family_page
     from asia.errors import UserError
@@ -32,7 +32,7 @@ def models(
         width = max(len(row.name) for row in rows)
         for row in rows:
             say(f"{row.name:<{width}}  {row.use}")
-        say("asia models NAME prints all about one family")
+        say("asia models NAME prints options, training and an example")
         return
     found = next((row for row in rows if row.name == name), None)
     if found is None:
@@ -42,7 +42,7 @@ def models(
 
 
 def _facts(problem: str | None) -> Facts:
-    """Of the problem named, of the workspace around, or of a built-in one."""
+    """Return the facts of the named problem, of this workspace, or of a built-in problem."""
     from asia.drive import Workspace
     from asia.problem.load import load_problem
     from asia.search import problem_facts

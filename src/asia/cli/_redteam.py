@@ -1,4 +1,4 @@
-"""asia redteam: does cheating pay on this machine?"""
+"""asia doctor --attack: run attacks against this installation."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import sys
 import time
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from functools import partial
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from asia._text import say, say_lines
-from asia.cli._options.shared import Json
 from asia.errors import UserError
 
 if TYPE_CHECKING:
@@ -24,57 +24,66 @@ if TYPE_CHECKING:
     from asia.redteam import Attack, Finding, HonestFinding, RedTeamPlan, SuspicionFinding
     from asia.sandbox import Isolation, Layer
 
-LISTS = ("--level", "--attack", "--without", "--honest-on")
+LISTS = ("--level", "--only", "--without", "--honest-on")
 EACH, CHECKS = "each", "checks"
-
-Levels = Annotated[
-    list[str] | None,
-    typer.Option(metavar="LEVEL ...", help="Of namespace, landlock, process; default all that work "
-    "here but process."),
-]  # fmt: skip
-Numbers = Annotated[
-    list[int] | None,
-    typer.Option(metavar="N ...", help="Attacks by number; default all, and honest candidates."),
-]
-Without = Annotated[
-    list[str] | None,
-    typer.Option(metavar="LAYER|CHECK ...", help="Show which attacks succeed without layers: of "
-    "landlock, seccomp, rlimits; or 'each', one layer after the other. Or without checks: of "
-    "causality, strangers, block-end, ...; or 'checks', each attack without those that stop it."),
-]  # fmt: skip
-HonestOn = Annotated[
-    list[str] | None,
-    typer.Option(metavar="PROBLEM ...", help="Try the families' own first candidates on these "
-    "problems, in full, and no attack; takes long."),
-]  # fmt: skip
-Through = Annotated[
-    str | None,
-    typer.Option("--executor", metavar="NAME", help="Have the attacks' folds fitted by workers of "
-    "this machine: dask:FILE. Without honest candidates and attacks of agents."),
-]  # fmt: skip
+_option = partial(typer.Option, rich_help_panel="Attacks (--attack)")
 
 
-def redteam(
-    level: Levels = None,
-    attack: Numbers = None,
-    without: Without = None,
-    honest_on: HonestOn = None,
+@dataclass(frozen=True)
+class AttackOptions:
+    """Options of the attacks that `asia doctor --attack` runs."""
+
+    level: Annotated[
+        list[str] | None,
+        _option(
+            metavar="LEVEL ...",
+            help="Some of namespace, landlock, process; default: all that work here except "
+            "process.",
+        ),
+    ] = None
+    only: Annotated[
+        list[int] | None,
+        _option(
+            metavar="N ...",
+            help="Attacks by number; default: all, and the honest candidates.",
+        ),
+    ] = None
+    without: Annotated[
+        list[str] | None,
+        _option(
+            metavar="LAYER|CHECK ...",
+            help="Show which attacks succeed without some layers (landlock, seccomp, rlimits; "
+            "'each': one layer after the other) or without some checks (causality, strangers, "
+            "block-end, ...; 'checks': each attack without the checks that stop it).",
+        ),
+    ] = None
+    honest_on: Annotated[
+        list[str] | None,
+        _option(
+            metavar="PROBLEM ...",
+            help="Run only the first candidates of all model families on these problems, in "
+            "full; takes long.",
+        ),
+    ] = None
     quick: Annotated[
-        bool, typer.Option("--quick", help="Each honest model family on one problem, not on two.")
-    ] = False,
+        bool, _option("--quick", help="Try each honest model family on one problem, not on two.")
+    ] = False
     prove: Annotated[
         bool,
-        typer.Option(help="Also show that the attacks work with isolation off (needs bubblewrap)."),
-    ] = True,
-    executor: Through = None,
-    json: Json = False,
-) -> None:
-    """Let scripted cheats attack this installation: each must be blocked or flagged, and honest
+        _option(help="Also show that the attacks work with isolation off (needs bubblewrap)."),
+    ] = True
+
+
+def run_attacks(options: AttackOptions, executor: str | None, *, json: bool) -> None:
+    """Run scripted attacks against this installation: each must be blocked or flagged, and honest
     candidates must not be.
 
     Attacks run without isolation only in an outer sandbox. Exit code 1 if an attack succeeds, if an
     attack does not succeed even with isolation off, or if an honest candidate could not be checked.
+    executor: workers of this machine that fit the folds of the attacks.
     """
+    level, attack, without = options.level, options.only, options.without
+    honest_on, quick, prove = options.honest_on, options.quick, options.prove
     chosen = _attacks(attack)
     if without:
         others = (
@@ -88,10 +97,10 @@ def redteam(
             _show_without(_levels(level), without, chosen, attack is not None, json)
         return
     if honest_on:
-        others = (("--attack", attack), ("--quick", quick), ("--executor", executor))
+        others = (("--only", attack), ("--quick", quick), ("--executor", executor))
         _refuse("--honest-on", others, "tries every family on its problems, and no attack")
     elif attack:
-        _refuse("--attack", (("--quick", quick),), "leaves the honest candidates out")
+        _refuse("--only", (("--quick", quick),), "leaves the honest candidates out")
     elif executor:
         _refuse("--executor", (("--quick", quick),), "leaves the honest candidates out")
     from asia.redteam import RedTeamPlan, honest_plan, problem_named, why_no_outer
@@ -99,7 +108,7 @@ def redteam(
     levels = _levels(level)
     missing = why_no_outer()
     if prove and missing is not None:
-        say(f"isolation off is not shown: {missing}", file=sys.stderr)
+        say(f"attacks with isolation off are left out: {missing}", file=sys.stderr)
     honest = honest_plan(quick) if attack is None and executor is None else ()
     engine = None if executor is None else _engine(executor)
     chosen = chosen if engine is None else _of_candidates(chosen, attack is not None)
@@ -153,7 +162,7 @@ def _show_without(
     open_field = ", ".join(str(attack.number) for attack in attacks if not attack.walled)
     if named and open_field:
         raise UserError(
-            f"no layer has a part in attack {open_field}: leave it out of --attack, or leave "
+            f"no layer has a part in attack {open_field}: leave it out of --only, or leave "
             "--without out"
         )
     names = {attack.number: attack.name for attack in attacks}
@@ -189,7 +198,7 @@ def _show_unchecked(
     if not concerned or (named and left):
         raise UserError(
             f"--without {' '.join(words)}: these checks have no part in attack {left}: leave it "
-            "out of --attack, or leave --without out"
+            "out of --only, or leave --without out"
         )
     names = {attack.number: attack.name for attack in attacks}
     with _one_interrupt():
@@ -201,7 +210,7 @@ def _show_unchecked(
 
 
 def _names_checks(words: list[str]) -> bool:
-    """Whether the words name checks and not layers. Raises UserError where both are named."""
+    """Tell whether the words name checks and not layers. Raises UserError if both are named."""
     checks = [word in _check_names() or word == CHECKS for word in words]
     if any(checks) and (not all(checks) or (CHECKS in words and len(words) > 1)):
         raise UserError(
@@ -224,8 +233,8 @@ def _refuse(option: str, others: Sequence[tuple[str, object]], why: str) -> None
 
 @contextmanager
 def _one_interrupt() -> Generator[None]:
-    """The first says that what runs is waited for; others meanwhile change nothing, as they would
-    leave behind what the attack was given to attack."""
+    """End after the running attack on the first interrupt, and ignore others: they would leave the
+    target of the attack behind."""
 
     def end(number: int, frame: FrameType | None) -> None:
         for one in before:
@@ -257,13 +266,13 @@ def _attacks(numbers: list[int] | None) -> tuple[Attack, ...]:
     known = {attack.number for attack in ATTACKS}
     for number in numbers or ():
         if number not in known:
-            raise UserError(f"--attack {number}: there are attacks 1 to {max(known)}")
+            raise UserError(f"--only {number}: there are attacks 1 to {max(known)}")
     return tuple(a for a in ATTACKS if numbers is None or a.number in numbers)
 
 
 def _engine(name: str) -> Executor:
-    """The executor, whose workers are known to be here: attacks aim at files and processes of this
-    machine, and what they leave is looked for on it. Raises UserError."""
+    """Make the executor. Raises UserError if a worker is on another machine: attacks aim at files
+    and processes of this one."""
     import socket
 
     from asia.evaluation import survey_machines
@@ -275,20 +284,20 @@ def _engine(name: str) -> Executor:
         if state.machine != socket.gethostname():
             raise UserError(
                 f"--executor {name}: worker {state.worker} is on {state.machine}, and attacks aim "
-                "at this machine; run asia redteam there, without --executor"
+                "at this machine; run asia doctor --attack there, without --executor"
             )
     return found
 
 
 def _of_candidates(attacks: tuple[Attack, ...], named: bool) -> tuple[Attack, ...]:
-    """Those that a candidate makes. Raises UserError where others are asked for by number."""
+    """Return the attacks made by candidates. Raises UserError if others are requested by number."""
     from asia.redteam import CandidateAttack
 
     left = ", ".join(str(a.number) for a in attacks if not isinstance(a, CandidateAttack))
     if named and left:
         raise UserError(
             f"--executor has no part in attack {left}, which an agent makes: leave it out of "
-            "--attack, or leave --executor out"
+            "--only, or leave --executor out"
         )
     return tuple(a for a in attacks if isinstance(a, CandidateAttack))
 

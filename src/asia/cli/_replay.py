@@ -1,17 +1,16 @@
-"""asia replay: does a search come out the same?"""
+"""asia verify --replay: repeat a search from its ledger and compare."""
 
 from __future__ import annotations
 
 import json as jsonlib
 import sys
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from asia._text import say
-from asia.cli._options.run_directory import run_directory
-from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
 
 if TYPE_CHECKING:
     from asia.search import Replayed, ReplayReport
@@ -19,28 +18,12 @@ if TYPE_CHECKING:
 DIFFERS = 1
 
 
-def replay(
-    run: RunName = None,
-    from_scratch: Annotated[
-        bool,
-        typer.Option(help="On another machine: outcomes agree within --tolerance, not bitwise."),
-    ] = False,
-    tolerance: Annotated[
-        float, typer.Option(min=0.0, help="Relative difference of V allowed with --from-scratch.")
-    ] = 0.01,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
-) -> None:
-    """Repeat a search from its ledger: ask the agent and evaluate every candidate again, compare.
-
-    Needs no network and no key, and writes nothing. Experiments that the deadline affected are
-    not evaluated again. Exit code 1: something differs.
-    """
+def replay_search(directory: Path, tolerance: float, *, json: bool) -> None:
+    """Repeat a search from its ledger: query the agent and evaluate every candidate again. Exit
+    code 1 if an outcome differs by more than `tolerance` of V; 0.0: bitwise."""
     from asia.search import replay_run
 
-    directory = run_directory(runs, run)
-    show = _print_json if json else _print
-    report = replay_run(directory, show, tolerance if from_scratch else 0.0)
+    report = replay_run(directory, _print_json if json else _print, tolerance)
     if json:
         say(jsonlib.dumps({"event": "done", **_summary(report)}), flush=True)
     else:

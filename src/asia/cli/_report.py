@@ -1,4 +1,4 @@
-"""asia report: the page and the pictures of a run, and what a paper needs of it."""
+"""asia report: the page and the pictures of a run; figures, tables and methods for a paper."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def report(
     ] = None,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """Write a run as one HTML page, and draw it as PNG and PDF pictures."""
+    """Write a run as one HTML page, and its pictures as PNG and PDF."""
     if bundle is not None:
         _publish(runs, bundle)
         return
@@ -61,7 +61,7 @@ def _publish(runs: Path, directory: Path) -> None:
 
 
 def _whole(directory: Path) -> None:
-    """The page and the pictures, into the run's own folder."""
+    """Write the page and the pictures into the folder of the run."""
     from asia.cli._output.words import use_lines
     from asia.ledger import Store, open_run
     from asia.report import write_page, write_report
@@ -75,6 +75,6 @@ def _whole(directory: Path) -> None:
         say(line, file=sys.stderr)
     if not Store(directory / "artifacts").kept:
         say(
-            "the other pictures need the simulations, and the ledger came without its artifacts",
+            "other pictures left out: they need simulations, and the run has no artifacts",
             file=sys.stderr,
         )

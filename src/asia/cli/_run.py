@@ -1,4 +1,4 @@
-"""asia run: search."""
+"""asia run: search for a model."""
 
 from __future__ import annotations
 
@@ -34,14 +34,18 @@ if TYPE_CHECKING:
     from asia.search import Prepared
 
 NOTHING_FOUND = 3
+BRIEF_HELP = frozenset(
+    {"problem", "agent", "experiments", "seed", "hours", "name", "runs", "parallel", "executor"}
+    | {"isolation", "model", "json"}
+)
 
 Space = Annotated[
     str | None,
-    typer.Option(help="What random draws from: library (default), or the paper's: paper."),
+    typer.Option(help="Search space of random: library (default), or paper."),
 ]
 Sinks = Annotated[
     list[str] | None,
-    typer.Option(help="Give the events to an installed sink, or module:Name; repeatable."),
+    typer.Option(help="Send the events to an installed sink, or module:Name; repeatable."),
 ]
 
 
@@ -51,8 +55,8 @@ def run(
     agent: Annotated[
         str,
         typer.Option(
-            help="Who proposes: expert, random, bayes, llm, command:NAME, or your module:Class; "
-            "several after one another: expert*8,bayes."
+            help="Agent: expert, random, bayes, llm, command:NAME, or your module:Class; a relay: "
+            " expert*8,bayes."
         ),
     ] = "expert",
     space: Space = None,
@@ -66,7 +70,7 @@ def run(
     llm: LlmOptions,
     command: CommandOptions,
 ) -> None:
-    """Search for a model. The same command again resumes; more --experiments extends.
+    """Search for a model. Repeat the command to resume; more --experiments extends the search.
 
     Exit code 3: the search is finished and no candidate has a score.
     """
@@ -99,7 +103,7 @@ def run(
 
 
 def _problem(name: str, options: SearchOptions, driver: Driver) -> Problem:
-    """The problem with the settings of the command line, and the budget of a relay."""
+    """Load the problem with the settings of the command line, and the budget of a relay."""
     from asia.problem.load import load_problem
     from asia.search import with_relay_budget
 
@@ -118,7 +122,7 @@ def _search(
     profile: bool,
     json: bool,
 ) -> SearchView:
-    """Search and draw the report, and say so; watch: has what took time before."""
+    """Search, then draw the report. watch: time of the preparation."""
     from asia._boundary import diagnostic
     from asia._stopwatch import Activity
     from asia.cli._output.display import make_display
@@ -148,7 +152,7 @@ def _search(
 def _driver(
     agent: str, space: str | None, models: ModelOptions, llm: LlmOptions, command: CommandOptions
 ) -> Driver:
-    """Who proposes. Raises UserError for an option that the agent does not have."""
+    """Make the driver of the agent. Raises UserError for an option of another agent."""
     from asia.agents import asked_relay
 
     plans = asked_relay(agent)

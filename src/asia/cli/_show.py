@@ -1,4 +1,4 @@
-"""asia show: one experiment, whole."""
+"""asia show: one experiment, or two side by side."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from typing import Annotated
 import typer
 
 from asia._text import hand_over, printable
+from asia.cli._diff import print_difference
 from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Json, Runs
 
 
-def split_arguments(words: list[str], numbers: int) -> tuple[str | None, list[int]]:
-    """`[RUN] N ...` -> run name or None, and at most `numbers` experiment numbers."""
+def _split_arguments(words: list[str]) -> tuple[str | None, list[int]]:
+    """`[RUN] [N [M]]` -> run name or None, and the experiment numbers."""
     from asia.errors import UserError
 
     name = words[0] if words and not words[0].isdecimal() else None
     rest = words[1:] if name is not None else words
-    if not all(w.isdecimal() for w in rest) or len(rest) > numbers:
-        raise UserError(f"expected [RUN] and up to {numbers} experiment number(s), got: {words}")
+    if not all(w.isdecimal() for w in rest) or len(rest) > 2:
+        raise UserError(f"expected [RUN] [N [M]] with experiment numbers, got: {' '.join(words)}")
     return name, [int(w) for w in rest]
 
 
@@ -27,43 +28,50 @@ def show(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[RUN] [N]",
-            help="Run (newest) and experiment (the best, or the last while none has a score).",
+            metavar="[RUN] [N [M]]",
+            help="Run (default: the newest) and experiment (default: the best, or the last if none "
+            "has a score). Two numbers: both experiments, and the change of the source.",
         ),
     ] = None,
-    source: Annotated[bool, typer.Option("--source", help="Print candidate.py alone.")] = False,
+    source: Annotated[bool, typer.Option("--source", help="Print only candidate.py.")] = False,
     as_json: Json = False,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """Print an experiment: hypothesis, result, what was identified, evidence, source."""
+    """Print an experiment: hypothesis, result, identified parameters, evidence, source. With two
+    numbers, compare two experiments."""
     from rich.syntax import Syntax
 
     from asia.cli._output.experiment import describe, experiment_object, wide_console
     from asia.errors import UserError
     from asia.ledger import open_run
 
-    name, numbers = split_arguments(words or [], 1)
+    name, numbers = _split_arguments(words or [])
     opened = open_run(run_directory(runs, name))
     view = opened.view
     if not view.experiments:
         raise UserError(f"run '{opened.name}' has no experiment yet")
-    shown = view.best or view.experiments[-1]
-    experiment = view.experiment(numbers[0]) if numbers else shown
-    kept = opened.store.kept
+    shown = [view.experiment(n) for n in numbers] or [view.best or view.experiments[-1]]
     if source:
-        hand_over(opened.store.text(experiment.proposed.source))
+        if len(shown) > 1:
+            raise UserError("--source prints one candidate.py: give one experiment number")
+        hand_over(opened.store.text(shown[0].proposed.source))
         return
     if as_json:
-        hand_over(json.dumps(experiment_object(opened, experiment), allow_nan=False) + "\n")
+        for experiment in shown:
+            line = json.dumps(experiment_object(opened, experiment), allow_nan=False)
+            hand_over(line + "\n")
+        return
+    if len(shown) > 1:
+        print_difference(opened, *shown)
         return
     console = wide_console()
-    describe(console, opened, experiment)
-    if not kept:
+    describe(console, opened, shown[0])
+    if not opened.store.kept:
         console.print(
-            "\ncandidate.py and what it printed are not here: the ledger came without its artifacts"
+            "\ncandidate.py and its output are not here: the ledger came without its artifacts"
         )
         return
-    text = opened.store.text(experiment.proposed.source)
+    text = opened.store.text(shown[0].proposed.source)
     console.print("\ncandidate.py", style="bold")
     if console.is_terminal:
         console.print(Syntax(printable(text), "python", background_color="default"))

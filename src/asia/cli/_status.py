@@ -1,4 +1,4 @@
-"""asia status: where a run stands."""
+"""asia status: the progress of a run."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _object(directory: Path, found: Brief) -> dict[str, Any]:
 
 
 def _engine_object(view: SearchView) -> dict[str, Any]:
-    """How experiments were evaluated."""
+    """Return the settings of the evaluation."""
     from asia.ledger import folds_ended, folds_passed_over
 
     return {
@@ -99,7 +99,7 @@ def _engine_object(view: SearchView) -> dict[str, Any]:
 
 
 def _state_words(found: Brief) -> str:
-    """The state; of a search whose candidates come from outside also that it waits for one."""
+    """Return the state; `waiting for a candidate` for an idle search of a workspace or server."""
     view = found.view
     outside = view.started.agent in ("workspace", "mcp")
     idle = bool(view.experiments) and view.pending is None and found.finished < view.budget
@@ -149,7 +149,7 @@ def _print(directory: Path, found: Brief) -> None:
     for line in view.failed_checks:
         say(f"note    {line}")
     if view.unsealed is not None:
-        say(f"the test was opened: asia unseal {directory.name} shows the result again")
+        say(f"the test was opened: asia unseal {directory.name} prints the result")
     if beside is not None:
         say(f"control {control_words(beside, view.started)}")
     for rung in view.rungs:
@@ -164,12 +164,12 @@ def _print(directory: Path, found: Brief) -> None:
 
 
 def _remark(view: SearchView) -> str:
-    """What the agent made of the search when it was last asked."""
+    """Return the last remark of the agent."""
     return view.experiments[-1].proposed.remark if view.experiments else ""
 
 
 def _print_course(view: SearchView, *, running: bool) -> None:
-    """What is in flight, and who took over from whom."""
+    """Print the experiments in flight, pruned folds and hand-overs."""
     from asia.cli._output.words import running_words
     from asia.ledger import folds_ended, folds_passed_over, hand_over_words
 
@@ -185,7 +185,7 @@ def _print_course(view: SearchView, *, running: bool) -> None:
 
 
 def _print_winner(view: SearchView) -> None:
-    """What is known of the best candidate beside its V."""
+    """Print the evidence for the best candidate other than V."""
     from asia.cli._output.words import again_words, guard_words, use_lines
     from asia.ledger import dossier_words, floor_words, method_words
 

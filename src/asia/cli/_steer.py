@@ -1,8 +1,8 @@
-"""asia steer, pause, stop: a word to a search that runs."""
+"""asia steer: send a note to a running search, pause, resume or stop it."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,59 +10,78 @@ from asia._text import say
 from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, RunName, Runs
 
+if TYPE_CHECKING:
+    from asia.ledger import Run
+
 
 def steer(
-    run: Annotated[str, typer.Argument(help="Path or name of the run.")],
-    text: Annotated[str, typer.Argument(help="What the agent should know or try.")],
+    run: RunName = None,
+    text: Annotated[str | None, typer.Argument(hidden=True)] = None,
+    note: Annotated[
+        str | None,
+        typer.Option(
+            "--note", metavar="TEXT", help="Write a note; the agent reads it at its next step."
+        ),
+    ] = None,
+    pause: Annotated[
+        bool, typer.Option("--pause", help="Pause after the current experiment.")
+    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="End the pause.")] = False,
+    stop: Annotated[
+        bool,
+        typer.Option(
+            "--stop",
+            help="Stop after the current experiment. The command that began the search resumes it.",
+        ),
+    ] = False,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """Write a note for the agent into the ledger. The agent reads it at its next step."""
-    from asia.agents import reads_notes
+    """Send a note to the agent of a running search; pause, resume or stop the search."""
+    from asia.errors import UserError
     from asia.ledger import open_run
+
+    if text is not None:
+        raise UserError("`asia steer RUN TEXT` is now `asia steer RUN --note TEXT`.")
+    given = {"pause": pause, "resume": resume, "stop": stop}
+    orders = [order for order, wanted in given.items() if wanted]
+    if len(orders) > 1:
+        raise UserError(f"--{orders[0]} and --{orders[1]} do not go together: give one of them")
+    if not orders and note is None:
+        raise UserError("nothing to do: give --note TEXT, --pause, --resume or --stop")
+    opened = open_run(run_directory(runs, run))
+    if (pause or stop) and opened.state != "running":
+        raise UserError(f"run '{opened.name}' is {opened.state}: there is nothing to {orders[0]}")
+    if note is not None:
+        _send_note(opened, note)
+    for order in orders:
+        _give_order(opened, order)
+
+
+def _send_note(opened: Run, note: str) -> None:
+    from asia.agents import reads_notes
     from asia.search import Steering
 
-    opened = open_run(run_directory(runs, run))
-    Steering(opened.directory).steer(text)
     started = opened.view.started
+    Steering(opened.directory).steer(note)
     when = "at its next step" if opened.state == "running" else "when the search continues"
     say(f"noted for {opened.name}: recorded {when}")
     if not reads_notes(started):
         say(f"note     the agent '{started.agent}' reads no notes; the ledger keeps it for people")
 
 
-def pause(
-    run: RunName = None,
-    go_on: Annotated[bool, typer.Option("--end", help="End the pause.")] = False,
-    runs: Runs = DEFAULT_RUNS,
-) -> None:
-    """Pause the search after the current experiment, until asia pause --end."""
-    from asia.errors import UserError
-    from asia.ledger import open_run
+def _give_order(opened: Run, order: str) -> None:
     from asia.search import Steering
 
-    opened = open_run(run_directory(runs, run))
     steering, name = Steering(opened.directory), opened.name
-    if go_on:
-        words = f"{name} continues" if steering.paused else f"{name} was not paused"
+    resume = f"asia steer {name} --resume continues it"
+    if order == "stop":
+        steering.stop()
+        say(f"{name} stops after its current experiment")
+    elif order == "resume":
+        say(f"{name} continues" if steering.paused else f"{name} was not paused")
         steering.go_on()
-        say(words)
-    elif opened.state != "running":
-        raise UserError(f"run '{name}' is {opened.state}: there is nothing to pause")
     elif steering.paused:
-        say(f"{name} is already paused; asia pause {name} --end continues it")
+        say(f"{name} is already paused; {resume}")
     else:
         steering.pause()
-        say(f"{name} pauses after its current experiment; asia pause {name} --end continues it")
-
-
-def stop(run: RunName = None, runs: Runs = DEFAULT_RUNS) -> None:
-    """End the search after the current experiment. The command that began it can continue it."""
-    from asia.errors import UserError
-    from asia.ledger import open_run
-    from asia.search import Steering
-
-    opened = open_run(run_directory(runs, run))
-    if opened.state != "running":
-        raise UserError(f"run '{opened.name}' is {opened.state}: there is nothing to stop")
-    Steering(opened.directory).stop()
-    say(f"{opened.name} stops after its present experiment")
+        say(f"{name} pauses after its current experiment; {resume}")

@@ -1,12 +1,14 @@
-"""asia bench suite: every benchmark beside its board."""
+"""asia bench suite: every benchmark next to its board."""
 
 from __future__ import annotations
 
 import json as jsonlib
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from asia._text import one_line, say, say_lines
+from asia.cli._options.shared import DEFAULT_RUNS, Json, Runs, YesProcess
 from asia.cli._output.comparison import Lines
 
 if TYPE_CHECKING:
@@ -15,27 +17,36 @@ if TYPE_CHECKING:
 
 
 class SuiteLines(Lines):
-    """The lines of each search, and a line for each benchmark."""
+    """Lines of each search, and one line per benchmark."""
 
     def on_benchmark(self, plan: ComparisonPlan) -> None:
-        """Name the benchmark."""
+        """Print the name of the benchmark."""
         self.head(plan)
 
     def on_left_out(self, name: str, reason: str) -> None:
-        """Say why."""
+        """Print the reason."""
         self.print(f"{name} is left out: {one_line(reason)}")
 
 
-def run_suite(
-    only: str | None,
-    runs: Path,
-    experiments: int | None,
-    *,
-    unseal: bool,
-    yes_process: bool,
-    json: bool,
+def suite(
+    only: Annotated[
+        str | None, typer.Option(metavar="NAME,NAME", help="Some of the benchmarks; default all.")
+    ] = None,
+    experiments: Annotated[
+        int | None,
+        typer.Option(min=1, help="Candidates for each search; default the problem's number."),
+    ] = None,
+    unseal: Annotated[
+        bool, typer.Option("--unseal", help="At the very end, open the sealed tests.")
+    ] = False,
+    yes_process: YesProcess = False,
+    runs: Runs = DEFAULT_RUNS,
+    json: Json = False,
 ) -> None:
-    """Search, then print the table."""
+    """Search every benchmark once with the expert, and print the results next to its board.
+
+    Without --unseal no test is opened. After an interrupt, the same command continues.
+    """
     from asia.bench.suite import SuitePlan, bench_suite, select_problems
 
     plan = SuitePlan(select_problems(only), runs, experiments)

@@ -30,10 +30,10 @@ def try_(
     ] = "",
     expect: Annotated[
         str,
-        typer.Option(help="What you expect of V and of residuals, in words or a number."),
+        typer.Option(help="Expected V and residuals, as text or a number."),
     ] = "",
     parent: Annotated[
-        int | None, typer.Option(help="Experiment that the candidate was made from.")
+        int | None, typer.Option(help="Experiment that the candidate was derived from.")
     ] = None,
     family: Annotated[str, typer.Option(help="Kind of model, in a word or two.")] = "",
     folder: Annotated[
@@ -42,7 +42,7 @@ def try_(
     dry_run: Annotated[
         bool,
         typer.Option(
-            "--dry-run", help="Only fit and simulate on some training samples: no experiment."
+            "--dry-run", help="Only fit and simulate on some training samples; uses no experiment."
         ),
     ] = False,
     plot: Annotated[
@@ -60,7 +60,7 @@ def try_(
     from asia.drive import CANDIDATE, Workspace
 
     if dry_run and plot:
-        raise UserError("--plot draws a judged candidate, and --dry-run judges none: leave one out")
+        raise UserError("--plot needs a score, and --dry-run gives none: leave one of them out")
     if not dry_run and not message.strip():
         raise UserError(
             'a candidate needs a hypothesis: asia try -m "what you changed, and why it should help"'
@@ -103,7 +103,7 @@ def _submit(place: Workspace, desk: Desk, proposal: Proposal, *, plot: bool, jso
 
 
 def _drawn(place: Workspace, desk: Desk, experiment: int) -> tuple[str, ...]:
-    """The pictures of an experiment; none where they fail, for its result stands."""
+    """Draw the pictures of an experiment; a failure is reported and the result stays valid."""
     from asia.errors import UserError
 
     try:
@@ -128,8 +128,8 @@ def _dry_run(desk: Desk, source: str, *, json: bool) -> None:
 
 def _repeated_line(result: ExperimentSummary) -> str:
     return (
-        f"not judged again: comments apart, this is the source of #{result.experiment:02d}. Its "
-        "result stands, and no experiment was spent for it:"
+        f"not evaluated again: the source equals that of #{result.experiment:02d}, apart from "
+        "comments. No experiment was used:"
     )
 
 
@@ -151,7 +151,7 @@ def _waited(desk: Desk, submission: Submission, stream: TextIO) -> ExperimentSum
 def result_lines(
     result: ExperimentSummary, progress: SearchProgress, evidence: Sequence[str] = ()
 ) -> list[str]:
-    """What a person or an agent reads: one screen, `evidence` in its middle."""
+    """Return the result of an experiment on one screen, with `evidence` in the middle."""
     from asia.cli._output.training import training_lines
     from asia.ledger import error_value
 
@@ -176,7 +176,7 @@ def result_lines(
     if result.duplicate_of is not None:
         lines.append(f"    the same source as #{result.duplicate_of:02d}; its outcome stands")
     lines.append(tail)
-    lines += [f"note from the person: {note}" for note in progress.notes[-3:]]
+    lines += [f"note from the user: {note}" for note in progress.notes[-3:]]
     return lines
 
 

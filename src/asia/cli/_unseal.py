@@ -74,33 +74,33 @@ def unseal(
 
 
 def _renew_page(directory: Path) -> None:
-    """A page from before says that the test is sealed. A page that cannot be made takes nothing
-    from the result."""
+    """Write the page again, because the old one says that the test is sealed. A failure is only
+    reported."""
     from asia.errors import InternalError
     from asia.report import write_page
 
     try:
         write_page(directory)
     except InternalError as error:
-        say(f"the page was not written anew: {error}", file=sys.stderr)
+        say(f"the page was not updated: {error}", file=sys.stderr)
 
 
 def _ask(opened: Run) -> None:
-    """Raises UserError unless the person on the terminal types the run's name."""
+    """Raise UserError unless the user types the name of the run."""
     from asia.errors import UserError
 
     if not sys.stdin.isatty():
         raise UserError("unseal asks for the run's name; in a script give --yes")
     say(
-        f"This opens the sealed test of run {opened.name} and ends its search, for good.",
+        f"This opens the sealed test of run {opened.name} and ends its search, irreversibly.",
         file=sys.stderr,
     )
-    if typer.prompt("Type the run's name to go on", err=True) != opened.name:
+    if typer.prompt("Type the run's name to continue", err=True) != opened.name:
         raise UserError("the name does not match; nothing was opened")
 
 
 def _settings(view: SearchView) -> dict[str, str]:
-    """What V of the winner is only comparable within."""
+    """Return the settings that must be equal to compare V of winners."""
     start = view.started
     return {"early_stopping": start.early_stopping, "residuals": start.residuals}
 
@@ -115,8 +115,7 @@ def _setting_lines(view: SearchView) -> Iterator[str]:
 
 
 def _consents(opened: Run) -> bool:
-    """Whether the person on the terminal says that a test which nothing kept from the candidates
-    may be opened; False where nobody is asked."""
+    """Ask whether to open a test that candidates could read; False without a terminal."""
     from asia.errors import UserError
     from asia.search import CONSENT, needs_consent
 
@@ -124,7 +123,7 @@ def _consents(opened: Run) -> bool:
     if view.unsealed is not None or not needs_consent(view) or not sys.stdin.isatty():
         return False
     say(f"Note: {CONSENT.format(run=opened.name)}.", file=sys.stderr)
-    if not typer.confirm("Open the test all the same?", default=False, err=True):
+    if not typer.confirm("Open the test anyway?", default=False, err=True):
         raise UserError("nothing was opened; search again at a stronger level, see asia doctor")
     return True
 
@@ -149,7 +148,7 @@ def _as_object(record: Unsealed) -> dict[str, Any]:
 
 
 def _use(record: Unsealed, view: SearchView) -> dict[str, Any]:
-    """The model to use with its scores."""
+    """Return the model to use with its scores."""
     from asia.ledger import model_to_use, tested_model
 
     named = model_to_use(view)
@@ -162,7 +161,7 @@ def _use(record: Unsealed, view: SearchView) -> dict[str, Any]:
 
 
 def _scores(record: Unsealed, model: TestedModel | Failure) -> dict[str, Any]:
-    """The first metric's detail beside the value of every metric, or the failure."""
+    """Return the value of every metric and details of the first, or the failure."""
     from asia.scoring import Failure
 
     if isinstance(model, Failure):
@@ -177,7 +176,7 @@ def _scores(record: Unsealed, model: TestedModel | Failure) -> dict[str, Any]:
 
 
 def _table_lines(mee: MeeTable) -> list[str]:
-    """Groups below each other, steps beside each other."""
+    """Return the table: a row per group, a column per step."""
     rows = mee.by_group()
     width = max(len("group"), *(len(name) for name in rows))
     columns = next(iter(rows.values()))
@@ -229,7 +228,7 @@ def _print_text(record: Unsealed, view: SearchView, *, by_record: bool) -> None:
 
 
 def _band_line(channels: tuple[str, ...], bands: TestBands) -> str:
-    """What the output bands held, beside what they are meant to hold."""
+    """Return the measured and the nominal coverage of the output bands."""
     held = ", ".join(
         f"{name} {share:.1%}" for name, share in zip(channels, bands.covered, strict=True)
     )

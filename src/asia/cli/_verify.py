@@ -1,35 +1,68 @@
-"""asia verify: is the ledger whole?"""
+"""asia verify: check the ledger, or repeat the search."""
 
 from __future__ import annotations
 
 import json as jsonlib
 from dataclasses import asdict
+from typing import Annotated
+
+import typer
 
 from asia._text import say
 from asia.cli._options.run_directory import run_directory
 from asia.cli._options.shared import DEFAULT_RUNS, Json, RunName, Runs
+from asia.cli._replay import replay_search
 
 
-def verify(run: RunName = None, runs: Runs = DEFAULT_RUNS, json: Json = False) -> None:
-    """Check the chain of the ledger and every artifact it names.
+def verify(
+    run: RunName = None,
+    replay: Annotated[
+        bool,
+        typer.Option(
+            "--replay",
+            help="Repeat the search instead: query the agent and evaluate every candidate again. "
+            "Needs no network and no key, and writes nothing.",
+        ),
+    ] = False,
+    from_scratch: Annotated[
+        bool,
+        typer.Option(
+            "--from-scratch",
+            help="With --replay on another machine: compare within --tolerance, not bitwise.",
+        ),
+    ] = False,
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, help="Relative difference of V allowed with --from-scratch.")
+    ] = 0.01,
+    runs: Runs = DEFAULT_RUNS,
+    json: Json = False,
+) -> None:
+    """Check the hash chain of the ledger and every artifact that it names.
 
-    Write down the head, the hash of the last line. Only the head shows whether lines at the end of
-    the ledger were removed.
+    Keep a copy of the head, the hash of the last line: only the head shows whether lines at the end
+    were removed. --replay does not evaluate experiments that the deadline affected. Exit code 1:
+    an outcome differs.
     """
+    from asia.errors import UserError
     from asia.ledger import Store
     from asia.ledger import verify as check
 
+    if from_scratch and not replay:
+        raise UserError("--from-scratch belongs to --replay: add --replay or leave it out")
     directory = run_directory(runs, run)
+    if replay:
+        replay_search(directory, tolerance if from_scratch else 0.0, json=json)
+        return
     alone = not Store(directory / "artifacts").kept
     found = check(directory, ledger_alone=alone)
     if json:
         say(jsonlib.dumps({"run": directory.name, "ledger_alone": alone, **asdict(found)}))
         return
     if alone:
-        say(f"{directory.name}: {found.records} events verify; there are no artifacts to check:")
-        say("its sources, models and simulations are not in this folder")
+        say(f"{directory.name}: {found.records} events verify")
+        say("no artifacts checked: sources, models and simulations are not in this folder")
     else:
         say(f"{directory.name}: {found.records} events and {found.artifacts} artifacts verify")
     say(f"head {found.head}")
     if found.torn:
-        say(f"{found.torn} bytes of a line that was cut off while it was written are passed over")
+        say(f"the last line is incomplete: its {found.torn} bytes were ignored")

@@ -1,4 +1,4 @@
-"""asia view: the pages of the runs in a browser, as the searches go on."""
+"""asia view: live pages of the runs in a browser."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def view(
     open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
-    """Show runs in a browser while they go on: curves, experiments, steering. Ctrl-C ends it.
+    """Show running searches in a browser: curves, experiments, steering. Ctrl-C ends it.
 
-    The address that is printed bears a token; without it nothing is shown.
+    The printed address contains a token that the pages require.
     """
     from asia.view import require_server, serve_view
 
@@ -45,13 +45,13 @@ def view(
 
 
 def _place(runs: Path, run: str | None) -> tuple[Path, str | None]:
-    """The folder of runs, and the run that is named. Raises UserError."""
+    """Return the folder of runs and the named run. Raises UserError."""
     from asia.cli._options.run_directory import run_directory
 
     if run is not None and Path(run).is_dir() and not (Path(run) / "ledger.jsonl").exists():
         return Path(run).resolve(), None
     if run is None and runs.is_dir():
         return runs.resolve(), None
-    # A workspace has its runs elsewhere, and may hide them.
+    # A workspace has its runs in another folder, and may hide them.
     directory = run_directory(runs, run).resolve()
     return directory.parent, None if run is None else directory.name

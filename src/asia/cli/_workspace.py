@@ -1,4 +1,4 @@
-"""asia workspace: a folder to work in by hand or by a coding agent."""
+"""asia agent workspace: a folder in which a user or a coding agent writes candidates."""
 
 from __future__ import annotations
 
@@ -20,6 +20,12 @@ if TYPE_CHECKING:
     from asia.search import Prepared
 
 
+BRIEF_HELP = frozenset(
+    {"problem", "folder", "experiments", "seed", "hours", "name", "runs", "isolation", "jail"}
+    | {"network", "start"}
+)
+
+
 def workspace(
     *,
     problem: ProblemName,
@@ -28,21 +34,23 @@ def workspace(
     jail: Annotated[
         str | None,
         typer.Option(
-            metavar="CMD", help="Run this program in a jail that shows it the folder, and wait."
+            metavar="CMD", help="Run this program in a jail that shows only the folder, and wait."
         ),
     ] = None,
     opened: JailOptions,
     start: Annotated[
         bool,
-        typer.Option("--start/--no-start", help="Evaluate the baseline now, or at the first try."),
+        typer.Option(
+            "--start/--no-start", help="Evaluate the baseline now, or at the first asia try."
+        ),
     ] = True,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Make a folder with the training data, the task and the baseline. Edit the candidate there and
     submit it with asia try. The evaluator is another process, and the ledger is in another folder.
 
-    The same command again updates the texts, keeps your candidate, and can increase the budget.
-    With --jail its exit code is that of the program.
+    Repeat the command to update the texts or to increase the budget; your candidate is kept.
+    With --jail the exit code is that of the program.
     """
     from asia.drive import prepare_request
 
@@ -69,7 +77,7 @@ def _refuse_without_jail(opened: JailOptions) -> None:
     from asia.errors import UserError
 
     for name in given(opened):
-        raise UserError(f"--{name.replace('_', '-')} is for --jail CMD: leave it out")
+        raise UserError(f"--{name.replace('_', '-')} belongs to --jail CMD: add it or leave it out")
 
 
 def _made(folder: Path, prepared: Prepared, request: SearchRequest, jail: str = "") -> Workspace:
@@ -88,7 +96,7 @@ def _made(folder: Path, prepared: Prepared, request: SearchRequest, jail: str = 
 
 
 def _wait_for_baseline(place: Workspace) -> None:
-    """Rungs and baseline, each with a line. Interrupted here, the search goes on."""
+    """Print a line for each reference model and the baseline. The search survives an interrupt."""
     from asia.cli._output.waiting import Waiting, finished_line
     from asia.drive import wait
 

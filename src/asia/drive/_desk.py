@@ -170,8 +170,8 @@ class RunDesk:
         spent = max(1, len(view.experiments)) + sum(t not in in_ledger for t in waiting)
         if spent >= budget:
             raise UserError(
-                f"the candidate was not judged: the budget of {budget} experiments is spent; a "
-                "person can raise it with asia workspace or asia mcp and a larger --experiments"
+                f"the candidate was not judged: the budget of {budget} experiments is spent; "
+                "raise it with asia agent workspace or asia agent mcp and a larger --experiments"
             )
         numbers = {1, *(e.number for e in view.experiments)}
         if proposal.parent is not None and proposal.parent not in numbers:
@@ -195,7 +195,7 @@ class RunDesk:
         if ended and view.stopped is not None and self._queue.tickets():
             raise UserError(
                 f"the search has ended ({view.stopped.reason}); a person can raise its budget with "
-                "asia workspace or asia mcp and a larger --experiments or --hours"
+                "asia agent workspace or asia agent mcp and a larger --experiments or --hours"
             )
 
     def submission(self, ticket: str) -> Submission:

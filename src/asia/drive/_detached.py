@@ -90,8 +90,8 @@ class SearchRequest:
         request = cls.find(directory)
         if request is None:
             raise UserError(
-                f"{directory.name} accepts no submissions: it was not started by asia workspace or "
-                "asia mcp"
+                f"{directory.name} accepts no submissions: it was not started by asia agent "
+                "workspace or asia agent mcp"
             )
         return request
 

@@ -36,7 +36,8 @@ _CONFINED = {
     Confinement.OPEN: (
         "> **Open folder, no jail.** A program that is started here by hand can read all that its "
         "user can read: this run's ledger, the test data, the network. Use only what lies in this "
-        "folder. `asia workspace PROBLEM DIR --jail CMD` starts a program that sees nothing else."
+        "folder. `asia agent workspace PROBLEM DIR --jail CMD` starts a program that sees nothing "
+        "else."
     ),
     Confinement.JAIL: (
         "> **Jail.** You see this folder, the programs of the machine and the search behind "

@@ -50,8 +50,8 @@ class Workspace:
         found = cls.around(folder)
         if found is None:
             raise UserError(
-                f"{folder} is not in a workspace: make one with asia workspace PROBLEM DIR, then "
-                "cd DIR"
+                f"{folder} is not in a workspace: make one with asia agent workspace PROBLEM DIR, "
+                "then cd DIR"
             )
         return found
 
@@ -74,8 +74,8 @@ class Workspace:
         if request is not None and request.settings.get("jail"):
             raise UserError(
                 f"the ledger of {run.name} says that its candidates come from a jail: submit from "
-                "the program that asia workspace --jail starts, or make another workspace with "
-                "another --name"
+                "the program that asia agent workspace --jail starts, or make another workspace "
+                "with another --name"
             )
         return RunDesk(run, start_search)
 
@@ -92,7 +92,7 @@ class Workspace:
         if self.run is None:
             raise UserError(
                 f"{self.folder} belongs to the search of a coding agent, and only this "
-                "agent submits from it; make your own workspace with asia workspace "
+                "agent submits from it; make your own workspace with asia agent workspace "
                 "PROBLEM DIR"
             )
         return self.run
@@ -106,7 +106,7 @@ class Workspace:
 
 
 def is_workspace(folder: Path) -> bool:
-    """Whether `asia workspace` or a command agent made this folder."""
+    """Whether `asia agent workspace` or a command agent made this folder."""
     return (folder / _LINK).is_file()
 
 

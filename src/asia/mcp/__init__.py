@@ -29,7 +29,7 @@ def require_sdk() -> None:
     """Raises UserError where the extra is not installed."""
     if find_spec("mcp") is None or find_spec("mcp_types") is None:
         raise UserError(
-            "asia mcp needs the MCP SDK, which is an extra: pip install '.[mcp]' in a clone of ASIA"
+            "asia agent mcp needs the extra mcp: pip install '.[mcp]' in a clone of ASIA"
         )
 
 

@@ -1,4 +1,4 @@
-"""The configuration with which a client starts `asia mcp`: its own file format, its own traps."""
+"""Configuration of the clients that start `asia agent mcp`, each in its own file format."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class _Command:
 def client_configuration(
     client: str, arguments: Sequence[str], environment: Mapping[str, str]
 ) -> ClientConfiguration:
-    """For a client of `CLIENTS`. arguments: those of `asia mcp`, with absolute paths;
+    """For a client of `CLIENTS`. arguments: those of `asia agent mcp`, with absolute paths;
     environment: what the server must find, for clients hand on little of their own."""
     script = Path(sys.executable).parent / "asia"
     if script.is_file():
-        command = _Command(str(script), ("mcp", *arguments), environment)
+        command = _Command(str(script), ("agent", "mcp", *arguments), environment)
     else:
-        command = _Command(sys.executable, ("-c", _RUN, "mcp", *arguments), environment)
+        command = _Command(sys.executable, ("-c", _RUN, "agent", "mcp", *arguments), environment)
     return _CLIENTS[client](command)
 
 

@@ -1,6 +1,6 @@
 """Scripted cheats that must fail, and honest candidates that must not be taken for cheats.
 
-Shipped, so that everybody can try them on their own machine: `asia redteam`.
+Shipped, so that everybody can try them on their own machine: `asia doctor --attack`.
 """
 
 from asia.redteam._honest import problem_named

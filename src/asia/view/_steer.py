@@ -1,4 +1,4 @@
-"""A person's word to a search, as asia steer, pause and stop give it."""
+"""Notes and orders to a search, as `asia steer` gives them."""
 
 from __future__ import annotations
 

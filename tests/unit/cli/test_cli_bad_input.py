@@ -165,7 +165,7 @@ def test_bad_problem(problem: Path, tmp_path: Path, asia: Asia, case: str, comma
         (("status",), "no runs under runs; start one with: asia run PROBLEM"),
         (("status", "nowhere"), "no run 'nowhere' under runs; there is: none"),
         (("show", "nowhere", "1"), "no run 'nowhere'"),
-        (("diff", "1", "2"), "no runs under runs"),
+        (("show", "1", "2"), "no runs under runs"),
         (("unseal", "nowhere", "--yes"), "no run 'nowhere'"),
         (("report", "nowhere"), "no run 'nowhere'"),
         (("verify", "nowhere"), "no run 'nowhere'"),

@@ -1,4 +1,4 @@
-"""asia bench on the toy problem, one experiment a search."""
+"""asia bench paper on the toy problem, one experiment a search."""
 
 import json
 from pathlib import Path
@@ -19,7 +19,7 @@ def _without_jax(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.long
 def test_bench_prints_its_tables_and_goes_on(problem: Path, asia: Asia, tmp_path: Path) -> None:
-    words = ("bench", problem, "--arms", "expert",
+    words = ("bench", "paper", problem, "--arms", "expert",
              "--experiments", 1, "--seeds", 1, "--runs", tmp_path / "runs")  # fmt: skip
     done = asia(*words)
     assert done.code == 0, done.err
@@ -63,21 +63,31 @@ def test_bench_prints_its_tables_and_goes_on(problem: Path, asia: Asia, tmp_path
 def test_what_cannot_be_compared(
     problem: Path, asia: Asia, words: tuple[str, ...], expected: str
 ) -> None:
-    done = asia("bench", problem, *words)
+    done = asia("bench", "paper", problem, *words)
     assert done.code == 2
     assert done.out.count("\n") <= 1
     assert expected in done.err
 
 
 def test_an_unknown_problem(asia: Asia) -> None:
-    done = asia("bench", "cascaded-tank")
+    done = asia("bench", "paper", "cascaded-tank")
     assert done.code == 2
     assert "cascaded_tanks" in done.err
 
 
 def test_lists_of_seeds_and_arms() -> None:
-    words = ["bench", "nanodrone", "--seeds", "0", "1", "--arms=expert", "random", "--quick"]
-    assert spread(words) == [
-        "bench", "nanodrone", "--seeds", "0", "--seeds", "1", "--arms=expert", "--arms", "random",
+    words = [
+        "bench",
+        "paper",
+        "nanodrone",
+        "--seeds",
+        "0",
+        "1",
+        "--arms=expert",
+        "random",
         "--quick",
+    ]
+    assert spread(words) == [
+        "bench", "paper", "nanodrone", "--seeds", "0", "--seeds", "1", "--arms=expert", "--arms",
+        "random", "--quick",
     ]  # fmt: skip

@@ -33,7 +33,7 @@ def test_short_test_record_is_said(problem: Path, asia: Asia) -> None:
     assert "warning: test record 'test' has 2 samples to score" in done.out
 
 
-@pytest.mark.parametrize("command", ["run", "workspace", "check"])
+@pytest.mark.parametrize("command", ["run", "agent workspace", "check"])
 def test_help_names_the_built_in_problems(command: str, asia: Asia) -> None:
-    words = asia(command, "--help").out
+    words = asia(*command.split(), "--help").out
     assert all(name in words for name in builtin_problems())

@@ -67,7 +67,7 @@ def test_parts_of_other_packages_are_listed_and_a_broken_one_is_a_line(monkeypat
 
 def test_nothing_plugged_in_and_a_clash_are_said(monkeypatch):
     plug(monkeypatch)
-    assert "plugged in   nothing: no other package brings a part" in doctor()
+    assert "plugged in   nothing: no other package adds a part" in doctor()
 
     def clash() -> None:
         raise UserError("packages a and b both bring 'x'")

@@ -91,7 +91,7 @@ def test_a_test_file_is_moved_into_the_store(
     assert done.code == 0, done.err
     assert f"set ASIA_KEYS={tmp_path / 'keys'}" in done.out
     assert f"removed  {tmp_path / data[1]}" in done.out
-    assert "wipes neither" in done.out
+    assert "may keep copies of these files" in done.out
     (key,) = (tmp_path / "keys").iterdir()
     assert f"key      {key}" in done.out
     assert not (tmp_path / data[1]).exists()
@@ -102,7 +102,7 @@ def test_a_test_file_is_moved_into_the_store(
 
 def test_a_test_file_that_stays_plain_is_told(data: tuple[str, str], asia: Asia) -> None:
     done = asia("init", "new", "--train", data[0], "--test", data[1], *SIGNALS)
-    assert "stay where they are, in plain text" in done.out
+    assert "the test files are not encrypted" in done.out
     assert "test kept: in plain files" in asia("check", "new", "--no-draw").out
 
 

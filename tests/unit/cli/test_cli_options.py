@@ -42,9 +42,10 @@ def test_what_was_given_is_what_differs_from_the_default() -> None:
 
 
 def test_commands_that_begin_a_search_have_the_same_options() -> None:
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    main = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    commands = {**main, **main["agent"].commands}
     shared = {"experiments", "seed", "hours", "name", "early_stopping", "isolation", "runs"}
-    for name in ("run", "workspace", "mcp", "mcp-config"):
+    for name in ("run", "workspace", "mcp", "config"):
         assert shared <= {parameter.name for parameter in commands[name].params}
 
 

@@ -71,7 +71,7 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
         "early_stopping", "validation_scores", "residuals", "best", "rungs",
         "control", "stopped", "usage", "metric", "legs", "handed_over", "use", "use_reason",
         "confirmed", "parallel", "running", "floor", "remark", "incumbent", "validated",
-        "stop_folds", "folds_passed_over", "folds_ended", "device", "failed_checks", "error",
+        "stop_folds", "folds_passed_over", "folds_ended", "device", "error", "failed_checks",
     }  # fmt: skip
     assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)
     assert answer["problem"] == "toy"
@@ -146,7 +146,7 @@ def test_show(searched: Searched, asia: Asia) -> None:
 
 
 def test_diff(searched: Searched, asia: Asia) -> None:
-    done = asia("diff", "1", "1", "--runs", searched.runs)
+    done = asia("show", "1", "1", "--runs", searched.runs)
     assert done.code == 0
     assert done.out.count("#01 baseline: V = ") == 2
     assert "@@" not in done.out
@@ -175,9 +175,9 @@ def test_report(searched: Searched, asia: Asia) -> None:
     ("words", "expected"),
     [
         (("show", "99"), "has no experiment 99; it has 1 to 1"),
-        (("show", "toy-random-s0", "one"), "expected [RUN] and up to 1 experiment number"),
-        (("diff", "1"), "asia diff [RUN] N M"),
-        (("diff", "1", "2"), "has no experiment 2"),
+        (("show", "toy-random-s0", "one"), "expected [RUN] [N [M]]"),
+        (("show", "1", "1", "1"), "expected [RUN] [N [M]]"),
+        (("show", "1", "2"), "has no experiment 2"),
         (("status", "other"), "no run 'other'"),
     ],
 )

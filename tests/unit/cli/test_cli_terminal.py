@@ -63,7 +63,7 @@ def test_sources_and_output_of_candidates(hostile: Path, tmp_path: Path, asia: A
     line = ("--agent", "random", "--experiments", 2, "--runs", runs)
     assert asia("run", hostile, *line).code == 0
     (run,) = [p for p in runs.iterdir() if (p / "ledger.jsonl").is_file()]
-    for words in (("show", run, "1"), ("show", run, "1", "--source"), ("diff", run, "1", "2")):
+    for words in (("show", run, "1"), ("show", run, "1", "--source"), ("show", run, "1", "2")):
         check_tame(on_terminal(words))
     # A file gets the source as it is.
     plain = asia("show", run, "1", "--source")
@@ -109,7 +109,7 @@ def test_words_of_an_agent(hostile: Path, tmp_path: Path, asia: Asia) -> None:
     found = asia("run", hostile, "--agent", agent, "--experiments", 2, "--runs", runs)
     assert found.code == 0, found.err
     (run,) = [p for p in runs.iterdir() if (p / "ledger.jsonl").is_file()]
-    for words in (("status", run), ("show", run, "2"), ("diff", run, "1", "2")):
+    for words in (("status", run), ("show", run, "2"), ("show", run, "1", "2")):
         check_tame(on_terminal(words))
     journal = (run / "search_journal.md").read_text()
     headings = [line for line in journal.splitlines() if line.startswith("#")]

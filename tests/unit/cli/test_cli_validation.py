@@ -70,7 +70,7 @@ def test_show_and_diff_say_it(told: Searched, asia: Asia) -> None:
     assert f"result      {CALLED} = " in text
     assert "4 validation scores)" in text
     assert "val. scores" in text
-    assert asia("diff", "1", "1", "--runs", told.runs).out.count(f"{CALLED} = ") == 2
+    assert asia("show", "1", "1", "--runs", told.runs).out.count(f"{CALLED} = ") == 2
 
 
 @pytest.mark.long

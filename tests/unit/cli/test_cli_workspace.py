@@ -1,4 +1,4 @@
-"""asia workspace and asia try, as a person at a shell uses them."""
+"""asia agent workspace and asia try, as a person at a shell uses them."""
 
 import json
 import os
@@ -35,7 +35,7 @@ def lasting(source: str) -> str:
 def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     problem = write_problem(tmp_path / "toy")
     folder, runs = tmp_path / "work", tmp_path / "runs"
-    made = asia("workspace", problem, folder, "--experiments", 4, "--runs", runs)
+    made = asia("agent", "workspace", problem, folder, "--experiments", 4, "--runs", runs)
     assert made.code == 0, made.err
     # The baseline is judged before the folder is worked in, with a line for each step.
     lines = made.out.splitlines()
@@ -119,7 +119,7 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert (known.code, known.out.count("not judged again")) == (0, 1)
     (folder / "candidate.py").write_text(arx(4))
     # The same command with more raises the budget and keeps the candidate.
-    assert asia("workspace", problem, folder, "--experiments", 5, "--runs", runs).code == 0
+    assert asia("agent", "workspace", problem, folder, "--experiments", 5, "--runs", runs).code == 0
     assert (folder / "candidate.py").read_text() == arx(4)
     more = asia("try", "-m", "one more", "--dir", folder)
     assert more.code == 0, more.err
@@ -132,7 +132,7 @@ def test_a_folder_that_cannot_be_a_workspace(tmp_path: Path, asia: Asia, where: 
     problem = write_problem(tmp_path / "toy")
     runs = tmp_path / "runs"
     folder = problem if where == "full" else runs / "toy-workspace-s0" / "work"
-    done = asia("workspace", problem, folder, "--runs", runs)
+    done = asia("agent", "workspace", problem, folder, "--runs", runs)
     assert done.code == 2
     assert ("not empty" if where == "full" else "one contains the other") in done.err
 
@@ -140,7 +140,7 @@ def test_a_folder_that_cannot_be_a_workspace(tmp_path: Path, asia: Asia, where: 
 def test_try_outside_a_workspace_says_how_to_make_one(tmp_path: Path, asia: Asia) -> None:
     done = asia("try", "-m", "anything", "--dir", tmp_path)
     assert done.code == 2
-    assert "asia workspace PROBLEM DIR" in done.err
+    assert "asia agent workspace PROBLEM DIR" in done.err
 
 
 ASIA = "from asia.cli import main; main()"
@@ -155,7 +155,7 @@ def test_a_search_that_dies_is_not_waited_for(tmp_path: Path, asia: Asia, state:
         (problem / "baseline.py").write_text(SLOW)
     folder, runs = tmp_path / "work", tmp_path / "runs"
     options = ("--experiments", 3, "--runs", runs, "--no-start")
-    assert asia("workspace", problem, folder, *options).code == 0
+    assert asia("agent", "workspace", problem, folder, *options).code == 0
     (folder / "candidate.py").write_text(SLOW.replace("60", "61"))
     (run,) = runs.iterdir()
     command = [sys.executable, "-c", ASIA, "try", "-m", "a slow one", "--dir", str(folder)]
@@ -218,7 +218,7 @@ def test_no_file_as_candidate(
     folder = tmp_path / "work"
     problem = write_problem(tmp_path / "toy")
     options = ("--runs", tmp_path / "runs", "--no-start")
-    assert asia("workspace", problem, folder, *options).code == 0
+    assert asia("agent", "workspace", problem, folder, *options).code == 0
     (folder / "candidate.py").unlink()
     make(folder / "candidate.py")
     done = asia("try", "-m", "no file", "--dir", folder)

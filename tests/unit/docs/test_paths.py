@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from asia._plugins import GROUPS
+
 ROOT = Path(__file__).parents[3]
 PACKAGE = ROOT / "src" / "asia"
 PAGES = sorted(
@@ -97,9 +99,3 @@ def named(dotted: str) -> list[object]:
         outer, _, attribute = dotted.rpartition(".")
         owners = named(outer) if outer else []
         return [getattr(owner, attribute) for owner in owners if hasattr(owner, attribute)]
-
-
-GROUPS = frozenset(
-    {f"asia.{kind}" for kind in ("families", "agents", "sources", "metrics", "executors", "sinks")}
-)
-"""Entry points, not modules."""

@@ -33,7 +33,7 @@ def stdio(setting: Setting, experiments: int = 3) -> StdioServerParameters:
 
 
 def servers(setting: Setting) -> list[int]:
-    """Processes of `asia mcp` for these runs."""
+    """Processes of `asia agent mcp` for these runs."""
     found: list[int] = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():

@@ -362,7 +362,7 @@ def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:
         chain.append(found)
     page = page_of(open_run(directory))
     assert 'id="confirmation"' in page
-    assert "cannot be told apart" in page
+    assert "statistically equal" in page
     assert "is better" in page
     assert "fits do not depend on the seed" in page
     assert "after the sealed test had been opened" in page

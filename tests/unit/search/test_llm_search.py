@@ -265,7 +265,7 @@ def test_a_replay_finds_what_was_changed(
     """Other words in a prompt are told, and the exit code is 1."""
     monkeypatch.setattr("asia.agents.llm.search._MEANING", "something else")
     monkeypatch.setattr("asia.search._replay.judge", unjudged(searched))
-    done = command_line("replay", searched.run.directory)
+    done = command_line("verify", "--replay", searched.run.directory)
     assert done.code == 1
     lines = done.out.splitlines()
     wrong = [line for line in lines if "DIFFERS" in line]
@@ -279,14 +279,14 @@ def test_from_scratch_says_how_far_apart(
     searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("asia.search._replay.judge", unjudged(searched, factor=1 + 1e-9))
-    done = command_line("replay", searched.run.directory, "--from-scratch", "--json")
+    done = command_line("verify", "--replay", searched.run.directory, "--from-scratch", "--json")
     assert done.code == 0, done.out
     *items, end = [json.loads(line) for line in done.out.splitlines()]
     assert end["event"] == "done"
     assert end["agrees"]
     assert end["apart"] == pytest.approx(1e-9, rel=1e-3)
     assert {i["outcome"] for i in items if i["name"] in ("#01", "#02")} == {"close"}
-    assert command_line("replay", searched.run.directory).code == 1
+    assert command_line("verify", "--replay", searched.run.directory).code == 1
 
 
 def unjudged(searched: Searched, factor: float = 1.0) -> Any:

@@ -185,7 +185,7 @@ def test_a_winner_that_luck_made_is_told(problem: Path, tmp_path: Path) -> None:
     assert view.refitted is not None
     assert view.refitted.again is not None
     assert view.refitted.again.ratio not in (None, 1.0)
-    assert "V is in part luck" in again_words(view)
+    assert "V varies over repeated fits" in again_words(view)
 
 
 @pytest.mark.slow

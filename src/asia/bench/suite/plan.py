@@ -44,8 +44,8 @@ class SuitePlan:
         return self.runs / "bench-suite"
 
     def comparison(self, name: str) -> ComparisonPlan:
-        """The search of one benchmark, as `asia bench NAME` names it. Raises UserError when its
-        data are not on this machine."""
+        """The search of one benchmark, as `asia bench paper NAME` names it. Raises UserError when
+        its data are not on this machine."""
         return ComparisonPlan(
             problem=load_problem(name),
             arms=(Arm("expert", "expert", partial(make_agent, "expert")),),

@@ -24,7 +24,7 @@ _option = partial(
 
 @dataclass(frozen=True)
 class CommandOptions(JailOptions):
-    """How a coding agent is started, and what it may use."""
+    """Command line, limits and access of a coding agent."""
 
     command: Annotated[
         str | None,
@@ -38,8 +38,8 @@ class CommandOptions(JailOptions):
     ] = 30.0
 
     def driver(self, agent: str, caps: ModelOptions) -> Driver:
-        """The program, its rules and its jail. Raises UserError for what is not there, and for a
-        cap that cannot be kept."""
+        """Make the driver: program, rules and jail. Raises UserError for a missing program, and for
+        a limit that cannot be enforced."""
         from asia.drive.command import check_rules, command_agent, make_preset
 
         name = _name(agent)
@@ -73,7 +73,7 @@ class CommandOptions(JailOptions):
 
 
 def _name(agent: str) -> str:
-    """NAME of `command:NAME`. Raises UserError for one that is taken or is none."""
+    """Return NAME of `command:NAME`. Raises UserError if it is reserved or invalid."""
     from asia.agents import RESERVED
     from asia.errors import UserError
 
@@ -81,14 +81,12 @@ def _name(agent: str) -> str:
     if not name.replace("-", "").isalnum():
         raise UserError(f"--agent {agent}: expected command:NAME with letters and digits")
     if name in RESERVED:
-        raise UserError(
-            f"--agent {agent}: '{name}' is another way to drive a search; choose a name of your own"
-        )
+        raise UserError(f"--agent {agent}: '{name}' is reserved; choose another name")
     return name
 
 
 def _settings(command: str, rules: CommandRules) -> dict[str, str]:
-    """For the ledger."""
+    """Return the settings for the ledger."""
     return {
         "command": command,
         "model": rules.model or "its default",
@@ -98,11 +96,11 @@ def _settings(command: str, rules: CommandRules) -> dict[str, str]:
 
 
 def _jail_words(name: str, rules: CommandRules) -> str:
-    """What holds the agent, for people."""
+    """Return a sentence on the isolation of the agent."""
     if not rules.jail:
         return (
-            f"agent {name}: no jail (level process). It can read what you can: other runs, test "
-            "files that lie open, your keys. Its score still comes from the evaluator alone. "
+            f"agent {name}: no jail (level process). It can read all your files: other runs, "
+            "unsealed test files, keys. Its score still comes only from the evaluator. "
             "Install bubblewrap for a jail."
         )
     return f"agent {name}: {jail_words(rules)}"

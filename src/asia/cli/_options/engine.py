@@ -1,4 +1,4 @@
-"""Options of where evaluations run, and of how many experiments run at a time."""
+"""Options of the evaluation: executor, device, experiments at a time."""
 
 from __future__ import annotations
 
@@ -19,33 +19,32 @@ class EngineOptions:
         int,
         typer.Option(
             min=1,
-            help="Experiments in flight: each is proposed before the results of the last N - 1.",
+            help="Experiments at a time: each is proposed before the last N - 1 have results.",
         ),
     ] = 1
     stop_folds: Annotated[
         bool,
         typer.Option(
             "--stop-folds",
-            help="Pass over the folds of a candidate that is far behind the best without them.",
+            help="Skip the remaining folds of a candidate that is far behind the best.",
         ),
     ] = False
     device: Annotated[
         str,
         typer.Option(
-            help="What networks are trained on: cpu, gpu (NVIDIA, extra gpu), or auto for a GPU "
-            "where there is one."
+            help="Device for networks: cpu, gpu (NVIDIA, extra gpu), or auto (a GPU if present)."
         ),
     ] = "cpu"
     executor: Annotated[
         str,
         typer.Option(
-            help="Where folds are fitted: local, local:N at once, dask://HOST:PORT, dask:FILE, "
+            help="Where folds are fitted: local, local:N (N jobs), dask://HOST:PORT, dask:FILE, "
             "dask-slurm:FILE."
         ),
     ] = "local"
 
     def chosen(self) -> Executor:
-        """The executor. Raises UserError where there is none of that name."""
+        """Make the executor. Raises UserError for an unknown name."""
         from asia.executor import make_executor
 
         return make_executor(self.executor)

@@ -1,4 +1,4 @@
-"""Options of a jail: what a program in it reaches beside its workspace."""
+"""Options of a jail: access of a program in it to more than its workspace."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _option = partial(typer.Option, rich_help_panel="Jail of a coding agent")
 
 @dataclass(frozen=True)
 class JailOptions:
-    """What a program in a jail may use."""
+    """Access of a program in a jail."""
 
     network: Annotated[
         bool, _option("--network", help="Allow network access, which hosted models need.")
@@ -41,8 +41,8 @@ class JailOptions:
     ] = None
 
     def access(self, keys: tuple[str, ...] = ()) -> Access:
-        """What these options open; keys: variables passed on where they are set. Raises UserError
-        for a path or a variable that is not there."""
+        """Return the access. keys: variables to pass on if they are set. Raises UserError for a
+        missing path or variable."""
         from asia.drive.command import Access
 
         configs, mounts = self.agent_config or (), self.agent_mount or ()
@@ -57,7 +57,7 @@ class JailOptions:
 
 
 def access_settings(access: Access) -> dict[str, str]:
-    """For the ledger."""
+    """Return the settings for the ledger."""
     return {
         "network": "yes" if access.network else "no",
         "mounts": _names(access.mounts),
@@ -66,7 +66,7 @@ def access_settings(access: Access) -> dict[str, str]:
 
 
 def jail_words(access: Access) -> str:
-    """What a program in the jail reaches, for people."""
+    """Return a phrase on what a program in the jail can reach."""
     network = "the network" if access.network else "no network (hosted models need --network)"
     shown = ", ".join(str(p) for p in (*access.mounts, *access.configs)) or "nothing else of yours"
     return f"in a jail (level namespace) with its workspace, {network}, {shown}"
@@ -85,4 +85,4 @@ def _check_given(paths: Sequence[Path], variables: Sequence[str]) -> None:
             raise UserError(f"{path} does not exist: give a folder or file that does")
     for variable in variables:
         if variable not in os.environ:
-            raise UserError(f"--pass-env {variable}: it is not set; export it first")
+            raise UserError(f"--pass-env {variable}: the variable is not set; export it first")

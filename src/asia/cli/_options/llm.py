@@ -21,16 +21,14 @@ _own = partial(typer.Option, rich_help_panel="Language model (--agent llm)")
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """The model and its caps, for language models and coding agents."""
+    """Model and its limits, for language models and coding agents."""
 
     model: Annotated[str | None, _shared(help="Name of the model, as its server calls it.")] = None
     max_tokens: Annotated[
         int | None,
         _shared(
             min=1,
-            help=(
-                "Stop before the sum of input and output tokens exceeds this; no limit by default."
-            ),
+            help=("Stop before input plus output tokens exceed this; no limit by default."),
         ),
     ] = None
     max_cost: Annotated[
@@ -41,7 +39,7 @@ class ModelOptions:
 
 @dataclass(frozen=True)
 class LlmOptions:
-    """What is asked of a language model, and where it is."""
+    """Server, sampling and limits of a language model."""
 
     base_url: Annotated[
         str | None,
@@ -51,10 +49,10 @@ class LlmOptions:
         ),
     ] = None
     temperature: Annotated[
-        float | None, _own(min=0.0, help="Sent as it is; left out by default.")
+        float | None, _own(min=0.0, help="Passed to the server; not sent by default.")
     ] = None
     top_p: Annotated[
-        float | None, _own(min=0.0, max=1.0, help="Sent as it is; left out by default.")
+        float | None, _own(min=0.0, max=1.0, help="Passed to the server; not sent by default.")
     ] = None
     llm_seed: Annotated[
         int | None, _own(help="Seed for the server, which may ignore it; not sent by default.")
@@ -88,7 +86,7 @@ class LlmOptions:
     ] = False
 
     def agent(self, caps: ModelOptions) -> LlmAgent:
-        """The agent with these options. Raises UserError for those that make no sense."""
+        """Make the agent. Raises UserError for invalid options."""
         from asia.agents import LlmAgent, LlmSettings
 
         price_input, price_output = _prices(self.prices)

@@ -1,4 +1,4 @@
-"""Options of a search: what it may spend, how it is named, how its candidates are kept in."""
+"""Options of a search: budget, name, isolation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """Options of every command that begins a search."""
+    """Options of every command that starts a search."""
 
     experiments: Annotated[
         int | None, typer.Option(min=1, help="Candidates to evaluate, the baseline included.")
@@ -29,8 +29,8 @@ class SearchOptions:
         int | None,
         typer.Option(
             min=0,
-            help="Other seeds that a new best is fitted from before it is kept; 0: one fit "
-            "decides. Default the problem's.",
+            help="Repeat fits required before accepting a new best; 0: one fit decides. Default: "
+            "the problem's.",
         ),
     ] = None
     name: Annotated[
@@ -42,19 +42,19 @@ class SearchOptions:
     ] = None
     isolation: Annotated[
         str | None,
-        typer.Option(help="Ask for a level instead of the strongest: landlock or process."),
+        typer.Option(help="Isolation level instead of the strongest: landlock or process."),
     ] = None
     isolation_strict: Annotated[
         bool,
         typer.Option(
             "--isolation-strict",
-            help="Fit the folds one by one: slower, but two workers cannot communicate.",
+            help="Fit the folds one at a time: slower, but workers cannot communicate.",
         ),
     ] = False
 
     @property
     def level(self) -> Isolation | None:
-        """The level asked for. Raises UserError for an unknown one."""
+        """The requested level. Raises UserError for an unknown one."""
         from asia.errors import UserError
         from asia.sandbox import Isolation
 
@@ -64,8 +64,8 @@ class SearchOptions:
         return Isolation(self.isolation) if self.isolation else None
 
     def check(self) -> None:
-        """Raises UserError for a name that no run can have, or an unknown level. A number would be
-        taken for an experiment, a path would leave the directory of the runs."""
+        """Raise UserError for an invalid name or an unknown level. A number would be read as an
+        experiment, and a path would leave the directory of the runs."""
         from asia.errors import UserError
 
         name = self.name
@@ -77,7 +77,7 @@ class SearchOptions:
         _ = self.level
 
     def applied(self, problem: Problem) -> Problem:
-        """The problem with these options in place of its own."""
+        """Return the problem with these options in place of its own."""
         from asia.search import with_early_stopping
 
         own = problem.budget
@@ -93,7 +93,7 @@ class SearchOptions:
         return with_early_stopping(problem, self.early_stopping)
 
     def request(self, problem: str, agent: str) -> SearchRequest:
-        """What a search by `agent` is asked for. Raises UserError as `check` does."""
+        """Return the request for a search by `agent`. Raises UserError as `check` does."""
         from asia.drive import SearchRequest
 
         self.check()
@@ -110,7 +110,7 @@ class SearchOptions:
         )
 
     def words(self) -> list[str]:
-        """The command line that gives these options."""
+        """Return the command line of these options."""
         pairs = (
             ("--experiments", self.experiments),
             ("--seed", self.seed or None),

@@ -13,18 +13,18 @@ Runs = Annotated[
 RunName = Annotated[
     str | None,
     typer.Argument(
-        metavar="[RUN]", help="Path or name; left out: the workspace's own, else the newest."
+        metavar="[RUN]", help="Path or name; default: the run of this workspace, else the newest."
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, all else on stderr.")]
+Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, everything else on stderr.")]
 Profile = Annotated[
-    bool, typer.Option("--profile", help="Also print where the seconds of the search went.")
+    bool, typer.Option("--profile", help="Also print the time of each activity of the search.")
 ]
 Keys = Annotated[
     Path | None,
     typer.Option(
         "--keys",
-        help="Folder of the keys of sealed tests; default ASIA_KEYS, else ~/.config/asia/keys.",
+        help="Folder with the keys of sealed tests; default ASIA_KEYS, else ~/.config/asia/keys.",
     ),
 ]
 YesProcess = Annotated[

@@ -1,1 +1,1 @@
-"""What commands print: words and numbers, one experiment, a search that runs."""
+"""Text output of the commands: numbers, one experiment, a running search."""

@@ -1,4 +1,4 @@
-"""An ablation in words."""
+"""Text of an ablation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from asia.scoring import Interval
 
 
 def ablation_lines(found: Ablated, v_name: str = "V") -> Iterator[str]:
-    """What the gain is due to, and a line for each change that was left out."""
+    """Yield the causes of the gain, and a line for each change that was left out."""
     crossing = found.crossing
     if crossing is None:
         yield f"model and training cannot be crossed: {found.detail}"

@@ -1,4 +1,4 @@
-"""The official figures of a model, and its place among the published ones."""
+"""Official figures of a model, and its rank among the published ones."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ if TYPE_CHECKING:
 
 
 def board_lines(board: Board) -> Iterator[str]:
-    """The official figures of the model to use, their places among the published ones, and the line
-    for the form; nothing where the problem is no benchmark."""
+    """Yield the official figures of the model to use, their ranks among the published ones, and the
+    line for the submission form; nothing if the problem is not a benchmark."""
     if not board.entries and board.unit_is_outputs:
         return
     width = max((len(s.figure.name) for s in board.standings), default=0)
@@ -24,7 +24,7 @@ def board_lines(board: Board) -> Iterator[str]:
 
 
 def board_object(board: Board) -> dict[str, Any]:
-    """The same for scripts; nothing where the problem is no benchmark."""
+    """Return the same as JSON; empty if the problem is not a benchmark."""
     if not board.entries and board.unit_is_outputs:
         return {}
     figures = {

@@ -1,4 +1,4 @@
-"""What a comparison prints while it goes on."""
+"""Progress lines of a comparison."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 @dataclass
 class Lines:
-    """A line an experiment; with `json` JSON lines on stdout and these lines on stderr."""
+    """One line per experiment; with `json`, JSON lines on stdout and these lines on stderr."""
 
     json: bool
     start: float = field(default_factory=time.monotonic)
 
     def head(self, plan: ComparisonPlan) -> None:
-        """What is going to be run."""
+        """Print the plan."""
         searches = plan.searches
         total = sum(run.problem.budget.experiments for run in searches)
         self.print(
@@ -33,11 +33,11 @@ class Lines:
         )
 
     def on_run(self, run: PlannedRun, number: int, total: int) -> None:
-        """Name the search."""
+        """Print the name of the search."""
         self.print(f"\n[{number}/{total}] {run.name}")
 
     def on_event(self, event: Event, view: SearchView) -> None:
-        """A line an experiment."""
+        """Print the line of an evaluated experiment."""
         from asia.cli._output.words import experiment_line
         from asia.ledger import Evaluated
 
@@ -45,7 +45,7 @@ class Lines:
             self.print(experiment_line(view.experiment(event.experiment), view))
 
     def on_end(self, run: PlannedRun, view: SearchView) -> None:
-        """The best V of the search."""
+        """Print the best V of the search."""
         from asia.ledger import error_value
 
         best = view.best
@@ -65,5 +65,5 @@ class Lines:
             say(jsonlib.dumps(found, allow_nan=False), flush=True)
 
     def print(self, text: str) -> None:
-        """A line for people."""
+        """Print a text line."""
         say(text, file=sys.stderr if self.json else sys.stdout, flush=True)

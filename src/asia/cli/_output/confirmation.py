@@ -1,4 +1,4 @@
-"""A confirmation in words."""
+"""Text of a confirmation (repeated fits)."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from asia.scoring import Interval
 
 
 def confirmation_lines(found: Confirmed, v_name: str = "V") -> Iterator[str]:
-    """All of it: a line a candidate, a line a pair, the noise floor, the error to expect."""
+    """Yield a line per candidate and per pair, the noise floor, the expected error, the verdict."""
     for candidate in found.candidates:
         yield _candidate_line(candidate, v_name)
     for number in found.failed:
-        yield f"#{number:02d} failed from every seed, so it is not ranked"
+        yield f"#{number:02d} failed with every seed: not ranked"
     for pair in found.pairs:
         yield pair_words(pair)
     if found.pairs:
         yield (
-            f"differences hold together at {found.level:.0%}".replace("%", " %")
-            + f", corrected for the {found.tried} candidates that the winner was the best of"
+            f"simultaneous level {found.level:.0%}".replace("%", " %")
+            + f", corrected for the {found.tried} candidates of the search"
         )
     yield f"noise floor: {noise_words(found)}"
     yield from expected_lines(found, v_name)
     yield verdict(found)
     if found.after_unsealing:
-        yield "this was computed after the sealed test had been opened, and used none of it"
+        yield "computed after the sealed test was opened; it was not used"
 
 
 def lines_about(found: Confirmed, experiment: int, v_name: str) -> Iterator[str]:
-    """What a confirmation says of one experiment; nothing of one that was not repeated."""
+    """Yield the lines about one experiment; none if it was not repeated."""
     for candidate in found.candidates:
         if candidate.experiment == experiment:
             yield _candidate_line(candidate, v_name)
@@ -41,46 +41,46 @@ def lines_about(found: Confirmed, experiment: int, v_name: str) -> Iterator[str]
 
 
 def verdict(found: Confirmed) -> str:
-    """The winner after its confirmation, in a sentence."""
+    """Return the verdict on the winner in one sentence."""
     winner = f"#{found.winner:02d}"
     if not found.candidates or found.winner in found.failed:
-        return f"{winner} is not confirmed: it failed from every other seed"
+        return f"{winner} is not confirmed: it failed with every other seed"
     if all(one.experiment != found.winner for one in found.candidates):
-        return f"{winner} is not confirmed: it was not among the candidates that were repeated"
+        return f"{winner} is not confirmed: it was not repeated"
     alike = _not_apart(found)
     if not alike and found.candidates[0].experiment == found.winner:
         if len(found.candidates) == 1:
-            return f"{winner} was repeated alone, so it is compared with nothing"
-        return f"{winner} is confirmed: it is better than all others that were repeated"
+            return f"{winner} was the only candidate repeated: there is no comparison"
+        return f"{winner} is confirmed: it is better than all other repeated candidates"
     better = [p.first for p in found.pairs if p.second == found.winner and p.apart]
     if better:
         names = " and ".join(f"#{number:02d}" for number in better)
         return f"{winner} is not confirmed: {names} {'is' if len(better) == 1 else 'are'} better"
     names = " and ".join(f"#{number:02d}" for number in alike)
-    return f"{winner} and {names} cannot be told apart: prefer the simplest of them"
+    return f"{winner} and {names} are statistically equal: prefer the simplest of them"
 
 
 def pair_words(pair: ConfirmedPair) -> str:
-    """`#12 and #09 cannot be told apart: 0.0012 (-0.0031 to 0.0055)`."""
+    """`#12 and #09 are statistically equal: they differ by 0.0012 (-0.0031 to 0.0055)`."""
     names = f"#{pair.first:02d}", f"#{pair.second:02d}"
     gap = pair.difference
     figures = f"{gap.value:.4g} ({gap.low:.3g} to {gap.high:.3g})"
     if pair.apart:
         return f"{names[0]} is better than {names[1]} by {figures}"
-    return f"{names[0]} and {names[1]} cannot be told apart: they differ by {figures}"
+    return f"{names[0]} and {names[1]} are statistically equal: they differ by {figures}"
 
 
 def noise_words(found: Confirmed) -> str:
-    """The noise floor."""
+    """Return the noise floor."""
     if found.noise is None:
-        return "not known, it takes two seeds with a score"
+        return "not known: needs two seeds with a score"
     if found.noise == 0.0:
         return "0, the fits do not depend on the seed"
     return f"{found.noise:.2g}, standard deviation of V from seed to seed"
 
 
 def expected_lines(found: Confirmed, v_name: str) -> Iterator[str]:
-    """The error to expect of the winner, and what that assumes."""
+    """Yield the expected error of the winner, and its assumptions."""
     expected = found.expected
     if expected is None:
         return
@@ -107,7 +107,7 @@ def _candidate_line(candidate: ConfirmedCandidate, v_name: str) -> str:
     rank = f"rank {low}" if low == high else f"rank {low} to {high}"
     seeds = f"{candidate.repeats} seeds"
     if candidate.deterministic:
-        seeds = "does not depend on the seed: one repeat came out the same"
+        seeds = "does not depend on the seed: one repeat gave the same V"
     elif candidate.spread is not None:
         seeds += f", s.d. {candidate.spread:.2g}"
     if candidate.failed:
@@ -123,6 +123,6 @@ def _interval(value: Interval) -> str:
 
 
 def _not_apart(found: Confirmed) -> list[int]:
-    """Experiments that cannot be told apart from the winner."""
+    """Return the experiments that do not differ significantly from the winner."""
     open_pairs = [(p.first, p.second) for p in found.pairs if not p.apart]
     return [a if b == found.winner else b for a, b in open_pairs if found.winner in (a, b)]

@@ -1,4 +1,4 @@
-"""What a person watches while a search runs: a line an experiment, a live footer on a terminal."""
+"""Output of a running search: one line per experiment, a live footer on a terminal."""
 
 from __future__ import annotations
 
@@ -74,13 +74,13 @@ STYLES = {
 
 
 def make_display(problem: Problem, prepared: Prepared, *, json: bool) -> JsonDisplay | TextDisplay:
-    """JSON lines, or text for people."""
+    """Make the display: JSON lines, or text."""
     return JsonDisplay() if json else TextDisplay(problem, prepared)
 
 
 @dataclass
 class JsonDisplay:
-    """JSON lines on stdout: `start`, one object an event, `done`."""
+    """JSON lines on stdout: `start`, one object per event, `done`."""
 
     def on_start(self, view: SearchView) -> None:
         """Print `start`."""
@@ -121,16 +121,16 @@ class JsonDisplay:
         )
 
     def profile(self, directory: Path, beside: Sequence[TimeSpent]) -> None:
-        """Print `profile`; beside: seconds of what no ledger records."""
+        """Print `profile`. beside: seconds that the ledger does not record."""
         _print_json({"event": "profile", **profile_object(_events(directory), beside)})
 
     def close(self) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
 
 @dataclass
 class TextDisplay:
-    """Lines for people; a live footer when stdout is a terminal."""
+    """Text lines; a live footer if stdout is a terminal."""
 
     problem: Problem
     prepared: Prepared
@@ -138,7 +138,7 @@ class TextDisplay:
     footer: Spinner | None = None
 
     def on_start(self, view: SearchView) -> None:
-        """Say what is searched and how well it is isolated; repeat what is there already."""
+        """Print the problem, the isolation, and the experiments that the run has already."""
         start, problem = view.started, self.problem
         samples = sum(len(r) for r in problem.train)
         self._print(
@@ -161,7 +161,7 @@ class TextDisplay:
         for note in start.isolation_notes:
             self._print(f"note    {note}", style="dim")
         for change in environment_changes(start.environment, self.prepared.started.environment):
-            self._print(f"note    the run began elsewhere: {change}")
+            self._print(f"note    the run began in another environment: {change}")
         if view.experiments:
             self._print(f"resumed after {len(view.finished)} of {view.budget} experiments")
         for rung in view.rungs:
@@ -177,7 +177,7 @@ class TextDisplay:
         self._foot(view)
 
     def on_event(self, event: Event, view: SearchView) -> None:
-        """Print what a person wants to know of an event."""
+        """Print an event if it matters to a user."""
         match event:
             case RungScored():
                 self._rung(event)
@@ -203,7 +203,7 @@ class TextDisplay:
     def finish(
         self, view: SearchView, pictures: Sequence[Path], failed: Sequence[str] = ()
     ) -> None:
-        """Say where things are and what to type next."""
+        """Print the result, the paths of its files, and the next commands."""
         self.close()
         run, best = self._run_word(), view.best
         self._print("")
@@ -236,14 +236,14 @@ class TextDisplay:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
 
     def _print_parameters(self) -> None:
-        """The parameters of the winner with their intervals, where they are few."""
+        """Print the parameters of the winner with their intervals, if they are few."""
         found = identified(open_run(self.prepared.directory))
         if found is not None and 0 < len(found.parameters) <= _MOST_PARAMETERS:
             for line in identified_lines(found, equations=False):
                 self._print(printable_line(line))
 
     def _print_best(self, view: SearchView) -> None:
-        """The winner, and what is known of how good it really is."""
+        """Print the winner and the evidence for its quality."""
         best = view.best
         if best is None or best.score is None:
             self._print("best     none: every candidate failed")
@@ -275,7 +275,7 @@ class TextDisplay:
         self._print(f"references {rungs}")
 
     def profile(self, directory: Path, beside: Sequence[TimeSpent]) -> None:
-        """Say where the seconds went; beside: of what no ledger records."""
+        """Print the time of each activity. beside: seconds that the ledger does not record."""
         for line in profile_lines(_events(directory), beside):
             self._print(line)
 
@@ -285,7 +285,7 @@ class TextDisplay:
             self.footer.stop()
 
     def _run_word(self) -> str:
-        """What names the run on a command line: its path where the default would not find it."""
+        """Return the RUN argument of this run: its name, or its path outside the default folder."""
         directory = self.prepared.directory
         return directory.name if directory.parent == DEFAULT_RUNS else str(directory)
 

@@ -1,4 +1,4 @@
-"""One experiment laid out for a terminal."""
+"""Layout of one experiment on a terminal."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ the first 5 % of a record, over that of all samples."""
 
 
 def wide_console() -> Terminal:
-    """The terminal's own width; wide in a pipe, where nothing should be folded."""
+    """Return a console with the terminal's width; wide in a pipe, so that no line is folded."""
     console = Terminal()
     return console if console.is_terminal else Terminal(width=200)
 
@@ -58,7 +58,7 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     for line in (*r.failed_checks, *mine):
         console.print(printable_line(f"note        {line}"))
     if refitted and refitted.again and refitted.experiment == experiment.number:
-        same = f"fold {refitted.again.fold}, fitted a second time, comes out the same"
+        same = f"fold {refitted.again.fold}, fitted a second time, gives the same result"
         console.print(f"again       {again_words(run.view) or same}")
     if run.view.confirmed is not None:
         for line in lines_about(run.view.confirmed, experiment.number, run.view.v_name):
@@ -92,12 +92,12 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
 
 
 def _print_reasons(console: Terminal, run: Run, p: Proposed) -> None:
-    """What was proposed, by whom and why."""
-    parent = f", made from #{p.parent:02d}" if p.parent else ""
+    """Print the proposal, its agent and its hypothesis."""
+    parent = f", derived from #{p.parent:02d}" if p.parent else ""
     title = Text(printable_line(f"#{p.experiment:02d} {p.title}"), style="bold")
     console.print(title, printable_line(f"({p.family}, {phase_words(p.phase)}{parent})"))
     if p.leg:
-        who = p.agent or "nobody: the baseline"
+        who = p.agent or "none: the baseline"
         legs = len(run.view.started.legs)
         console.print(printable_line(f"agent       {who}, in leg {p.leg} of {legs}"))
     console.print(printable_line(f"hypothesis  {p.hypothesis}"))
@@ -107,7 +107,7 @@ def _print_reasons(console: Terminal, run: Run, p: Proposed) -> None:
 
 
 def experiment_object(run: Run, experiment: Experiment) -> dict[str, Any]:
-    """The experiment for scripts."""
+    """Return the experiment as JSON."""
     proposed, result, score = experiment.proposed, experiment.result, experiment.score
     found = identified(run)
     mine = found is not None and found.experiment == experiment.number
@@ -133,7 +133,7 @@ def _print_identified(console: Terminal, run: Run) -> None:
     found = identified(run)
     if found is None:
         return
-    console.print("\nwhat was identified", style="bold")
+    console.print("\nidentified model", style="bold")
     for line in identified_lines(found):
         console.print(printable_line(line))
 
@@ -185,12 +185,12 @@ def _ratio_words(experiment: Experiment) -> str:
     ratio = consistency(experiment.score.value, errors)
     if ratio >= FAR_BELOW:
         return f"{ratio:.2f}"
-    kept = "; V stayed when the folds were fitted again, one by one"
+    kept = "; V was the same when the folds were fitted again, one at a time"
     return f"{ratio:.2f}, suspiciously low{kept if experiment.result.status == 'keep' else ''}"
 
 
 def _channel_table(run: Run, score: Score) -> Table:
-    """A row an output, metric and fit index on each fold beside each other."""
+    """Make a table with one row per output: metric and fit index on each fold."""
     metric = run.metric
     table = Table(title="by output", title_justify="left", box=None)
     table.add_column("output", overflow="fold")

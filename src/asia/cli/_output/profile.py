@@ -1,4 +1,4 @@
-"""Where the seconds of a search went, as a table."""
+"""Time of a search by activity, as a table."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ _NOT_IN_LEDGER = (Activity.PREPARE, Activity.PICTURES)
 
 
 def summed(events: Iterable[Event], beside: Sequence[TimeSpent] = ()) -> tuple[TimeSpent, ...]:
-    """Seconds of each activity over all events; beside: of what no ledger records."""
+    """Sum the seconds of each activity over all events. beside: seconds that the ledger does not
+    record."""
     spent: Seconds = {}
     recorded = [e.spent for e in events if isinstance(e, Evaluated | Refitted | GuardLooked)]
     for one in (one for parts in (*recorded, beside) for one in parts):
@@ -21,12 +22,12 @@ def summed(events: Iterable[Event], beside: Sequence[TimeSpent] = ()) -> tuple[T
 
 
 def profile_lines(events: Sequence[Event], beside: Sequence[TimeSpent] = ()) -> list[str]:
-    """The table, a line an activity, the total last."""
+    """Return the table: one line per activity, the total last."""
     results = [e for e in events if isinstance(e, Evaluated)]
     without = sum(not e.spent for e in results)
     spent = summed(events, beside)
     if without == len(results):
-        return [f"profile  {ABSENT}: no experiment of this run says where its seconds went"]
+        return [f"profile  {ABSENT}: no experiment of this run has a profile"]
     total = sum(one.wall for one in spent)
     lines = [f"profile  {'wall s':>22} {'share':>7} {'processor s':>12}"]
     for one in spent:
@@ -44,7 +45,7 @@ def profile_lines(events: Sequence[Event], beside: Sequence[TimeSpent] = ()) -> 
 def profile_object(
     events: Sequence[Event], beside: Sequence[TimeSpent] = ()
 ) -> dict[str, dict[str, float]]:
-    """Seconds by activity."""
+    """Return the seconds by activity."""
     return {
         one.activity.value: {"wall": one.wall, "processor": one.processor}
         for one in summed(events, beside)

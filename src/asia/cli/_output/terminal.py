@@ -1,4 +1,4 @@
-"""The terminal as commands write to it: nothing from outside is obeyed there."""
+"""Terminal output without control characters from outside."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from asia._text import printable
 
 
 class Terminal(Console):
-    """A console that takes every text for plain text, and lets no control character of it through.
-    Colours and cursor moves are rich's own."""
+    """Console that prints text literally and removes its control characters. Only rich itself sets
+    colours and moves the cursor."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(highlight=False, markup=False, emoji=False, **settings)
@@ -21,7 +21,7 @@ class Terminal(Console):
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
     ) -> Iterable[Segment]:
-        """All that is printed comes through here, live displays too."""
+        """Filter all output, live displays included."""
         for segment in super().render(renderable, options):
             if segment.control:
                 yield segment

@@ -1,4 +1,4 @@
-"""The residual analysis of the training side, in words that need no key."""
+"""Residual analysis of the training data as text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def training_lines(found: Diagnostics) -> tuple[str, ...]:
-    """Figures of the worst output, of a fold or of the worst fold."""
+    """Return the figures of the worst output, of a fold or of the worst fold."""
     return (
         f"training side, worst fold and output: error {found.train_error:.3g} as in V, mean "
         f"residual {found.bias:.2g} s.d.",

@@ -1,4 +1,4 @@
-"""What a person or an agent reads while a candidate waits for its result."""
+"""Progress lines while a candidate waits for its result."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _AGAIN_SECONDS = 60.0
 
 
 class Waiting:
-    """Says each thing once: the rungs and the experiments that are finished meanwhile, where the
-    submission stands, and every minute that it still does."""
+    """Print each change once: finished rungs and experiments, and the state of the submission.
+    Repeat an unchanged state every minute."""
 
     def __init__(self, desk: Desk, say: Callable[[str], None]) -> None:
         self._desk, self._say = desk, say
@@ -27,7 +27,7 @@ class Waiting:
         self._since = self._said = time.monotonic()
 
     def look(self, submission: Submission) -> None:
-        """Say what has changed."""
+        """Print the changes since the last call."""
         now = self._desk.progress()
         for name, value in now.rungs.items():
             if name not in self._rungs:

@@ -1,4 +1,4 @@
-"""Words and numbers for people."""
+"""Text for results: experiments, scores, stop reasons, models."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ NOT_LEAK_FREE = (
 
 
 RESIDUALS_SHOWN = (
-    "held-out residuals are shown to whoever proposes, who can fit a model to them, so V is only "
+    "held-out residuals are shown to the agent, which can fit a model to them, so V is only "
     "comparable with V of the same setting"
 )
 
-# V over that of the training mean from which on a model says next to nothing.
+# V divided by V of the training mean, above which a model is no better than the mean.
 _BETTER = 0.95
 
 
 def validation_words(validation_scores: int) -> str:
-    """With validation early stopping: what V is, and how often held-out parts were asked."""
+    """Return the note on V with validation early stopping, with the number of validation scores."""
     return (
         f"with validation early stopping, not leak-free; {validation_scores} validation scores "
-        "were given in all"
+        "were given"
     )
 
 
 def value_words(outcome: Outcome) -> str:
-    """V, or why there is none."""
+    """Return V, or the reason of the failure."""
     return error_value(outcome.value) if isinstance(outcome, Score) else outcome.reason.value
 
 
 def last_line(failure: Failure) -> str:
-    """The end of what a failure said, or its advice."""
+    """Return the last line of the detail of a failure, or its advice."""
     lines = failure.detail.strip().splitlines()
     return lines[-1].strip()[:160] if lines else failure.advice
 
@@ -96,8 +96,8 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
 
 
 def running_words(view: SearchView) -> list[str]:
-    """`#05 refine: linear, one state more`, one for each experiment in flight; of one that waits
-    for those before it, that its fit has ended."""
+    """Return `#05 refine: linear, one state more` for each experiment in flight, and whether its
+    fit has ended."""
     return [
         f"#{e.number:02d} {e.proposed.phase}: {e.proposed.title}"
         + (" (fitted, waits for its turn)" if e.landed is not None else "")
@@ -106,13 +106,13 @@ def running_words(view: SearchView) -> list[str]:
 
 
 def best_at(number: int, view: SearchView) -> Experiment | None:
-    """The best experiment after experiment `number`."""
+    """Return the best experiment after experiment `number`."""
     bests = [e for e in view.bests if e.number <= number]
     return bests[-1] if bests else None
 
 
 def guard_words(view: SearchView) -> str:
-    """The last look at the guard: `#07 0.2310, #09 0.2280; it picks #09, the winner is #07`."""
+    """Return the last look at the guard: `#07 0.2310, #09 0.2280; it picks #09, ...`."""
     look = view.looks[-1]
     scores = ", ".join(f"#{s.experiment:02d} {value_words(s.outcome)}" for s in look.scores)
     best = view.best
@@ -124,21 +124,23 @@ def guard_words(view: SearchView) -> str:
 
 
 def again_words(view: SearchView) -> str:
-    """What a second fit of one of the winner's folds says against it; "" where it came out the
-    same."""
+    """Return the difference that a second fit of one fold of the winner showed; "" if none."""
     again = view.refitted.again if view.refitted else None
     if again is None or again.ratio == 1.0:
         return ""
     if again.ratio is None:
-        return f"fold {again.fold}, fitted a second time, fails ({again.failed}): V is in part luck"
+        return (
+            f"fold {again.fold}, fitted a second time, fails ({again.failed}): "
+            "V varies over repeated fits"
+        )
     return (
         f"fold {again.fold}, fitted a second time, has {again.ratio:.4g} times its error: "
-        "V is in part luck"
+        "V varies over repeated fits"
     )
 
 
 def use_lines(view: SearchView) -> list[str]:
-    """The model to use of a finished search with its reason, and the others that there are."""
+    """Return the model to use of a finished search with its reason, and the other models."""
     named, refitted = model_to_use(view), view.refitted
     if named is None or refitted is None:
         return []
@@ -154,21 +156,21 @@ def use_lines(view: SearchView) -> list[str]:
 
 
 def _no_better_than_mean(view: SearchView) -> list[str]:
-    """What to look at where the best V is no better than that of the mean of the data."""
+    """Return advice if the best V is no better than that of the mean of the data."""
     mean = next((r.outcome for r in view.rungs if r.name == "training mean"), None)
     best = view.best.score if view.best is not None else None
     if best is None or not isinstance(mean, Score) or best.value < _BETTER * mean.value:
         return []
     return [
         f"doubt   nothing is clearly better than the mean of the data, whose {view.v_name} is "
-        f"{error_value(mean.value)}: do the inputs drive the outputs at all, was the plant in a "
-        "closed loop, is it unstable? Look at asia check; a plant that runs away can be judged on "
-        'short windows, kind = "windows" in [protocol]'
+        f"{error_value(mean.value)}: do the inputs act on the outputs, was the plant in closed "
+        "loop, is it unstable? Read asia check; for an unstable plant use short windows, "
+        'kind = "windows" in [protocol]'
     ]
 
 
 def stop_words(reason: str, view: SearchView) -> str:
-    """Why a search ended, in words; in those of the agent where it found that nothing is left."""
+    """Return the stop reason as text; the agent's own text if it found nothing left to try."""
     if reason == "saturated" and view.stopped is not None and view.stopped.detail:
         return f"saturated: {view.stopped.detail}"
     return {
@@ -195,7 +197,7 @@ def usage_words(usage: Usage) -> str:
 
 
 def event_object(event: Event, view: SearchView) -> dict[str, Any]:
-    """An event as a flat JSON object for scripts."""
+    """Return an event as a flat JSON object."""
     if isinstance(event, Evaluated):
         best = view.best
         experiment = view.experiment(event.experiment)

@@ -1,4 +1,4 @@
-"""A program of a person's choice in the jail of a workspace: `asia workspace --jail CMD`."""
+"""A program of a person's choice in the jail of a workspace: `asia agent workspace --jail CMD`."""
 
 from __future__ import annotations
 

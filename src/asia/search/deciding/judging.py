@@ -22,8 +22,8 @@ from asia.search.deciding.retesting import retest_fits
 from asia.search.deciding.rules import decide
 
 _FIRST_SEED = 1_000_000
-"""The number of the first seed of retests: those of `asia confirm` count from 1, and what chose a
-winner must not also confirm it."""
+"""The number of the first seed of retests: those of `asia validate --repeat` count from 1, and
+a seed that chose a winner must not confirm it too."""
 _WORTH_A_RETEST = 0.5
 """The share of the floor by which a first fit must be lower: with less, two more fits make a
 new best very unlikely."""

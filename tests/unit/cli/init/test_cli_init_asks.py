@@ -122,7 +122,7 @@ def test_a_constant_channel_is_no_output(asia: Asia, monkeypatch: pytest.MonkeyP
     done = asia("init", "mill", "--train", "log.csv")
     assert done.code == 0, done.err
     assert person.answers == []
-    assert "'mode' is 7 in every sample: there is nothing to identify, name another" in done.out
+    assert "'mode' is 7 in every sample: name another column" in done.out
 
 
 def test_yes_takes_what_is_found_and_says_it(asia: Asia) -> None:

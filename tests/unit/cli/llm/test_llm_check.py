@@ -1,4 +1,4 @@
-"""`asia llm-check` with a scripted server."""
+"""`asia agent check` with a scripted server."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def kept() -> dict[str, Any]:
 @pytest.mark.slow
 def test_a_model_that_keeps_to_the_form_is_able(asia: Asia, server: FakeServer) -> None:
     server.answers = [said(arx(2)), said(arx(3))]
-    done = asia("llm-check", "--base-url", server.url, "--steps", 2)
+    done = asia("agent", "check", "--base-url", server.url, "--steps", 2)
     assert done.code == 0, done.err
     assert f"made-up at {server.url}: able" in done.out
     assert "2 of 2 at once" in done.out
@@ -52,7 +52,7 @@ def test_a_model_that_keeps_to_the_form_is_able(asia: Asia, server: FakeServer) 
 def test_repairs_are_counted_with_what_was_wrong(asia: Asia, server: FakeServer) -> None:
     server.answers = [said(BROKEN), said(arx(2)), said(CRASH), said(arx(3))]
     options = ("--base-url", server.url, "--model", "mine", "--steps", 3, "--json")
-    done = asia("llm-check", *options)
+    done = asia("agent", "check", *options)
     assert done.code == 0, done.err
     report = json.loads(done.out)
     assert report == kept()
@@ -68,7 +68,7 @@ def test_repairs_are_counted_with_what_was_wrong(asia: Asia, server: FakeServer)
 @pytest.mark.slow
 def test_a_model_without_candidates_is_not_able(asia: Asia, server: FakeServer) -> None:
     server.answers = [REFUSAL] * 3 + [said(arx(2))]
-    done = asia("llm-check", "--base-url", server.url, "--steps", 2)
+    done = asia("agent", "check", "--base-url", server.url, "--steps", 2)
     assert done.code == 3, done.err
     assert "not able" in done.out
     report = kept()
@@ -79,7 +79,7 @@ def test_a_model_without_candidates_is_not_able(asia: Asia, server: FakeServer) 
 @pytest.mark.slow
 def test_no_more_is_asked_when_the_time_is_over(asia: Asia, server: FakeServer) -> None:
     server.answers = [said(arx(2)), said(arx(3))]
-    done = asia("llm-check", "--base-url", server.url, "--steps", 2, "--minutes", 0)
+    done = asia("agent", "check", "--base-url", server.url, "--steps", 2, "--minutes", 0)
     assert done.code == 3, done.err
     assert server.asked == []
 
@@ -87,14 +87,14 @@ def test_no_more_is_asked_when_the_time_is_over(asia: Asia, server: FakeServer) 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ((), "llm-check needs a server or a model"),
+        ((), "asia agent check needs a server or a model"),
         (("--base-url", "http://127.0.0.1:9/v1"), "does not list its models"),
     ],
 )
 def test_what_cannot_be_asked(
     asia: Asia, server: FakeServer, options: tuple[str, ...], words: str
 ) -> None:
-    done = asia("llm-check", *options)
+    done = asia("agent", "check", *options)
     assert done.code == 2
     assert words in done.err
     assert not Path("runs").exists()
@@ -102,6 +102,6 @@ def test_what_cannot_be_asked(
 
 def test_a_server_without_models_is_said(asia: Asia, server: FakeServer) -> None:
     server.models = ()
-    done = asia("llm-check", "--base-url", server.url)
+    done = asia("agent", "check", "--base-url", server.url)
     assert done.code == 2
     assert "lists no model" in done.err

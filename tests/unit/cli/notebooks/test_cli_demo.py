@@ -26,7 +26,7 @@ def test_it_copies_one_and_overwrites_nothing(asia: Asia, tmp_path: Path) -> Non
     assert (tmp_path / "own_csv.ipynb").read_bytes() == (FOLDER / "own_csv.ipynb").read_bytes()
     again = asia("demo", "own_csv", "--out", tmp_path)
     assert again.code == 2
-    assert "nothing is overwritten" in again.err
+    assert "exists: give another --out" in again.err
     assert "did you mean" in asia("demo", "own_cvs").err
     assert asia("demo", "own_csv", "--out", tmp_path / "none").code == 2
 

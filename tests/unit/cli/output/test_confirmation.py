@@ -1,4 +1,4 @@
-"""asia confirm, and what status and show say of it."""
+"""asia validate --repeat, and what status and show say of it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FOUND = Confirmed(
 
 def test_words_that_a_person_understands() -> None:
     text = "\n".join(confirmation_lines(FOUND))
-    assert "#09 and #12 cannot be told apart: they differ by 0.001 (-0.004 to 0.006)" in text
+    assert "#09 and #12 are statistically equal: they differ by 0.001 (-0.004 to 0.006)" in text
     assert "#12 is better than #03 by 0.099 (0.08 to 0.12)" in text
     assert "rank 1 to 2" in text
     assert "rank 3 " in text
@@ -51,12 +51,12 @@ def test_words_that_a_person_understands() -> None:
 @pytest.mark.parametrize(
     ("found", "words"),
     [
-        (FOUND, "#12 and #09 cannot be told apart"),
+        (FOUND, "#12 and #09 are statistically equal"),
         (replace(FOUND, winner=9, pairs=FOUND.pairs[1:]), "#09 is confirmed"),
         (replace(FOUND, winner=3), "#03 is not confirmed: #09 and #12 are better"),
-        (replace(FOUND, winner=7), "not among the candidates"),
-        (replace(FOUND, failed=(12,)), "failed from every other seed"),
-        (replace(FOUND, candidates=FOUND.candidates[1:2], pairs=()), "compared with nothing"),
+        (replace(FOUND, winner=7), "#07 is not confirmed: it was not repeated"),
+        (replace(FOUND, failed=(12,)), "failed with every other seed"),
+        (replace(FOUND, candidates=FOUND.candidates[1:2], pairs=()), "the only candidate repeated"),
     ],
 )
 def test_the_verdict(found: Confirmed, words: str) -> None:
@@ -68,17 +68,19 @@ def test_the_command_tells_progress_and_result_and_status_and_show_repeat_it(
 ) -> None:
     runs = ("--runs", searched.runs)
     assert "confirm " not in asia("status", searched.name, *runs).out
-    done = asia("confirm", searched.name, "--seeds", 2, *runs)
+    done = asia("validate", searched.name, "--repeat", "--seeds", 2, *runs)
     assert done.code == 0, done.err
     assert "#01 seed 1: V=" in done.err
     assert "noise floor: " in done.out
     assert "expected of #01 on a new record" in done.out
-    again = asia("confirm", searched.name, "--seeds", 2, *runs)
-    assert "nothing was fitted again" in again.err
+    again = asia("validate", searched.name, "--repeat", "--seeds", 2, *runs)
+    assert "nothing new to fit" in again.err
     assert again.out == done.out
-    assert "confirm #01 was repeated alone" in asia("status", searched.name, *runs).out
+    assert "confirm #01 was the only candidate repeated" in asia("status", searched.name, *runs).out
     assert "confirmed   rank 1" in asia("show", searched.name, *runs).out
-    found = json.loads(asia("confirm", searched.name, "--seeds", 2, "--json", *runs).out)
+    found = json.loads(
+        asia("validate", searched.name, "--repeat", "--seeds", 2, "--json", *runs).out
+    )
     assert (found["winner"], found["new"]) == (1, False)
     status = json.loads(asia("status", searched.name, "--json", *runs).out)
     assert status["confirmed"]["winner"] == 1
@@ -90,6 +92,6 @@ def test_what_cannot_be_confirmed_is_refused_with_a_sentence(
 ) -> None:
     ledger = searched.directory / "ledger.jsonl"
     ledger.write_bytes(b"".join(ledger.read_bytes().splitlines(keepends=True)[:-2]))
-    done = asia("confirm", searched.name, "--runs", searched.runs)
+    done = asia("validate", searched.name, "--repeat", "--runs", searched.runs)
     assert done.code == 2
     assert "not finished" in done.err

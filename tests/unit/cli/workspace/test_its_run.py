@@ -52,7 +52,7 @@ def test_a_search_that_has_not_begun(
     monkeypatch.chdir(tmp_path / "work")
     done = asia("status")
     assert done.code == 2
-    assert "has not begun: asia try begins it" in done.err
+    assert "has not started: asia try starts it" in done.err
 
 
 def test_the_folder_of_a_coding_agent_has_no_run(

@@ -1,4 +1,4 @@
-"""asia workspace --jail: a program that was started by hand, in the jail of a command agent."""
+"""asia agent workspace --jail: a program started by hand, in the jail of a command agent."""
 
 import json
 import os
@@ -50,7 +50,7 @@ def test_a_program_in_the_jail_submits_and_sees_nothing_else(
     test = next(p for p in problem.iterdir() if "test" in p.name)
     words = {"ledger": str(run / "ledger.jsonl"), "test": str(test)}
     program = INSIDE.format(candidate=arx(2), asia=ASIA, **words)
-    common = ("workspace", problem, folder, "--runs", runs)
+    common = ("agent", "workspace", problem, folder, "--runs", runs)
     try:
         done = asia(*common, "--jail", f"{sys.executable} -c {shlex.quote(program)}")
         assert done.code == 7, done.err
@@ -71,13 +71,13 @@ def test_a_program_in_the_jail_submits_and_sees_nothing_else(
 
 def test_an_open_folder_says_so_in_its_first_line(tmp_path: Path, asia: Asia) -> None:
     problem, folder = write_problem(tmp_path / "toy"), tmp_path / "work"
-    made = asia("workspace", problem, folder, "--no-start", "--runs", tmp_path / "runs")
+    made = asia("agent", "workspace", problem, folder, "--no-start", "--runs", tmp_path / "runs")
     assert made.code == 0, made.err
     first = (folder / "PROGRAM.md").read_text().splitlines()[0]
     assert first.startswith("> **Open folder, no jail.**")
-    refused = asia("workspace", problem, folder, "--network", "--runs", tmp_path / "runs")
+    refused = asia("agent", "workspace", problem, folder, "--network", "--runs", tmp_path / "runs")
     assert refused.code == 2
-    assert "--network is for --jail CMD" in refused.err
+    assert "--network belongs to --jail CMD" in refused.err
 
 
 @needs_jail
@@ -98,7 +98,7 @@ def test_a_jail_that_cannot_be(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
-    done = asia("workspace", write_problem(tmp_path / "toy"), "work", *words)
+    done = asia("agent", "workspace", write_problem(tmp_path / "toy"), "work", *words)
     assert done.code == 2
     assert complaint in done.err
     assert not Path("work").exists()
@@ -118,7 +118,7 @@ def test_the_program_has_a_terminal_of_its_own(tmp_path: Path) -> None:
         "print('ready for ' + input(), flush=True)\n"
         "time.sleep(60)\n"
     )
-    command = [sys.executable, "-c", ASIA, "workspace", str(problem), str(folder)]
+    command = [sys.executable, "-c", ASIA, "agent", "workspace", str(problem), str(folder)]
     command += ["--runs", str(runs), "--jail", f"{sys.executable} -c {shlex.quote(program)}"]
     ours, theirs = pty.openpty()
     try:

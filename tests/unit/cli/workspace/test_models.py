@@ -42,7 +42,7 @@ def test_the_example_is_of_the_workspace(
 ) -> None:
     folder = tmp_path / "work"
     options = ("--no-start", "--runs", tmp_path / "runs")
-    assert asia("workspace", "two_tanks_sim", folder, *options).code == 0
+    assert asia("agent", "workspace", "two_tanks_sim", folder, *options).code == 0
     monkeypatch.chdir(folder / "data")
     assert "## Example" in asia("models", "greybox").out
     assert "## Example" not in asia("models", "physics_net").out

@@ -122,9 +122,9 @@ def test_each_change_of_the_lineage_is_left_out_and_nothing_is_fitted_twice(
     assert ablate(run, lambda event, done, total: again.append(event), seeds=3) == (found, False)
     assert again == []
     assert open_run(run).view.ablated == found
-    done = command_line("ablate", run.name, "--runs", run.parent, "--json")
+    done = command_line("validate", run.name, "--ablate", "--runs", run.parent, "--json")
     assert json.loads(done.out.splitlines()[-1])["new"] is False
-    shown = command_line("ablate", run.name, "--runs", run.parent)
+    shown = command_line("validate", run.name, "--ablate", "--runs", run.parent)
     assert "its training" in shown.out
     assert "without the change of #02" in shown.out
 

@@ -331,7 +331,7 @@ def test_what_the_refit_says_of_its_parameters_is_kept_and_shown(tmp_path: Path)
     words = "show", directory.name, "--runs", directory.parent
     shown = json.loads(command_line(*words, "--json").out)
     assert [one["name"] for one in shown["parameters"]] == [f"w{i}" for i in range(5)]
-    assert "what was identified" in command_line(*words).out
+    assert "identified model" in command_line(*words).out
     assert json.loads(command_line(*words, "1", "--json").out)["parameters"] is None
     (directory / "artifacts" / str(ended(view).estimates)).write_bytes(b"{}")
     with pytest.raises(UserError, match="changed"):

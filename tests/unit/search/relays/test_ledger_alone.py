@@ -43,7 +43,7 @@ def test_show_tells_all_but_the_source(bare: Run) -> None:
     done = command_line("show", bare.name, "2", *where)
     assert done.code == 0
     assert "V = " in done.out
-    assert "candidate.py and what it printed are not here" in done.out
+    assert "candidate.py and its output are not here" in done.out
     source = command_line("show", bare.name, "2", "--source", *where)
     assert source.code == 2
     assert "a ledger without its artifacts" in source.err
@@ -72,4 +72,4 @@ def test_the_recorded_ledger_of_the_nanodrone_is_read(tmp_path: Path) -> None:
         (directory / name).write_bytes((RUNS / NANODRONE / name).read_bytes())
     for command in ("status", "show", "report", "verify"):
         assert command_line(command, NANODRONE, "--runs", str(tmp_path)).code == 0
-    assert command_line("replay", NANODRONE, "--runs", str(tmp_path)).code == 2
+    assert command_line("verify", "--replay", NANODRONE, "--runs", str(tmp_path)).code == 2

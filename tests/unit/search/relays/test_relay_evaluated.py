@@ -1,5 +1,5 @@
 """A relay with a program as its last agent, evaluated as any search is: in its jail, killed at the
-hand-over, and in `asia compare`."""
+hand-over, and in `asia bench agents`."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def test_a_program_goes_on_where_the_expert_ends(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_a_relay_is_compared_like_any_agent(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy")
-    done = command_line("compare", problem, "--agents", "random,expert*2+random", "--seeds", 1,
-                        "--experiments", 3, "--runs", tmp_path / "runs")  # fmt: skip
+    done = command_line("bench", "agents", problem, "--agents", "random,expert*2+random",
+                        "--seeds", 1, "--experiments", 3, "--runs", tmp_path / "runs")  # fmt: skip
     assert done.code == 0, done.err
     assert "| expert*2+random, best of 3 |" in done.out
     pair = next(line for line in done.out.splitlines() if "random : expert2+random" in line)

@@ -15,7 +15,7 @@ def _write(subject: Subject) -> Html:
     name = one_line(start.run, 120)
     commands = (
         f"asia verify {name}       # the chain of the ledger and every artifact\n"
-        f"asia replay {name}       # every candidate again, compared\n"
+        f"asia verify {name} --replay # every candidate again, compared\n"
         f"asia run {one_line(start.problem, 120)} --agent {one_line(start.agent, 60)} "
         f"--experiments {subject.view.budget} --seed {start.seed}\n"
     )

@@ -54,7 +54,7 @@ def _pairs(subject: Subject, found: Confirmed) -> Html | None:
     for k, pair in enumerate(found.pairs):
         at = f"pairs.{k}"
         names = [subject.number(found, f"{at}.{side}", "number") for side in ("first", "second")]
-        words = "is better" if pair.apart else "cannot be told apart"
+        words = "is better" if pair.apart else "statistically equal"
         gap = _interval(subject, found, f"{at}.difference", "signed_error")
         rows.append([join(names, " and "), gap, words])
     note = tag(
