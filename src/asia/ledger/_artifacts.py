@@ -1,4 +1,6 @@
-"""Every artifact a ledger names, checked on all cores: a long search has a million of them."""
+"""Verification of all artifacts that a ledger names, on all cores. A long search has a million of
+them.
+"""
 
 from __future__ import annotations
 

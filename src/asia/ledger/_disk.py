@@ -65,7 +65,7 @@ def write_whole(path: Path, data: bytes, *, durable: bool = True) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """As `mkdir(parents=True)`; a folder that is new is on the disk on return."""
+    """Create a folder with its parents. A new folder is on the disk on return."""
     if not path.is_dir():
         make_folder(path.parent)
         path.mkdir(exist_ok=True)

@@ -21,9 +21,12 @@ def write_exports(directory: Path, view: SearchView) -> None:
 
 
 def results_table(view: SearchView) -> str:
-    """Tab-separated: experiment, val, status, description, parent, seconds of the evaluation, val
-    of each fold, and in a relay the agent. No number stands for a failure. With validation early
-    stopping the second column says so."""
+    """Write the experiments as a tab-separated table.
+
+    Columns: experiment, val, status, description, parent, seconds of the evaluation, val of each
+    fold, and in a relay the agent. A failure has no number. With validation early stopping the name
+    of the second column says so.
+    """
     val = view.v_name.replace("V", "val", 1)
     rows = [
         f"experiment\t{val}\tstatus\tdescription\tparent\tseconds\tfolds"
@@ -54,7 +57,7 @@ def _description(e: Experiment) -> str:
 
 
 def journal(view: SearchView) -> str:
-    """What was tried, why, and what came of it."""
+    """Write the journal of a search: hypothesis, reason and result of each experiment."""
     start = view.started
     parts = [
         f"# Search journal: {markdown_line(start.run)}\n\n"
@@ -133,7 +136,7 @@ def seed_mean_words(e: Experiment) -> str:
 
 
 def validation_score_words(result: Evaluated) -> str:
-    """How often the fits of an experiment requested their score on the held-out parts."""
+    """Describe the number of requests of an experiment for its score on the held-out parts."""
     count = result.validation_scores
     return f"{count} validation score{'' if count == 1 else 's'}"
 
@@ -144,7 +147,7 @@ def error_value(value: float) -> str:
 
 
 def describe_result(e: Experiment, view: SearchView) -> str:
-    """One line: V and its folds, or the failure with advice."""
+    """Describe a result in one line: V and its folds, or the failure with advice."""
     left = e.result.left_behind if e.result else ()
     stuck = f"; worker process {', '.join(map(str, left))} could not be ended" if left else ""
     return _outcome_words(e, view) + stuck

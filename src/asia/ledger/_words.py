@@ -1,4 +1,4 @@
-"""What a failure says, on one line."""
+"""One-line descriptions of failures."""
 
 from __future__ import annotations
 
@@ -55,5 +55,7 @@ def error_line(error: str, most: int = 300) -> str:
 
 
 def phase_words(phase: Phase) -> str:
-    """Where in the budget an experiment lies; what it tries is its agent's choice."""
+    """Describe the part of the budget in which an experiment lies. Its hypothesis is the agent's
+    choice.
+    """
     return _PHASES[phase]

@@ -1,4 +1,4 @@
-"""From the ledger to what an agent may see."""
+"""View of a search for its agent, derived from the ledger."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class KnownTrials:
         self._found: dict[int, tuple[Experiment, Trial]] = {}
 
     def trial(self, e: Experiment) -> Trial:
-        """What an agent may see of an experiment that has its result."""
+        """Return the visible part of an experiment that has its result."""
         known = self._found.get(e.number)
         if known is None or known[0].proposed is not e.proposed or known[0].result is not e.result:
             known = self._found[e.number] = e, _trial(e, self._store)
@@ -111,7 +111,9 @@ def _running(p: Proposed, store: Store) -> Running:
 
 
 def _rung(view: SearchView, name: str) -> float | None:
-    """V of a rung. Not with the Ladder, which reports V of some candidates only."""
+    """Return V of a reference model; None with the Ladder, which reports V of some candidates
+    only.
+    """
     if view.started.ladder is not None:
         return None
     outcomes = (rung.outcome for rung in view.rungs if rung.name == name)
@@ -159,8 +161,9 @@ def _trial(e: Experiment, store: Store) -> Trial:
 def _evidence(
     e: Experiment, view: SearchView, store: Store, settings: RunSettings
 ) -> tuple[str, ...]:
-    """Without measured seconds and memory; () in older ledgers, whose prompts stay what they
-    were."""
+    """Return the evidence without measured seconds and memory; () in older ledgers, whose prompts
+    must not change.
+    """
     bounded = view.started.ladder is not None
     found = evidence_of(e, view, store, settings, bounded=bounded)
     return tuple(evidence_lines(found, measured=False)) if found.recorded else ()

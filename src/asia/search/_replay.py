@@ -55,17 +55,19 @@ ProposalAgreement = Literal["same", "differs", "taken", "none"]
 
 @dataclass(frozen=True)
 class Replayed:
-    """An experiment, a rung or the end of a search, done again."""
+    """Replay of one experiment, reference model or stop."""
 
     name: str
-    """`#07`, `rung linear model` or `stop`."""
+    """Name of the step, for example `#07` or `stop`."""
     outcome: OutcomeAgreement
     """`same` is bitwise the same, `close` within the tolerance, `exempt` where the deadline
     decided."""
     proposal: ProposalAgreement = "none"
-    """`taken` from the ledger where there is no agent to ask, `none` for a rung."""
+    """Agreement of the proposal: `taken` from the ledger without an agent to ask, `none` for a
+    reference model.
+    """
     status: Status | None = None
-    """What the ledger says of an experiment."""
+    """Status of the experiment in the ledger."""
     V: float | None = None
     """The value in the ledger."""
     again: float | None = None
@@ -73,17 +75,17 @@ class Replayed:
     apart: float | None = None
     """Relative difference of the two; None without two scores."""
     detail: str = ""
-    """What is not the same."""
+    """Description of the difference."""
 
     @property
     def agrees(self) -> bool:
-        """Whether nothing speaks against the ledger."""
+        """Return whether the replay agrees with the ledger."""
         return self.outcome != "differs" and self.proposal != "differs"
 
 
 @dataclass(frozen=True)
 class ReplayReport:
-    """What a replay came to."""
+    """Result of a replay."""
 
     run: str
     """Name of the run."""
@@ -92,13 +94,13 @@ class ReplayReport:
     exchanges: int = 0
     """Answers of a language model that the ledger holds."""
     items: tuple[Replayed, ...] = ()
-    """All that was done again, in order."""
+    """Replayed steps in order."""
     notes: tuple[str, ...] = ()
-    """What on this machine is not as it was."""
+    """Differences between this machine and the recorded one."""
 
     @property
     def agrees(self) -> bool:
-        """Whether all of it agrees."""
+        """Return whether all steps agree."""
         return all(item.agrees for item in self.items)
 
     @property
@@ -144,7 +146,7 @@ class _Replaying:
     items: list[Replayed] = field(default_factory=list[Replayed])
 
     def run_all(self) -> None:
-        """Every event in turn, each with the view that there was before it."""
+        """Replay every event in order, each with the view before it."""
         events = [line.event for line in self.run.lines]
         journals = self._journals()
         self._rungs([event for event in events if isinstance(event, RungScored)])
@@ -169,7 +171,7 @@ class _Replaying:
             self._add(replace(item, outcome="unfinished"))
 
     def _journals(self) -> list[_ReplayJournal]:
-        """One for each agent, with its own exchanges, attached."""
+        """Return a journal for each agent, with its own exchanges, attached to the agent."""
         relay, exchanges = bool(self.run.view.started.legs), self.run.view.exchanges
         journals: list[_ReplayJournal] = []
         for place, agent in enumerate(self.agents):
@@ -180,7 +182,9 @@ class _Replaying:
         return journals
 
     def _agent(self, before: SearchView) -> Agent | None:
-        """Who proposed then; None where somebody brought the candidates."""
+        """Return the agent that proposed at this point; None if candidates were submitted from
+        outside.
+        """
         return self.agents[max(0, before.leg - 1)]
 
     def _add(self, item: Replayed) -> None:
@@ -285,7 +289,7 @@ class _Replaying:
         self._add(item if ended else _with_detail(item, "the agent goes on now"))
 
     def _ends(self, agent: Agent, before: SearchView) -> bool:
-        """Whether the agent has nothing to propose, or says that the search should end."""
+        """Return whether the agent has no proposal or ends the search."""
         try:
             return agent.propose(self._seen(before)) is None
         except AgentStoppedError:

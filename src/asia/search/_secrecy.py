@@ -1,4 +1,4 @@
-"""That what must stay hidden lies outside every place that candidates and agents are shown."""
+"""Check that hidden data lie outside every folder that candidates and agents can read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was identified, in lines of text and as an object for scripts."""
+"""Identified model as lines of text and as an object for scripts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ _MOST_PAIRS = 5
 
 
 def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Iterator[str]:
-    """The equations with their numbers, a row a parameter, and what cannot be told apart."""
+    """Yield the equations with their numbers, one row a parameter, and the parameters that cannot
+    be distinguished.
+    """
     if found.equations and equations:
         yield "equations with the fitted numbers:"
         yield from (f"  {one_line(line, 600)}" for line in found.equations)

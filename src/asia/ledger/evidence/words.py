@@ -39,7 +39,9 @@ def evidence_lines(evidence: ExperimentEvidence, *, measured: bool = True) -> li
 
 
 def difference_lines(evidence: ExperimentEvidence) -> Iterator[str]:
-    """V beside that of the parent and of the best before, and beside the noise of repeats."""
+    """Yield the differences of V to the parent and to the best before, compared with the variance
+    over seeds.
+    """
     if not evidence.differences:
         return
     parts = [
@@ -51,7 +53,9 @@ def difference_lines(evidence: ExperimentEvidence) -> Iterator[str]:
 
 
 def fold_lines(evidence: ExperimentEvidence, *, measured: bool) -> Iterator[str]:
-    """A line a fold: what it holds out, V, training error, time and memory beside their limits."""
+    """Yield a line for each fold: held-out part, V, training error, time and memory with their
+    limits.
+    """
     names = [one_line(fold.held_out, 60) for fold in evidence.folds]
     width = max(map(len, names), default=0)
     for number, (fold, name) in enumerate(zip(evidence.folds, names, strict=True), 1):
@@ -74,7 +78,7 @@ def _cost(fold: FoldShown, evidence: ExperimentEvidence) -> Iterator[str]:
 
 
 def failure_lines(evidence: ExperimentEvidence) -> Iterator[str]:
-    """Which fold failed."""
+    """Yield the fold that failed."""
     if evidence.failed_fold:
         yield f"it failed in {one_line(evidence.failed_fold, WIDTH)}"
 
@@ -110,8 +114,9 @@ def output_lines(evidence: ExperimentEvidence, findings: Sequence[FoldFindings])
 
 
 def check_lines(evidence: ExperimentEvidence) -> Iterator[str]:
-    """What the checks of `asia validate` say on the training records, a line for each that does not
-    pass in some fold, in the words of the fold where it matters most."""
+    """Yield a line for each check of `asia validate` that does not pass on the training records of
+    some fold, in the wording of the fold with the largest deviation.
+    """
     findings = [one.findings for one in evidence.folds if one.findings is not None]
     yield from dict.fromkeys(line for one in findings for line in one.failed)
     known = [one.checks for one in findings]
@@ -133,7 +138,9 @@ def check_lines(evidence: ExperimentEvidence) -> Iterator[str]:
 
 
 def residual_lines(evidence: ExperimentEvidence) -> Iterator[str]:
-    """Where the model is too high or too low on the training records."""
+    """Yield the operating ranges in which the model is too high or too low on the training
+    records.
+    """
     if any(fold.findings for fold in evidence.folds):
         yield from _residual_lines(evidence, evidence.residuals, "on the training records")
 

@@ -37,13 +37,13 @@ class Variant:
     """A candidate to be fitted for an ablation."""
 
     name: str
-    """What it is, in words."""
+    """Description of the variant."""
     source: str
     """Its `candidate.py`."""
 
     @property
     def digest(self) -> str:
-        """Of its normalised AST: variants that say the same are fitted once."""
+        """Digest of the normalised AST: equivalent variants are fitted once."""
         return source_digest(self.source)
 
 
@@ -97,7 +97,7 @@ class _Ablation:
     on_fit: OnFit
 
     def run(self, winner: Experiment) -> Ablated:
-        """All variants, then what they say."""
+        """Fit all variants and summarise them."""
         view = self.chain.view
         baseline = view.experiment(1)
         cross, reason = self._crossing(winner, baseline)
@@ -131,7 +131,9 @@ class _Ablation:
             return {}, str(error)
 
     def _changes(self, winner: Experiment) -> dict[int, Variant | str]:
-        """For each change of the lineage the winner without it, or why there is none."""
+        """Return for each change of the lineage the winner without it, or the reason why there is
+        none.
+        """
         line, found = lineage(self.chain.view, winner), dict[int, Variant | str]()
         for before, after in pairwise(line):
             number = after.number
@@ -182,8 +184,9 @@ class _Ablation:
         return AblationFit(*told, outcome.value, folds, seconds=seconds)
 
     def _is_same(self, digest: str, repeat: int) -> bool:
-        """Whether all folds have the same V as from the seed before, or in the search: the seed
-        plays no part."""
+        """Return whether all folds have the same V as with the seed before, or as in the search, so
+        that the seed has no effect.
+        """
         last = self._known(digest, repeat)
         assert last is not None
         before = self._known(digest, repeat - 1)

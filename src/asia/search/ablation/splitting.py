@@ -23,7 +23,7 @@ class _Parts:
     """The statements of a candidate by the names that they define."""
 
     order: tuple[ast.stmt, ...]
-    """All but those that are not for one name, in their order."""
+    """Statements that do not define one name, in their order."""
 
     def needed(self, name: str) -> list[ast.stmt]:
         """The statements that define `name`, and all that they use."""
@@ -161,7 +161,7 @@ def _used(one: ast.stmt) -> set[str]:
 
 
 def _futures_first(statements: Iterable[ast.stmt]) -> list[ast.stmt]:
-    """`from __future__` stands first; imports before what uses them."""
+    """Sort `from __future__` imports first, then imports before their uses."""
     every = list(statements)
     imports = [one for one in every if isinstance(one, ast.Import | ast.ImportFrom)]
     futures = [one for one in imports if _is_future(one)]

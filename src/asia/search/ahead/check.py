@@ -1,4 +1,4 @@
-"""Whether several experiments may be in flight, and folds passed over."""
+"""Check of the options for concurrent experiments and pruned folds."""
 
 from __future__ import annotations
 

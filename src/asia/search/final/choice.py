@@ -14,7 +14,7 @@ STACK_GAIN = 0.8
 
 @dataclass(frozen=True)
 class FinalEvidence:
-    """All that the rule knows."""
+    """Evidence for the choice of the model to use."""
 
     value: float
     """V of the winner."""
@@ -31,7 +31,7 @@ class FinalEvidence:
 
     @staticmethod
     def of(best: Experiment, refitted: Refitted) -> FinalEvidence:
-        """Of the winner, and the end of its search."""
+        """Return the evidence from the winner and the end of its search."""
         assert best.score is not None
         assert best.result is not None
         return FinalEvidence(

@@ -106,7 +106,7 @@ class _Confirmation:
     on_repeat: OnRepeat
 
     def repeat_all(self, chosen: list[Experiment]) -> None:
-        """All seeds of one candidate, then the next."""
+        """Fit all seeds of each candidate in sequence."""
         total, done = len(chosen) * self.seeds, 0
         with self.evaluator.ready_workers():
             for experiment in chosen:
@@ -142,7 +142,7 @@ class _Confirmation:
         return Repeated(experiment.number, repeat, found.outcome, blocks, same, seconds)
 
     def _simulations(self, experiment: Experiment) -> list[tuple[Array, ...]]:
-        """Of each fold's held-out blocks, as the search made them."""
+        """Return the simulations of each fold's held-out blocks from the search."""
         assert experiment.result is not None
         return [
             self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.validation])
