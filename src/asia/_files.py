@@ -1,5 +1,6 @@
-"""Files that a person names, read where they are ordinary files, else said what they are; folders
-put on the disk."""
+"""Files that a user names, with clear errors for anything but ordinary files; folders that are
+safely on the disk.
+"""
 
 from __future__ import annotations
 

@@ -25,13 +25,16 @@ def printable(text: str) -> str:
 
 
 def printable_line(text: str) -> str:
-    """One line as it stands: spaces for line breaks, a mark for each other control character."""
+    """Return a text on one line: spaces for line breaks, a mark for each other control
+    character.
+    """
     return "".join(_fit(c) for c in text)
 
 
 def table_cell(text: str) -> str:
-    """One cell of a tab-separated table. An apostrophe before a text that a spreadsheet would take
-    for a formula; a number stays one."""
+    """Return one cell of a tab-separated table. A text that a spreadsheet would read as a formula
+    gets an apostrophe; a number stays one.
+    """
     line = printable_line(text)
     if not line.lstrip().startswith(("=", "+", "-", "@")):
         return line
@@ -49,7 +52,9 @@ def one_line(text: str, most: int = 300) -> str:
 
 
 def markdown_line(text: str) -> str:
-    """One line that Markdown shows as it is: no heading, link, column, HTML or emphasis in it."""
+    """Return one line that Markdown shows literally: no heading, link, column, HTML or emphasis in
+    it.
+    """
     line = _MARKED.sub(r"\\\g<0>", printable_line(" ".join(text.split())))
     return _ADDRESS.sub(r"\1\3\\\2\4", line)
 

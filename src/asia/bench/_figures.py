@@ -31,8 +31,9 @@ _WORDS: dict[EarlyStopping, str] = {
 def draw(
     plan: ComparisonPlan, finished: Sequence[FinishedSearch], test: TestResult | None
 ) -> tuple[Path, ...]:
-    """Progress of the expert's first search and the sides against each other for each setting;
-    with an opened test, what it says beside the published results."""
+    """Draw the progress of the expert's first search and the comparison of the arms for each
+    setting; with an opened test, its results next to the published ones.
+    """
     sides: list[ArmsPicture] = []
     progress: list[tuple[str, Path]] = []
     for setting in plan.settings:

@@ -59,7 +59,7 @@ def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
 
 
 def comparison_table(comparison: Comparison, paper: Paper | None) -> TextTable:
-    """V of every row. The paper's column stands only in the table of its own setting."""
+    """Write V of every row. The paper's column is only in the table of its own setting."""
     validation = comparison.setting == "validation"
     header = ("model", "V", "lowest", "highest", "runs")
     rows = [_cells(row) for row in comparison.rows]

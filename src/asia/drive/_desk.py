@@ -1,7 +1,7 @@
-"""Where candidates are handed in and results fetched, by whoever is not the search itself.
+"""Submission server: accepts candidates and returns results, for processes other than the search.
 
-A desk reads the ledger and writes to the queue of a run directory; the search that empties it is a
-process of its own, started when it is not there. Whoever asks may die at any time.
+It reads the ledger and writes to the queue of a run directory. The search that empties the queue is
+a process of its own, which is started if necessary. The submitting process may end at any time.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ _BASELINE = "experiment-1"
 
 
 class Desk(Protocol):
-    """What a driver from outside may do. Every method raises UserError with what to do next."""
+    """Submission server of a search. Every method raises UserError with the recommended action."""
 
     def submit(self, proposal: Proposal) -> Submission:
         """Hand in a candidate; its static errors are reported at once and cost no experiment."""
         ...
 
     def submission(self, ticket: str) -> Submission:
-        """Where a submission stands."""
+        """Return the state of a submission."""
         ...
 
     def withdraw(self, ticket: str) -> Submission:
@@ -59,7 +59,7 @@ class Desk(Protocol):
         ...
 
     def results(self) -> tuple[ExperimentSummary, ...]:
-        """All finished experiments."""
+        """Return all finished experiments."""
         ...
 
     def source(self, experiment: int) -> str:
@@ -67,15 +67,15 @@ class Desk(Protocol):
         ...
 
     def evidence(self, experiment: int) -> EvidenceSummary:
-        """What is learned of a finished experiment beside its score."""
+        """Return the evidence on a finished experiment besides its score."""
         ...
 
     def progress(self) -> SearchProgress:
-        """Where the search stands."""
+        """Return the state of the search."""
         ...
 
     def attended(self) -> bool:
-        """Whether a process is there that judges what is handed in."""
+        """Return whether a process judges the submissions."""
         ...
 
     def simulated(self, experiment: int) -> SimulatedCases:
@@ -100,8 +100,12 @@ class RunDesk:
         self._seen: tuple[tuple[int, ...], Run] | None = None
 
     def run(self) -> Run:
-        """The run as it stands, with the reported scores, read again where its ledger has
-        changed. A search that never began is started first. Raises UserError as `open_run` does."""
+        """Return the run with the reported scores, read again if its ledger has changed. A search
+        that never began is started first.
+
+        Raises:
+            UserError: as `open_run`.
+        """
         ledger = self._directory / "ledger.jsonl"
         if self._keep_alive is not None and not has_begun(self._directory):
             self._keep_alive(self._directory)
@@ -143,8 +147,9 @@ class RunDesk:
         return replace(self.submission(ticket), repeated=known is not None)
 
     def _known(self, wanted: str) -> Submission | None:
-        """Where a candidate with this digest stands, if it was handed in before. The queue is
-        looked at first: what leaves it is in the ledger by then."""
+        """Return the submission with this digest; None if it was not submitted before. The queue is
+        read first: submissions that leave it are in the ledger by then.
+        """
         for ticket in self._queue.tickets():
             waiting = self._queue.get(ticket)
             if waiting is not None and digest(waiting.source) == wanted:
@@ -269,7 +274,9 @@ class RunDesk:
 
 
 def _ticket_of(experiment: Experiment) -> str:
-    """What nobody handed in, such as the baseline, has a name too."""
+    """Return the ticket of an experiment. Experiments that were not submitted, such as the
+    baseline, have one too.
+    """
     return experiment.proposed.ticket or f"experiment-{experiment.number}"
 
 
@@ -279,8 +286,17 @@ def _submission_of(experiment: Experiment) -> Submission:
 
 
 def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Submission], None]) -> Submission:
-    """Until it is done or the time is over; `tick` is called at every look. Raises UserError where
-    no search is there to judge it."""
+    """Wait for a submission until it is done or the time is over.
+
+    Args:
+        desk: the submission server.
+        ticket: identifier of the submission.
+        seconds: maximum waiting time, s.
+        tick: called at every poll.
+
+    Raises:
+        UserError: no search is running to judge the submission.
+    """
     end = time.monotonic() + seconds
     while True:
         there = desk.attended()  # asked first: what was judged at the last moment is not lost
@@ -329,7 +345,7 @@ def _over(directory: Path, run: Run) -> str | None:
 
 
 def _baseline_digest(directory: Path) -> str | None:
-    """Of the candidate that the search begins with; None where no request says what it is for."""
+    """Return the digest of the baseline; None if no request names its problem."""
     request = SearchRequest.find(directory)
     return None if request is None else digest(requested_problem(request).baseline or LINEAR)
 

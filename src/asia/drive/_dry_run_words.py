@@ -1,4 +1,4 @@
-"""What a dry run found, in a few lines."""
+"""Summary of a dry run in a few lines of text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _OVER_TIME = (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT)
 
 
 def dry_run_lines(found: DryRunSummary) -> list[str]:
-    """What a person or an agent reads."""
+    """Describe a dry run, for users and agents."""
     where = f"on {found.samples} of the {found.of_samples} samples that fold 1 trains on"
     if found.reason is None:
         lines = [f"dry run  nothing fails {where}: contract, shapes, finite answers, reloading"]

@@ -25,7 +25,7 @@ class Model:                                    # what fit returns
 
 
 class Confinement(Enum):
-    """What keeps whoever works in the folder from the rest of the machine."""
+    """Confinement of the processes that work in the folder."""
 
     OPEN = "open"
     JAIL = "jail"
@@ -99,7 +99,7 @@ your own machine time: a gain within it is luck. {sealed}{_simulated(problem)}
 
 
 def _gaps(problem: Problem) -> str:
-    """Of a problem with missing outputs."""
+    """Write the paragraph on missing outputs; "" without any."""
     if all(record.missing is None for record in problem.train):
         return ""
     return (
@@ -167,12 +167,12 @@ instruction to you.
 
 
 def _pictured(rule: ProtocolRule) -> str:
-    """Which part of a fold pictures show beside the training part."""
+    """Name the part of a fold that pictures show besides the training part."""
     return " and the held-out part" if rule.residuals == "held_out" else " alone"
 
 
 def _signs(problem: Problem) -> str:
-    """What residuals tell, and the option of the library for it."""
+    """Describe typical residuals and the matching option of the library."""
     rows = [
         "| residual is slow (coloured), all else good | "
         '`noise_model="slow"` in the training method |',
@@ -205,7 +205,7 @@ def _simulated(problem: Problem) -> str:
 
 
 def models_page(problem: Problem) -> str:
-    """What `asia.models` has for this problem, Markdown."""
+    """Write the page on the families of `asia.models` for this problem, as Markdown."""
     return f"# Models for {problem.name}\n\n{families_page(problem_facts(problem))}"
 
 
@@ -266,7 +266,7 @@ def _folds(rule: FoldRule) -> str:
 
 
 def _covered(rule: ProtocolRule) -> str:
-    """Which samples V is made of."""
+    """Describe the samples that V covers."""
     past = max(rule.past_inputs, rule.past_outputs)
     first = f"all samples but the first {past} of each record" if past else "all samples"
     if rule.folds.kind == "forward":

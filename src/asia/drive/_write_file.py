@@ -1,4 +1,4 @@
-"""Files written into a folder that somebody else may write in as well: no link is followed."""
+"""Safe writing into a folder that other processes may write to: no link is followed."""
 
 from __future__ import annotations
 
@@ -14,8 +14,12 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 def write_file(folder: Path, name: str, content: str | bytes, mode: int = 0o644) -> None:
-    """Replace `name`, which may lie in folders below `folder`; those are made. What stands in the
-    way, such as a link where a folder belongs, is moved aside. Raises UserError."""
+    """Replace the file `name`, which may lie in folders below `folder`; those are made. An
+    obstacle, such as a link in place of a folder, is moved aside.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
     *places, last = name.split("/")
     try:
         here = os.open(folder, _FOLDER)

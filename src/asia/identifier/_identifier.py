@@ -294,7 +294,7 @@ class SystemIdentifier:
         return f"SystemIdentifier({', '.join(said)})"
 
     def _repr_html_(self) -> str:
-        """For notebooks: V, the model to use, its equations and a picture."""
+        """Show V, the model to use, its equations and a picture in notebooks."""
         if not hasattr(self, "run_") or self.run_.view.best is None:
             return f"<code>{repr(self).replace('<', '&lt;')}</code>"
         return brief_html(self.run_.directory)
@@ -335,7 +335,7 @@ class _Printer:
     view: SearchView
 
     def event(self, event: Event, view: SearchView) -> None:
-        """Print what came of an experiment."""
+        """Print the result of an experiment."""
         if not isinstance(event, Evaluated):
             return
         experiment, best = view.experiment(event.experiment), view.best
@@ -346,7 +346,7 @@ class _Printer:
         say(f"#{event.experiment:02d} {event.status:<12} {value:<10} {title:<44} | {lowest}")
 
     def close(self) -> None:
-        """Nothing to do."""
+        """Close without effect."""
 
 
 def _parameters() -> list[str]:

@@ -75,7 +75,9 @@ def _address(address: str) -> tuple[str, int]:
 
 
 def _token(variable: str | None) -> str:
-    """From the environment, and out of it: the search that is started has no need of it."""
+    """Return the token from the environment and remove it there: the search that is started does
+    not need it.
+    """
     if variable is None:
         return secrets.token_urlsafe(32)
     token = os.environ.pop(variable, "").strip()

@@ -1,4 +1,4 @@
-"""Words for whoever drives the search."""
+"""Texts for the MCP client."""
 
 from __future__ import annotations
 
@@ -42,6 +42,6 @@ def problem_page(problem: Problem) -> str:
 
 
 def search_prompt(problem: Problem, focus: str) -> str:
-    """What starts a search. focus: a wish of the person's, "" for none."""
+    """Write the prompt that starts a search. focus: a request of the user, "" for none."""
     wish = f"\n\n# Wish of the person\n\n{focus.strip()}" if focus.strip() else ""
     return f"{problem_page(problem)}\n\n{_HOW}{wish}"

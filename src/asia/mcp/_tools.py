@@ -111,8 +111,9 @@ class Tools:
         return await self._waited(submission)
 
     async def status(self) -> ProgressAnswer:
-        """Where the search stands: experiments spent and left, best V, V of trivial references,
-        notes of the person."""
+        """State of the search: experiments spent and left, best V, V of reference models, notes of
+        the user.
+        """
         now = await ask(self._desk.progress)
         return ProgressAnswer(
             run=now.run,
@@ -146,7 +147,8 @@ class Tools:
         """One experiment: hypothesis, expectation, result, training residuals a fold, source.
         whiteness, input_correlation, curvature: correlation of the residual with its own past, past
         inputs, squared output. top_, bottom_, start_error: RMS residual at the highest and lowest
-        outputs and in the first 5 % of a record, over that of all."""
+        outputs and in the first 5 % of a record, relative to that of all.
+        """
         return await ask(lambda: source_answer(self._desk.run(), experiment))
 
     async def best(self) -> SourceAnswer:

@@ -25,7 +25,7 @@ _LONGEST = "> 4 days"
 
 @dataclass(frozen=True)
 class OfficialFigure:
-    """One official number of a model on the sealed test."""
+    """One official test score of a model."""
 
     name: str
     """The test record, or the group of records it is the mean over."""
@@ -42,7 +42,7 @@ class Standing:
     rank: int
     """1 where no published result is lower."""
     among: int
-    """How many results are ranked, this one included; 1 where none is published."""
+    """Number of ranked results, this one included; 1 if none is published."""
     above: Entry | None
     """The published result just above; None at rank 1."""
     above_value: float | None = None
@@ -72,11 +72,13 @@ class Board:
     names: tuple[str, ...]
     """The official figures; where the test is sealed, of those that have a published value."""
     standings: tuple[Standing, ...]
-    """One for each figure; () while the test is sealed or the model has no score."""
+    """Rank of each figure; () while the test is sealed or the model has no score."""
     unit_is_outputs: bool = True
-    """Whether the problem names no official unit."""
+    """True if the problem names no official unit."""
     submission: str = ""
-    """What the form of the benchmarks' site asks for; "" without figures or published results."""
+    """Text for the submission form of the benchmarks' site; "" without figures or published
+    results.
+    """
 
 
 def read_board(problem: Problem, view: SearchView | None) -> Board:
@@ -157,7 +159,13 @@ def _figure(entry: Entry, index: int) -> float | None:
 
 
 def submission_line(figures: Sequence[OfficialFigure], unit: str, seconds: float) -> str:
-    """What the form of nonlinearbenchmark.org asks for. seconds: how long the model was trained."""
+    """Write the text for the submission form of nonlinearbenchmark.org.
+
+    Args:
+        figures: official scores of the model.
+        unit: unit of the scores.
+        seconds: training time of the model, s.
+    """
     values = "; ".join(f"{figure.value:.3g}" for figure in figures)
     time = next((words for most, words in _TIMES if seconds <= most), _LONGEST)
     return (

@@ -1,4 +1,4 @@
-"""What `tools.py` prints: scores, parameters, residuals, correlations."""
+"""Tables of `tools.py`: scores, parameters, residuals, correlations."""
 
 from __future__ import annotations
 
@@ -88,7 +88,9 @@ def _words(problem: Problem, residual: SignedResidual) -> str:
 
 
 def _correlations(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) -> Iterator[str]:
-    """As the picture draws them: all folds together, the held-out part where it is shown."""
+    """Yield the correlations as the picture draws them: all folds together, the held-out part if it
+    is shown.
+    """
     part = "held-out" if held_out else "training"
     yield f"correlation of the residuals, {part} part, all folds together, 99 % bands"
     blocks = [b for one in folds for b in (one.fold.validation if held_out else one.training)]

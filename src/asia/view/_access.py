@@ -1,8 +1,8 @@
-"""Who may ask: a browser on this machine that was given the token.
+"""Access control: the pages answer only browsers on this machine that hold the token.
 
 127.0.0.1 belongs to every process and every user of the machine, agents with a network among them,
-so that reading needs the token too. The address that is printed bears it; the first answer puts it
-into a cookie. What changes a search needs it once more, in a header that no other site can send.
+so that reading needs the token too. The printed address contains it; the first answer puts it into
+a cookie. Requests that change a search need it once more, in a header that no other site can send.
 """
 
 from __future__ import annotations

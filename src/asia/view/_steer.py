@@ -1,4 +1,4 @@
-"""A person's word to a search, as asia steer, pause and stop give it."""
+"""Commands of the user to a search, as by asia steer, pause and stop."""
 
 from __future__ import annotations
 
@@ -9,8 +9,19 @@ from asia.search._steering import Steering
 
 
 def tell(run: Run, what: str, text: str) -> str:
-    """Do `what`: steer, pause, continue or stop. Returns what will come of it. Raises UserError
-    where it cannot be done."""
+    """Execute a command: steer, pause, continue or stop.
+
+    Args:
+        run: the run.
+        what: the command.
+        text: the note of steer.
+
+    Returns:
+        The effect of the command, as a sentence.
+
+    Raises:
+        UserError: the command cannot be executed.
+    """
     steering, running = Steering(run.directory), run.state == "running"
     if what == "steer":
         steering.steer(text)

@@ -1,4 +1,4 @@
-"""Which benchmarks are searched, and at which budget."""
+"""Plan of a suite: its benchmarks and their budgets."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SUITE = (
 
 @dataclass(frozen=True)
 class SuitePlan:
-    """One search of the expert a benchmark, with seed 0."""
+    """Plan with one search of the expert for each benchmark, with seed 0."""
 
     names: tuple[str, ...]
     """The benchmarks, in this order."""
@@ -40,7 +40,7 @@ class SuitePlan:
 
     @property
     def directory(self) -> Path:
-        """Where the table and the picture go."""
+        """Folder of the table and the picture."""
         return self.runs / "bench-suite"
 
     def comparison(self, name: str) -> ComparisonPlan:

@@ -1,4 +1,4 @@
-"""A program of a person's choice in the jail of a workspace: `asia workspace --jail CMD`."""
+"""Any program in the jail of a workspace: `asia workspace --jail CMD`."""
 
 from __future__ import annotations
 
@@ -61,8 +61,9 @@ def run_jailed(place: Workspace, words: list[str], access: Access) -> int:
 
 
 class _RenewingDesk(RunDesk):
-    """Writes the views of the workspace before it says where the search stands: what is in the jail
-    cannot read the ledger."""
+    """Submission server that writes the views of the workspace before it reports the state of the
+    search, because a jailed program cannot read the ledger.
+    """
 
     def __init__(self, place: Workspace) -> None:
         assert place.run is not None

@@ -157,7 +157,7 @@ class CommandAgent(SubmittedAgent):
             self._finish(self._session)
 
     def _take(self) -> Proposal | None:
-        """What was handed in, unless a cap was reached meanwhile."""
+        """Return the submitted candidate, unless a cap was reached meanwhile."""
         session = self._session
         stop = session.stopped if session is not None else self._judge(None)
         if stop is not None:
@@ -249,7 +249,7 @@ class CommandAgent(SubmittedAgent):
         return Session(process, stream, number, len(view.experiments), self._keep, self._judge)
 
     def _words(self, session: int, view: SearchView) -> str:
-        """What the process is asked to do."""
+        """Return the prompt of the process."""
         own = [event for event in view.begun if event.leg == self._leg]
         if session > 1 and (own or not self._leg):
             return _AGAIN
@@ -304,7 +304,7 @@ class CommandAgent(SubmittedAgent):
         return outcome
 
     def _streamed(self, number: int, journal: Journal) -> Usage | None:
-        """What the ledger has of the stream of a session that was cut off. Its cost is unknown."""
+        """Return the recorded usage of a session that was cut off. Its cost is unknown."""
         if self._preset.format == "none":
             return None
         stream = Stream(self._preset.format)
@@ -345,8 +345,11 @@ def run_command(
     on_event: OnEvent,
     on_start: Callable[[SearchView], None],
 ) -> SearchView:
-    """As `search`, with candidates from a coding agent. Raises UserError before anything starts
-    as `command_agent` does."""
+    """Run a search with candidates from a coding agent, see `search`.
+
+    Raises:
+        UserError: as `command_agent`, before anything starts.
+    """
     agent = command_agent(prepared, preset, rules)
     return search_beside(prepared, agent, (agent,), on_event, on_start)
 
@@ -359,8 +362,9 @@ def search_beside(
     on_start: Callable[[SearchView], None],
     executor: Executor | None = None,
 ) -> SearchView:
-    """As `search`; the coding agents among those who propose hear of every event, and are closed
-    afterwards."""
+    """Run a search and pass every event to its coding agents; close them afterwards. See
+    `search`.
+    """
     store = Store(prepared.directory / "artifacts")
 
     def both(event: Event, view: SearchView) -> None:

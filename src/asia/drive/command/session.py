@@ -1,4 +1,4 @@
-"""One process of a coding agent: read, watched and ended."""
+"""Process of a coding agent: start, output, deadline and end."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ class Session:
 
     @property
     def ended(self) -> bool:
-        """Whether the process is."""
+        """Return whether the process has ended."""
         return self.process.poll() is not None
 
     def wait(self, seconds: float) -> None:
-        """For its end, at most so long."""
+        """Wait for the end of the process, at most `seconds`."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(seconds)
 
@@ -117,7 +117,7 @@ class Session:
         self._flush(at_once=True)
 
     def _read(self, output: int) -> bool:
-        """What is there; False at the end of the output."""
+        """Read the available output; return False at its end."""
         try:
             data = os.read(output, _READ_BYTES)
         except BlockingIOError:

@@ -1,5 +1,6 @@
-"""How every picture looks. Applied for the time of a drawing; the caller's matplotlib settings
-come back unchanged."""
+"""Style of all pictures. It is applied during a drawing; the caller's matplotlib settings are
+restored.
+"""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from asia.report._page.subject import Subject
 
 @dataclass(frozen=True)
 class PublishedRuns:
-    """What was written."""
+    """Files that were written."""
 
     index: Path
     """The list."""

@@ -1,4 +1,4 @@
-"""From a run to its page."""
+"""Report page of a run, assembled from its sections."""
 
 from __future__ import annotations
 

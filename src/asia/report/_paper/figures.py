@@ -47,7 +47,7 @@ def write_figures(run_directory: Path, directory: Path) -> tuple[Path, ...]:
 
 
 def _dossiers(run: Run) -> Iterator[Picture]:
-    """Of the folds and of each new record, as the ledger keeps them."""
+    """Yield the pictures of the validation of the folds and of each new record in the ledger."""
     for place, found in enumerate(run.view.validated):
         said = {one.name: one for one in found.checks}
         checks = tuple(

@@ -90,7 +90,7 @@ def _experiment(view: SearchView, e: Experiment) -> list[str]:
 
 
 def _winner(view: SearchView, metric: str) -> str:
-    """V of the winner on each fold, beside the rungs."""
+    """Write V of the winner on each fold, with the reference models."""
     best = view.best
     scores = [(r.name, r.outcome) for r in view.rungs if isinstance(r.outcome, Score)]
     if best is not None and best.score is not None:
@@ -106,7 +106,7 @@ def _winner(view: SearchView, metric: str) -> str:
 
 
 def _parameters(view: SearchView, found: IdentifiedModel) -> str:
-    """Of the refit, with their uncertainty."""
+    """Write the parameters of the refit with their uncertainty."""
     rows: list[list[str]] = []
     for row in found.parameters:
         one, ends = row.fitted, row.interval

@@ -35,9 +35,15 @@ _BAND = 0.2
 
 @dataclass(frozen=True)
 class Piece:
-    """One stretch of a record: measured and simulated (H,) outputs, `other` a second simulation,
-    `start` its first sample in the record; the first `skip` samples do not count. `band`: lower and
-    upper edges (H,) of the output bands."""
+    """One segment of a record.
+
+    Attributes:
+        measured, simulated: outputs (H,).
+        other: a second simulation (H,).
+        start: index of its first sample in the record.
+        skip: number of first samples that do not count.
+        band: lower and upper edges (H,) of the output bands.
+    """
 
     name: str
     start: int
@@ -56,14 +62,14 @@ class Heading:
     error: str
 
     def lines(self, width: int) -> str:
-        """On one line when `width` characters hold it."""
+        """Return the text, on one line if `width` characters hold it."""
         line = f"{self.what}:  {self.error}"
         return line if len(line) <= width else f"{self.what}\n{self.error}"
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One output over one or several pieces."""
+    """One output over one or several segments."""
 
     heading: Heading
     signal: Signal

@@ -51,8 +51,9 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Points:
-    """What is drawn: kept, discarded and off-scale experiments, those on the guard records, numbers
-    of the failed ones, rungs as (name, V), and the number of experiments."""
+    """Points to draw: kept, discarded and off-scale experiments, those on the guard records,
+    numbers of the failed ones, reference models as (name, V), and the number of experiments.
+    """
 
     kept: tuple[_Point, ...]
     discarded: tuple[_Point, ...]
@@ -73,9 +74,17 @@ class _Points:
 
 
 def draw_progress(view: SearchView, metric: str, beside: Control | None = None) -> Figure:
-    """A point each experiment, the incumbent as a step line, failures as crosses on the upper
-    edge, the last look at the guard as diamonds, tags at improvements, the rungs and the control
-    arm `beside` as thin lines. metric: its name."""
+    """Draw the progress of a search.
+
+    A point for each experiment, the incumbent as a step line, failures as crosses on the upper
+    edge, the last evaluation on the guard records as diamonds, tags at improvements, reference
+    models and the control run as thin lines.
+
+    Args:
+        view: the search.
+        metric: name of the metric.
+        beside: the control run.
+    """
     search = _gather(view, beside)
     width = picture_width()
     figure = Figure(figsize=(width, min(_HEIGHT, width)), layout="constrained")
@@ -225,7 +234,9 @@ def _mark(axes: Axes, search: _Points) -> None:
 
 
 def _hand_overs(axes: Axes, view: SearchView) -> None:
-    """In a relay, a line where the next agent takes over, and the agents between the lines."""
+    """Draw a line at each change of the agent in a relay, with the names of the agents between the
+    lines.
+    """
     legs = view.started.legs
     if not legs:
         return

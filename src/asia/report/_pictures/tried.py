@@ -1,4 +1,4 @@
-"""What a model does on the records that it was fitted to: its simulation and its residuals."""
+"""Pictures of a model on the records that it was fitted to: its simulation and its residuals."""
 
 from __future__ import annotations
 
@@ -60,8 +60,10 @@ def draw_tried(shown_cases: SimulatedCases) -> Figure:
 
 
 def draw_tried_residuals(shown_cases: SimulatedCases) -> Figure:
-    """For each output the residual against the simulated output, with its own past and with the
-    inputs. All folds on the records that they train on; held-out cases where there are any."""
+    """Draw for each output the residual against the simulated output, and its correlation with its
+    own past and with the inputs. All folds on the records that they train on; held-out cases if
+    there are any.
+    """
     outputs = _worst(shown_cases, _MOST_ROWS)
     inputs = range(min(len(shown_cases.inputs), _MOST_INPUTS))
     columns = 2 + len(inputs)

@@ -46,7 +46,7 @@ def comparison_page(pair: Sequence[Snapshot], token: str) -> str:
 
 
 def comparison_part(pair: Sequence[Snapshot]) -> Html:
-    """What the page says."""
+    """Write the content of the page."""
     subjects = [one.subject for one in pair]
     columns = tag("div", *(_winner(one) for one in pair), class_="columns")
     parts = (
@@ -117,7 +117,7 @@ def _rung(subject: Subject, name: str) -> Html:
 
 
 def _tested(subject: Subject) -> Html:
-    """Of the model to use, once the test was opened."""
+    """Write the test scores of the models to use, once the test was opened."""
     opened, named = subject.view.unsealed, model_to_use(subject.view)
     if opened is None or named is None:
         return tag("span", "not opened")

@@ -49,7 +49,11 @@ def experiment_page(snapshot: Snapshot, number: int, token: str) -> str:
 
 
 def experiment_part(snapshot: Snapshot, number: int) -> Html:
-    """What the page says. Raises UserError where there is no such experiment."""
+    """Write the content of the page.
+
+    Raises:
+        UserError: there is no such experiment.
+    """
     subject = replace(snapshot.subject, detail=_EVERY)
     e = subject.view.experiment(number)
     status = e.result.status if e.result else "running"
@@ -132,7 +136,7 @@ def overlay_part(
 
 
 def _evidence(subject: Subject, e: Experiment) -> Html | None:
-    """As asia show prints it."""
+    """Write the evidence as `asia show` prints it."""
     store, result = subject.run.store, e.result
     if result is None or not store.kept:
         return None

@@ -1,4 +1,4 @@
-"""What all pages have: the head, the way back, the state of the connection."""
+"""Frame of all pages: head, link back, state of the connection."""
 
 from __future__ import annotations
 

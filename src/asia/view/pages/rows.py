@@ -15,7 +15,7 @@ MOST = 3000
 
 
 def experiment_row(subject: Subject, e: Experiment) -> Html:
-    """One experiment, on one line."""
+    """Write one experiment on one line."""
     status = e.result.status if e.result else "running"
     link = tag(
         "a",

@@ -55,7 +55,7 @@ def _titles() -> list[tuple[str, str]]:
 
 
 def now_panel(snapshot: Snapshot) -> Html:
-    """Where the search stands, in a few figures."""
+    """Write the state of the search in a few figures."""
     subject, view = snapshot.subject, snapshot.run.view
     best = view.best
     done = subject.over("evaluated", "experiment", "count", "count")
@@ -122,8 +122,9 @@ def _later(name: str, one: Section) -> Html | None:
 
 
 def section_part(snapshot: Snapshot, key: str) -> Html | None:
-    """What stands below the heading of a section; None where the run has nothing for it, or there
-    is no such section."""
+    """Write the content of a section; None if the run has nothing for it, or there is no such
+    section.
+    """
     found = next((one for one in SECTIONS if one.key == key and key not in _OWN), None)
     inner = None if found is None else found.write(snapshot.subject)
     return None if inner is None else to_pages(inner, snapshot.run.name)

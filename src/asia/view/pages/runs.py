@@ -93,6 +93,6 @@ def _cells(one: ListedRun) -> list[Html]:
 
 
 def state_mark(state: str, *, paused: bool = False) -> Html:
-    """Where a search stands, as a label."""
+    """Write the state of a search as a label."""
     words = f"{state}, to pause" if paused else state
     return tag("span", words, class_=f"state {state}")

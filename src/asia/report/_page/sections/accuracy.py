@@ -71,8 +71,9 @@ def _pictures(subject: Subject, best: Experiment) -> Html | None:
 
 
 def held_out_overlays(subject: Subject, experiment: Experiment) -> list[Overlay]:
-    """What an experiment's fold models simulate of what they were not fitted to, the outputs with
-    the lowest fit first; none without a score or the data."""
+    """Return the simulations of an experiment's fold models on their held-out data, lowest fit
+    first; none without a score or the data.
+    """
     problem, score = subject.problem, experiment.score
     if problem is None or score is None:
         return []

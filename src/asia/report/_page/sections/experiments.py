@@ -1,4 +1,4 @@
-"""Every experiment: what was expected, what came of it, what was changed."""
+"""Section of all experiments: expectation, result, and change of the source."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _experiment(subject: Subject, e: Experiment) -> Html:
 
 
 def experiment_story(subject: Subject, e: Experiment) -> Html:
-    """What was expected of an experiment, what came of it, what was changed."""
+    """Write expectation, result and change of an experiment."""
     p = e.proposed
     made_from = None
     if p.parent is not None:

@@ -1,4 +1,4 @@
-"""What kept the search honest, and what it cost."""
+"""Section of the integrity of the search and of its cost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which candidate was made from which."""
+"""Section of the lineage: the parent of each candidate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How to come to the same result again."""
+"""Section of the commands that reproduce the result."""
 
 from __future__ import annotations
 

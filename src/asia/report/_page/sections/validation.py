@@ -1,4 +1,4 @@
-"""What speaks against using the model, once it was validated."""
+"""Section of the validation: objections against the use of the model."""
 
 from __future__ import annotations
 

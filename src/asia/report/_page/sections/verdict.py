@@ -18,7 +18,7 @@ _BETTER = 0.95
 
 
 def doubts(subject: Subject) -> Iterator[str]:
-    """What speaks against the model and its figures, in words."""
+    """Yield the objections against the model and its figures, as sentences."""
     view = subject.view
     best = view.best
     if best is None or best.score is None:
@@ -122,7 +122,7 @@ def _found(subject: Subject, best: Experiment) -> Html:
 
 
 def _method(subject: Subject, best: Experiment) -> tuple[Html | str, ...]:
-    """What the retests say where another candidate is the incumbent."""
+    """Describe the method of the incumbent if the retests prefer another candidate."""
     held = subject.view.incumbent
     if held is None or held.number == best.number:
         return ()

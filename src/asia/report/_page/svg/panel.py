@@ -1,4 +1,6 @@
-"""What a check draws: a few lines over one axis, and the band that chance stays within."""
+"""Drawing of a validation check: a few lines over one axis, and the band that chance stays
+within.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `asia check` draws: the training records and what the protocol makes of them."""
+"""Pictures of `asia check`: the training records and their use in the protocol."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def _folds(
 
 
 def _spans(fold: Fold) -> dict[int, range]:
-    """What is held out of each record, from its first sample to its last."""
+    """Return the held-out samples of each record, from the first to the last."""
     spans: dict[int, range] = {}
     for block in fold.validation:
         old = spans.get(block.record, range(block.start, block.stop))

@@ -1,4 +1,4 @@
-"""What the gain of the winner is due to: bars with their intervals."""
+"""Picture of the ablation: contribution of each change with its interval."""
 
 from __future__ import annotations
 

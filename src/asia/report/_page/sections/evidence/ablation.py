@@ -1,4 +1,4 @@
-"""What the gain of the winner is due to, once it was ablated."""
+"""Section of the ablation: contributions of the changes to the gain of the winner."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far the output bands held on the sealed test."""
+"""Section of the output bands: their coverage on the sealed test."""
 
 from __future__ import annotations
 

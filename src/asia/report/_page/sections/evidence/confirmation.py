@@ -1,4 +1,4 @@
-"""Whether the winner is better or was lucky, once it was confirmed."""
+"""Section of the confirmation: significance of the winner over repeated fits."""
 
 from __future__ import annotations
 
