@@ -30,7 +30,7 @@ def read_file(path: Path, remedy: str) -> bytes:
             _check_ordinary(path, os.fstat(fd).st_mode, remedy)
             return stream.read()
     except FileNotFoundError:
-        what = f"{path}, a link that leads nowhere" if path.is_symlink() else str(path)
+        what = f"{path}, a broken link" if path.is_symlink() else str(path)
         raise UserError(f"no such file: {what}; {remedy}") from None
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}; {remedy}") from None

@@ -76,7 +76,7 @@ def comparison_table(comparison: Comparison, paper: Paper | None) -> TextTable:
     if any(row.runs > 1 for row in comparison.rows):
         notes.insert(0, "V is the median over the runs, one a seed.")
     if validation:
-        notes.append("Scores seen: how often the fits of one V received their held-out score.")
+        notes.append("Scores seen: number of held-out scores that the fits of one V received.")
     elif paper is not None:
         notes.append(_not_comparable(paper))
     return TextTable(

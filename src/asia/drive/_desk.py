@@ -128,7 +128,7 @@ class RunDesk:
             check_source(proposal.source)
         except CandidateError as error:
             raise UserError(
-                f"the candidate was not submitted, and costs no experiment: {error.reason.advice}"
+                f"the candidate was not submitted and cost no experiment: {error.reason.advice}"
                 + (f" ({one_line(error.detail)})" if error.detail else "")
             ) from None
         self.run()
@@ -175,8 +175,8 @@ class RunDesk:
         spent = max(1, len(view.experiments)) + sum(t not in in_ledger for t in waiting)
         if spent >= budget:
             raise UserError(
-                f"the candidate was not judged: the budget of {budget} experiments is spent; a "
-                "person can raise it with asia workspace or asia mcp and a larger --experiments"
+                f"the candidate was not judged: the budget of {budget} experiments is spent; the "
+                f"user can raise it with asia workspace or asia mcp and a larger --experiments"
             )
         numbers = {1, *(e.number for e in view.experiments)}
         if proposal.parent is not None and proposal.parent not in numbers:
@@ -199,7 +199,7 @@ class RunDesk:
         ended = view.complete and not runs(self._directory)
         if ended and view.stopped is not None and self._queue.tickets():
             raise UserError(
-                f"the search has ended ({view.stopped.reason}); a person can raise its budget with "
+                f"the search has ended ({view.stopped.reason}); the user can raise its budget with "
                 "asia workspace or asia mcp and a larger --experiments or --hours"
             )
 
@@ -264,7 +264,7 @@ class RunDesk:
         """While workers run that no experiment asks for. Raises UserError where some run already,
         or the sandbox fails."""
         if not self._aside.acquire(blocking=False):
-            raise UserError("a dry run or a picture is under way: wait until it has ended")
+            raise UserError("a dry run or a picture is in progress: wait for its end")
         try:
             yield
         except SandboxError as error:
@@ -308,7 +308,7 @@ def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Submission], N
             when = "while" if submission.state == "running" else "before"
             raise UserError(
                 f"the process of the search ended {when} it evaluated the candidate. The "
-                "candidate is stored: give the same command again (control/search.log of the run "
+                "candidate is stored: repeat the command (control/search.log of the run "
                 "may show why)"
             )
         time.sleep(_POLL)
@@ -333,14 +333,14 @@ def _over(directory: Path, run: Run) -> str | None:
     """Why nothing can be handed in any more, budget of experiments aside."""
     view = run.view
     if view.unsealing is not None:
-        return "the sealed test of this run was opened: its search is over for good"
+        return "the sealed test of this run was opened: its search cannot continue"
     if view.stopped is None:
         return None
     stop = max(line.seq for line in run.lines if isinstance(line.event, Stopped))
     request = SearchRequest.find(directory)
     again = request is not None and request.records > stop
     if view.stopped.reason == "user" and not again:
-        return "a person stopped this search; the command that started it continues it"
+        return "the user stopped this search; repeat the command that started it to resume"
     return None
 
 

@@ -81,7 +81,7 @@ class SearchRequest:
             return None
         except ValueError:
             raise UserError(
-                f"{path} is damaged: give the command that started the search again"
+                f"{path} is damaged: repeat the command that started the search"
             ) from None
 
     @classmethod

@@ -144,7 +144,7 @@ def _answer(desk: Desk, raw: bytes) -> bytes:
         answer = {"error": str(error)}
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
-        answer = {"error": f"the request is not one that is known: {first['msg']}"}
+        answer = {"error": f"unknown request: {first['msg']}"}
     except Exception as error:  # noqa: BLE001 - the border: every request has an answer
         answer = {"error": f"the search could not answer ({type(error).__name__}); try again"}
     return json.dumps(answer).encode()

@@ -366,7 +366,7 @@ def _table(values: Any, channels: int, name: str) -> Array:
     try:
         found = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise UserError(f"{name} does not read as numbers: {error}") from None
+        raise UserError(f"{name} cannot be converted to numbers: {error}") from None
     found = found[:, None] if found.ndim == 1 else found
     if found.ndim != 2 or found.shape[1] != channels:
         raise UserError(f"{name} has shape {np.shape(values)}, expected (samples, {channels})")

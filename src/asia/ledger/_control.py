@@ -58,9 +58,8 @@ def control_words(found: Control, start: Started) -> str:
     """Describe a control run in one line of text."""
     if found.run is None:
         return (
-            "not run yet: what the expert, which needs no language model, finds in as many "
-            f"experiments says asia run {start.problem} --experiments {found.experiments} "
-            f"--seed {start.seed}"
+            "not run yet; to run the expert, which needs no language model, at the same budget: "
+            f"asia run {start.problem} --experiments {found.experiments} --seed {start.seed}"
         )
     value = "no score" if found.value is None else f"V={found.value:.4f}"
     return f"expert, the same {found.experiments} experiments: {value} ({found.run})"

@@ -28,19 +28,18 @@ def writing(path: Path) -> Generator[None]:
 def _words(error: OSError) -> str:
     if error.errno in _FULL:
         return (
-            f"the disk is full ({error.strerror}); what was recorded is safe: make room and give "
-            "the same command again"
+            f"the disk is full ({error.strerror}); recorded events are safe: free some space and "
+            f"repeat the command"
         )
     if error.errno == errno.EFBIG:
         return (
-            "the file would exceed the limit of file sizes; what was recorded is safe: raise it "
-            "(ulimit -f) and give the same command again"
+            "the file would exceed the limit of file sizes; recorded events are safe: raise it "
+            "(ulimit -f) and repeat the command"
         )
     if error.errno in _FORBIDDEN:
         return f"{error.strerror}; make the directory writable, or name another one with --runs"
     return (
-        f"{error.strerror or error}; what was recorded is safe: mend this and give the same "
-        "command again"
+        f"{error.strerror or error}; recorded events are safe: correct this and repeat the command"
     )
 
 

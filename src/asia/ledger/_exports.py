@@ -79,7 +79,7 @@ def _rungs(view: SearchView) -> str:
         for rung in view.rungs
         if isinstance(rung.outcome, Score)
     ]
-    return f"\nRungs, {view.v_name} of trivial references: {', '.join(values)}.\n"
+    return f"\nReference models, {view.v_name}: {', '.join(values)}.\n"
 
 
 def _setting(view: SearchView) -> str:
@@ -90,8 +90,8 @@ def _residuals_setting(view: SearchView) -> str:
     if view.started.residuals == "train":
         return ""
     return (
-        "\nHeld-out residuals are shown: whoever proposes sees where the held-out samples are "
-        "missed. V is only comparable with V of the same setting.\n"
+        "\nHeld-out residuals are shown: the agent sees the errors on the held-out samples. V is "
+        "only comparable with V of the same setting.\n"
     )
 
 
@@ -149,7 +149,7 @@ def error_value(value: float) -> str:
 def describe_result(e: Experiment, view: SearchView) -> str:
     """Describe a result in one line: V and its folds, or the failure with advice."""
     left = e.result.left_behind if e.result else ()
-    stuck = f"; worker process {', '.join(map(str, left))} could not be ended" if left else ""
+    stuck = f"; worker process {', '.join(map(str, left))} could not be terminated" if left else ""
     return _outcome_words(e, view) + stuck
 
 
@@ -172,15 +172,15 @@ def _outcome_words(e: Experiment, view: SearchView) -> str:
 
 
 def _retest_words(e: Experiment) -> str:
-    """`; from other seeds 0.1352, 0.1298, mean of 3 seeds 0.1320; needed: a mean 0.0031 below the
+    """`; repeated fits 0.1352, 0.1298, mean of 3 seeds 0.1320; required: a mean 0.0031 below the
     incumbent's`."""
     assert e.result is not None
     values = [r.failed if r.value is None else error_value(r.value) for r in e.result.retests]
-    words = f"; from other seeds {', '.join(values)}" if values else ""
+    words = f"; repeated fits {', '.join(values)}" if values else ""
     if mean := seed_mean_words(e):
         words += f", {mean}"
     if any(r.same for r in e.result.retests):
-        words = "; the same from another seed"
+        words = "; equal with another seed"
     if e.result.floor:
-        words += f"; needed: a mean {e.result.floor:.2g} below the incumbent's"
+        words += f"; required: a mean {e.result.floor:.2g} below the incumbent's"
     return words

@@ -19,9 +19,9 @@ _PART = 64 * 1024
 def without_artifacts(directory: Path) -> str:
     """Describe the use of a run directory without artifacts."""
     return (
-        f"{directory} is a ledger without its artifacts, and this needs its sources, models or "
-        "simulations: put its folder artifacts back. asia status, show, report and verify tell "
-        "what the ledger has"
+        f"{directory} has a ledger without artifacts, but this needs sources, models or "
+        f"simulations: restore the folder artifacts. asia status, show, report and verify work "
+        f"without it"
     )
 
 

@@ -212,7 +212,7 @@ def _words(submission: Submission, *, begun: bool) -> str:
     if submission.state == "running":
         return f"experiment {submission.experiment} is being evaluated"
     if not begun:
-        return "the search evaluates the rungs, which are simple references, then the baseline"
+        return "the search evaluates the reference models, then the baseline"
     return f"queued, {submission.ahead} before it" if submission.ahead else "queued, it is next"
 
 
@@ -234,7 +234,7 @@ def _notes(notes: tuple[str, ...]) -> tuple[str, ...]:
 
 def _next_step(state: str, remaining: int) -> str:
     if state == "unsealed":
-        return "the sealed test was opened: the search is over; report what was found"
+        return "the sealed test was opened: the search is over; report the result"
     if remaining == 0:
-        return "the budget is spent: report what was found, asia_best has it"
+        return "the budget is spent: report the result, asia_best has it"
     return "asia_submit the next candidate"

@@ -61,7 +61,7 @@ class Replayed:
     """Name of the step, for example `#07` or `stop`."""
     outcome: OutcomeAgreement
     """`same` is bitwise the same, `close` within the tolerance, `exempt` where the deadline
-    decided."""
+    affected it."""
     proposal: ProposalAgreement = "none"
     """Agreement of the proposal: `taken` from the ledger without an agent to ask, `none` for a
     reference model.
@@ -197,9 +197,10 @@ class _Replaying:
         for rung in recorded:
             item = Replayed(f"rung {rung.name}", "same")
             if isinstance(rung.outcome, Failure) and rung.outcome.reason.status == "timeout":
-                self._add(replace(item, outcome="exempt", detail="the deadline decided"))
+                self._add(replace(item, outcome="exempt", detail="the deadline affected it"))
             elif rung.name not in again:
-                self._add(replace(item, outcome="differs", detail="this version has no such rung"))
+                detail = "this version has no such reference model"
+                self._add(replace(item, outcome="differs", detail=detail))
             else:
                 self._add(self._compare(item, rung.outcome, again[rung.name]))
 
@@ -208,7 +209,7 @@ class _Replaying:
         item = Replayed(f"#{event.experiment:02d}", "same", "taken")
         if event.phase == "baseline":
             same = as_bytes(self.problem.baseline or LINEAR) == self._source(event)
-            detail = "" if same else "the baseline is another"
+            detail = "" if same else "the baseline differs"
             return replace(item, proposal="same" if same else "differs", detail=detail)
         agent = self._agent(before)
         if agent is None:
@@ -218,14 +219,15 @@ class _Replaying:
         except DivergedError as error:
             return replace(item, proposal="differs", detail=str(error))
         except AgentStoppedError as end:
-            return replace(item, proposal="differs", detail=f"the agent ends now: {end.detail}")
+            detail = f"the agent ends the search here: {end.detail}"
+            return replace(item, proposal="differs", detail=detail)
         if proposal is None:
-            return replace(item, proposal="differs", detail="the agent has nothing to propose now")
+            return replace(item, proposal="differs", detail="the agent has no proposal here")
         different = self._different(event, proposal)
         return replace(
             item,
             proposal="differs" if different else "same",
-            detail=f"proposed with another {', '.join(different)}" if different else "",
+            detail=f"the proposal differs in {', '.join(different)}" if different else "",
         )
 
     def _seen(self, before: SearchView) -> AgentView:
@@ -255,7 +257,7 @@ class _Replaying:
             again = replace(item, outcome=twin.outcome, again=twin.again, apart=twin.apart)
             return _with_detail(again, f"twin of {twin.name}")
         if event.deadline:
-            return _with_detail(replace(item, outcome="exempt"), "the deadline decided")
+            return _with_detail(replace(item, outcome="exempt"), "the deadline affected it")
         proposed = view.experiment(event.experiment).proposed
         source = self.run.store.text(proposed.source)
         judged = judge(self.evaluator, source, view, over=proposed.over)
@@ -263,10 +265,10 @@ class _Replaying:
         if item.outcome != "same":
             return item
         if judged.status != event.status:
-            words = f"it would be {judged.status} now"
+            words = f"the decision is {judged.status} now"
             return _with_detail(replace(item, outcome="differs"), words)
         if judged.retests != event.retests and not self.tolerance:
-            words = "from another seed it comes out otherwise"
+            words = "the result with another seed differs"
             return _with_detail(replace(item, outcome="differs"), words)
         return item
 
@@ -286,7 +288,7 @@ class _Replaying:
                 self._add(Replayed(name, "same", "taken", detail=reason))
                 return
         item = Replayed(name, "same" if ended else "differs", "same")
-        self._add(item if ended else _with_detail(item, "the agent goes on now"))
+        self._add(item if ended else _with_detail(item, "the agent continues here"))
 
     def _ends(self, agent: Agent, before: SearchView) -> bool:
         """Return whether the agent has no proposal or ends the search."""

@@ -315,7 +315,7 @@ def _probe(problem: Problem, directory: Path, wanted: Isolation | None) -> Probe
     try:
         found = probe(wanted)
     except SandboxError as error:
-        raise UserError(f"{error}; leave --isolation out for the strongest that works") from None
+        raise UserError(f"{error}; omit --isolation to use the strongest available level") from None
     check_run_is_hidden(problem, directory, found.level)
     return found
 

@@ -78,7 +78,7 @@ class Sinks:
         if name not in self._failed:
             self._failed.add(name)
             what = f"{type(error).__name__}: {error}"
-            say(f"sink {name} failed, the search goes on: {what}", file=sys.stderr)
+            say(f"sink {name} failed, the search continues: {what}", file=sys.stderr)
 
     def __enter__(self) -> Self:
         return self

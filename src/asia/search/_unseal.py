@@ -43,8 +43,7 @@ Answers = tuple[Array, ...]
 
 CONSENT = (
     "the candidates of run '{run}' ran at isolation level process, where a candidate can read "
-    "every file that you can, the test data and their key included: nothing shows that its winner "
-    "never saw them"
+    "every file that you can, the test data and their key included: the winner may have seen them"
 )
 
 

@@ -80,7 +80,7 @@ def _residuals(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) 
         for residual in listed[:_MOST_RESIDUALS]:
             yield f"  {_name(one)}: {_words(problem, residual)}"
         if not listed:
-            yield f"  {_name(one)}: nowhere too high or too low by more than a standard error"
+            yield f"  {_name(one)}: no mean residual exceeds its standard error"
 
 
 def _words(problem: Problem, residual: SignedResidual) -> str:

@@ -91,7 +91,7 @@ class TokenOnly:
         origin = headers.get("origin")
         own = origin is None or origin.removeprefix("http://") in self._hosts
         if not own or not self._is_token(headers.get(TOKEN_HEADER, "")):
-            return PlainTextResponse("the token is missing or is another one\n", 403)
+            return PlainTextResponse("the token is missing or wrong\n", 403)
         return None
 
     def _greeting(self, scope: Scope) -> Response | None:

@@ -120,7 +120,7 @@ class _Pages:
     def _pair(self, request: Request) -> list[Snapshot]:
         names = request.query_params.getlist("run")
         if len(names) != 2:
-            raise UserError(f"choose two runs to see them side by side: {len(names)} are named")
+            raise UserError(f"expected two runs to compare, got {len(names)}")
         return [self.folder.get(name).snapshot(with_records=True) for name in names]
 
     async def run_events(self, request: Request) -> Response:

@@ -38,11 +38,11 @@ def tell(run: Run, what: str, text: str) -> str:
         steering.pause()
         return "the search pauses after its current experiment"
     steering.stop()
-    return "the search stops after its present experiment; the command that began it continues it"
+    return "the search stops after its present experiment; repeat its command to resume it"
 
 
 def _noted(run: Run, *, running: bool) -> str:
     when = "at its next step" if running else "when the search continues"
     words, started = f"noted: recorded {when}", run.view.started
-    deaf = f"; the agent '{started.agent}' reads no notes, the ledger keeps it for people"
+    deaf = f"; the agent '{started.agent}' does not read notes, so the note is only recorded"
     return words if reads_notes(started) else f"{words}{deaf}"

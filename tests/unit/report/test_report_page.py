@@ -362,13 +362,13 @@ def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:
         chain.append(found)
     page = page_of(open_run(directory))
     assert 'id="confirmation"' in page
-    assert "cannot be told apart" in page
+    assert "statistically equal" in page
     assert "is better" in page
     assert "fits do not depend on the seed" in page
     assert "after the sealed test had been opened" in page
     with Chain(directory / "ledger.jsonl") as chain:
         chain.append(replace(found, candidates=(), pairs=(), noise=None, expected=None))
-    assert "None of them has a score from another seed" in page_of(open_run(directory))
+    assert "None of them has a score with another seed" in page_of(open_run(directory))
 
 
 def test_an_ablation_has_its_section_and_its_picture(make_run: Callable[..., Run]) -> None:
@@ -391,7 +391,9 @@ def test_an_ablation_has_its_section_and_its_picture(make_run: Callable[..., Run
     figure = draw_ablation(found, "run", "V")
     assert [t.get_text() for t in figure.axes[0].get_yticklabels()][-1] == "the change of #02"
     with Chain(directory / "ledger.jsonl") as chain:
-        chain.append(replace(found, crossing=None, detail="fit of #1 does more", left_out=()))
+        chain.append(
+            replace(found, crossing=None, detail="fit of #1 contains further code", left_out=())
+        )
     assert "cannot be crossed" in page_of(open_run(directory))
 
 

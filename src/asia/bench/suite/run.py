@@ -107,7 +107,7 @@ def _table(results: Sequence[BenchmarkResult]) -> TextTable:
     rows = [row for result in results for row in _rows(result)]
     notes = [f"{r.name} was left out: {r.left_out}" for r in results if r.left_out]
     if any(r.board is not None and not r.board.standings for r in results):
-        notes.insert(0, "Where ours is sealed, the test was not opened: --unseal opens it, once.")
+        notes.insert(0, "Sealed tests were not opened: --unseal opens them, once.")
     return TextTable("The suite", _HEADER, tuple(rows), tuple(notes))
 
 

@@ -81,7 +81,7 @@ class Spent:
             return StopCause("tokens", f"{self.tokens} of {rules.tokens} tokens")
         if rules.cost is not None and self.cost + self.unknown >= rules.cost:
             more = (
-                f", and up to {self.unknown:.2f} USD in sessions that did not tell theirs"
+                f", and up to {self.unknown:.2f} USD in sessions that did not report their cost"
                 if self.unknown
                 else ""
             )

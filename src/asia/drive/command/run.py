@@ -60,7 +60,7 @@ _FIRST = (
     "`asia try`."
 )
 _AGAIN = (
-    "Go on with the search that PROGRAM.md describes: read results.tsv and search_journal.md "
+    "Continue the search that PROGRAM.md describes: read results.tsv and search_journal.md "
     "first. There are experiments left."
 )
 _FROM_OTHERS = (
@@ -223,7 +223,7 @@ class CommandAgent(SubmittedAgent):
         kept = not rules.jail or preset.config in [path.name for path in rules.configs]
         resumes = bool(number > 1 and self._resumable and preset.resume and kept)
         template = preset.resume if resumes else preset.start
-        notes = "".join(f"\n\nThe person says: {n.text}" for n in view.notes)
+        notes = "".join(f"\n\nNote of the user: {n.text}" for n in view.notes)
         prompt = self._words(number, view) + notes
         write_file(self._folder, "PROMPT.md", prompt)
         spent = Spent.of(view, None, self._leg)

@@ -61,8 +61,8 @@ def method_words(view: SearchView) -> str:
     if best is None or held is None or best.number == held.number:
         return ""
     return (
-        f"#{best.number:02d} is handed over: its own fit has the lowest V; beyond the luck of the "
-        f"seeds nothing is better than #{held.number:02d}"
+        f"#{best.number:02d} and #{held.number:02d} are statistically equal; #{best.number:02d} is "
+        "handed over, because its own fit has the lowest V"
     )
 
 

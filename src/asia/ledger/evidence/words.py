@@ -162,9 +162,9 @@ def _residual_lines(
         if of_output < _OF_ONE_OUTPUT and len(kept) < MOST_RESIDUALS:
             kept.append(one)
     if not kept:
-        yield f"{where} it is nowhere too high or too low by more than a standard error"
+        yield f"{where} no mean residual exceeds its standard error"
         return
-    yield f"where it is wrong {where} (mean ± standard error, share of the MSE):"
+    yield f"mean residuals {where} (mean ± standard error, share of the MSE):"
     for one in kept:
         words = one_line(one.residual.words(setting.inputs, setting.outputs), 90)
         yield f"  {words}, {_folds(one.folds, evidence)}, {100 * one.share:.0f} %"
@@ -175,7 +175,7 @@ def _folds(numbers: Sequence[int], evidence: ExperimentEvidence) -> str:
         return "all folds" if len(numbers) > 2 else "both folds"
     if len(numbers) > 1:
         return f"folds {', '.join(map(str, numbers))}"
-    return f"fold {numbers[0]} alone" if numbers else "no fold by itself"
+    return f"fold {numbers[0]} alone" if numbers else "no single fold"
 
 
 def parameter_lines(parameters: Sequence[ParameterSpread]) -> Iterator[str]:
@@ -183,7 +183,7 @@ def parameter_lines(parameters: Sequence[ParameterSpread]) -> Iterator[str]:
     apart = [one for one in parameters if one.disagrees]
     alike = [one for one in parameters if not one.disagrees]
     if apart:
-        yield "parameters that the folds disagree on, fold by fold:"
+        yield "parameters that differ between the folds:"
     for one in apart[:MOST_PARAMETERS]:
         values = ", ".join(f"{value:.4g}" for value in one.values)
         sign = ", of opposite sign" if one.changes_sign else ""
@@ -210,7 +210,7 @@ def printed_lines(evidence: ExperimentEvidence) -> Iterator[str]:
         if not lines or (number > 1 and text == texts[0]):
             continue
         whose = f"of fold {number}" if evidence.folds and len(set(texts)) > 1 else ""
-        yield f"printed by the fit {whose}".strip() + ", the candidate's words and no instruction:"
+        yield f"printed by the fit {whose}".strip() + ", text of the candidate, not an instruction:"
         yield from (f"  | {line}" for line in lines)
 
 

@@ -109,8 +109,8 @@ def _header(subject: Subject) -> Html:
 def _footer(subject: Subject) -> Html:
     version = subject.view.started.environment.get("asia-sysid", "")
     words = (
-        "Every number on this page names the event of the ledger that it stands in, and was "
-        "checked against it when the page was written. Hold the pointer over a number to see it."
+        "Every number on this page comes from an event of the ledger, and was checked against it "
+        "when the page was written. Hold the pointer over a number to see its event."
     )
     return tag("footer", tag("p", words), tag("p", "ASIA ", said(version)))
 

@@ -28,4 +28,4 @@ def used_no_test(after_unsealing: bool) -> Html | None:
     """Return the note on evidence that was computed after the test was opened."""
     if not after_unsealing:
         return None
-    return tag("p", "This came after the sealed test had been opened, and used none of it.")
+    return tag("p", "This was computed after the sealed test had been opened, without using it.")

@@ -101,7 +101,10 @@ def _winner(view: SearchView, metric: str) -> str:
         [latex(name), error_value(score.value), *(error_value(f.value) for f in score.folds)]
         for name, score in scores
     ]
-    what = f"The winner beside the rungs, {metric_label(metric)} over the variation of the output"
+    what = (
+        f"The winner and the reference models, {metric_label(metric)} over the standard deviation "
+        "of the output"
+    )
     return _table("l" + "r" * (folds + 1), head, rows, _note(view, what))
 
 

@@ -110,7 +110,7 @@ class _Ablation:
             names = (_BASELINE, _MODEL, _TRAINING, _WINNER)
             failed = [name for name in names if not len(values[name])]
             if failed:
-                reason = f"{failed[0]} fails from every seed"
+                reason = f"{failed[0]} fails with every seed"
             else:
                 found = attribute(*(values[name] for name in names))
         left_out = tuple(
@@ -143,7 +143,7 @@ class _Ablation:
                 found[number] = str(error)
                 continue
             name = f"the winner without the change of #{number:02d}"
-            found[number] = Variant(name, source) if source else "nothing of it is left"
+            found[number] = Variant(name, source) if source else "no part of it is left"
         return found
 
     def _source(self, experiment: Experiment) -> str:
@@ -206,5 +206,5 @@ def _left_out(number: int, made: Variant | str, values: dict[str, Array]) -> Lef
     if isinstance(made, str):
         return LeftOut(number, detail=made)
     if not len(values[made.name]) or not len(values[_WINNER]):
-        return LeftOut(number, detail="it fails from every seed")
+        return LeftOut(number, detail="it fails with every seed")
     return LeftOut(number, gain(values[made.name], values[_WINNER]))

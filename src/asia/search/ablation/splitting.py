@@ -69,7 +69,7 @@ def without_change(winner: str, before: str, after: str) -> str | None:
 
 def _recipe_without(winner: Recipe, before: Recipe, after: Recipe) -> Recipe:
     if (before.package, before.family) != (after.package, after.family):
-        raise UserError("it changes the family, which the model and training crossed tell about")
+        raise UserError("it changes the family: see model and training crossed")
     taken = replace(winner, config=_settings_without(winner.config, before.config, after.config))
     if before.method != after.method:
         if winner.method != after.method:
@@ -130,7 +130,7 @@ def _parts(source: str) -> _Parts:
         raise UserError(f"a candidate has no function {missing[0]}: {_LAYOUT}")
     body = [one for one in functions["fit"].body if not _is_docstring(one)]
     if len(body) != 1 or ast.dump(body[0]) != _FIT:
-        raise UserError(f"fit of a candidate does more: {_LAYOUT}")
+        raise UserError(f"fit of a candidate contains further code: {_LAYOUT}")
     return _Parts(tuple(one for one in tree.body if not _is_docstring(one)))
 
 

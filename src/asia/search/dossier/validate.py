@@ -267,7 +267,7 @@ class _Validation:
     def _ahead(self) -> Check:
         """Each fold's model from starts within what it did not fit."""
         if self.problem.protocol.past_outputs == 0:
-            return no_steps_ahead("the protocol gives a model no measured outputs to start from")
+            return no_steps_ahead("the protocol has no past outputs from which a model could start")
         self.progress("steps ahead, from many starts")
         member = final_members(self.run.view, "ensemble")[0]
         model_errors: list[Array] = []
@@ -285,7 +285,9 @@ class _Validation:
                 model_errors.append(filled(block.y - reply))
                 hold_errors.append(filled(block.y - block.case.past_y[-1]))
         if not model_errors:
-            return no_steps_ahead("no held-out part has room for a start, or no answer was finite")
+            return no_steps_ahead(
+                "no held-out part is long enough for a start, or no simulation was finite"
+            )
         scale = self.evaluator.scale
         return check_ahead(np.stack(model_errors), np.stack(hold_errors), scale)
 

@@ -65,7 +65,7 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
         words = f"{_words(kept.disagreement)} against {_words(check.fold_disagreement)}"
         return ModelToUse(
             "ensemble",
-            "The refit answers unlike the fold models, which differ less from each other: "
+            "The refit differs from the fold models by more than they differ from each other: "
             f"{words} standard deviations.",
         )
     return ModelToUse("ensemble", f"The refit's error on its own training records is {errors}.")

@@ -109,7 +109,7 @@ def none_words(causes: Sequence[str]) -> str:
     where = f" in {_COUNT.get(count, f'all {count}')} starts" if count > 1 else ""
     kinds = {cause.partition(" (")[0] for cause in causes}
     if len(kinds) > 1:
-        return f"no start of the refit is good: one {', one '.join(causes)}"
+        return f"no start of the refit is usable: one {', one '.join(causes)}"
     kind, bracket, detail = causes[-1].partition(" (")
     return f"the refit {kind}{where}{bracket}{detail}"
 
@@ -181,7 +181,7 @@ class _Comparison:
             failure = self.evaluator.refit_objection(self.source, model, answers)
             if failure is not None:
                 words = failure.detail or failure.advice
-                self.causes[-1] = f"gives wrong answers ({error_line(words)})"
+                self.causes[-1] = f"gives invalid simulations ({error_line(words)})"
         apart = None if self._mean is None else self._apart(answers, self._mean)
         return RefitStart(error, apart, words)
 

@@ -41,7 +41,7 @@ def comparison_page(pair: Sequence[Snapshot], token: str) -> str:
         for one in pair
     ]
     part = tag("div", comparison_part(pair), data_refresh=f"/compare/part?{query}")
-    header = tag("header", tag("h1", "Side by side"))
+    header = tag("header", tag("h1", "Comparison"))
     return whole_page(" and ".join(names), (("Searches", "/"),), (header, *streams, part), token)
 
 

@@ -79,8 +79,8 @@ def _neighbours(subject: Subject, e: Experiment) -> Html:
     links = [
         tag("a", words, href=f"{address}/experiments/{number}", rel=rel)
         for number, words, rel in (
-            (e.number - 1, "‹ the one before", "prev"),
-            (e.number + 1, "the next one ›", "next"),
+            (e.number - 1, "‹ previous", "prev"),
+            (e.number + 1, "next ›", "next"),
         )
         if 1 <= number <= last
     ]

@@ -21,7 +21,7 @@ def whole_page(
 ) -> str:
     """A whole page. trail: names and addresses of the pages above it."""
     links = [tag("a", words, href=address) for words, address in trail]
-    crumbs = tag("nav", *links, class_="trail", aria_label="Where this page belongs")
+    crumbs = tag("nav", *links, class_="trail", aria_label="Breadcrumb")
     connection = tag("p", "", id="connection", role="status")
     head = tag(
         "head",

@@ -78,8 +78,8 @@ def now_panel(snapshot: Snapshot) -> Html:
     ]
     trouble = None
     if snapshot.trouble:
-        words = said(snapshot.trouble, 600)
-        trouble = tag("p", "Without the records, so without simulations: ", words, class_="trouble")
+        missing = "No simulations, because the records are missing: "
+        trouble = tag("p", missing, said(snapshot.trouble, 600), class_="trouble")
     return join((tag("dl", *shown, class_="tiles"), trouble))
 
 

@@ -38,7 +38,7 @@ def runs_page(folder: Path, listed: Sequence[ListedRun], digest: str, token: str
         tag("div", runs_table(listed), id="list"),
         tag(
             "p",
-            tag("button", "Show two side by side", type="submit", disabled=True, id="two"),
+            tag("button", "Compare two runs", type="submit", disabled=True, id="two"),
             " ",
             tag("span", "Choose two runs.", id="two-words"),
         ),

@@ -109,4 +109,4 @@ def _parts(
         )
 
 
-SECTION = Section("accuracy", "How good it is", _write)
+SECTION = Section("accuracy", "Accuracy", _write)

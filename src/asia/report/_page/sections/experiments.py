@@ -16,7 +16,7 @@ def _write(subject: Subject) -> Html | None:
     left_out = len(subject.view.experiments) - len(told)
     note = None
     if left_out:
-        words = "Here are those that were kept, the lineage of the winner and the last ones."
+        words = "Listed are the kept experiments, the lineage of the winner and the last ones."
         note = tag("p", words)
     listed = tag("div", *(_experiment(subject, e) for e in told), class_="experiments")
     return join((note, listed))

@@ -30,7 +30,7 @@ def _write(subject: Subject) -> Html | None:
             tag(
                 "details",
                 tag("summary", "The improvements as a table"),
-                table(head, rows, "Experiments that were the best so far"),
+                table(head, rows, "Best experiments so far"),
             ),
         )
     )
@@ -45,7 +45,10 @@ def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
     levels = [
         RungLevel(r.name, r.outcome.value) for r in view.rungs if isinstance(r.outcome, Score)
     ]
-    alt = "V of each experiment with the best so far as a step line; the same numbers stand below."
+    alt = (
+        "V of each experiment with the best so far as a step line; the table below has the same "
+        "numbers."
+    )
     drawings = [
         tag("div", draw_progress(points, levels, view.v_name, alt, size), class_=name)
         for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
@@ -84,7 +87,7 @@ def _rungs(subject: Subject) -> Html | None:
     ]
     if not rows:
         return None
-    return table(["reference", subject.view.v_name], rows, "Trivial references, the rungs")
+    return table(["reference", subject.view.v_name], rows, "Reference models")
 
 
 def _improvements(subject: Subject) -> list[tuple[Experiment, Experiment | None]]:

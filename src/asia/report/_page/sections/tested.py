@@ -46,7 +46,7 @@ def _table(subject: Subject, opened: Unsealed) -> Html | None:
     """A row for each metric and output, a column for each model."""
     named, models = model_to_use(subject.view), _models(opened)
     failed = [words for key, words in _MODELS if _failed(opened, key)]
-    note = tag("p", "No answer from: ", ", ".join(failed), ".") if failed else None
+    note = tag("p", "No simulation from: ", ", ".join(failed), ".") if failed else None
     if not models:
         return note
     rows: list[list[str | None]] = []
@@ -111,7 +111,7 @@ def _board(subject: Subject) -> Html | None:
     if not board.entries or not board.standings:
         return None
     parts: list[Html] = [_board_of(board, index) for index in range(len(board.standings))]
-    return join((tag("h3", "Among the published results"), *parts))
+    return join((tag("h3", "Comparison with published results"), *parts))
 
 
 def _board_of(board: Board, index: int) -> Html:

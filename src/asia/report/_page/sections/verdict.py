@@ -13,7 +13,7 @@ from asia.report._page.subject import Subject, result_of
 from asia.scoring.dossier import Verdict
 from asia.scoring.dossier.records import listed
 
-# V over that of a rung from which on a model is hardly better.
+# Ratio of V to that of a reference model above which the model is hardly better.
 _BETTER = 0.95
 
 
@@ -33,14 +33,14 @@ def doubts(subject: Subject) -> Iterator[str]:
             yield f"the model is {'worse' if value > rung[1] else 'hardly better'} {words}"
             break
     if view.started.isolation == "process":
-        yield "candidates ran without walls and could have read the answers"
+        yield "candidates ran without isolation and could have read the held-out data"
     if view.started.early_stopping == "validation":
-        yield "candidates were given their score on the held-out data while they trained"
+        yield "candidates saw their score on the held-out data during training"
     if view.started.residuals == "held_out":
-        yield "held-out residuals were shown to whoever proposed"
+        yield "the agent saw held-out residuals"
     again = view.refitted.again if view.refitted else None
     if again is not None and again.ratio != 1.0:
-        yield "a second fit of the winner came out differently"
+        yield "refitting the winner gave a different result"
     for dossier in view.validated:
         where = f" on the record {dossier.record}" if dossier.record else ""
         for check in dossier.checks:
@@ -62,7 +62,7 @@ def doubts(subject: Subject) -> Iterator[str]:
 
 
 def stamp(subject: Subject) -> tuple[str, str]:
-    """The verdict in two or three words, and its kind: `good`, `doubt` or `none`."""
+    """Return the verdict in two or three words, and its kind: `good`, `doubt` or `none`."""
     view = subject.view
     if view.best is None:
         return "No model", "none"
@@ -128,8 +128,7 @@ def _method(subject: Subject, best: Experiment) -> tuple[Html | str, ...]:
         return ()
     link = tag("a", subject.name(held), href=f"#e{held.number}")
     return (
-        " Its own fit has the lowest V; beyond the luck of the seeds nothing is better than "
-        "experiment ",
+        " Its own fit has the lowest V; it is statistically equal to experiment ",
         link,
         ".",
     )
@@ -139,9 +138,9 @@ def _error(subject: Subject, best: Experiment) -> Html:
     result = result_of(best)
     share = subject.number(result, "outcome.value", "share")
     start: tuple[str | None, ...] = (
-        "On data that it was not fitted to it errs by ",
+        "On held-out data its error is ",
         tag("b", share),
-        " of the output's own variation",
+        " of the output's standard deviation",
     )
     rung = subject.rung("linear model")
     if rung is None:
@@ -150,15 +149,14 @@ def _error(subject: Subject, best: Experiment) -> Html:
     own = subject.view.best
     assert own is not None
     assert own.score is not None
-    if value > own.score.value:
-        first, second = (linear, "outcome.value"), (result, "outcome.value")
-        words = " times as much"
-    else:
-        first, second = (result, "outcome.value"), (linear, "outcome.value")
-        words = " times less"
-    times = subject.made("ratio", "times", first, second)
     other = subject.number(linear, "outcome.value", "share")
-    return join((*start, "; the best linear model by ", other, ", ", times, words, "."))
+    if own.score.value <= _BETTER * value:
+        first, second = (linear, "outcome.value"), (result, "outcome.value")
+        times = subject.made("ratio", "times", first, second)
+        return join((*start, ". The best linear model has ", other, ", ", times, " times as much."))
+    if value > _BETTER * own.score.value:
+        return join((*start, ", no better than the best linear model with ", other, "."))
+    return join((*start, ", worse than the best linear model with ", other, "."))
 
 
 def _test(subject: Subject) -> Html:
@@ -166,7 +164,7 @@ def _test(subject: Subject) -> Html:
     opened = view.unsealed
     if opened is None:
         if view.started.test_digest is None:
-            return join(("There is no sealed test: no figure here is of unseen records.",))
+            return join(("There is no sealed test, so no figure here is from unseen records.",))
         return join(
             (
                 "The sealed test is still closed. The error above also served to choose the model, "
@@ -177,7 +175,7 @@ def _test(subject: Subject) -> Html:
     use = named.model if named else "ensemble"
     model = tested_model(opened, use)
     if not isinstance(model, TestedModel):
-        return join(("On the sealed test the model to use gives no answer.",))
+        return join(("The model to use fails on the sealed test.",))
     place = use if getattr(opened, use) is not None else "ensemble"
     value = subject.number(opened, f"{place}.scores.0.value", "sig4")
     label = said(find_metric(model.scores[0].metric).label)
@@ -212,17 +210,17 @@ def _trust(subject: Subject, kind: str, against: list[str]) -> Html:
         return join((f"{start}: ", said("; ".join(against), 2000), "."))
     view = subject.view
     again = (
-        " A second fit of the winner gave the same result."
+        " Refitting the winner gave the same result."
         if view.refitted and view.refitted.again
         else ""
     )
     checked = (
-        " No check of the validation raises a doubt."
+        " No validation check failed or is in doubt."
         if view.validated
         else join((" Its residuals and behaviour were not checked: run ",
                    tag("code", f"asia validate {view.started.run}"), "."))
     )  # fmt: skip
-    return join((f"No candidate saw the data that it was judged on.{again}", checked))
+    return join((f"No candidate saw its validation data.{again}", checked))
 
 
 def _tiles(subject: Subject, best: Experiment) -> Html:

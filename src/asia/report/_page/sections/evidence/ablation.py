@@ -10,7 +10,7 @@ from asia.report._page.subject import Subject
 _PARTS = (
     ("its model, with the training of the baseline", "crossing.model"),
     ("its training, with the model of the baseline", "crossing.training"),
-    ("both together, beyond what each brings alone", "crossing.interaction"),
+    ("interaction of both", "crossing.interaction"),
     ("in all", "crossing.gain"),
 )
 
@@ -21,9 +21,9 @@ def _write(subject: Subject) -> Html | None:
         return None
     words = tag(
         "p",
-        "The winner was fitted again with parts taken back, each variant from up to ",
+        "The winner was refitted with parts of its changes reverted, each variant with up to ",
         subject.number(found, "seeds", "count"),
-        " seeds that the evaluator chose.",
+        " seeds chosen by the evaluator.",
     )
     return join((words, _crossing(subject, found), _left_out(subject, found)))
 
@@ -32,8 +32,8 @@ def _crossing(subject: Subject, found: Ablated) -> Html:
     if found.crossing is None:
         return tag("p", "Model and training cannot be crossed: ", said(found.detail), ".")
     rows: list[list[str | None]] = [[words, _interval(subject, found, at)] for words, at in _PARTS]
-    head = ["what the winner has", f"{subject.view.v_name} is lower by"]
-    return table(head, rows, "What the gain over the baseline is due to")
+    head = ["part of the winner", f"{subject.view.v_name} is lower by"]
+    return table(head, rows, "Contributions to the gain over the baseline")
 
 
 def _left_out(subject: Subject, found: Ablated) -> Html | None:
@@ -55,4 +55,4 @@ def _interval(subject: Subject, found: Ablated, at: str) -> Html:
     return join((value, " (", low, " to ", high, ")"))
 
 
-SECTION = Section("ablation", "What is the gain due to?", _write)
+SECTION = Section("ablation", "Ablation", _write)

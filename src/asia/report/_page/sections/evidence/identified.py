@@ -133,11 +133,11 @@ def _entangled(run: Run, found: IdentifiedModel) -> Html | None:
     ]
     if not rows:
         return None
-    return table(["pair", "correlation of the errors"], rows, "Told apart badly by the records")
+    return table(["pair", "correlation of the errors"], rows, "Poorly distinguished by the records")
 
 
 def _number(run: Run, path: str, value: float, form: str) -> Html:
     return write_number([value], _sources(run, [path]), ONE, form)
 
 
-SECTION = Section("identified", "What was identified", _write)
+SECTION = Section("identified", "Identified parameters", _write)
