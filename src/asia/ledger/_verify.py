@@ -54,7 +54,7 @@ def verify(directory: Path, *, ledger_alone: bool = False) -> Verified:
                 for digest in () if ledger_alone else _artifacts(event):
                     artifacts.add(digest, record)
         except UserError:
-            # What does not hold in a record before that one comes first.
+            # An error in an earlier record is reported first.
             artifacts.check()
             raise
         artifacts.check()

@@ -208,7 +208,7 @@ def search(
         stopped = loop.view.stopped
         if stopped is not None and stopped.reason in RESUMABLE and view.unsealing is None:
             loop.record(Resumed())
-        # One that starts while another runs could be told something by how long it takes.
+        # A standby worker that starts during a fit could receive information through its timing.
         alone = view.started.isolation_strict or carrier_of(executor) is not None
         ready = nullcontext() if alone else evaluator.ready_workers(view.started.parallel)
         (directory / ERROR).unlink(missing_ok=True)

@@ -119,7 +119,7 @@ def test_the_widest_source_decides_the_interval_to_quote() -> None:
     unknown = IdentifiedParameter(fitted(standard_error=None, low=None, high=None), (1.0, 2.0), 0.5)
     assert (unknown.interval, unknown.decided_by, unknown.disagrees) == (None, "noise", False)
     text = "\n".join(identified_lines(IdentifiedModel(1, (apart, lacking), ((1.0,),), ())))
-    assert "k differs between the folds by more than noise explains" in text
+    assert "k differs significantly between the folds" in text
     assert "an effect is missing, and the intervals include" in text
 
 

@@ -25,7 +25,7 @@ HandOverReason = Literal[
 _AtOnce = Annotated[int, Field(exclude_if=lambda value: value == 1)]
 # Left out where the search's own machine fitted.
 _Elsewhere = Annotated[str, Field(exclude_if=lambda value: value == "")]
-# Left out where nobody asked for a GPU.
+# Omitted if no GPU was requested.
 _Device = Annotated[Device, Field(exclude_if=lambda value: value == "cpu")]
 _Flag = Annotated[bool, Field(exclude_if=lambda value: not value)]
 _Bound = Annotated[float | None, Field(exclude_if=lambda value: value is None)]

@@ -23,7 +23,7 @@ records do not determine it.
 """
 STRONG = 0.95
 """Parameters whose errors are correlated more than this are known together only."""
-# Of the width of a range: this near to its end a parameter sits at it.
+# Distance to a bound, as a share of the range, below which a parameter is at the bound.
 _AT_END = 0.005
 DISAGREEMENT = 3.0
 """Standard error by the folds over that by noise, from which on the fold models disagree."""
