@@ -11,7 +11,7 @@ import sys
 from typing import TextIO
 
 _LINE_BREAKS = "\n\t\r"
-# Of what a line of Markdown can hold: escapes, emphasis, code, links, HTML and its names of
+# Special characters of a line of Markdown: escapes, emphasis, code, links, HTML and its names of
 # characters, columns, deletions, mentions; an underscore inside a word is none of these.
 _MARKED = re.compile(r"[\\`*\[\]<>|~@&]|(?<![^\W_])_|_(?![^\W_])")
 # Addresses that many programs turn into links by themselves.

@@ -12,7 +12,7 @@ from asia.evaluation import DryRun
 from asia.ledger import Diagnostics, Experiment, Run, error_line
 
 _PRINTED_LINES = 10
-# What XLA's locks say where a filter of system calls refuses one.
+# Message of XLA's locks if a system-call filter refuses one.
 _NOT_ITS_OWN = "[mutex.cc :"
 
 SubmissionState = Literal["queued", "running", "done", "withdrawn", "unknown"]

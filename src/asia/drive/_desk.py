@@ -39,7 +39,7 @@ from asia.search import dry_run, simulated_excerpts
 from asia.search._agent_view import digest
 
 _POLL = 0.1
-# The ticket of the experiment that nobody hands in, before the search has recorded it too.
+# Ticket of the baseline, which is not submitted; valid before the search has recorded it.
 _BASELINE = "experiment-1"
 
 
@@ -171,7 +171,7 @@ class RunDesk:
         if over is not None:
             raise UserError(f"the candidate was not judged: {over}")
         in_ledger = {e.proposed.ticket for e in view.experiments}
-        # The baseline is the first experiment, and nobody hands it in.
+        # The baseline is the first experiment and is not submitted.
         spent = max(1, len(view.experiments)) + sum(t not in in_ledger for t in waiting)
         if spent >= budget:
             raise UserError(
@@ -299,7 +299,7 @@ def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Submission], N
     """
     end = time.monotonic() + seconds
     while True:
-        there = desk.attended()  # asked first: what was judged at the last moment is not lost
+        there = desk.attended()  # before the submission, so that a last result is not lost
         submission = desk.submission(ticket)
         tick(submission)
         if submission.state in ("done", "unknown") or time.monotonic() >= end:

@@ -18,7 +18,7 @@ from asia.search._run import Prepared, check_same_search, prepare, search, with_
 
 IDLE_SECONDS = 1800.0
 
-# Whoever hands in decides when enough is enough. The lock file has it, so it never changes.
+# The submitting user decides when to stop. The value is in the lock file, so it never changes.
 _PATIENCE = 1_000_000
 
 
@@ -98,7 +98,7 @@ def _serve(directory: Path, idle_seconds: float) -> None:
                 on_start=lambda view: clear_known(queue, view),
             )
         except IdleError:
-            # Handed in after the last look, by somebody who still saw this search.
+            # Submitted after the last poll, while this search was still visible.
             if not queue.tickets():
                 return
         except NewRequestError:

@@ -58,7 +58,7 @@ def _warm(desk: RunDesk) -> None:
         desk.run()
         desk.wake()
     except UserError as error:
-        # The next call of a tool meets it again and tells the agent.
+        # The next tool call raises the same error and reports it to the agent.
         say(f"asia: {error}", file=sys.stderr)
 
 

@@ -84,7 +84,7 @@ class Board:
 def read_board(problem: Problem, view: SearchView | None) -> Board:
     """The board of a problem with the model to use of a search, once its test was opened. view:
     None for no search."""
-    # A person's own data may bear a benchmark's name; their error has no place in that list.
+    # A user's own data may have a benchmark's name; their error does not belong on that list.
     entries = leaderboard(problem.name) if problem.data.public else ()
     unit = problem.protocol.test.unit or problem.outputs[0].unit
     figures = _figures_of_search(problem, view)
@@ -137,7 +137,7 @@ def official_figures(
     for figure in rule.figures:
         own = [v for n, v in values.items() if any(fnmatchcase(n, p) for p in figure.records)]
         if not own:
-            # The figures that follow would stand in another's place on the board.
+            # The following figures would be in the wrong place on the board.
             return ()
         found.append(OfficialFigure(figure.name, sum(own) / len(own)))
     return tuple(found)

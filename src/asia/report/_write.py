@@ -36,7 +36,7 @@ from asia.scoring.dossier import Check
 
 Picture = tuple[str, Callable[[], Figure]]
 
-# Of a PNG and of a PDF, so that the same picture has the same bytes.
+# Metadata of a PNG and of a PDF, so that equal pictures have equal bytes.
 _METADATA = ({"Software": None}, {"CreationDate": None})
 
 

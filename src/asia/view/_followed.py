@@ -23,7 +23,7 @@ from asia.problem.load import Problem, load_lock
 from asia.report.pieces import Detail, Subject
 from asia.search._steering import Steering
 
-# A long search is not told whole below its list of experiments.
+# Below its list of experiments, a long search is shown in part.
 _DETAIL = Detail(sources=1, stories=1, rows=150)
 
 

@@ -70,7 +70,7 @@ def copied_configs(access: Access, home: Path) -> tuple[Path, ...]:
     home.mkdir()
     for path in access.configs:
         if path.is_dir():
-            # Sockets and what cannot be read are left out.
+            # Sockets and unreadable files are skipped.
             with contextlib.suppress(shutil.Error):
                 shutil.copytree(path, home / path.name, symlinks=True, dirs_exist_ok=True)
         else:

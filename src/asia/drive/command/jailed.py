@@ -20,7 +20,7 @@ from asia.problem.load import Problem
 from asia.sandbox import SOCKET_FOLDER, Jail, jail_environment
 
 SOCKET = "desk.sock"
-# What a program that draws on a terminal asks for.
+# Variables that terminal programs need.
 _TERMINAL_VARIABLES = ("TERM", "COLORTERM")
 
 
@@ -76,7 +76,7 @@ class _RenewingDesk(RunDesk):
         now = super().progress()
         if now.experiments != self._written:
             opened = open_run(self._run_directory)
-            # An agent that makes its folder unwritable harms nobody but itself.
+            # An agent that makes its folder unwritable harms only itself.
             with contextlib.suppress(UserError):
                 write_views(self._place.folder, opened.view, opened.store)
             self._written = now.experiments

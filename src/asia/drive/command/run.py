@@ -132,7 +132,7 @@ class CommandAgent(SubmittedAgent):
         clearing(self._queue, event)
         if isinstance(event, Evaluated):
             self._quiet_since = time.monotonic()
-            # An agent that makes its folder unwritable harms nobody but itself.
+            # An agent that makes its folder unwritable harms only itself.
             with contextlib.suppress(UserError):
                 write_views(self._folder, view, store)
 
@@ -219,7 +219,7 @@ class CommandAgent(SubmittedAgent):
         assert view is not None
         assert journal is not None
         number = 1 + max(len(view.begun), len(view.sessions))
-        # A jail has a new home each time: only what lies in a configuration outlives a session.
+        # A jail has a new home each time: only a configuration folder outlives a session.
         kept = not rules.jail or preset.config in [path.name for path in rules.configs]
         resumes = bool(number > 1 and self._resumable and preset.resume and kept)
         template = preset.resume if resumes else preset.start
@@ -326,7 +326,7 @@ def command_agent(
     if rules.jail:
         check_access(rules, directory, prepared.problem)
     check_program(preset.start[0], rules if rules.jail else None)
-    # A level further down than the runs are looked for: what lies in it is never taken for one.
+    # One level below the folder of runs, so that its contents are never listed as runs.
     folder = directory.resolve().parent / WORKSPACES / directory.name
     if os.path.lexists(folder / "ledger.jsonl"):
         raise UserError(f"{folder} contains ledger.jsonl, so it looks like a run: remove this file")

@@ -17,7 +17,7 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 from asia.data import Signal
 from asia.protocol import find_metric
 
-# Okabe and Ito's colours: told apart by the colour-blind, and of unlike lightness in print.
+# Okabe and Ito's colours: distinguishable with colour blindness, and different in grey print.
 INK: Final = "#222222"
 QUIET: Final = "#6b6b6b"
 FAINT: Final = "#a8a8a8"

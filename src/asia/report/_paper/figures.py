@@ -24,7 +24,7 @@ COLUMN: Final = 3.5
 PAGE: Final = 7.16
 """Width of a page with two columns, in inches: 181.9 mm."""
 _PNG_DPI: Final = 300
-# What depends on nothing but the picture: no date, no version, ids from the same salt.
+# Metadata without date and version, ids from a fixed salt: the file depends only on the picture.
 _METADATA: Final[dict[str, dict[str, Any]]] = {
     "pdf": {"CreationDate": None},
     "svg": {"Date": None},

@@ -14,7 +14,7 @@ from asia.report._drawing.style import BLUE, QUIET, RED, entitle, picture_width,
 
 _ROW = 0.24
 _MARGINS = 1.1
-# Results beyond this many times the best stand at the edge.
+# Results beyond this many times the best are drawn at the edge.
 _WORST = 1_000.0
 
 

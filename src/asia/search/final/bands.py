@@ -27,8 +27,8 @@ from asia.search.final.members import FinalMember, final_members
 BAND_LEVEL = 0.9
 """Coverage of the bands that are drawn and recorded."""
 
-# Of the differences between the fold models. Held-out errors have the luck of a fold model in
-# them already; the whole differences would count it twice.
+# Share of the differences between the fold models. Held-out errors already contain the variance
+# of a fold model; the full differences would count it twice.
 _SHARE = 0.5
 
 

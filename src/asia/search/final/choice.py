@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from asia.ledger import Experiment, ModelToUse, RefitCheck, Refitted, Stack, error_value
 from asia.search.final.refit import is_as_good, is_worthy
 
-# Of the winner's V: a stack is used only where its nested V is below.
+# Maximum nested V of a stack, relative to the winner's V.
 STACK_GAIN = 0.8
 
 

@@ -80,7 +80,7 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
     winner = next(c.first for c in tried if c.experiment == view.best.number)
     blocks = even_blocks([_rows(candidate.first.blocks[0]) for candidate in tried])
     seed = derive_seed(view.started.seed, "confirm")
-    # Of the fit that is handed over, not of others: its luck with the seed stays with it.
+    # The expected error is that of the fit that is handed over, including the effect of its seed.
     expected = expected_error(winner, blocks, EXPECTED_LEVEL, seed)
     return Confirmed(
         winner=view.best.number,

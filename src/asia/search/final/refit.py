@@ -17,12 +17,12 @@ from asia.ledger import RefitCheck, RefitStart, error_line, error_value
 from asia.scoring import score_fold
 
 STARTS = 3
-# Of the error of a fold model in the middle: a refit above it does not fit its own data.
+# Maximum error of a refit relative to the median fold model: above it, it does not fit its data.
 FALLS_SHORT = 1.2
-# Of the error of the ensemble, and of the difference of one fold model from the others: a refit
-# above either is used only where nothing better is found.
+# Maximum error of a refit relative to the ensemble, and maximum difference relative to that of one
+# fold model from the others: a refit above either is only a fallback.
 NOT_WORSE, NOT_FURTHER = 1.05, 2.0
-# In standard deviations of the output: below it an error is as good as none.
+# Negligible error, in standard deviations of the output.
 NEGLIGIBLE = 1e-4
 
 Answers = tuple[Array, ...]

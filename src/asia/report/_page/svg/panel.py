@@ -13,7 +13,7 @@ from asia.report._page.svg.scales import Scale, written
 
 _WIDTH, _HEIGHT = 600, 180
 _MARGIN = 0.06
-# Curves of so few points stand over numbers of folds or records, which are whole.
+# Curves with at most this many points have fold or record numbers as abscissa, which are integers.
 _FEW_POINTS = 12
 
 
