@@ -71,8 +71,8 @@ class ComparisonPlan:
             ("early-stopping setting", list(self.settings)),
         ):
             if not given or len(set(given)) < len(given):
-                words = ", ".join(str(g) for g in given) or "none"
-                raise UserError(f"a comparison needs every {what} once, got: {words}")
+                text = ", ".join(str(g) for g in given) or "none"
+                raise UserError(f"a comparison needs every {what} once, got: {text}")
 
     @property
     def name(self) -> str:

@@ -103,8 +103,10 @@ def _paper_only(paper: Paper | None, ours: set[str]) -> list[Row]:
 def _rungs(runs: Sequence[FinishedSearch]) -> list[Row]:
     """The same in every run of a seed; the linear model may depend on the seed."""
     first = list({run.planned.seed: run for run in reversed(runs)}.values())[::-1]
-    names = list(dict.fromkeys(rung.name for run in first for rung in run.view.rungs))
-    outcomes = [{rung.name: rung.outcome for rung in run.view.rungs} for run in first]
+    names = list(dict.fromkeys(reference.name for run in first for reference in run.view.rungs))
+    outcomes = [
+        {reference.name: reference.outcome for reference in run.view.rungs} for run in first
+    ]
     rows: list[Row] = []
     for name in names:
         found = [o.get(name) for o in outcomes]

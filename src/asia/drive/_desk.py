@@ -112,11 +112,11 @@ class RunDesk:
         if not ledger.is_file():
             return open_run(self._directory)
         stat = ledger.stat()
-        stamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
+        timestamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
         seen = self._seen
-        if seen is None or seen[0] != stamp:
+        if seen is None or seen[0] != timestamp:
             run = open_run(self._directory)
-            seen = (stamp, replace(run, view=published(run.view)))
+            seen = (timestamp, replace(run, view=published(run.view)))
             self._seen = seen
         return seen[1]
 
@@ -220,9 +220,9 @@ class RunDesk:
         if self._queue.withdraw(ticket):
             return Submission(ticket, "withdrawn")
         state = self.submission(ticket).state
-        words = "about to be evaluated" if state == "queued" else state
+        text = "about to be evaluated" if state == "queued" else state
         raise UserError(
-            f"submission {one_line(ticket, 60)} is {words}: only a queued one can be withdrawn"
+            f"submission {one_line(ticket, 60)} is {text}: only a queued one can be withdrawn"
         )
 
     def results(self) -> tuple[ExperimentSummary, ...]:

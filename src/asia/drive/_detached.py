@@ -22,7 +22,7 @@ from asia.ledger import in_use, write_whole
 
 _POLL = 0.05
 _START_SECONDS = 60.0
-_WORDS = 300
+_MESSAGE_LENGTH = 300
 _VARIABLES = (
     "PATH", "HOME", "USER", "LOGNAME", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "TMPDIR", "PYTHONPATH",
     "LD_LIBRARY_PATH", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR", "OMP_NUM_THREADS",
@@ -146,9 +146,9 @@ def _start(directory: Path, log: Path) -> None:
         if code == 0:
             return
         if code is not None and not runs(directory):
-            words = log.read_bytes()[before:].decode("utf-8", "replace").strip().splitlines()
-            last = words[-1].removeprefix("asia: ") if words else f"exit code {code}"
-            raise UserError(f"the search did not start: {last[:_WORDS]}")
+            text = log.read_bytes()[before:].decode("utf-8", "replace").strip().splitlines()
+            last = text[-1].removeprefix("asia: ") if text else f"exit code {code}"
+            raise UserError(f"the search did not start: {last[:_MESSAGE_LENGTH]}")
         if time.monotonic() > end:
             raise UserError(f"the search did not start in {_START_SECONDS:g} s; see {log}")
         time.sleep(_POLL)

@@ -46,7 +46,7 @@ def _enter(here: int, name: str) -> int:
     try:
         return os.open(name, _FOLDER, dir_fd=here)
     except OSError:
-        _put_aside(here, name)
+        _move_away(here, name)
         os.mkdir(name, dir_fd=here)
         return os.open(name, _FOLDER, dir_fd=here)
 
@@ -59,9 +59,9 @@ def _replace(here: int, name: str, data: bytes, mode: int) -> None:
     try:
         os.rename(temporary, name, src_dir_fd=here, dst_dir_fd=here)
     except IsADirectoryError:
-        _put_aside(here, name)
+        _move_away(here, name)
         os.rename(temporary, name, src_dir_fd=here, dst_dir_fd=here)
 
 
-def _put_aside(here: int, name: str) -> None:
+def _move_away(here: int, name: str) -> None:
     os.rename(name, f".{name}.{secrets.token_hex(8)}", src_dir_fd=here, dst_dir_fd=here)

@@ -290,8 +290,8 @@ class SystemIdentifier:
 
     def __repr__(self) -> str:
         own, usual = self.get_params(), inspect.signature(type(self)).parameters
-        said = [f"{k}={v!r}" for k, v in own.items() if v is not usual[k].default]
-        return f"SystemIdentifier({', '.join(said)})"
+        arguments = [f"{k}={v!r}" for k, v in own.items() if v is not usual[k].default]
+        return f"SystemIdentifier({', '.join(arguments)})"
 
     def _repr_html_(self) -> str:
         """Show V, the model to use, its equations and a picture in notebooks."""

@@ -22,10 +22,10 @@ def writing(path: Path) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        raise UserError(f"{path} could not be written: {_words(error)}") from None
+        raise UserError(f"{path} could not be written: {_message(error)}") from None
 
 
-def _words(error: OSError) -> str:
+def _message(error: OSError) -> str:
     if error.errno in _FULL:
         return (
             f"the disk is full ({error.strerror}); recorded events are safe: free some space and "

@@ -52,8 +52,8 @@ def _description(e: Experiment) -> str:
     """The title; the whole hypothesis where the title is only its beginning; the mean of V over
     seeds where there is one."""
     title, hypothesis = e.proposed.title, e.proposed.hypothesis
-    words = hypothesis if hypothesis.startswith(title.removesuffix("…")) else title
-    return f"{words} ({mean})" if (mean := seed_mean_words(e)) else words
+    text = hypothesis if hypothesis.startswith(title.removesuffix("…")) else title
+    return f"{text} ({mean})" if (mean := seed_mean_words(e)) else text
 
 
 def journal(view: SearchView) -> str:
@@ -62,7 +62,7 @@ def journal(view: SearchView) -> str:
     parts = [
         f"# Search journal: {markdown_line(start.run)}\n\n"
         f"Problem {markdown_line(start.problem)}, agent {markdown_line(start.agent)}, "
-        f"seed {start.seed}, isolation {start.isolation_words}.\n{_rungs(view)}{_setting(view)}"
+        f"seed {start.seed}, isolation {start.isolation_words}.\n{_references(view)}{_setting(view)}"
     ]
     finished = view.finished
     for e, later in zip_longest(finished, finished[1:]):
@@ -71,13 +71,13 @@ def journal(view: SearchView) -> str:
     return "\n".join(parts)
 
 
-def _rungs(view: SearchView) -> str:
+def _references(view: SearchView) -> str:
     if not view.rungs:
         return ""
     values = [
-        f"{rung.name} {error_value(rung.outcome.value)}"
-        for rung in view.rungs
-        if isinstance(rung.outcome, Score)
+        f"{reference.name} {error_value(reference.outcome.value)}"
+        for reference in view.rungs
+        if isinstance(reference.outcome, Score)
     ]
     return f"\nReference models, {view.v_name}: {', '.join(values)}.\n"
 
@@ -150,10 +150,10 @@ def describe_result(e: Experiment, view: SearchView) -> str:
     """Describe a result in one line: V and its folds, or the failure with advice."""
     left = e.result.left_behind if e.result else ()
     stuck = f"; worker process {', '.join(map(str, left))} could not be terminated" if left else ""
-    return _outcome_words(e, view) + stuck
+    return _outcome_text(e, view) + stuck
 
 
-def _outcome_words(e: Experiment, view: SearchView) -> str:
+def _outcome_text(e: Experiment, view: SearchView) -> str:
     if e.score and e.result:
         folds = ", ".join(error_value(f.value) for f in e.score.folds)
         asked = (
@@ -162,25 +162,25 @@ def _outcome_words(e: Experiment, view: SearchView) -> str:
             else f", {validation_score_words(e.result)}"
         )
         parts = f" (folds {folds}{asked})" if folds else ""
-        return f"{view.v_name} = {error_value(e.score.value)}{parts}{_retest_words(e)}"
+        return f"{view.v_name} = {error_value(e.score.value)}{parts}{_retest_text(e)}"
     if e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
-        said = error_line(e.failure.detail)
-        detail = f" ({said})" if said else ""
+        message = error_line(e.failure.detail)
+        detail = f" ({message})" if message else ""
         return f"no score{where}: {e.failure.advice}{detail}"
     return "being evaluated"
 
 
-def _retest_words(e: Experiment) -> str:
+def _retest_text(e: Experiment) -> str:
     """`; repeated fits 0.1352, 0.1298, mean of 3 seeds 0.1320; required: a mean 0.0031 below the
     incumbent's`."""
     assert e.result is not None
     values = [r.failed if r.value is None else error_value(r.value) for r in e.result.retests]
-    words = f"; repeated fits {', '.join(values)}" if values else ""
+    text = f"; repeated fits {', '.join(values)}" if values else ""
     if mean := seed_mean_words(e):
-        words += f", {mean}"
+        text += f", {mean}"
     if any(r.same for r in e.result.retests):
-        words = "; equal with another seed"
+        text = "; equal with another seed"
     if e.result.floor:
-        words += f"; required: a mean {e.result.floor:.2g} below the incumbent's"
-    return words
+        text += f"; required: a mean {e.result.floor:.2g} below the incumbent's"
+    return text

@@ -116,12 +116,12 @@ def _answer(place: Path, ledger: Path, question: Callable[[sqlite3.Connection], 
 
 def _catch_up(index: sqlite3.Connection, ledger: Path) -> None:
     stat = os.stat(ledger)
-    stamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
-    if _covered(index, stamp) == stamp:
+    timestamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
+    if _covered(index, timestamp) == timestamp:
         return
     index.execute("BEGIN IMMEDIATE")
     with ledger.open("rb") as stream:
-        place = _known_place(index, stamp, stream)
+        place = _known_place(index, timestamp, stream)
         if place == BEGIN:
             for statement in _SCHEMA.split(";"):
                 index.execute(statement)
@@ -132,7 +132,7 @@ def _catch_up(index: sqlite3.Connection, ledger: Path) -> None:
             index.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
             place = after
     index.execute("DELETE FROM covered")
-    row = (*stamp, place.seq, place.offset, place.head)
+    row = (*timestamp, place.seq, place.offset, place.head)
     index.execute("INSERT INTO covered VALUES (?, ?, ?, ?, ?, ?)", row)
     index.execute("COMMIT")
 

@@ -240,7 +240,7 @@ class SearchView:
             "validation early stopping": self.started.early_stopping == "validation",
             "held-out residuals shown": self.started.residuals == "held_out",
         }
-        found = ", ".join(words for words, there in marks.items() if there)
+        found = ", ".join(text for text, there in marks.items() if there)
         return f"V ({found})" if found else "V"
 
     @property

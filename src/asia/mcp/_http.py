@@ -32,8 +32,8 @@ class BearerOnly:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""
         if scope["type"] == "http" and not self._admits(scope):
-            words = {"error": "a bearer token is needed: send Authorization: Bearer TOKEN"}
-            refusal = JSONResponse(words, 401, {"WWW-Authenticate": "Bearer"})
+            body = {"error": "a bearer token is needed: send Authorization: Bearer TOKEN"}
+            refusal = JSONResponse(body, 401, {"WWW-Authenticate": "Bearer"})
             await refusal(scope, receive, send)
             return
         await self._app(scope, receive, send)

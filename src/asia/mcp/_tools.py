@@ -94,16 +94,16 @@ class Tools:
         submission = await self._known(ticket)
         if submission.state != "done":
             await ask(self._desk.wake)
-        told = -_PROGRESS_SECONDS
+        reported = -_PROGRESS_SECONDS
         while submission.state in ("queued", "running"):
             waited = time.monotonic() - start
             if waited >= timeout_s:
                 break
-            if waited - told >= _PROGRESS_SECONDS:
-                told = waited
+            if waited - reported >= _PROGRESS_SECONDS:
+                reported = waited
                 now = await ask(self._desk.progress)
-                words = _words(submission, begun=now.experiments > 0)
-                await ctx.report_progress(round(waited, 1), timeout_s, words)
+                text = _progress_text(submission, begun=now.experiments > 0)
+                await ctx.report_progress(round(waited, 1), timeout_s, text)
             await anyio.sleep(min(_POLL, timeout_s - waited))
             submission = await ask(self._desk.submission, ticket)
         if submission.state == "unknown":
@@ -208,7 +208,7 @@ async def ask(function: Callable[..., T], *arguments: object) -> T:
         raise ToolError(f"{error.strerror or error}: {error.filename or 'a file'}") from None
 
 
-def _words(submission: Submission, *, begun: bool) -> str:
+def _progress_text(submission: Submission, *, begun: bool) -> str:
     if submission.state == "running":
         return f"experiment {submission.experiment} is being evaluated"
     if not begun:

@@ -167,7 +167,7 @@ def submission_line(figures: Sequence[OfficialFigure], unit: str, seconds: float
         seconds: training time of the model, s.
     """
     values = "; ".join(f"{figure.value:.3g}" for figure in figures)
-    time = next((words for most, words in _TIMES if seconds <= most), _LONGEST)
+    time = next((text for most, text in _TIMES if seconds <= most), _LONGEST)
     return (
         f"RMSE [{values}] {unit}, training time {time}; your method, authors, and how white (1) or "
         f"black (10) the model is: {_FORM}"

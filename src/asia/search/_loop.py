@@ -113,7 +113,7 @@ class Loop:
     @cached_property
     def flights(self) -> Flights:
         """The first fits under way."""
-        return Flights(self.view.started.parallel, self.evaluator, self.store, self._landed)
+        return Flights(self.view.started.parallel, self.evaluator, self.store, self._completed)
 
     @cached_property
     def known_trials(self) -> KnownTrials:
@@ -144,7 +144,7 @@ class Loop:
             self._proposer.attach(LoopJournal(self, self.view.leg))
 
     def _search(self) -> None:
-        self._score_rungs()
+        self._score_references()
         while self.view.stopped is None:
             stopped = self._advance()
             if stopped is not None:
@@ -203,12 +203,14 @@ class Loop:
         except InterruptedWaitError:
             return None
 
-    def _score_rungs(self) -> None:
-        names = {rung.name for rung in self.view.rungs}
+    def _score_references(self) -> None:
+        names = {reference.name for reference in self.view.rungs}
         problem = self.problem
         with self.watch.activity(Activity.RUNGS, swallows=True):
-            for rung in score_rungs(self.evaluator, problem.protocol.metric, problem.truth, names):
-                self.record(RungScored(rung.name, rung.outcome))
+            for reference in score_rungs(
+                self.evaluator, problem.protocol.metric, problem.truth, names
+            ):
+                self.record(RungScored(reference.name, reference.outcome))
 
     def _step(self) -> Stopped | None:
         """Propose a candidate if the budget allows another experiment, else take the oldest result.
@@ -264,7 +266,7 @@ class Loop:
         while self.flights.any:
             self._settle()
 
-    def _landed(self, landed: Landed) -> None:
+    def _completed(self, landed: Landed) -> None:
         """Write down a first fit whose turn has not come; the oldest will have its result now."""
         with self._lock:
             oldest = self.view.pending

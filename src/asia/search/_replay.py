@@ -149,7 +149,7 @@ class _Replaying:
         """Replay every event in order, each with the view before it."""
         events = [line.event for line in self.run.lines]
         journals = self._journals()
-        self._rungs([event for event in events if isinstance(event, RungScored)])
+        self._references([event for event in events if isinstance(event, RungScored)])
         asked: dict[int, Replayed] = {}
         for place, event in enumerate(events):
             match event:
@@ -191,7 +191,7 @@ class _Replaying:
         self.items.append(item)
         self.on_item(item)
 
-    def _rungs(self, recorded: list[RungScored]) -> None:
+    def _references(self, recorded: list[RungScored]) -> None:
         metric, truth = self.problem.protocol.metric, self.problem.truth
         again = {r.name: r.outcome for r in score_rungs(self.evaluator, metric, truth, set())}
         for rung in recorded:
@@ -265,11 +265,11 @@ class _Replaying:
         if item.outcome != "same":
             return item
         if judged.status != event.status:
-            words = f"the decision is {judged.status} now"
-            return _with_detail(replace(item, outcome="differs"), words)
+            text = f"the decision is {judged.status} now"
+            return _with_detail(replace(item, outcome="differs"), text)
         if judged.retests != event.retests and not self.tolerance:
-            words = "the result with another seed differs"
-            return _with_detail(replace(item, outcome="differs"), words)
+            text = "the result with another seed differs"
+            return _with_detail(replace(item, outcome="differs"), text)
         return item
 
     def _end(self, name: str, reason: HandOverReason | StopReason, before: SearchView) -> None:
@@ -341,9 +341,9 @@ class _ReplayJournal:
 
 def _level(started: Started) -> tuple[Isolation, tuple[str, ...]]:
     """The isolation to evaluate at, and what is not as it was."""
-    wanted, found = Isolation(started.isolation), probe().level
-    level = wanted if wanted is found or not LEVELS[wanted].confined else found
-    notes = () if level is wanted else (f"isolation {level.value} here, {wanted.value} then",)
+    expected, found = Isolation(started.isolation), probe().level
+    level = expected if expected is found or not LEVELS[expected].confined else found
+    notes = () if level is expected else (f"isolation {level.value} here, {expected.value} then",)
     gpu = started.environment.get("GPU", "") if gpu_nodes() else ""
     here = environment(started.agent, *(leg.agent for leg in started.legs), gpu=gpu)
     changes = environment_changes(started.environment, here)

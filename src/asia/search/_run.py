@@ -202,15 +202,15 @@ def search(
         # A search that was killed behind its last event has not written them.
         write_exports(directory, view)
         on_start(view)
-        wanted = prepared.started
-        if (wanted.experiments, wanted.hours) != (view.budget, view.hours):
-            loop.record(Extended(wanted.experiments, wanted.hours))
+        expected = prepared.started
+        if (expected.experiments, expected.hours) != (view.budget, view.hours):
+            loop.record(Extended(expected.experiments, expected.hours))
         stopped = loop.view.stopped
         if stopped is not None and stopped.reason in RESUMABLE and view.unsealing is None:
             loop.record(Resumed())
         # A standby worker that starts during a fit could receive information through its timing.
-        alone = view.started.isolation_strict or carrier_of(executor) is not None
-        ready = nullcontext() if alone else evaluator.ready_workers(view.started.parallel)
+        sequential = view.started.isolation_strict or carrier_of(executor) is not None
+        ready = nullcontext() if sequential else evaluator.ready_workers(view.started.parallel)
         (directory / ERROR).unlink(missing_ok=True)
         try:
             with ready:
@@ -362,7 +362,7 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
             f"run '{start.run}' started with a layer of isolation that is not available "
             f"({', '.join(lost)}): continue it where it started, or choose another --name"
         )
-    for settings in _settings_beside(start, wanted):
+    for settings in _other_settings(start, wanted):
         for what in dict.fromkeys([*settings[0], *settings[1]]):
             there, now = (s.get(what, "its default") for s in settings)
             if there != now:
@@ -387,7 +387,7 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         )
 
 
-def _settings_beside(
+def _other_settings(
     there: Started, now: Started
 ) -> Iterator[tuple[Mapping[str, str], Mapping[str, str]]]:
     """The settings of each agent, those of its leg in a relay; the names are the same."""

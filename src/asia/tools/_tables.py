@@ -49,10 +49,10 @@ def _scores(problem: Problem, folds: Sequence[LocalFold], *, whole: bool) -> Ite
         )
         if len(problem.outputs) > 1:
             errors = zip(problem.outputs, one.score.per_channel(metric.name), strict=True)
-            said = ", ".join(
+            message = ", ".join(
                 f"{s.name} {e:.4g} {metric.unit_of(s.unit)}".rstrip() for s, e in errors
             )
-            yield f"    {metric.label}: {said}"
+            yield f"    {metric.label}: {message}"
 
 
 def _parameters(folds: Sequence[LocalFold]) -> Iterator[str]:
@@ -104,17 +104,17 @@ def _line(problem: Problem, blocks: Sequence[Block], e: Sequence[Array]) -> str:
     beyond = np.flatnonzero(np.abs(own.values) < own.band)
     length = int(beyond[0]) if len(beyond) else own.lags[-1]
     longer = " or more" if not len(beyond) else ""
-    said = [f"own past {own.values[1]:.2f} at lag 1, above the band for {length}{longer} lags"]
+    message = [f"own past {own.values[1]:.2f} at lag 1, above the band for {length}{longer} lags"]
     for i, signal in enumerate(problem.inputs):
         found = with_input(e, [b.case.u[:, i] for b in blocks])
         place = int(np.argmax(np.abs(found.values)))
         largest = float(found.values[place])
         side = "above" if abs(largest) > found.band else "within"
-        said.append(
+        message.append(
             f"{signal.name} {largest:.2f} at lag {found.lags[place]}, {side} the band of "
             f"{found.band:.2f}"
         )
-    return "; ".join(said)
+    return "; ".join(message)
 
 
 def _name(one: LocalFold) -> str:

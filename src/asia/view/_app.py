@@ -161,8 +161,8 @@ class _Pages:
 
 def _number(request: Request, key: str) -> int | None:
     """A count that the address names; None where it names none."""
-    words = request.query_params.get(key, "")
-    return int(words) if words.isdecimal() and len(words) < 16 else None
+    text = request.query_params.get(key, "")
+    return int(text) if text.isdecimal() and len(text) < 16 else None
 
 
 def _mark(request: Request) -> str:

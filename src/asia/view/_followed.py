@@ -70,7 +70,7 @@ class FollowedRun:
         self._follower = Follower(ledger_of(directory))
         self._lock = threading.Lock()
         self._snapshot: Snapshot | None = None
-        self._records = _RecordsBeside(directory / "problem.lock.toml")
+        self._records = _BackgroundRecords(directory / "problem.lock.toml")
 
     def snapshot(self, *, with_records: bool = False) -> Snapshot:
         """Return the present state.
@@ -114,7 +114,7 @@ class FollowedRun:
         return int(count) if known and len(head) >= 20 else None
 
 
-class _RecordsBeside:
+class _BackgroundRecords:
     """Problem of a run with its records, which a background thread reads: they may have to be
     downloaded.
     """

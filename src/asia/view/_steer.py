@@ -43,6 +43,6 @@ def tell(run: Run, what: str, text: str) -> str:
 
 def _noted(run: Run, *, running: bool) -> str:
     when = "at its next step" if running else "when the search continues"
-    words, started = f"noted: recorded {when}", run.view.started
+    text, started = f"noted: recorded {when}", run.view.started
     deaf = f"; the agent '{started.agent}' does not read notes, so the note is only recorded"
-    return words if reads_notes(started) else f"{words}{deaf}"
+    return text if reads_notes(started) else f"{text}{deaf}"

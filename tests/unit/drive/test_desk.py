@@ -73,7 +73,7 @@ def test_static_errors_cost_no_experiment(place: Place) -> None:
     ):
         with pytest.raises(UserError, match=words) as caught:
             place.desk.submit(Proposal(source, "", "", "it helps", ""))
-        assert "costs no experiment" in str(caught.value)
+        assert "cost no experiment" in str(caught.value)
     assert Queue(place.directory).tickets() == []
 
 

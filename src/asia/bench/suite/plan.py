@@ -61,13 +61,13 @@ def select_problems(only: str | None) -> tuple[str, ...]:
     None. Raises UserError for a name that is not of the suite."""
     if only is None:
         return SUITE
-    wanted = [name.strip().replace("-", "_") for name in only.split(",") if name.strip()]
-    for name in wanted:
+    expected = [name.strip().replace("-", "_") for name in only.split(",") if name.strip()]
+    for name in expected:
         if name not in SUITE:
             raise UserError(
                 f"--only: there is no benchmark '{name}' in the suite{suggestion(name, SUITE)} "
                 f"(they are {', '.join(SUITE)})"
             )
-    if not wanted:
+    if not expected:
         raise UserError(f"--only names no benchmark: expected some of {', '.join(SUITE)}")
-    return tuple(name for name in SUITE if name in wanted)
+    return tuple(name for name in SUITE if name in expected)

@@ -93,10 +93,10 @@ def make_preset(name: str, command: str | None) -> Preset:
             f"--agent command:{name}: there is {', '.join(PRESETS)}; for any other program give "
             "its command line with --command, with {prompt} or {prompt_file} in it"
         )
-    words = tuple(shlex.split(command))
-    if not words or not any("{prompt}" in w or "{prompt_file}" in w for w in words):
+    arguments = tuple(shlex.split(command))
+    if not arguments or not any("{prompt}" in w or "{prompt_file}" in w for w in arguments):
         raise UserError("--command: expected a command line with {prompt} or {prompt_file} in it")
-    return Preset(start=words)
+    return Preset(start=arguments)
 
 
 def filled(template: tuple[str, ...], values: Mapping[str, str]) -> list[str]:

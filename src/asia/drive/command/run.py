@@ -53,7 +53,7 @@ from asia.search._steering import Steering
 
 SOCKET = "desk.sock"
 WORKSPACES = ".workspaces"
-_LAST_WORDS_SECONDS = 60.0
+_LAST_OUTPUT_SECONDS = 60.0
 _IDLE_SESSIONS = 2
 _FIRST = (
     "Read PROGRAM.md in this folder and do what it says: find the best model you can, with "
@@ -148,7 +148,7 @@ class CommandAgent(SubmittedAgent):
         if session is None:
             return
         if reason in ("budget", "hours", "saturated"):
-            session.wait(_LAST_WORDS_SECONDS)
+            session.wait(_LAST_OUTPUT_SECONDS)
         self._finish(session)
 
     def leaving(self) -> None:
@@ -224,7 +224,7 @@ class CommandAgent(SubmittedAgent):
         resumes = bool(number > 1 and self._resumable and preset.resume and kept)
         template = preset.resume if resumes else preset.start
         notes = "".join(f"\n\nNote of the user: {n.text}" for n in view.notes)
-        prompt = self._words(number, view) + notes
+        prompt = self._prompt(number, view) + notes
         write_file(self._folder, "PROMPT.md", prompt)
         spent = Spent.of(view, None, self._leg)
         left = None if rules.cost is None else rules.cost - spent.cost - spent.unknown
@@ -248,7 +248,7 @@ class CommandAgent(SubmittedAgent):
         stream = Stream(preset.format, self._totals)
         return Session(process, stream, number, len(view.experiments), self._keep, self._judge)
 
-    def _words(self, session: int, view: SearchView) -> str:
+    def _prompt(self, session: int, view: SearchView) -> str:
         """Return the prompt of the process."""
         own = [event for event in view.begun if event.leg == self._leg]
         if session > 1 and (own or not self._leg):

@@ -72,7 +72,7 @@ class Session:
     def end(self) -> str:
         """Kill it, read what it has left; how it ended. A child that escaped its group may hold the
         output open: it is not waited for."""
-        alone = self.ended
+        has_ended = self.ended
         self.kill()
         self._over.set()
         self._thread.join(_JOIN_SECONDS)
@@ -80,7 +80,7 @@ class Session:
             return self.stream.outcome
         if self.stopped is not None:
             return f"stopped: {self.stopped.detail}"
-        how = f"exit code {self.process.returncode}" if alone else "stopped with the search"
+        how = f"exit code {self.process.returncode}" if has_ended else "stopped with the search"
         return f"{how}: {self._last_words}" if self._last_words else how
 
     def _attend(self) -> None:

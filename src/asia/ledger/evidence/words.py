@@ -166,8 +166,8 @@ def _residual_lines(
         return
     yield f"mean residuals {where} (mean ± standard error, share of the MSE):"
     for one in kept:
-        words = one_line(one.residual.words(setting.inputs, setting.outputs), 90)
-        yield f"  {words}, {_folds(one.folds, evidence)}, {100 * one.share:.0f} %"
+        text = one_line(one.residual.words(setting.inputs, setting.outputs), 90)
+        yield f"  {text}, {_folds(one.folds, evidence)}, {100 * one.share:.0f} %"
 
 
 def _folds(numbers: Sequence[int], evidence: ExperimentEvidence) -> str:

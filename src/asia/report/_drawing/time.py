@@ -83,9 +83,9 @@ def lay_out(
     first = stretches[0].start if len(stretches) == 1 else 0
     scale = sampling_time / unit.seconds
     times: list[Array] = []
-    for stretch in stretches:
-        times.append((first + np.arange(stretch.length, dtype=np.float64)) * scale)
-        first += stretch.length + gap
+    for segment in stretches:
+        times.append((first + np.arange(segment.length, dtype=np.float64)) * scale)
+        first += segment.length + gap
     edge = total * scale / 100
     limits = float(times[0][0]) - edge, float(times[-1][-1]) + edge
     return TimeAxis(tuple(times), unit, limits, pieces)

@@ -100,9 +100,9 @@ def _is_word(*factors: Node) -> bool:
     last, first = factors
     while isinstance(last, Binary) and last.symbol == "*":
         last = last.right
-    words = [n.name for n in (last, first) if isinstance(n, Name)]
+    names = [n.name for n in (last, first) if isinstance(n, Name)]
     calls = isinstance(first, Call) and first.function not in ("sqrt", "abs")
-    return calls or any(n not in _GREEK and not _SHORT.fullmatch(n) for n in words)
+    return calls or any(n not in _GREEK and not _SHORT.fullmatch(n) for n in names)
 
 
 def _call(function: str, arguments: list[Html]) -> Html:

@@ -98,7 +98,7 @@ def follow(value: Any, path: str) -> list[Any]:
     for step in path.split("."):
         if step == "*":
             return list(value)
-        name, equals, wanted = step.partition("=")
+        name, equals, expected = step.partition("=")
         if isinstance(value, dict):
             value = value[name]
         elif isinstance(value, list | tuple):
@@ -106,7 +106,7 @@ def follow(value: Any, path: str) -> list[Any]:
         else:
             value = getattr(value, name)
         if equals:
-            return [value] if str(value) == wanted else []
+            return [value] if str(value) == expected else []
     return [value]
 
 

@@ -61,8 +61,8 @@ def draw_overlays(problem: Problem, overlays: Sequence[Overlay]) -> Html:
 
 def overlay_legend(*, banded: bool = False) -> Html:
     """Write the legend of the curves. banded: true if output bands are among them."""
-    words = [("measured", "measured"), ("model", "simulated"), ("error", "difference")]
-    return legend([*words, *([("outputs", "output bands")] if banded else [])])
+    text = [("measured", "measured"), ("model", "simulated"), ("error", "difference")]
+    return legend([*text, *([("outputs", "output bands")] if banded else [])])
 
 
 def draw_overlay(problem: Problem, overlay: Overlay) -> Html:

@@ -147,9 +147,9 @@ class Subject:
 
     def rung(self, name: str) -> tuple[Event, float] | None:
         """Return a reference model's event with its V; None without a score."""
-        for rung in self.view.rungs:
-            if rung.name == name and isinstance(rung.outcome, Score):
-                return rung, rung.outcome.value
+        for reference in self.view.rungs:
+            if reference.name == name and isinstance(reference.outcome, Score):
+                return reference, reference.outcome.value
         return None
 
 

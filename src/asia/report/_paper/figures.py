@@ -49,12 +49,12 @@ def write_figures(run_directory: Path, directory: Path) -> tuple[Path, ...]:
 def _dossiers(run: Run) -> Iterator[Picture]:
     """Yield the pictures of the validation of the folds and of each new record in the ledger."""
     for place, found in enumerate(run.view.validated):
-        said = {one.name: one for one in found.checks}
+        checks = {one.name: one for one in found.checks}
         checks = tuple(
             Check(
                 drawn.name,
-                said[drawn.name].verdict,
-                said[drawn.name].sentence,
+                checks[drawn.name].verdict,
+                checks[drawn.name].sentence,
                 curves=tuple(_curve(one) for one in drawn.curves),
                 axes=drawn.axes,
             )

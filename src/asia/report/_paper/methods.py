@@ -61,13 +61,13 @@ def _judged(view: SearchView, metric: str) -> Iterator[str]:
         + f" of open-loop simulation: V is the {metric_label(metric)} on the held-out part over "
         "the standard deviation of the output in the training part, mean over outputs and folds."
     )
-    rungs = [
+    references = [
         f"{_words(r.name)} {error_value(r.outcome.value)}"
         for r in view.rungs
         if isinstance(r.outcome, Score)
     ]
-    if rungs:
-        yield f"Trivial references have V: {', '.join(rungs)}."
+    if references:
+        yield f"Trivial references have V: {', '.join(references)}."
 
 
 def _kept_apart(view: SearchView) -> Iterator[str]:

@@ -129,8 +129,8 @@ def _parameters(view: SearchView, found: IdentifiedModel) -> str:
 def _test(view: SearchView, opened: Unsealed) -> str:
     """A row for each metric and output, a column for each model."""
     named = model_to_use(view)
-    found = [(key, words, getattr(opened, key)) for key, words in _MODELS]
-    models = [(key, words, m) for key, words, m in found if isinstance(m, TestedModel)]
+    found = [(key, text, getattr(opened, key)) for key, text in _MODELS]
+    models = [(key, text, m) for key, text, m in found if isinstance(m, TestedModel)]
     rows: list[list[str]] = []
     for k, score in enumerate(models[0][2].scores if models else ()):
         label = latex(find_metric(score.metric).label)
@@ -142,6 +142,6 @@ def _test(view: SearchView, opened: Unsealed) -> str:
             values = (f"{s.per_channel[c]:.4g}" for s in scores)
             rows.append([f"{label} {latex(name)}", *values])
     use = named.model if named is not None else ""
-    head = ["Error", *(f"{words} (to use)" if key == use else words for key, words, _ in models)]
+    head = ["Error", *(f"{text} (to use)" if key == use else text for key, text, _ in models)]
     what = "The sealed test, in the units of the outputs"
     return _table("l" + "r" * len(models), head, rows, _note(view, what))

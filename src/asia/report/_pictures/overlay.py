@@ -113,9 +113,9 @@ def draw_overlay(panels: Sequence[Panel], sampling_time: float, words: Words) ->
 
 
 def _time_axes(panels: Sequence[Panel], sampling_time: float, pieces: str) -> list[TimeAxis]:
-    stretches = [[Stretch(p.start, len(p.measured)) for p in panel.pieces] for panel in panels]
-    unit = time_unit(sampling_time * max(last_sample(s) for s in stretches))
-    return [lay_out(s, sampling_time, unit, pieces) for s in stretches]
+    segments = [[Stretch(p.start, len(p.measured)) for p in panel.pieces] for panel in panels]
+    unit = time_unit(sampling_time * max(last_sample(s) for s in segments))
+    return [lay_out(s, sampling_time, unit, pieces) for s in segments]
 
 
 def _curves(axes: Axes, panel: Panel, axis: TimeAxis, characters: int) -> None:

@@ -39,7 +39,7 @@ _OFF_SCALE = 4.0
 _MOST_TAGS = 12
 _TAG_FONT = 7.5
 _DASHES = ((5.0, 2.5), (1.2, 1.8), (7.0, 2.0, 1.2, 2.0), (2.5, 1.5))
-_RUNG_NAMES = {"simulated truth": "noise floor (truth)"}
+_REFERENCE_NAMES = {"simulated truth": "noise floor (truth)"}
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def draw_progress(view: SearchView, metric: str, beside: Control | None = None) 
     _entitle(axes, _title(view))
     _mark(axes, search)
     _hand_overs(axes, view)
-    labels = [_rung(axes, i, name, value) for i, (name, value) in enumerate(search.rungs)]
+    labels = [_reference(axes, i, name, value) for i, (name, value) in enumerate(search.rungs)]
     if axes.get_legend_handles_labels()[1]:
         figure.legend(loc="outside lower center", ncols=4, handletextpad=0.5, columnspacing=2.2)
     canvas.draw()
@@ -106,19 +106,19 @@ def draw_progress(view: SearchView, metric: str, beside: Control | None = None) 
 
 
 def _gather(view: SearchView, beside: Control | None) -> _Points:
-    rungs = tuple(
-        (_RUNG_NAMES.get(r.name, plain(r.name, 24)), r.outcome.value)
+    references = tuple(
+        (_REFERENCE_NAMES.get(r.name, plain(r.name, 24)), r.outcome.value)
         for r in view.rungs
         if isinstance(r.outcome, Score)
     )
     if beside is not None and beside.value is not None:
-        rungs = (*rungs, ("expert, same budget", beside.value))
+        references = (*references, ("expert, same budget", beside.value))
     scored = [(e, e.score.value) for e in view.finished if e.score]
     bests = {e.number for e in view.bests}
     kept = tuple(_point(e, v) for e, v in scored if e.number in bests)
     others = [_point(e, v) for e, v in scored if e.number not in bests]
     guard = _guarded(view)
-    usual = [v for _, v in rungs] + [p.value for p in kept]
+    usual = [v for _, v in references] + [p.value for p in kept]
     ceiling = _OFF_SCALE * max(usual, default=float("inf"))
     return _Points(
         kept,
@@ -126,7 +126,7 @@ def _gather(view: SearchView, beside: Control | None) -> _Points:
         tuple(p for p in (*others, *guard) if p.value > ceiling),
         tuple(p for p in guard if p.value <= ceiling),
         tuple(e.number for e in view.finished if e.failure),
-        rungs,
+        references,
         max((e.number for e in view.finished), default=0),
     )
 
@@ -258,7 +258,7 @@ def _hand_overs(axes: Axes, view: SearchView) -> None:
             )
 
 
-def _rung(axes: Axes, index: int, name: str, value: float) -> Text:
+def _reference(axes: Axes, index: int, name: str, value: float) -> Text:
     dashes = _DASHES[index % len(_DASHES)]
     axes.axhline(value, color=QUIET, lw=0.8, dashes=dashes, zorder=2)
     return axes.annotate(

@@ -177,11 +177,11 @@ class _Ablation:
         outcome = self.evaluator.evaluate(variant.source, repeat).outcome
         seconds = time.monotonic() - begin
         source = self.store.put(variant.source.encode())
-        told = variant.name, source, variant.digest, repeat
+        identity = variant.name, source, variant.digest, repeat
         if isinstance(outcome, Failure):
-            return AblationFit(*told, failed=outcome.reason.value, seconds=seconds)
+            return AblationFit(*identity, failed=outcome.reason.value, seconds=seconds)
         folds = tuple(fold.value for fold in outcome.folds)
-        return AblationFit(*told, outcome.value, folds, seconds=seconds)
+        return AblationFit(*identity, outcome.value, folds, seconds=seconds)
 
     def _is_same(self, digest: str, repeat: int) -> bool:
         """Return whether all folds have the same V as with the seed before, or as in the search, so

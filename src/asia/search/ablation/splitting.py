@@ -27,17 +27,17 @@ class _Parts:
 
     def needed(self, name: str) -> list[ast.stmt]:
         """The statements that define `name`, and all that they use."""
-        wanted, found = {name}, set[int]()
+        expected, found = {name}, set[int]()
         while True:
             more = {
                 i
                 for i, one in enumerate(self.order)
-                if i not in found and wanted.intersection(_defined(one))
+                if i not in found and expected.intersection(_defined(one))
             }
             if not more:
                 return [self.order[i] for i in sorted(found)]
             found |= more
-            wanted |= {used for i in more for used in _used(self.order[i])}
+            expected |= {used for i in more for used in _used(self.order[i])}
 
 
 def crossed(model: str, training: str) -> str:

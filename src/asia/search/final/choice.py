@@ -57,19 +57,19 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
         why = evidence.detail or "there is no refit"
         return ModelToUse("ensemble", f"{why[:1].upper()}{why[1:]}.")
     kept = check.starts[(check.kept or 0) - 1]
-    errors = f"{_words(kept.error)}, that of the ensemble {_words(check.ensemble_error)}"
+    errors = f"{_error_text(kept.error)}, that of the ensemble {_error_text(check.ensemble_error)}"
     if is_worthy(check):
-        words = f"It is fitted on all training records; its error there is {errors}."
-        return ModelToUse("refit", words)
+        text = f"It is fitted on all training records; its error there is {errors}."
+        return ModelToUse("refit", text)
     if is_as_good(check):
-        words = f"{_words(kept.disagreement)} against {_words(check.fold_disagreement)}"
+        text = f"{_error_text(kept.disagreement)} against {_error_text(check.fold_disagreement)}"
         return ModelToUse(
             "ensemble",
             "The refit differs from the fold models by more than they differ from each other: "
-            f"{words} standard deviations.",
+            f"{text} standard deviations.",
         )
     return ModelToUse("ensemble", f"The refit's error on its own training records is {errors}.")
 
 
-def _words(error: float | None) -> str:
+def _error_text(error: float | None) -> str:
     return "none" if error is None else error_value(error)

@@ -111,7 +111,7 @@ class _Confirmation:
         with self.evaluator.ready_workers():
             for experiment in chosen:
                 for repeat in range(1, self.seeds + 1):
-                    event = self._known(experiment.number, repeat)
+                    event = self._observed(experiment.number, repeat)
                     done += 1
                     if event is None:
                         event = self._repeat(experiment, repeat)
@@ -122,7 +122,7 @@ class _Confirmation:
                         done += self.seeds - repeat
                         break
 
-    def _known(self, experiment: int, repeat: int) -> Repeated | None:
+    def _observed(self, experiment: int, repeat: int) -> Repeated | None:
         for event in self.chain.view.repeats:
             if (event.experiment, event.repeat) == (experiment, repeat):
                 return event

@@ -175,17 +175,17 @@ class _Comparison:
             self.causes.append(cause_of(answers))
             return RefitStart(None, None, f"its simulation failed: {answers}")
         error = self._error(answers)
-        words, cause = self._error_words(error)
+        text, cause = self._error_text(error)
         self.causes.append(cause)
-        if not words:
+        if not text:
             failure = self.evaluator.refit_objection(self.source, model, answers)
             if failure is not None:
-                words = failure.detail or failure.advice
-                self.causes[-1] = f"gives invalid simulations ({error_line(words)})"
+                text = failure.detail or failure.advice
+                self.causes[-1] = f"gives invalid simulations ({error_line(text)})"
         apart = None if self._mean is None else self._apart(answers, self._mean)
-        return RefitStart(error, apart, words)
+        return RefitStart(error, apart, text)
 
-    def _error_words(self, error: float | None) -> tuple[str, str]:
+    def _error_text(self, error: float | None) -> tuple[str, str]:
         """The objection to an error and the cause; "" for none."""
         known = [one for one in self._errors if one is not None]
         if error is None:

@@ -20,7 +20,7 @@ def whole_page(
     title: str, trail: Sequence[tuple[str, str]], main: Sequence[Html | None], token: str
 ) -> str:
     """A whole page. trail: names and addresses of the pages above it."""
-    links = [tag("a", words, href=address) for words, address in trail]
+    links = [tag("a", text, href=address) for text, address in trail]
     crumbs = tag("nav", *links, class_="trail", aria_label="Breadcrumb")
     connection = tag("p", "", id="connection", role="status")
     head = tag(

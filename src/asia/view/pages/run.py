@@ -19,11 +19,11 @@ def run_page(snapshot: Snapshot, token: str) -> str:
     """The page of a run."""
     subject = snapshot.subject
     start, name = subject.view.started, snapshot.run.name
-    words = (
+    text = (
         "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
         subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
     )  # fmt: skip
-    header = tag("header", tag("h1", said(name)), tag("p", *words))
+    header = tag("header", tag("h1", said(name)), tag("p", *text))
     links = [tag("li", tag("a", title, href=f"#{key}")) for key, title in _titles()]
     main = (
         header,
@@ -102,8 +102,8 @@ def steering_panel(name: str, *, running: bool, deaf: str = "") -> Html:
         data_post="steer",
     )
     buttons = [
-        tag("button", words, type="button", data_post=what, data_running=True, disabled=not running)
-        for what, words in (
+        tag("button", text, type="button", data_post=what, data_running=True, disabled=not running)
+        for what, text in (
             ("pause", "Pause after this experiment"),
             ("continue", "Continue"),
             ("stop", "Stop after this experiment"),

@@ -20,11 +20,11 @@ def _write(subject: Subject) -> Html | None:
     best = subject.view.best
     if best is None:
         return None
-    words = (
+    text = (
         "Each fold of the cross-validation held out a part of the training records. Its model "
         "simulated that part from its start, without seeing a measured output on the way."
     )
-    return join((tag("p", words), _table(subject, best), _pictures(subject, best)))
+    return join((tag("p", text), _table(subject, best), _pictures(subject, best)))
 
 
 def _table(subject: Subject, best: Experiment) -> Html:

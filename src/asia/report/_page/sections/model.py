@@ -33,11 +33,11 @@ def _equations(subject: Subject, best: Experiment) -> Html | None:
         tag("div", tag("span", kind, class_="kind"), formula, class_="equation")
         for kind, formula in equations(physics)
     ]
-    words = "The equations that the problem gives. The code of the winner shows its additions."
+    text = "The equations that the problem gives. The code of the winner shows its additions."
     return join(
         (
             tag("h3", "Equations"),
-            tag("p", words),
+            tag("p", text),
             tag(
                 "div",
                 *rows,

@@ -19,14 +19,14 @@ def _write(subject: Subject) -> Html | None:
         return None
     told = {e.number for e in subject.told}
     shown = [e for e in view.finished if e.number in told]
-    words = "V is the error of simulation on held-out data over the variation of the output."
+    text = "V is the error of simulation on held-out data over the variation of the output."
     rows = [_improvement(subject, e, before) for e, before in _improvements(subject)]
     head = ["experiment", "candidate", view.v_name, "change"]
     return join(
         (
-            tag("p", words),
+            tag("p", text),
             progress_figure(subject, shown),
-            _rungs(subject),
+            _references(subject),
             tag(
                 "details",
                 tag("summary", "The improvements as a table"),
@@ -75,7 +75,7 @@ def _point(subject: Subject, experiment: Experiment, *, best: bool) -> Point:
     )
 
 
-def _rungs(subject: Subject) -> Html | None:
+def _references(subject: Subject) -> Html | None:
     rows = [
         [
             said(r.name),
@@ -91,8 +91,8 @@ def _rungs(subject: Subject) -> Html | None:
 
 
 def _improvements(subject: Subject) -> list[tuple[Experiment, Experiment | None]]:
-    told = {e.number for e in subject.told}
-    bests = [e for e in subject.view.bests if e.number in told]
+    shown = {e.number for e in subject.told}
+    bests = [e for e in subject.view.bests if e.number in shown]
     before: list[Experiment | None] = [None, *bests]
     return list(zip(bests, before, strict=False))
 

@@ -17,10 +17,10 @@ _LOGARITHMIC: Final = frozenset({"frequency response", "error spectrum"})
 
 def _write(subject: Subject) -> Html | None:
     found = subject.view.validated
-    return join([_dossier(subject, one) for one in found]) if found else None
+    return join([_report(subject, one) for one in found]) if found else None
 
 
-def _dossier(subject: Subject, found: Validated) -> Html:
+def _report(subject: Subject, found: Validated) -> Html:
     title = "On the held-out data"
     if found.record:
         title = join(("On the new record ", said(found.record)))
@@ -48,8 +48,8 @@ def _dossier(subject: Subject, found: Validated) -> Html:
 def _worst(subject: Subject, found: Validated) -> Html | None:
     for k, one in enumerate(found.checks):
         if one.name == found.worst:
-            words = subject.number(found, f"checks.{k}.sentence", "text")
-            return tag("p", tag("b", "Most important: "), words, ".", class_="sentence")
+            text = subject.number(found, f"checks.{k}.sentence", "text")
+            return tag("p", tag("b", "Most important: "), text, ".", class_="sentence")
     return None
 
 
@@ -63,7 +63,7 @@ def _table(subject: Subject, found: Validated) -> Html:
         )
         for k, one in enumerate(found.checks)
     ]
-    head = [tag("th", words, scope="col") for words in ("check", "verdict", "finding")]
+    head = [tag("th", text, scope="col") for text in ("check", "verdict", "finding")]
     inner = tag(
         "table",
         tag("caption", "Validation checks"),

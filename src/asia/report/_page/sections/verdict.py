@@ -24,13 +24,13 @@ def doubts(subject: Subject) -> Iterator[str]:
     if best is None or best.score is None:
         return
     value = best.score.value
-    for name, words in (
+    for name, text in (
         ("training mean", "than the mean of the data"),
         ("linear model", "than a linear one"),
     ):
-        rung = subject.rung(name)
-        if rung is not None and value > _BETTER * rung[1]:
-            yield f"the model is {'worse' if value > rung[1] else 'hardly better'} {words}"
+        reference = subject.rung(name)
+        if reference is not None and value > _BETTER * reference[1]:
+            yield f"the model is {'worse' if value > reference[1] else 'hardly better'} {text}"
             break
     if view.started.isolation == "process":
         yield "candidates ran without isolation and could have read the held-out data"
@@ -41,9 +41,9 @@ def doubts(subject: Subject) -> Iterator[str]:
     again = view.refitted.again if view.refitted else None
     if again is not None and again.ratio != 1.0:
         yield "refitting the winner gave a different result"
-    for dossier in view.validated:
-        where = f" on the record {dossier.record}" if dossier.record else ""
-        for check in dossier.checks:
+    for validation in view.validated:
+        where = f" on the record {validation.record}" if validation.record else ""
+        for check in validation.checks:
             if check.verdict in (Verdict.DOUBT, Verdict.FAIL):
                 ends = "fails" if check.verdict is Verdict.FAIL else "is in doubt"
                 cause = f" ({check.cause})" if check.cause else ""
@@ -77,7 +77,7 @@ def stamp(subject: Subject) -> tuple[str, str]:
 def _write(subject: Subject) -> Html:
     view = subject.view
     best = view.best
-    words, kind = stamp(subject)
+    text, kind = stamp(subject)
     lines = [_nothing(subject)]
     if best is not None:
         lines = [
@@ -92,7 +92,7 @@ def _write(subject: Subject) -> Html:
     tiles = None if best is None else _tiles(subject, best)
     return join(
         (
-            tag("p", words, class_=f"stamp {kind}"),
+            tag("p", text, class_=f"stamp {kind}"),
             tag("ol", *(tag("li", line) for line in lines), class_="verdict"),
             tiles,
         )
@@ -107,13 +107,13 @@ def _nothing(subject: Subject) -> Html:
 def _found(subject: Subject, best: Experiment) -> Html:
     view = subject.view
     count = subject.over("evaluated", "experiment", "count", "count")
-    several, alone = len(view.finished) > 1, ") is the only candidate for "
+    several, single = len(view.finished) > 1, ") is the only candidate for "
     return join(
         (
             tag("b", said(best.proposed.title)),
             " (experiment ",
             tag("a", subject.name(best), href=f"#e{best.number}"),
-            *((") is the best of ", count, " candidates for ") if several else (alone,)),
+            *((") is the best of ", count, " candidates for ") if several else (single,)),
             said(view.started.problem),
             ".",
             *_method(subject, best),
@@ -142,10 +142,10 @@ def _error(subject: Subject, best: Experiment) -> Html:
         tag("b", share),
         " of the output's standard deviation",
     )
-    rung = subject.rung("linear model")
-    if rung is None:
+    reference = subject.rung("linear model")
+    if reference is None:
         return join((*start, "."))
-    linear, value = rung
+    linear, value = reference
     own = subject.view.best
     assert own is not None
     assert own.score is not None
@@ -196,12 +196,12 @@ def _test(subject: Subject) -> Html:
 def _use(subject: Subject) -> Html:
     named = model_to_use(subject.view)
     assert named is not None
-    words = {
+    text = {
         "ensemble": "the ensemble, the mean of the fold models",
         "refit": "the refit, the winner fitted to all training records",
         "stack": "the stack, a weighted mean of several candidates",
     }[named.model]
-    return join(("Model to use: ", tag("b", words), "."))
+    return join(("Model to use: ", tag("b", text), "."))
 
 
 def _trust(subject: Subject, kind: str, against: list[str]) -> Html:
@@ -226,15 +226,15 @@ def _trust(subject: Subject, kind: str, against: list[str]) -> Html:
 def _tiles(subject: Subject, best: Experiment) -> Html:
     result = result_of(best)
     tiles: list[tuple[str, Html]] = [("V, the best candidate", subject.v(best))]
-    rungs = [
+    references = [
         ("V, best linear model", "linear model"),
         ("V, the noise floor", "simulated truth"),
         ("V, mean of the data", "training mean"),
     ]
-    for label, name in rungs:
-        rung = subject.rung(name)
-        if rung is not None:
-            tiles.append((label, subject.number(rung[0], "outcome.value", "error")))
+    for label, name in references:
+        reference = subject.rung(name)
+        if reference is not None:
+            tiles.append((label, subject.number(reference[0], "outcome.value", "error")))
     score = best.score
     assert score is not None
     paths = [

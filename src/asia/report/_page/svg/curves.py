@@ -138,7 +138,7 @@ def _line(name: str, values: Array, scale: Scale) -> Html:
     """Draw a line with a gap at each NaN; an isolated value is a dash of one sample."""
     across = Scale(0, max(len(values) - 1, 1), 0, _WIDTH)
     parts: list[str] = []
-    for first, last in _stretches(values):
+    for first, last in _segments(values):
         points = thinned(values[first:last].tolist(), _COLUMNS)
         places = [f"{round(across.at(first + i))} {round(scale.at(v))}" for i, v in points]
         parts.append(f"M{'L'.join(places)}" + ("h1" if len(places) == 1 else ""))
@@ -154,7 +154,7 @@ def _between(lower: Array, upper: Array, scale: Scale) -> Html:
     return tag("path", d=f"M{'L'.join(places)}Z", class_="outputs")
 
 
-def _stretches(values: Array) -> list[tuple[int, int]]:
+def _segments(values: Array) -> list[tuple[int, int]]:
     """Return the first sample and the one after the last of each segment without NaN."""
     known = ~np.isnan(values)
     if known.all():

@@ -171,16 +171,16 @@ def _marker(point: Point, across: Scale, up: Scale) -> Html:
     if point.value is None:
         y = up.end - 6
         cross = f"M{rounded(x - 4)} {rounded(y - 4)}l8 8m0 -8l-8 8"
-        words = tag("title", f"{title}: {one_line(point.title, 80)}")
-        return tag("g", words, tag("path", d=cross, class_="failed"))
+        text = tag("title", f"{title}: {one_line(point.title, 80)}")
+        return tag("g", text, tag("path", d=cross, class_="failed"))
     y = up.at(point.value)
-    words = tag("title", f"{title}, V {point.shown}: {one_line(point.title, 80)}")
+    text = tag("title", f"{title}, V {point.shown}: {one_line(point.title, 80)}")
     name = "kept" if point.best else "other"
     if point.value > up.high:
         mark = tag("path", d=f"M{rounded(x - 5)} {rounded(y + 4)}h10l-5 -9z", class_=name)
     else:
         mark = tag("circle", cx=rounded(x), cy=rounded(y), r="4.5", class_=name)
-    return tag("g", words, mark)
+    return tag("g", text, mark)
 
 
 def _tags(points: Sequence[Point], across: Scale, up: Scale, size: Size) -> Html:

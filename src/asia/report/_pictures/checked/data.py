@@ -41,9 +41,9 @@ def draw_data(problem: Problem) -> Figure:
     Raises UserError when the records do not make folds."""
     folds = make_folds(problem.train, problem.protocol)
     chosen = _records(problem)
-    stretches = [Stretch(0, len(problem.train[i])) for i in chosen]
-    unit = time_unit(problem.sampling_time * last_sample(stretches))
-    axis = lay_out(stretches, problem.sampling_time, unit)
+    segments = [Stretch(0, len(problem.train[i])) for i in chosen]
+    unit = time_unit(problem.sampling_time * last_sample(segments))
+    axis = lay_out(segments, problem.sampling_time, unit)
     inputs, outputs = problem.inputs[:_MOST_INPUTS], problem.outputs[:_MOST_OUTPUTS]
     signals = [(s, True, c) for c, s in enumerate(inputs)]
     signals += [(s, False, c) for c, s in enumerate(outputs)]

@@ -19,19 +19,19 @@ def _write(subject: Subject) -> Html | None:
     found = subject.view.ablated
     if found is None:
         return None
-    words = tag(
+    text = tag(
         "p",
         "The winner was refitted with parts of its changes reverted, each variant with up to ",
         subject.number(found, "seeds", "count"),
         " seeds chosen by the evaluator.",
     )
-    return join((words, _crossing(subject, found), _left_out(subject, found)))
+    return join((text, _crossing(subject, found), _left_out(subject, found)))
 
 
 def _crossing(subject: Subject, found: Ablated) -> Html:
     if found.crossing is None:
         return tag("p", "Model and training cannot be crossed: ", said(found.detail), ".")
-    rows: list[list[str | None]] = [[words, _interval(subject, found, at)] for words, at in _PARTS]
+    rows: list[list[str | None]] = [[text, _interval(subject, found, at)] for text, at in _PARTS]
     head = ["part of the winner", f"{subject.view.v_name} is lower by"]
     return table(head, rows, "Contributions to the gain over the baseline")
 

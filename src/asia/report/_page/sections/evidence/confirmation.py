@@ -12,14 +12,14 @@ def _write(subject: Subject) -> Html | None:
     found = subject.view.confirmed
     if found is None:
         return None
-    words = tag(
+    text = tag(
         "p",
         "After the search the candidates with the lowest V were refitted on every fold, with ",
         subject.number(found, "seeds", "count"),
         " seeds chosen by the evaluator; once if their fits do not depend on the seed.",
     )
     after = used_no_test(found.after_unsealing)
-    return join((words, _candidates(subject, found), _pairs(subject, found),
+    return join((text, _candidates(subject, found), _pairs(subject, found),
                  _expected(subject, found), after))  # fmt: skip
 
 
@@ -54,9 +54,9 @@ def _pairs(subject: Subject, found: Confirmed) -> Html | None:
     for k, pair in enumerate(found.pairs):
         at = f"pairs.{k}"
         names = [subject.number(found, f"{at}.{side}", "number") for side in ("first", "second")]
-        words = "is better" if pair.apart else "statistically equal"
+        text = "is better" if pair.apart else "statistically equal"
         gap = _interval(subject, found, f"{at}.difference", "signed_error")
-        rows.append([join(names, " and "), gap, words])
+        rows.append([join(names, " and "), gap, text])
     note = tag(
         "p",
         "The intervals hold simultaneously at ",

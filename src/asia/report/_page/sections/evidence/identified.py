@@ -46,7 +46,7 @@ def _parameters(run: Run, found: IdentifiedModel) -> Html | None:
     rows = [_row(run, k, one) for k, one in enumerate(found.parameters)]
     head = ["parameter", "value", "unit", "standard error", "standard error by folds", "interval",
             "decided by", "remark"]  # fmt: skip
-    words = tag(
+    text = tag(
         "p",
         "The intervals are those of ",
         fixed("95 %"),
@@ -54,7 +54,7 @@ def _parameters(run: Run, found: IdentifiedModel) -> Html | None:
         "residuals show would give.",
     )
     apart = [tag("p", tag("b", said(line), ".")) for line in disagreement_lines(found)]
-    return join((table(head, rows, "Parameters, fitted to all training records"), *apart, words))
+    return join((table(head, rows, "Parameters, fitted to all training records"), *apart, text))
 
 
 def _row(run: Run, place: int, one: IdentifiedParameter) -> list[str | None]:
