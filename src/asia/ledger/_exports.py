@@ -62,7 +62,8 @@ def journal(view: SearchView) -> str:
     parts = [
         f"# Search journal: {markdown_line(start.run)}\n\n"
         f"Problem {markdown_line(start.problem)}, agent {markdown_line(start.agent)}, "
-        f"seed {start.seed}, isolation {start.isolation_words}.\n{_references(view)}{_setting(view)}"
+        f"seed {start.seed}, isolation {start.isolation_words}.\n"
+        f"{_references(view)}{_setting(view)}"
     ]
     finished = view.finished
     for e, later in zip_longest(finished, finished[1:]):
