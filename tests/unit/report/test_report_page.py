@@ -311,7 +311,7 @@ def test_an_interval_by_folds_or_by_a_missing_effect_is_on_the_page(
     assert low < 0.8
     for words in (f"{low:.4g}", f"{high:.4g}", ">folds<", ">missing effect<", "1.5", "2.5"):
         assert words in part
-    assert "R differs between the folds by more than noise explains" in part
+    assert "R differs significantly between the folds" in part
     assert "the folds disagree on R" in page
     assert audit(page, run.directory, len(run.lines)) > 10
 

@@ -188,7 +188,7 @@ def test_no_more_than_three_starts_are_tried(tmp_path: Path) -> None:
         (["failed (a)", "failed (b)"], "the refit failed in both starts (b)"),
         (
             ["diverged", "ran out of memory"],
-            "every start of the refit failed: one diverged, one ran out of memory",
+            "no start of the refit is usable: one diverged, one ran out of memory",
         ),
     ],
 )
