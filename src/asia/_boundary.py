@@ -27,7 +27,7 @@ def diagnostic(name: str, failed: list[str]) -> Generator[None, None, None]:
 
 
 def error_sentence(error: BaseException) -> str:
-    """One line for people: the message, with the type of an error that nobody raised on purpose."""
+    """Describe an error in one line: its message, with the type of an unexpected error."""
     text = one_line(str(error), _LONGEST)
     if isinstance(error, AsiaError) and text:
         return text

@@ -1,5 +1,6 @@
-"""Files that a person names, read where they are ordinary files, else said what they are; folders
-put on the disk."""
+"""Files that a user names, with clear errors for anything but ordinary files; folders that are
+safely on the disk.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ def read_file(path: Path, remedy: str) -> bytes:
             _check_ordinary(path, os.fstat(fd).st_mode, remedy)
             return stream.read()
     except FileNotFoundError:
-        what = f"{path}, a link that leads nowhere" if path.is_symlink() else str(path)
+        what = f"{path}, a broken link" if path.is_symlink() else str(path)
         raise UserError(f"no such file: {what}; {remedy}") from None
     except OSError as error:
         raise UserError(f"cannot read {path}: {error.strerror}; {remedy}") from None

@@ -14,8 +14,10 @@ _LARGE = 128 * 1024
 
 
 def give_back_large_arrays() -> None:
-    """Without it glibc keeps what was freed, in each thread for itself, once it has seen arrays of
-    a few megabytes. Other systems are left as they are."""
+    """Let glibc return freed arrays of a few megabytes to the system.
+
+    By default it keeps them, in each thread separately. Other systems are left as they are.
+    """
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE)

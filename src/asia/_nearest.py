@@ -1,4 +1,4 @@
-"""One place for "did you mean"."""
+"""Suggestions for misspelt names ("did you mean")."""
 
 from __future__ import annotations
 

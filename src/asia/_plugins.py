@@ -29,9 +29,9 @@ class Part:
     group: str
     """The kind of part, one of `GROUPS`."""
     name: str
-    """What the part is called in problem files and on the command line."""
+    """Name in problem files and on the command line."""
     target: str
-    """Where it is defined, `module:Name`."""
+    """Definition of the part, `module:Name`."""
     package: str
     """The package that brings it."""
     version: str
@@ -72,9 +72,11 @@ def load_target(target: str, what: str) -> object:
 
 @cache
 def parts() -> tuple[Part, ...]:
-    """What every installed package adds, by kind and name. Reads metadata, imports nothing.
+    """Return the parts of all installed packages, by kind and name. Reads metadata, imports
+    nothing.
 
-    Raises UserError when two packages bring a part of the same kind and name.
+    Raises:
+        UserError: two packages bring a part of the same kind and name.
     """
     found: dict[tuple[str, str], Part] = {}
     for distribution in distributions():
@@ -105,7 +107,7 @@ class PluginPackage:
     """An importable package, or a single module, that brings parts."""
 
     name: str
-    """What it is imported as."""
+    """Name for import."""
     places: tuple[Path, ...]
     """Its own folder or file, and not the folder that holds it; the folders of a package without
     `__init__.py`, which can be more than one."""

@@ -1,4 +1,4 @@
-"""Where the seconds of a search go. Measured times are shown to people and decide nothing."""
+"""Profile of a search by activity. Measured times are displayed and decide nothing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def duration(seconds: float) -> str:
 
 
 class Activity(StrEnum):
-    """What time is spent on, in the order of a table."""
+    """Activity that time is spent on, in the order of a table."""
 
     PREPARE = "prepare"
     """The problem is read and checked, the levels of isolation are tried out."""
@@ -37,11 +37,11 @@ class Activity(StrEnum):
     COMPILE = "compile"
     """XLA compiles it."""
     FIT = "fit"
-    """All else that happens in a fit."""
+    """Remaining time of a fit."""
     SIMULATE = "simulate"
-    """All else that happens in a simulation."""
+    """Remaining time of a simulation."""
     CHECKS = "checks"
-    """Whether a new best comes back the same, and answers like a model."""
+    """Reproduction of a new best and checks of its model."""
     SCORE = "score"
     """Errors and residuals."""
     RUNGS = "rungs"
@@ -57,9 +57,9 @@ class Activity(StrEnum):
     PICTURES = "pictures"
     """The report is drawn."""
     IDLE = "idle"
-    """A person has paused the search."""
+    """Pause by the user."""
     OTHER = "other"
-    """What none of these covers."""
+    """Time of no other activity."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,11 @@ class TimeSpent:
     activity: Activity
     """The activity."""
     wall: float
-    """By the clock on the wall, on the critical path: of jobs that run at the same time, those of
-    the thread that ends last count."""
+    """Wall-clock time on the critical path, s: of concurrent jobs, that of the thread that ends
+    last.
+    """
     processor: float
-    """Of the processor, over all workers and threads."""
+    """Processor time over all workers and threads, s."""
 
 
 Seconds = dict[Activity, tuple[float, float]]
@@ -89,7 +90,7 @@ class _Open:
     """An activity under way."""
 
     swallows: Activity | None = None
-    """What everything within it counts as."""
+    """Activity that all nested activities count as."""
     wall: float = 0.0
     """Wall seconds of the activities within it."""
     processor: float = 0.0
@@ -98,7 +99,7 @@ class _Open:
 
 @dataclass
 class Lane:
-    """What one thread spent."""
+    """Profile of one thread."""
 
     spent: Seconds = field(default_factory=dict[Activity, tuple[float, float]])
     under_way: list[_Open] = field(default_factory=list[_Open])
@@ -164,7 +165,7 @@ class Stopwatch:
 
     @contextmanager
     def aside(self) -> Generator[Lane]:
-        """Count what this thread does by itself, for whoever waits for it."""
+        """Count the time of this thread separately, for the thread that waits for it."""
         before, own = self._lane, Lane()
         self._lanes.now = own
         try:
@@ -181,7 +182,7 @@ class Stopwatch:
             self.add(activity, wall * share, processor)
 
     def take(self) -> tuple[TimeSpent, ...]:
-        """All since the last call, without what took no time."""
+        """Return the times since the last call, without zeros."""
         spent, self._main.spent = self._main.spent, {}
         now = time.monotonic()
         elapsed, self._begin = now - self._begin, now
@@ -195,12 +196,12 @@ class Stopwatch:
         return tuple(one for one in rounded if one.wall or one.processor)
 
     def only(self, *wanted: Activity) -> tuple[TimeSpent, ...]:
-        """As `take`, of these activities."""
+        """Return the times of these activities, see `take`."""
         return tuple(one for one in self.take() if one.activity in wanted)
 
     @property
     def _lane(self) -> Lane | None:
-        """This thread's; None in one that runs no job of ours."""
+        """Profile of this thread; None in a thread without a job."""
         return getattr(self._lanes, "now", None)
 
     def _in_lane(self, lanes: dict[int, Lane], job: Callable[[], T]) -> T:

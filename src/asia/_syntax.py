@@ -41,7 +41,7 @@ def syntax_tree(text: str, name: str) -> ast.Module:
 
 
 def expression_tree(text: str) -> ast.Expression:
-    """Of an expression; raises as `ast.parse`."""
+    """Parse an expression; raises as `ast.parse`."""
     return _again(lambda: ast.parse(text, mode="eval"))
 
 

@@ -11,7 +11,7 @@ import sys
 from typing import TextIO
 
 _LINE_BREAKS = "\n\t\r"
-# Of what a line of Markdown can hold: escapes, emphasis, code, links, HTML and its names of
+# Special characters of a line of Markdown: escapes, emphasis, code, links, HTML and its names of
 # characters, columns, deletions, mentions; an underscore inside a word is none of these.
 _MARKED = re.compile(r"[\\`*\[\]<>|~@&]|(?<![^\W_])_|_(?![^\W_])")
 # Addresses that many programs turn into links by themselves.
@@ -25,13 +25,16 @@ def printable(text: str) -> str:
 
 
 def printable_line(text: str) -> str:
-    """One line as it stands: spaces for line breaks, a mark for each other control character."""
+    """Return a text on one line: spaces for line breaks, a mark for each other control
+    character.
+    """
     return "".join(_fit(c) for c in text)
 
 
 def table_cell(text: str) -> str:
-    """One cell of a tab-separated table. An apostrophe before a text that a spreadsheet would take
-    for a formula; a number stays one."""
+    """Return one cell of a tab-separated table. A text that a spreadsheet would read as a formula
+    gets an apostrophe; a number stays one.
+    """
     line = printable_line(text)
     if not line.lstrip().startswith(("=", "+", "-", "@")):
         return line
@@ -49,7 +52,9 @@ def one_line(text: str, most: int = 300) -> str:
 
 
 def markdown_line(text: str) -> str:
-    """One line that Markdown shows as it is: no heading, link, column, HTML or emphasis in it."""
+    """Return one line that Markdown shows literally: no heading, link, column, HTML or emphasis in
+    it.
+    """
     line = _MARKED.sub(r"\\\g<0>", printable_line(" ".join(text.split())))
     return _ADDRESS.sub(r"\1\3\\\2\4", line)
 

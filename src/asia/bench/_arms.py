@@ -13,7 +13,7 @@ ARM_NAMES = ("expert", "random", "random-paper", "references")
 
 
 def make_arms(paper: Paper | None) -> tuple[Arm, ...]:
-    """All of `ARM_NAMES`; the references, only where the paper has some."""
+    """Return all arms of `ARM_NAMES`; the references only if the paper has some."""
     searches = (
         Arm("expert", "expert", partial(make_agent, "expert")),
         Arm("random", "random, library space", partial(make_agent, "random")),

@@ -31,7 +31,7 @@ class Watcher(Protocol):
         ...
 
     def on_end(self, run: PlannedRun, view: SearchView) -> None:
-        """That search is finished."""
+        """Handle the end of one search."""
         ...
 
 
@@ -40,13 +40,13 @@ class BenchResult:
     """A finished comparison."""
 
     comparisons: tuple[Comparison, ...]
-    """What was measured, one for each early-stopping setting."""
+    """Measured results, one comparison for each early-stopping setting."""
     tables: tuple[TextTable, ...]
     """The same, and the test, for people."""
     declared: str | None
     """The run whose test may be opened."""
     test: TestResult | None
-    """What the declared run's opened test said; None while it is sealed."""
+    """Test result of the declared run; None while its test is sealed."""
     document: Path
     """The tables as Markdown."""
     pictures: tuple[Path, ...]

@@ -1,4 +1,4 @@
-"""Which run's sealed test may be opened: written down before its search begins."""
+"""Declaration of the run whose sealed test may be opened, written before its search begins."""
 
 from __future__ import annotations
 
@@ -13,11 +13,15 @@ _FILE = "bench.json"
 
 
 def declare(plan: ComparisonPlan) -> str | None:
-    """The name of the declared run, written to `bench.json` on the first call.
+    """Return the name of the declared run, written to `bench.json` on the first call.
 
-    What is written there stands. None when the plan has no expert, or when the run had begun
-    before anything was declared. Raises UserError when the file cannot be read or belongs to
-    another problem.
+    The declaration is final.
+
+    Returns:
+        The name; None if the plan has no expert, or if the run had begun before a declaration.
+
+    Raises:
+        UserError: the file cannot be read or belongs to another problem.
     """
     path = plan.directory / _FILE
     if path.is_file():

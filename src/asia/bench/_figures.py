@@ -31,8 +31,9 @@ _WORDS: dict[EarlyStopping, str] = {
 def draw(
     plan: ComparisonPlan, finished: Sequence[FinishedSearch], test: TestResult | None
 ) -> tuple[Path, ...]:
-    """Progress of the expert's first search and the sides against each other for each setting;
-    with an opened test, what it says beside the published results."""
+    """Draw the progress of the expert's first search and the comparison of the arms for each
+    setting; with an opened test, its results next to the published ones.
+    """
     sides: list[ArmsPicture] = []
     progress: list[tuple[str, Path]] = []
     for setting in plan.settings:
@@ -89,9 +90,16 @@ def _levels(
     plan: ComparisonPlan, setting: EarlyStopping, runs: Sequence[FinishedSearch]
 ) -> tuple[ComparedValue, ...]:
     """The linear model, and the paper's searches where they were measured alike."""
-    rungs = [rung for run in runs[:1] for rung in run.view.rungs if rung.name == LINEAR_RUNG]
+    references = [
+        reference
+        for run in runs[:1]
+        for reference in run.view.rungs
+        if reference.name == LINEAR_RUNG
+    ]
     levels = [
-        ComparedValue(LINEAR_RUNG, r.outcome.value) for r in rungs if isinstance(r.outcome, Score)
+        ComparedValue(LINEAR_RUNG, r.outcome.value)
+        for r in references
+        if isinstance(r.outcome, Score)
     ]
     if setting == "validation" and plan.paper is not None:
         searches = ("expert", "random-paper")

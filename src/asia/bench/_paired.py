@@ -19,8 +19,11 @@ _FEWEST = 6
 
 
 def paired_table(runs: Sequence[FinishedSearch]) -> TextTable | None:
-    """For each two agents: with how many seeds the first is better, the median ratio of V, and the
-    exact two-sided p of Wilcoxon's signed-rank test on the logarithms. None for one agent."""
+    """Return the paired comparison of each two agents; None for one agent.
+
+    Columns: number of seeds with which the first is better, median ratio of V, and the exact
+    two-sided p of Wilcoxon's signed-rank test on the logarithms.
+    """
     names = list(dict.fromkeys(run.planned.arm.name for run in runs))
     best = {(run.planned.arm.name, run.planned.seed): _best(run) for run in runs}
     seeds = sorted({run.planned.seed for run in runs})

@@ -1,5 +1,6 @@
-"""What the paper reports on its two benchmarks. Figures are those of Piga and Forgione's article on
-ASIA; every V there was measured with the validation fold used for early stopping."""
+"""Published results of the paper on its two benchmarks. Figures are those of Piga and Forgione's
+article on ASIA; every V there was measured with the validation fold used for early stopping.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ class PaperV:
     value: float
     """V, with validation early stopping."""
     row: str | None = None
-    """Key of the row of ours that it belongs beside; None where there is none."""
+    """Key of our row for comparison; None without one."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Paper:
     mee: tuple[PaperMee, ...] = ()
     """Its mean Euclidean errors on the test."""
     protocol: str = ""
-    """What to know when test figures are compared."""
+    """Caveats of a comparison of test figures."""
 
 
 def paper(problem_name: str) -> Paper | None:

@@ -1,4 +1,4 @@
-"""Which searches a comparison is made of."""
+"""Plan of a comparison: its searches and their budgets."""
 
 from __future__ import annotations
 
@@ -28,28 +28,29 @@ class Arm:
     """One agent in a comparison."""
 
     name: str
-    """What `--arms` and the names of its runs call it."""
+    """Name in `--arms` and in the names of its runs."""
     label: str
-    """What tables and pictures call it."""
+    """Name in tables and pictures."""
     make: Callable[[], Agent]
     """Makes the agent, a new one for each search."""
     fixed: int | None = None
-    """How many given candidates it evaluates, and no more, only where early stopping sees the
-    validation fold; None for an agent that searches."""
+    """Number of fixed candidates that it evaluates, and no more, only if early stopping sees the
+    validation fold; None for an agent that searches.
+    """
     settings: Mapping[str, str] = field(default_factory=dict[str, str], hash=False)
-    """What the ledger holds of the agent's settings."""
+    """Recorded settings of the agent."""
 
 
 @dataclass(frozen=True)
 class ComparisonPlan:
-    """What is compared, and at which budget."""
+    """Arms, settings and budget of a comparison."""
 
     problem: Problem
     """The problem that every arm searches a model for."""
     arms: tuple[Arm, ...]
     """The agents, each of them once."""
     seeds: tuple[int, ...]
-    """One search for each arm, setting and seed."""
+    """Seeds; one search for each arm, setting and seed."""
     runs: Path
     """The directory of the runs."""
     settings: tuple[EarlyStopping, ...] = SETTINGS
@@ -70,8 +71,8 @@ class ComparisonPlan:
             ("early-stopping setting", list(self.settings)),
         ):
             if not given or len(set(given)) < len(given):
-                words = ", ".join(str(g) for g in given) or "none"
-                raise UserError(f"a comparison needs every {what} once, got: {words}")
+                text = ", ".join(str(g) for g in given) or "none"
+                raise UserError(f"a comparison needs every {what} once, got: {text}")
 
     @property
     def name(self) -> str:
@@ -80,7 +81,7 @@ class ComparisonPlan:
 
     @property
     def directory(self) -> Path:
-        """Where tables and pictures go."""
+        """Folder of tables and pictures."""
         return self.runs / self.name
 
     @property
@@ -94,7 +95,7 @@ class ComparisonPlan:
 
     @property
     def searches(self) -> tuple[PlannedRun, ...]:
-        """Every search, the honest setting first, the expert's before the controls."""
+        """Searches in order: the honest setting first, the expert before the controls."""
         return tuple(
             self._search(arm, setting, seed)
             for setting in self.settings
@@ -135,7 +136,7 @@ class PlannedRun:
     name: str
     """Name of its run."""
     arm: Arm
-    """Who searches."""
+    """Agent of the search."""
     setting: EarlyStopping
     """Its setting of early stopping."""
     seed: int

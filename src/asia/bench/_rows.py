@@ -16,10 +16,10 @@ from asia.scoring import Score
 
 @dataclass(frozen=True)
 class FinishedSearch:
-    """A search of the comparison and what its ledger tells."""
+    """A search of the comparison with the results from its ledger."""
 
     planned: PlannedRun
-    """Which search it is."""
+    """Planned search."""
     view: SearchView
     """Its ledger, replayed."""
 
@@ -29,18 +29,18 @@ class Row:
     """V of one model or search over the seeds."""
 
     key: str
-    """What it is called in JSON, and where the paper's figures name it."""
+    """Name in JSON and in the paper's figures."""
     model: str
-    """What it is called in tables."""
+    """Name in tables."""
     values: tuple[float, ...]
     """V of every run that has a score, in order of the seeds."""
     runs: int
-    """How many runs there are, with a score or without."""
+    """Number of runs, with a score or without."""
     paper: float | None = None
     """V in the paper; None where it reports none, or measured it under another setting of early
     stopping."""
     scores_seen: int = 0
-    """How often a fit was told its score on the held-out part, the most in one run."""
+    """Maximum number of times that a fit received its score on the held-out part in one run."""
 
     @property
     def median(self) -> float | None:
@@ -60,7 +60,7 @@ class Reached:
     seeds: tuple[int, ...]
     """The seeds that both were run with."""
     experiments: tuple[int | None, ...]
-    """For each seed how many it took; None where it was not reached."""
+    """Number of experiments for each seed; None if V was not reached."""
 
 
 @dataclass(frozen=True)
@@ -72,15 +72,15 @@ class Comparison:
     rows: tuple[Row, ...]
     """Rungs, baseline, references and searches."""
     reached: tuple[Reached, ...]
-    """How fast the first arm came to the best V of the others."""
+    """Number of experiments of the first arm to reach the best V of each other arm."""
     residuals: ShownResidual = "train"
-    """Of what the agents were shown residuals."""
+    """Residuals that the agents were shown."""
 
 
 def compare(
     setting: EarlyStopping, runs: Sequence[FinishedSearch], paper: Paper | None
 ) -> Comparison:
-    """The rows of one setting; `runs` of other settings are passed over."""
+    """Compute the rows of one setting; `runs` of other settings are ignored."""
     own = [run for run in runs if run.planned.setting == setting]
     published = {v.row: v.value for v in paper.values if v.row} if paper else {}
     rows = [*_rungs(own), *_baseline(own), *_references(own), *_arms(own)]
@@ -103,8 +103,10 @@ def _paper_only(paper: Paper | None, ours: set[str]) -> list[Row]:
 def _rungs(runs: Sequence[FinishedSearch]) -> list[Row]:
     """The same in every run of a seed; the linear model may depend on the seed."""
     first = list({run.planned.seed: run for run in reversed(runs)}.values())[::-1]
-    names = list(dict.fromkeys(rung.name for run in first for rung in run.view.rungs))
-    outcomes = [{rung.name: rung.outcome for rung in run.view.rungs} for run in first]
+    names = list(dict.fromkeys(reference.name for run in first for reference in run.view.rungs))
+    outcomes = [
+        {reference.name: reference.outcome for reference in run.view.rungs} for run in first
+    ]
     rows: list[Row] = []
     for name in names:
         found = [o.get(name) for o in outcomes]

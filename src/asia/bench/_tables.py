@@ -59,7 +59,7 @@ def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
 
 
 def comparison_table(comparison: Comparison, paper: Paper | None) -> TextTable:
-    """V of every row. The paper's column stands only in the table of its own setting."""
+    """Write V of every row. The paper's column is only in the table of its own setting."""
     validation = comparison.setting == "validation"
     header = ("model", "V", "lowest", "highest", "runs")
     rows = [_cells(row) for row in comparison.rows]
@@ -76,7 +76,7 @@ def comparison_table(comparison: Comparison, paper: Paper | None) -> TextTable:
     if any(row.runs > 1 for row in comparison.rows):
         notes.insert(0, "V is the median over the runs, one a seed.")
     if validation:
-        notes.append("Scores seen: how often the fits of one V received their held-out score.")
+        notes.append("Scores seen: number of held-out scores that the fits of one V received.")
     elif paper is not None:
         notes.append(_not_comparable(paper))
     return TextTable(

@@ -1,4 +1,4 @@
-"""What the declared run's opened test says, beside published results."""
+"""Test result of the declared run, compared with published results."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class TestResult:
 
 
 def read_test(directory: Path) -> TestResult | None:
-    """What the run's ledger tells; None while its test is sealed. Opens nothing."""
+    """Read the test result from the run's ledger; None while its test is sealed. Opens nothing."""
     try:
         view = open_run(directory).view
     except UserError:
@@ -58,8 +58,13 @@ def read_test(directory: Path) -> TestResult | None:
 def test_tables(
     plan: ComparisonPlan, declared: str | None, test: TestResult | None
 ) -> tuple[TextTable, ...]:
-    """One table a test metric that the problem has, ours beside what was published; declared: the
-    run whose test may be opened."""
+    """Write one table for each test metric of the problem, ours next to the published results.
+
+    Args:
+        plan: the comparison.
+        declared: the run whose test may be opened.
+        test: its test result.
+    """
     if plan.problem.test.source is None:
         return ()
     tables = [
@@ -176,7 +181,9 @@ def _notes(declared: str | None, test: TestResult | None) -> list[str]:
 
 
 def _entries(plan: ComparisonPlan) -> tuple[Entry, ...]:
-    """A person's own data may bear a benchmark's name; its error has no place in that list."""
+    """Return the published entries; none for a user's own data, which may have a benchmark's
+    name.
+    """
     measured = plan.problem.data.public
     return leaderboard(plan.problem.name) if measured else ()
 
@@ -201,7 +208,9 @@ def _rank(entries: Sequence[Entry], test: TestResult | None) -> list[str]:
 
 
 def test_object(test: TestResult) -> dict[str, Any]:
-    """For scripts: the value of every metric of each model, or why it has none."""
+    """Return the value of every metric of each model, or the reason for its absence, for
+    scripts.
+    """
     refit = test.record.refit
     return {
         "run": test.run,

@@ -12,7 +12,7 @@ from asia.report import write_report
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     directory = Path(sys.argv[1])
-    # Until the pictures are drawn too: who waits for the end draws the same ones.
+    # Hold until the pictures are drawn: a process that waits for the end draws the same ones.
     with attending(directory):
         try:
             serve(directory)

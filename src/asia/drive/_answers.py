@@ -1,4 +1,4 @@
-"""What a desk answers: where a submission, an experiment and the search stand."""
+"""Answers of the submission server: state of a submission, of an experiment and of the search."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from asia.evaluation import DryRun
 from asia.ledger import Diagnostics, Experiment, Run, error_line
 
 _PRINTED_LINES = 10
-# What XLA's locks say where a filter of system calls refuses one.
+# Message of XLA's locks if a system-call filter refuses one.
 _NOT_ITS_OWN = "[mutex.cc :"
 
 SubmissionState = Literal["queued", "running", "done", "withdrawn", "unknown"]
@@ -20,19 +20,19 @@ SubmissionState = Literal["queued", "running", "done", "withdrawn", "unknown"]
 
 @dataclass(frozen=True)
 class Submission:
-    """Where a candidate stands that was handed in."""
+    """State of a submitted candidate."""
 
     ticket: str
-    """What it is called until it is an experiment, and afterwards."""
+    """Identifier of the submission, before and after it becomes an experiment."""
     state: SubmissionState
     """`withdrawn` only in the answer to taking it back; afterwards, as for a ticket never given,
     it is `unknown`."""
     ahead: int = 0
-    """How many others wait before it."""
+    """Number of submissions before it in the queue."""
     experiment: int | None = None
     """Its number, once it is an experiment."""
     repeated: bool = False
-    """Whether the same source was handed in before, so that this answer costs no experiment."""
+    """True if the same source was submitted before, so that this answer costs no experiment."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class ExperimentSummary:
     reason: str | None
     """Why there is no score, one word."""
     advice: str | None
-    """What to do about that."""
+    """Recommended action."""
     detail: str | None
     """The last line of the candidate's own error."""
     title: str
@@ -59,29 +59,29 @@ class ExperimentSummary:
     parent: int | None
     """The experiment it was made from."""
     seconds: float
-    """How long its evaluation took."""
+    """Duration of the evaluation, s."""
     duplicate_of: int | None
-    """The experiment with the same source, whose outcome stands."""
+    """Experiment with the same source, whose outcome applies."""
     training: Diagnostics | None
     """Residual analysis of the training side, in each figure the worst of the folds."""
 
 
 @dataclass(frozen=True)
 class SearchProgress:
-    """Where the search stands."""
+    """State of the search."""
 
     run: str
     """Name of the run."""
     problem: str
     """Name of the problem."""
     state: str
-    """As `asia status` names it: running, interrupted, finished or unsealed."""
+    """State as in `asia status`: running, interrupted, finished or unsealed."""
     experiments: int
     """Experiments finished."""
     budget: int
     """Experiments in all."""
     v_name: str
-    """What V is called in this search."""
+    """Label of V in this search."""
     best: int | None
     """Number of the incumbent."""
     best_value: float | None
@@ -89,7 +89,7 @@ class SearchProgress:
     rungs: dict[str, float | None]
     """V of each trivial reference; None where it has none."""
     notes: tuple[str, ...]
-    """Notes of a person to the agent."""
+    """Notes of the user to the agent."""
     running: int | None = None
     """Number of the experiment that is being evaluated."""
 
@@ -101,12 +101,12 @@ class SearchProgress:
 
 @dataclass(frozen=True)
 class DryRunSummary:
-    """What a dry run found, in few words."""
+    """Summary of a dry run."""
 
     reason: str | None
     """Why the candidate would have no score, one word; None where nothing was found."""
     advice: str | None
-    """What to do about that."""
+    """Recommended action."""
     detail: str | None
     """The last line of the candidate's own error."""
     printed: tuple[str, ...]
@@ -116,11 +116,11 @@ class DryRunSummary:
     of_samples: int
     """Samples that the whole first fold trains on."""
     fit_seconds: float | None
-    """How long the fit took; None where it did not end well."""
+    """Duration of the fit, s; None if it failed."""
     compile_seconds: float
-    """How much of all seconds JAX traced and compiled."""
+    """Part of the total time that JAX spent on tracing and compiling, s."""
     simulate_seconds: float
-    """How long the simulations took, compilation apart."""
+    """Duration of the simulations without compilation, s."""
     whole_fit_seconds: float | None
     """The fit of the whole fold, if its time but for compilation grows as the samples do."""
     limit_seconds: float
@@ -184,7 +184,7 @@ def _worst(folds: Sequence[Diagnostics]) -> Diagnostics | None:
 
 
 def progress_of(run: Run) -> SearchProgress:
-    """Where a run stands."""
+    """Return the state of a run."""
     view = run.view
     best = view.best
     return SearchProgress(

@@ -1,7 +1,7 @@
-"""Where candidates are handed in and results fetched, by whoever is not the search itself.
+"""Submission server: accepts candidates and returns results, for processes other than the search.
 
-A desk reads the ledger and writes to the queue of a run directory; the search that empties it is a
-process of its own, started when it is not there. Whoever asks may die at any time.
+It reads the ledger and writes to the queue of a run directory. The search that empties the queue is
+a process of its own, which is started if necessary. The submitting process may end at any time.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ from asia.search import dry_run, simulated_excerpts
 from asia.search._agent_view import digest
 
 _POLL = 0.1
-# The ticket of the experiment that nobody hands in, before the search has recorded it too.
+# Ticket of the baseline, which is not submitted; valid before the search has recorded it.
 _BASELINE = "experiment-1"
 
 
 class Desk(Protocol):
-    """What a driver from outside may do. Every method raises UserError with what to do next."""
+    """Submission server of a search. Every method raises UserError with the recommended action."""
 
     def submit(self, proposal: Proposal) -> Submission:
         """Hand in a candidate; its static errors are reported at once and cost no experiment."""
         ...
 
     def submission(self, ticket: str) -> Submission:
-        """Where a submission stands."""
+        """Return the state of a submission."""
         ...
 
     def withdraw(self, ticket: str) -> Submission:
@@ -59,7 +59,7 @@ class Desk(Protocol):
         ...
 
     def results(self) -> tuple[ExperimentSummary, ...]:
-        """All finished experiments."""
+        """Return all finished experiments."""
         ...
 
     def source(self, experiment: int) -> str:
@@ -67,15 +67,15 @@ class Desk(Protocol):
         ...
 
     def evidence(self, experiment: int) -> EvidenceSummary:
-        """What is learned of a finished experiment beside its score."""
+        """Return the evidence on a finished experiment besides its score."""
         ...
 
     def progress(self) -> SearchProgress:
-        """Where the search stands."""
+        """Return the state of the search."""
         ...
 
     def attended(self) -> bool:
-        """Whether a process is there that judges what is handed in."""
+        """Return whether a process judges the submissions."""
         ...
 
     def simulated(self, experiment: int) -> SimulatedCases:
@@ -100,19 +100,23 @@ class RunDesk:
         self._seen: tuple[tuple[int, ...], Run] | None = None
 
     def run(self) -> Run:
-        """The run as it stands, with the reported scores, read again where its ledger has
-        changed. A search that never began is started first. Raises UserError as `open_run` does."""
+        """Return the run with the reported scores, read again if its ledger has changed. A search
+        that never began is started first.
+
+        Raises:
+            UserError: as `open_run`.
+        """
         ledger = self._directory / "ledger.jsonl"
         if self._keep_alive is not None and not has_begun(self._directory):
             self._keep_alive(self._directory)
         if not ledger.is_file():
             return open_run(self._directory)
         stat = ledger.stat()
-        stamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
+        timestamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
         seen = self._seen
-        if seen is None or seen[0] != stamp:
+        if seen is None or seen[0] != timestamp:
             run = open_run(self._directory)
-            seen = (stamp, replace(run, view=published(run.view)))
+            seen = (timestamp, replace(run, view=published(run.view)))
             self._seen = seen
         return seen[1]
 
@@ -124,7 +128,7 @@ class RunDesk:
             check_source(proposal.source)
         except CandidateError as error:
             raise UserError(
-                f"the candidate was not submitted, and costs no experiment: {error.reason.advice}"
+                f"the candidate was not submitted and cost no experiment: {error.reason.advice}"
                 + (f" ({one_line(error.detail)})" if error.detail else "")
             ) from None
         self.run()
@@ -143,8 +147,9 @@ class RunDesk:
         return replace(self.submission(ticket), repeated=known is not None)
 
     def _known(self, wanted: str) -> Submission | None:
-        """Where a candidate with this digest stands, if it was handed in before. The queue is
-        looked at first: what leaves it is in the ledger by then."""
+        """Return the submission with this digest; None if it was not submitted before. The queue is
+        read first: submissions that leave it are in the ledger by then.
+        """
         for ticket in self._queue.tickets():
             waiting = self._queue.get(ticket)
             if waiting is not None and digest(waiting.source) == wanted:
@@ -166,12 +171,12 @@ class RunDesk:
         if over is not None:
             raise UserError(f"the candidate was not judged: {over}")
         in_ledger = {e.proposed.ticket for e in view.experiments}
-        # The baseline is the first experiment, and nobody hands it in.
+        # The baseline is the first experiment and is not submitted.
         spent = max(1, len(view.experiments)) + sum(t not in in_ledger for t in waiting)
         if spent >= budget:
             raise UserError(
-                f"the candidate was not judged: the budget of {budget} experiments is spent; "
-                "raise it with asia agent workspace or asia agent mcp and a larger --experiments"
+                f"the candidate was not judged: the budget of {budget} experiments is spent; the "
+                f"user can raise it with asia agent workspace or asia agent mcp and a larger --experiments"
             )
         numbers = {1, *(e.number for e in view.experiments)}
         if proposal.parent is not None and proposal.parent not in numbers:
@@ -194,7 +199,7 @@ class RunDesk:
         ended = view.complete and not runs(self._directory)
         if ended and view.stopped is not None and self._queue.tickets():
             raise UserError(
-                f"the search has ended ({view.stopped.reason}); a person can raise its budget with "
+                f"the search has ended ({view.stopped.reason}); the user can raise its budget with "
                 "asia agent workspace or asia agent mcp and a larger --experiments or --hours"
             )
 
@@ -215,9 +220,9 @@ class RunDesk:
         if self._queue.withdraw(ticket):
             return Submission(ticket, "withdrawn")
         state = self.submission(ticket).state
-        words = "about to be evaluated" if state == "queued" else state
+        text = "about to be evaluated" if state == "queued" else state
         raise UserError(
-            f"submission {one_line(ticket, 60)} is {words}: only a queued one can be withdrawn"
+            f"submission {one_line(ticket, 60)} is {text}: only a queued one can be withdrawn"
         )
 
     def results(self) -> tuple[ExperimentSummary, ...]:
@@ -259,7 +264,7 @@ class RunDesk:
         """While workers run that no experiment asks for. Raises UserError where some run already,
         or the sandbox fails."""
         if not self._aside.acquire(blocking=False):
-            raise UserError("a dry run or a picture is under way: wait until it has ended")
+            raise UserError("a dry run or a picture is in progress: wait for its end")
         try:
             yield
         except SandboxError as error:
@@ -269,7 +274,9 @@ class RunDesk:
 
 
 def _ticket_of(experiment: Experiment) -> str:
-    """What nobody handed in, such as the baseline, has a name too."""
+    """Return the ticket of an experiment. Experiments that were not submitted, such as the
+    baseline, have one too.
+    """
     return experiment.proposed.ticket or f"experiment-{experiment.number}"
 
 
@@ -279,11 +286,20 @@ def _submission_of(experiment: Experiment) -> Submission:
 
 
 def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Submission], None]) -> Submission:
-    """Until it is done or the time is over; `tick` is called at every look. Raises UserError where
-    no search is there to judge it."""
+    """Wait for a submission until it is done or the time is over.
+
+    Args:
+        desk: the submission server.
+        ticket: identifier of the submission.
+        seconds: maximum waiting time, s.
+        tick: called at every poll.
+
+    Raises:
+        UserError: no search is running to judge the submission.
+    """
     end = time.monotonic() + seconds
     while True:
-        there = desk.attended()  # asked first: what was judged at the last moment is not lost
+        there = desk.attended()  # before the submission, so that a last result is not lost
         submission = desk.submission(ticket)
         tick(submission)
         if submission.state in ("done", "unknown") or time.monotonic() >= end:
@@ -292,7 +308,7 @@ def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Submission], N
             when = "while" if submission.state == "running" else "before"
             raise UserError(
                 f"the process of the search ended {when} it evaluated the candidate. The "
-                "candidate is stored: give the same command again (control/search.log of the run "
+                "candidate is stored: repeat the command (control/search.log of the run "
                 "may show why)"
             )
         time.sleep(_POLL)
@@ -317,19 +333,19 @@ def _over(directory: Path, run: Run) -> str | None:
     """Why nothing can be handed in any more, budget of experiments aside."""
     view = run.view
     if view.unsealing is not None:
-        return "the sealed test of this run was opened: its search is over for good"
+        return "the sealed test of this run was opened: its search cannot continue"
     if view.stopped is None:
         return None
     stop = max(line.seq for line in run.lines if isinstance(line.event, Stopped))
     request = SearchRequest.find(directory)
     again = request is not None and request.records > stop
     if view.stopped.reason == "user" and not again:
-        return "a person stopped this search; the command that started it continues it"
+        return "the user stopped this search; repeat the command that started it to resume"
     return None
 
 
 def _baseline_digest(directory: Path) -> str | None:
-    """Of the candidate that the search begins with; None where no request says what it is for."""
+    """Return the digest of the baseline; None if no request names its problem."""
     request = SearchRequest.find(directory)
     return None if request is None else digest(requested_problem(request).baseline or LINEAR)
 

@@ -22,7 +22,7 @@ from asia.ledger import in_use, write_whole
 
 _POLL = 0.05
 _START_SECONDS = 60.0
-_WORDS = 300
+_MESSAGE_LENGTH = 300
 _VARIABLES = (
     "PATH", "HOME", "USER", "LOGNAME", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "TMPDIR", "PYTHONPATH",
     "LD_LIBRARY_PATH", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR", "OMP_NUM_THREADS",
@@ -31,12 +31,12 @@ _VARIABLES = (
 
 @dataclass(frozen=True)
 class SearchRequest:
-    """What a search that empties a queue was asked for; kept in its run directory."""
+    """Arguments of a search that empties a queue; kept in its run directory."""
 
     problem: str
     """Built-in name or path of the problem."""
     agent: str
-    """Who hands candidates in: `workspace` or `mcp`."""
+    """Interface that submits candidates: `workspace` or `mcp`."""
     seed: int
     """Seed of the search."""
     experiments: int | None
@@ -48,13 +48,13 @@ class SearchRequest:
     isolation: str | None
     """Level asked for; None for the strongest that works."""
     isolation_strict: bool = False
-    """Whether the folds of a candidate run one after the other."""
+    """True to fit the folds of a candidate sequentially."""
     retests: int | None = None
     """Fits from other seeds of a candidate about to be kept; None for the problem's number."""
     records: int = 0
     """Lines that the ledger had when this was asked for."""
     settings: dict[str, str] = field(default_factory=dict[str, str])
-    """What the ledger holds of whoever hands in beside the name: the jail."""
+    """Recorded settings of the interface besides its name: the jail."""
 
     def save(self, directory: Path) -> None:
         """Write it, with the number of lines the ledger has now: a request made after a stop
@@ -81,12 +81,16 @@ class SearchRequest:
             return None
         except ValueError:
             raise UserError(
-                f"{path} is damaged: give the command that started the search again"
+                f"{path} is damaged: repeat the command that started the search"
             ) from None
 
     @classmethod
     def load(cls, directory: Path) -> SearchRequest:
-        """As `find`. Raises UserError where there is none."""
+        """Read the request, see `find`.
+
+        Raises:
+            UserError: there is none.
+        """
         request = cls.find(directory)
         if request is None:
             raise UserError(
@@ -104,7 +108,7 @@ def _request_path(directory: Path) -> Path:
 
 
 def log_path(directory: Path) -> Path:
-    """What the search's process writes to its outputs."""
+    """Return the log file of the search's process."""
     return directory / "control" / "search.log"
 
 
@@ -142,17 +146,18 @@ def _start(directory: Path, log: Path) -> None:
         if code == 0:
             return
         if code is not None and not runs(directory):
-            words = log.read_bytes()[before:].decode("utf-8", "replace").strip().splitlines()
-            last = words[-1].removeprefix("asia: ") if words else f"exit code {code}"
-            raise UserError(f"the search did not start: {last[:_WORDS]}")
+            text = log.read_bytes()[before:].decode("utf-8", "replace").strip().splitlines()
+            last = text[-1].removeprefix("asia: ") if text else f"exit code {code}"
+            raise UserError(f"the search did not start: {last[:_MESSAGE_LENGTH]}")
         if time.monotonic() > end:
             raise UserError(f"the search did not start in {_START_SECONDS:g} s; see {log}")
         time.sleep(_POLL)
 
 
 def _environment() -> dict[str, str]:
-    """What a search needs, and none of the keys that this process may hold. A relative path would
-    mean another place there."""
+    """Return the environment of a search, without the keys that this process may hold and without
+    relative paths, which would mean another place there.
+    """
     kept = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
     given = os.environ.get("ASIA_DATA_DIR")
     return {**kept, **({"ASIA_DATA_DIR": os.path.abspath(given)} if given else {})}
@@ -163,7 +168,7 @@ def _ready(directory: Path) -> bool:
 
 
 def runs(directory: Path) -> bool:
-    """Whether the search is there."""
+    """Return whether the search is running."""
     ledger = directory / "ledger.jsonl"
     return ledger.is_file() and in_use(ledger)
 
@@ -180,7 +185,7 @@ def attending(directory: Path) -> Generator[None]:
 
 
 def attended(directory: Path) -> bool:
-    """Whether a process is there that looks after the queue, or a search of another command."""
+    """Return whether a process serves the queue, or a search of another command runs."""
     if runs(directory):
         return True
     with contextlib.suppress(FileNotFoundError), _presence_path(directory).open("rb") as stream:
@@ -196,7 +201,7 @@ def _presence_path(directory: Path) -> Path:
 
 
 def has_begun(directory: Path) -> bool:
-    """Whether the ledger has its first line."""
+    """Return whether the ledger has its first line."""
     try:
         with (directory / "ledger.jsonl").open("rb") as stream:
             return stream.readline().endswith(b"\n")

@@ -1,4 +1,4 @@
-"""What a dry run found, in a few lines."""
+"""Summary of a dry run in a few lines of text."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ _OVER_TIME = (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT)
 
 
 def dry_run_lines(found: DryRunSummary) -> list[str]:
-    """What a person or an agent reads."""
+    """Describe a dry run, for users and agents."""
     where = f"on {found.samples} of the {found.of_samples} samples that fold 1 trains on"
     if found.reason is None:
-        lines = [f"dry run  nothing fails {where}: contract, shapes, finite answers, reloading"]
+        lines = [f"dry run  passed {where}: contract, shapes, finite answers, reloading"]
     else:
         lines = [f"dry run  fails {where}: {found.advice}"]
     if found.detail:
-        lines.append(f"    the candidate's own words: {found.detail}")
+        lines.append(f"    text of the candidate: {found.detail}")
     if found.reason in _OVER_TIME and found.allowed_seconds < found.limit_seconds:
         lines.append(
             f"    a dry run ends after {found.allowed_seconds:g} s; the limit of a fit is "
@@ -24,8 +24,8 @@ def dry_run_lines(found: DryRunSummary) -> list[str]:
         )
     if found.fit_seconds is not None:
         lines.append(
-            f"    fit {found.fit_seconds:.1f} s, simulate {found.simulate_seconds:.1f} s, of both "
-            f"{found.compile_seconds:.1f} s to compile"
+            f"    fit {found.fit_seconds:.1f} s, simulate {found.simulate_seconds:.1f} s, of "
+            f"which {found.compile_seconds:.1f} s compilation"
         )
     whole = found.whole_fit_seconds
     if whole is not None:
@@ -35,7 +35,7 @@ def dry_run_lines(found: DryRunSummary) -> list[str]:
             f"{found.limit_seconds:g} s{over}"
         )
     if found.printed:
-        lines.append("    printed by the candidate (its own words):")
+        lines.append("    printed by the candidate:")
         lines += [f"      {line}" for line in found.printed]
-    lines.append("    no experiment was used, and no score is given")
+    lines.append("    no experiment was used, and no score was computed")
     return lines

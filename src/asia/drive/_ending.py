@@ -32,7 +32,7 @@ def end_idle(directory: Path, say: Callable[[str], None]) -> None:
         Steering(directory).stop()
     try:
         if not open_run(directory).view.complete:
-            say("the search ends: its winner is fitted to all training data first")
+            say("the search ends after refitting the winner to all training data")
             start_search(directory)
         while attended(directory):
             time.sleep(_POLL)

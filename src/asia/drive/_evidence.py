@@ -18,7 +18,7 @@ class FoldSummary:
     """One fold of an experiment."""
 
     held_out: str
-    """What it holds out, in words."""
+    """Description of the held-out part."""
     V: float | None
     """V of the fold; None where it is not reported."""
     train_error: float
@@ -32,7 +32,7 @@ class FoldSummary:
     fit_seconds: float
     """Duration of the fit."""
     compile_seconds: float | None
-    """How long JAX traced and compiled; None where it is not known."""
+    """Compile time of JAX, s; None if not known."""
     memory_mb: float | None
     """The largest address space of the worker; None where it is not known."""
     parameters: dict[str, float]
@@ -43,31 +43,34 @@ class FoldSummary:
 
 @dataclass(frozen=True)
 class EvidenceSummary:
-    """What is learned of an experiment beside its score."""
+    """Evidence on an experiment besides its score."""
 
     lines: tuple[str, ...]
-    """All of it in a screen of text, most useful first."""
+    """Complete evidence as lines of text, most useful first."""
     folds: tuple[FoldSummary, ...]
     """Each fold in numbers; () for a failure."""
     residuals: tuple[str, ...]
-    """Where the model is too high or too low on the training records."""
+    """Operating ranges in which the model is too high or too low on the training records."""
     held_out_residuals: tuple[str, ...]
     """The same on the held-out samples; () unless the problem shows these."""
     disagreeing: tuple[str, ...]
     """Parameters that the folds disagree on."""
     differences: tuple[ComparedScore, ...]
-    """V beside that of the parent and of the best before."""
+    """Differences of V to the parent and to the best before."""
     noise: float | None
     """The standard deviation of V over repeats; None where it was not measured."""
     fit_limit_seconds: float
-    """How long the fit of a fold may take."""
+    """Time limit of the fit of a fold, s."""
     memory_limit_mb: int
     """The largest address space of a worker."""
 
 
 def evidence_summary(run: Run, number: int) -> EvidenceSummary:
-    """Of an experiment of a run whose view holds the reported scores. Raises UserError where there
-    is no such experiment, or none with a result."""
+    """Summarise the evidence on an experiment of a run whose view holds the reported scores.
+
+    Raises:
+        UserError: there is no such experiment, or it has no result.
+    """
     experiment = run.view.experiment(number)
     if experiment.result is None:
         raise UserError(f"experiment {number} is being evaluated: it has no result yet")

@@ -41,12 +41,12 @@ class Queue:
 
     @property
     def folder(self) -> Path:
-        """Where the files are."""
+        """Folder of the queue."""
         return self.directory / "control" / "queue"
 
     @contextmanager
     def alone(self) -> Generator[None]:
-        """One hands in at a time."""
+        """Hold the lock for one submission at a time."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with (self.folder / ".lock").open("wb") as stream:
             fcntl.flock(stream, fcntl.LOCK_EX)
@@ -62,7 +62,7 @@ class Queue:
         return ticket
 
     def tickets(self) -> list[str]:
-        """What the ledger does not have yet, oldest first."""
+        """Return the submissions that are not in the ledger yet, oldest first."""
         return sorted({*self._names(_WAITING), *self._names(_TAKEN)})
 
     def get(self, ticket: str) -> Proposal | None:
@@ -90,7 +90,7 @@ class Queue:
         return None
 
     def give_back(self) -> None:
-        """What was taken waits again: whoever took it died before recording it."""
+        """Return taken submissions to the queue: their search ended before it recorded them."""
         for ticket in self._names(_TAKEN):
             self._path(ticket, _TAKEN).replace(self._path(ticket))
 

@@ -38,11 +38,11 @@ TOOLS = '''"""Scores a candidate on training records as the evaluator does, and 
     python tools.py best.py --fold 1  another file, one fold
     python tools.py --blocks 5        folds of your own: each record in five parts
     python tools.py --hold-out A,B    a fold of your own: these records held out, the others train
-    python tools.py --seed 1          other random draws: how far does V move?
+    python tools.py --seed 1          another seed of the fits: spread of V
     python tools.py --plot            also draw simulation and residuals into plots/
 
-It costs no experiment. The candidate runs in this process, in no sandbox, and no limit of time or
-memory ends it. In a script of your own:
+It costs no experiment. The candidate runs in this process, without sandbox, time limit or memory
+limit. In a script of your own:
 
     from tools import TOOLS
     for fold in TOOLS.evaluate("candidate.py"):

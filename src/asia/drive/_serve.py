@@ -1,5 +1,6 @@
-"""The search that empties a queue: baseline first, then what is handed in, until the budget is
-spent or nobody has handed anything in for a while."""
+"""Search that empties a queue: the baseline first, then the submissions, until the budget is spent
+or no submission has come for a while.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +18,12 @@ from asia.search._run import Prepared, check_same_search, prepare, search, with_
 
 IDLE_SECONDS = 1800.0
 
-# Whoever hands in decides when enough is enough. The lock file has it, so it never changes.
+# The submitting user decides when to stop. The value is in the lock file, so it never changes.
 _PATIENCE = 1_000_000
 
 
 class IdleError(Exception):
-    """Nothing was handed in for so long that the process ends; the run can be taken up again."""
+    """End of the process after a time without submissions; the run can be resumed."""
 
 
 class NewRequestError(Exception):
@@ -47,9 +48,13 @@ def requested_problem(request: SearchRequest) -> Problem:
 
 
 def prepare_request(request: SearchRequest, runs: Path, name: str | None) -> Prepared:
-    """As `prepare`, for a search that empties a queue. Where the request leaves the number of
-    experiments open, a run that has more of them than its problem keeps them. Raises UserError too
-    when the run is another search or has a larger budget than requested."""
+    """Prepare a search that empties a queue, see `prepare`. If the request leaves the number of
+    experiments open, a run keeps a larger number than its problem has.
+
+    Raises:
+        UserError: as `prepare`; also if the run is another search or has a larger budget than
+            requested.
+    """
     level = Isolation(request.isolation) if request.isolation else None
 
     def prepared(problem: Problem) -> Prepared:
@@ -93,7 +98,7 @@ def _serve(directory: Path, idle_seconds: float) -> None:
                 on_start=lambda view: clear_known(queue, view),
             )
         except IdleError:
-            # Handed in after the last look, by somebody who still saw this search.
+            # Submitted after the last poll, while this search was still visible.
             if not queue.tickets():
                 return
         except NewRequestError:
@@ -106,7 +111,7 @@ def _serve(directory: Path, idle_seconds: float) -> None:
 def _patience(
     directory: Path, request: SearchRequest, idle_seconds: float
 ) -> Callable[[float], None]:
-    """What is done while nothing is handed in."""
+    """Return the function that is called while the queue is empty."""
 
     def waiting(seconds: float) -> None:
         now = SearchRequest.load(directory)

@@ -144,7 +144,7 @@ def _answer(desk: Desk, raw: bytes) -> bytes:
         answer = {"error": str(error)}
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
-        answer = {"error": f"the request is not one that is known: {first['msg']}"}
+        answer = {"error": f"unknown request: {first['msg']}"}
     except Exception as error:  # noqa: BLE001 - the border: every request has an answer
         answer = {"error": f"the search could not answer ({type(error).__name__}); try again"}
     return json.dumps(answer).encode()
@@ -153,8 +153,8 @@ def _answer(desk: Desk, raw: bytes) -> bytes:
 def _call(desk: Desk, call: _AnyCall) -> Any:
     match call:
         case _SubmitCall():
-            words = call.model_dump(exclude={"op"})
-            return asdict(desk.submit(Proposal(**words)))
+            fields = call.model_dump(exclude={"op"})
+            return asdict(desk.submit(Proposal(**fields)))
         case _TicketCall(op="submission"):
             return asdict(desk.submission(call.ticket))
         case _TicketCall():
@@ -183,8 +183,8 @@ class SocketDesk:
 
     def submit(self, proposal: Proposal) -> Submission:
         """See `Desk.submit`."""
-        words = {n: getattr(proposal, n) for n in _SubmitCall.model_fields if n != "op"}
-        return Submission(**self._ask({"op": "submit", **words}))
+        fields = {n: getattr(proposal, n) for n in _SubmitCall.model_fields if n != "op"}
+        return Submission(**self._ask({"op": "submit", **fields}))
 
     def submission(self, ticket: str) -> Submission:
         """See `Desk.submission`."""

@@ -1,5 +1,6 @@
-"""A folder in which a person or a coding agent works on a problem: training data and words, never
-test data, never the ledger itself."""
+"""Workspace: a folder in which a user or a coding agent works on a problem. It holds training data
+and texts, never test data, never the ledger itself.
+"""
 
 from __future__ import annotations
 
@@ -39,14 +40,18 @@ class Workspace:
     """A folder to work in, and the run that it belongs to."""
 
     folder: Path
-    """Where data, texts and candidate.py lie."""
+    """Folder with data, texts and candidate.py."""
     run: Path | None
     """The run directory; None where the folder is that of a command agent, which reaches its
     search through the socket alone."""
 
     @classmethod
     def find(cls, folder: Path) -> Workspace:
-        """Of a folder or one above it. Raises UserError where there is none."""
+        """Return the workspace of a folder or one above it.
+
+        Raises:
+            UserError: there is none.
+        """
         found = cls.around(folder)
         if found is None:
             raise UserError(
@@ -57,7 +62,7 @@ class Workspace:
 
     @classmethod
     def around(cls, folder: Path) -> Workspace | None:
-        """As `find`; None where there is none."""
+        """Return the workspace as `find`; None if there is none."""
         for place in (folder.resolve(), *folder.resolve().parents):
             link = place / _LINK
             if link.is_file():
@@ -65,7 +70,7 @@ class Workspace:
         return None
 
     def desk(self) -> Desk:
-        """Where candidates are handed in: the socket that ASIA_DESK names, else the run itself."""
+        """Return the submission server: the socket that ASIA_DESK names, else the run itself."""
         path = os.environ.get(DESK_VARIABLE)
         if path:
             return SocketDesk(Path(path))
@@ -98,20 +103,25 @@ class Workspace:
         return self.run
 
     def renew_views(self) -> None:
-        """results.tsv, search_journal.md and best.py as the ledger stands; in a jail whoever holds
-        the socket writes them."""
+        """Write results.tsv, search_journal.md and best.py from the present ledger. In a jail the
+        process with the socket writes them.
+        """
         if DESK_VARIABLE not in os.environ:
             opened = open_run(self._own_run())
             write_views(self.folder, opened.view, opened.store)
 
 
 def is_workspace(folder: Path) -> bool:
-    """Whether `asia agent workspace` or a command agent made this folder."""
+    """Return whether `asia agent workspace` or a command agent made this folder."""
     return (folder / _LINK).is_file()
 
 
 def _run_of(link: Path) -> Path | None:
-    """What a workspace says of its run. Raises UserError."""
+    """Return the run directory that a workspace names.
+
+    Raises:
+        UserError: the link cannot be read.
+    """
     try:
         run = _links.validate_json(link.read_bytes()).get("run")
     except (OSError, ValueError):
@@ -177,8 +187,9 @@ def write_folder(
 
 
 def write_views(folder: Path, view: SearchView, store: Store) -> None:
-    """results.tsv and search_journal.md with the reported scores, read-only; the best
-    candidate beside them."""
+    """Write results.tsv and search_journal.md with the reported scores, read-only, and the best
+    candidate.
+    """
     view = published(view)
     texts = {VIEWS[0]: results_table(view), VIEWS[1]: journal(view)}
     if view.best is not None:

@@ -1,4 +1,4 @@
-"""Files written into a folder that somebody else may write in as well: no link is followed."""
+"""Safe writing into a folder that other processes may write to: no link is followed."""
 
 from __future__ import annotations
 
@@ -14,8 +14,12 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 def write_file(folder: Path, name: str, content: str | bytes, mode: int = 0o644) -> None:
-    """Replace `name`, which may lie in folders below `folder`; those are made. What stands in the
-    way, such as a link where a folder belongs, is moved aside. Raises UserError."""
+    """Replace the file `name`, which may lie in folders below `folder`; those are made. An
+    obstacle, such as a link in place of a folder, is moved aside.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
     *places, last = name.split("/")
     try:
         here = os.open(folder, _FOLDER)
@@ -42,7 +46,7 @@ def _enter(here: int, name: str) -> int:
     try:
         return os.open(name, _FOLDER, dir_fd=here)
     except OSError:
-        _put_aside(here, name)
+        _move_away(here, name)
         os.mkdir(name, dir_fd=here)
         return os.open(name, _FOLDER, dir_fd=here)
 
@@ -55,9 +59,9 @@ def _replace(here: int, name: str, data: bytes, mode: int) -> None:
     try:
         os.rename(temporary, name, src_dir_fd=here, dst_dir_fd=here)
     except IsADirectoryError:
-        _put_aside(here, name)
+        _move_away(here, name)
         os.rename(temporary, name, src_dir_fd=here, dst_dir_fd=here)
 
 
-def _put_aside(here: int, name: str) -> None:
+def _move_away(here: int, name: str) -> None:
     os.rename(name, f".{name}.{secrets.token_hex(8)}", src_dir_fd=here, dst_dir_fd=here)

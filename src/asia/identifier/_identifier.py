@@ -290,11 +290,11 @@ class SystemIdentifier:
 
     def __repr__(self) -> str:
         own, usual = self.get_params(), inspect.signature(type(self)).parameters
-        said = [f"{k}={v!r}" for k, v in own.items() if v is not usual[k].default]
-        return f"SystemIdentifier({', '.join(said)})"
+        arguments = [f"{k}={v!r}" for k, v in own.items() if v is not usual[k].default]
+        return f"SystemIdentifier({', '.join(arguments)})"
 
     def _repr_html_(self) -> str:
-        """For notebooks: V, the model to use, its equations and a picture."""
+        """Show V, the model to use, its equations and a picture in notebooks."""
         if not hasattr(self, "run_") or self.run_.view.best is None:
             return f"<code>{repr(self).replace('<', '&lt;')}</code>"
         return brief_html(self.run_.directory)
@@ -335,7 +335,7 @@ class _Printer:
     view: SearchView
 
     def event(self, event: Event, view: SearchView) -> None:
-        """Print what came of an experiment."""
+        """Print the result of an experiment."""
         if not isinstance(event, Evaluated):
             return
         experiment, best = view.experiment(event.experiment), view.best
@@ -346,7 +346,7 @@ class _Printer:
         say(f"#{event.experiment:02d} {event.status:<12} {value:<10} {title:<44} | {lowest}")
 
     def close(self) -> None:
-        """Nothing to do."""
+        """Close without effect."""
 
 
 def _parameters() -> list[str]:
@@ -366,7 +366,7 @@ def _table(values: Any, channels: int, name: str) -> Array:
     try:
         found = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise UserError(f"{name} does not read as numbers: {error}") from None
+        raise UserError(f"{name} cannot be converted to numbers: {error}") from None
     found = found[:, None] if found.ndim == 1 else found
     if found.ndim != 2 or found.shape[1] != channels:
         raise UserError(f"{name} has shape {np.shape(values)}, expected (samples, {channels})")

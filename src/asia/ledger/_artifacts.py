@@ -1,4 +1,6 @@
-"""Every artifact a ledger names, checked on all cores: a long search has a million of them."""
+"""Verification of all artifacts that a ledger names, on all cores. A long search has a million of
+them.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from asia.errors import UserError
 from asia.ledger._store import Store
 
 _BATCH = 512
-_PIPE_BYTES = 1 << 20  # or whoever reads the ledger waits for one helper while others rest
+_PIPE_BYTES = 1 << 20  # large enough that no helper idles while the reader waits for another
 # Reads names on stdin; ends with 1 at the first file whose sha256 is not its name, or that is gone.
 _HELPER = """
 import hashlib, os, sys

@@ -34,9 +34,10 @@ def ledger_of(directory: Path) -> Path:
 
 
 def read_lines(path: Path) -> Iterator[Line]:
-    """Every whole line, verified. A torn last line, left by a crash, is passed over.
+    """Yield every complete line, verified. A torn last line, left by a crash, is ignored.
 
-    Raises UserError that names the first record that does not verify.
+    Raises:
+        UserError: a record does not verify; the message names the first one.
     """
     with path.open("rb") as stream:
         for place, raw in scan(stream, str(path)):
@@ -59,7 +60,11 @@ class Follower:
 
     @property
     def view(self) -> SearchView:
-        """As of the last line that was read. Raises UserError before the first."""
+        """Return the view after the last line that was read.
+
+        Raises:
+            UserError: no line was read yet.
+        """
         return self._replay.view
 
     @property
@@ -72,8 +77,14 @@ class Follower:
         return self._heads[count] if count < len(self._heads) else ""
 
     def read(self) -> bool:
-        """Whether there was anything new. A ledger that did not just grow is read anew. Raises
-        UserError where a line does not verify, OSError where the file is gone."""
+        """Read the lines that are new and return whether there were any.
+
+        A ledger that did not just grow is read again from the start.
+
+        Raises:
+            UserError: a line does not verify.
+            OSError: the file is gone.
+        """
         state = self._path.stat()
         seen = state.st_ino, state.st_size, state.st_mtime_ns
         if seen == self._seen:
@@ -154,7 +165,7 @@ class Chain:
         self.lines.append(line)
 
     def _cut_back(self) -> None:
-        """To the end of the last record that was acknowledged."""
+        """Truncate the ledger to the end of the last acknowledged record."""
         if os.fstat(self._fd).st_size != self._place.offset:
             os.ftruncate(self._fd, self._place.offset)
             os.fsync(self._fd)
@@ -180,7 +191,9 @@ class Chain:
 
 @dataclass(frozen=True)
 class Holder:
-    """Who holds a ledger, for people: the lock itself is the file's, and ends with the process."""
+    """Process that holds a ledger, for display. The lock itself belongs to the file and ends with
+    the process.
+    """
 
     pid: int
     host: str
@@ -188,19 +201,19 @@ class Holder:
 
     @classmethod
     def here(cls) -> Holder:
-        """This process, from now on."""
+        """Return a holder for the current process."""
         return cls(os.getpid(), socket.gethostname(), datetime.now(UTC).isoformat(" ", "seconds"))
 
     @classmethod
     def find(cls, ledger: Path) -> Holder | None:
-        """Who took the lock last; None where that cannot be read."""
+        """Return the process that took the lock last; None if that cannot be read."""
         try:
             return cls(**json.loads(_holder_path(ledger).read_text("utf-8")))
         except (OSError, ValueError, TypeError):
             return None
 
     def save(self, ledger: Path) -> None:
-        """Leave it beside the ledger; a search does not fail for want of it."""
+        """Write the holder next to the ledger. A failed write does not fail the search."""
         with contextlib.suppress(OSError):
             _holder_path(ledger).write_text(json.dumps(asdict(self)), "utf-8")
 
@@ -239,7 +252,7 @@ def _locked(fd: int, path: Path) -> bool:
 
 
 def in_use(path: Path) -> bool:
-    """Whether a search holds the ledger."""
+    """Return whether a search holds the ledger."""
     with path.open("rb") as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""The expert's result at the same budget, beside a search that costs money."""
+"""Result of the expert at the same budget, for comparison with a search that costs money."""
 
 from __future__ import annotations
 
@@ -27,9 +27,15 @@ class Control:
 
 
 def control(directory: Path, start: Started, spent: int) -> Control | None:
-    """The control arm of a search in `directory` that has spent so many experiments, beside it in
-    the same folder; None for the agents that need none. Of several runs of the control the one with
-    the same seed counts, else the first."""
+    """Return the control run of a search, or None for agents that need none.
+
+    Of several control runs in the same folder, the one with the same seed counts, else the first.
+
+    Args:
+        directory: run directory of the search.
+        start: first event of the search.
+        spent: number of experiments that the search has spent.
+    """
     if start.agent in FREE or spent == 0:
         return None
     found = sorted(
@@ -49,12 +55,11 @@ def control(directory: Path, start: Started, spent: int) -> Control | None:
 
 
 def control_words(found: Control, start: Started) -> str:
-    """One line for people."""
+    """Describe a control run in one line of text."""
     if found.run is None:
         return (
-            "not run yet: what the expert, which needs no language model, finds in as many "
-            f"experiments says asia run {start.problem} --experiments {found.experiments} "
-            f"--seed {start.seed}"
+            "not run yet; to run the expert, which needs no language model, at the same budget: "
+            f"asia run {start.problem} --experiments {found.experiments} --seed {start.seed}"
         )
     value = "no score" if found.value is None else f"V={found.value:.4f}"
     return f"expert, the same {found.experiments} experiments: {value} ({found.run})"

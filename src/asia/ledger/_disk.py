@@ -22,25 +22,24 @@ def writing(path: Path) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        raise UserError(f"{path} could not be written: {_words(error)}") from None
+        raise UserError(f"{path} could not be written: {_message(error)}") from None
 
 
-def _words(error: OSError) -> str:
+def _message(error: OSError) -> str:
     if error.errno in _FULL:
         return (
-            f"the disk is full ({error.strerror}); what was recorded is safe: make room and give "
-            "the same command again"
+            f"the disk is full ({error.strerror}); recorded events are safe: free some space and "
+            f"repeat the command"
         )
     if error.errno == errno.EFBIG:
         return (
-            "the file would exceed the limit of file sizes; what was recorded is safe: raise it "
-            "(ulimit -f) and give the same command again"
+            "the file would exceed the limit of file sizes; recorded events are safe: raise it "
+            "(ulimit -f) and repeat the command"
         )
     if error.errno in _FORBIDDEN:
         return f"{error.strerror}; make the directory writable, or name another one with --runs"
     return (
-        f"{error.strerror or error}; what was recorded is safe: mend this and give the same "
-        "command again"
+        f"{error.strerror or error}; recorded events are safe: correct this and repeat the command"
     )
 
 
@@ -65,7 +64,7 @@ def write_whole(path: Path, data: bytes, *, durable: bool = True) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """As `mkdir(parents=True)`; a folder that is new is on the disk on return."""
+    """Create a folder with its parents. A new folder is on the disk on return."""
     if not path.is_dir():
         make_folder(path.parent)
         path.mkdir(exist_ok=True)

@@ -21,9 +21,12 @@ def write_exports(directory: Path, view: SearchView) -> None:
 
 
 def results_table(view: SearchView) -> str:
-    """Tab-separated: experiment, val, status, description, parent, seconds of the evaluation, val
-    of each fold, and in a relay the agent. No number stands for a failure. With validation early
-    stopping the second column says so."""
+    """Write the experiments as a tab-separated table.
+
+    Columns: experiment, val, status, description, parent, seconds of the evaluation, val of each
+    fold, and in a relay the agent. A failure has no number. With validation early stopping the name
+    of the second column says so.
+    """
     val = view.v_name.replace("V", "val", 1)
     rows = [
         f"experiment\t{val}\tstatus\tdescription\tparent\tseconds\tfolds"
@@ -49,17 +52,18 @@ def _description(e: Experiment) -> str:
     """The title; the whole hypothesis where the title is only its beginning; the mean of V over
     seeds where there is one."""
     title, hypothesis = e.proposed.title, e.proposed.hypothesis
-    words = hypothesis if hypothesis.startswith(title.removesuffix("…")) else title
-    return f"{words} ({mean})" if (mean := seed_mean_words(e)) else words
+    text = hypothesis if hypothesis.startswith(title.removesuffix("…")) else title
+    return f"{text} ({mean})" if (mean := seed_mean_words(e)) else text
 
 
 def journal(view: SearchView) -> str:
-    """What was tried, why, and what came of it."""
+    """Write the journal of a search: hypothesis, reason and result of each experiment."""
     start = view.started
     parts = [
         f"# Search journal: {markdown_line(start.run)}\n\n"
         f"Problem {markdown_line(start.problem)}, agent {markdown_line(start.agent)}, "
-        f"seed {start.seed}, isolation {start.isolation_words}.\n{_rungs(view)}{_setting(view)}"
+        f"seed {start.seed}, isolation {start.isolation_words}.\n"
+        f"{_references(view)}{_setting(view)}"
     ]
     finished = view.finished
     for e, later in zip_longest(finished, finished[1:]):
@@ -68,15 +72,15 @@ def journal(view: SearchView) -> str:
     return "\n".join(parts)
 
 
-def _rungs(view: SearchView) -> str:
+def _references(view: SearchView) -> str:
     if not view.rungs:
         return ""
     values = [
-        f"{rung.name} {error_value(rung.outcome.value)}"
-        for rung in view.rungs
-        if isinstance(rung.outcome, Score)
+        f"{reference.name} {error_value(reference.outcome.value)}"
+        for reference in view.rungs
+        if isinstance(reference.outcome, Score)
     ]
-    return f"\nRungs, {view.v_name} of trivial references: {', '.join(values)}.\n"
+    return f"\nReference models, {view.v_name}: {', '.join(values)}.\n"
 
 
 def _setting(view: SearchView) -> str:
@@ -87,8 +91,8 @@ def _residuals_setting(view: SearchView) -> str:
     if view.started.residuals == "train":
         return ""
     return (
-        "\nHeld-out residuals are shown: whoever proposes sees where the held-out samples are "
-        "missed. V is only comparable with V of the same setting.\n"
+        "\nHeld-out residuals are shown: the agent sees the errors on the held-out samples. V is "
+        "only comparable with V of the same setting.\n"
     )
 
 
@@ -133,7 +137,7 @@ def seed_mean_words(e: Experiment) -> str:
 
 
 def validation_score_words(result: Evaluated) -> str:
-    """How often the fits of an experiment requested their score on the held-out parts."""
+    """Describe the number of requests of an experiment for its score on the held-out parts."""
     count = result.validation_scores
     return f"{count} validation score{'' if count == 1 else 's'}"
 
@@ -144,13 +148,13 @@ def error_value(value: float) -> str:
 
 
 def describe_result(e: Experiment, view: SearchView) -> str:
-    """One line: V and its folds, or the failure with advice."""
+    """Describe a result in one line: V and its folds, or the failure with advice."""
     left = e.result.left_behind if e.result else ()
-    stuck = f"; worker process {', '.join(map(str, left))} could not be ended" if left else ""
-    return _outcome_words(e, view) + stuck
+    stuck = f"; worker process {', '.join(map(str, left))} could not be terminated" if left else ""
+    return _outcome_text(e, view) + stuck
 
 
-def _outcome_words(e: Experiment, view: SearchView) -> str:
+def _outcome_text(e: Experiment, view: SearchView) -> str:
     if e.score and e.result:
         folds = ", ".join(error_value(f.value) for f in e.score.folds)
         asked = (
@@ -159,25 +163,25 @@ def _outcome_words(e: Experiment, view: SearchView) -> str:
             else f", {validation_score_words(e.result)}"
         )
         parts = f" (folds {folds}{asked})" if folds else ""
-        return f"{view.v_name} = {error_value(e.score.value)}{parts}{_retest_words(e)}"
+        return f"{view.v_name} = {error_value(e.score.value)}{parts}{_retest_text(e)}"
     if e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
-        said = error_line(e.failure.detail)
-        detail = f" ({said})" if said else ""
+        message = error_line(e.failure.detail)
+        detail = f" ({message})" if message else ""
         return f"no score{where}: {e.failure.advice}{detail}"
     return "being evaluated"
 
 
-def _retest_words(e: Experiment) -> str:
-    """`; from other seeds 0.1352, 0.1298, mean of 3 seeds 0.1320; needed: a mean 0.0031 below the
+def _retest_text(e: Experiment) -> str:
+    """`; repeated fits 0.1352, 0.1298, mean of 3 seeds 0.1320; required: a mean 0.0031 below the
     incumbent's`."""
     assert e.result is not None
     values = [r.failed if r.value is None else error_value(r.value) for r in e.result.retests]
-    words = f"; from other seeds {', '.join(values)}" if values else ""
+    text = f"; repeated fits {', '.join(values)}" if values else ""
     if mean := seed_mean_words(e):
-        words += f", {mean}"
+        text += f", {mean}"
     if any(r.same for r in e.result.retests):
-        words = "; the same from another seed"
+        text = "; equal with another seed"
     if e.result.floor:
-        words += f"; needed: a mean {e.result.floor:.2g} below the incumbent's"
-    return words
+        text += f"; required: a mean {e.result.floor:.2g} below the incumbent's"
+    return text

@@ -1,8 +1,8 @@
-"""index.sqlite: where each record of a ledger is, so that a glance need not read them all.
+"""index.sqlite: position of each record of a ledger, so that status queries need not read them all.
 
-A cache beside the ledger, which may be deleted at any time. It is brought up to date when it is
-asked, and made anew when it is damaged, of another version, or when the ledger did not just grow.
-Nothing is decided by it: `verify`, resume, unseal and reports read the ledger.
+A cache next to the ledger, which may be deleted at any time. Every query updates it. It is rebuilt
+if it is damaged, has another version, or if the ledger did not just grow. No decision depends on
+it: `verify`, resume, unseal and reports read the ledger.
 """
 
 from __future__ import annotations
@@ -88,8 +88,7 @@ def brief(directory: Path, last: int = 50) -> Brief:
 
 
 def refresh(directory: Path) -> None:
-    """Bring the index up to date, so that the next glance is quick; whatever is wrong is told to
-    whoever asks."""
+    """Update the index, so that the next query is fast. Errors are left to the next query."""
     with contextlib.suppress(UserError):
         _ask(directory, lambda index: None)
 
@@ -117,12 +116,12 @@ def _answer(place: Path, ledger: Path, question: Callable[[sqlite3.Connection], 
 
 def _catch_up(index: sqlite3.Connection, ledger: Path) -> None:
     stat = os.stat(ledger)
-    stamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
-    if _covered(index, stamp) == stamp:
+    timestamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
+    if _covered(index, timestamp) == timestamp:
         return
     index.execute("BEGIN IMMEDIATE")
     with ledger.open("rb") as stream:
-        place = _known_place(index, stamp, stream)
+        place = _known_place(index, timestamp, stream)
         if place == BEGIN:
             for statement in _SCHEMA.split(";"):
                 index.execute(statement)
@@ -133,7 +132,7 @@ def _catch_up(index: sqlite3.Connection, ledger: Path) -> None:
             index.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
             place = after
     index.execute("DELETE FROM covered")
-    row = (*stamp, place.seq, place.offset, place.head)
+    row = (*timestamp, place.seq, place.offset, place.head)
     index.execute("INSERT INTO covered VALUES (?, ?, ?, ?, ?, ?)", row)
     index.execute("COMMIT")
 
@@ -148,7 +147,9 @@ def _covered(index: sqlite3.Connection, stamp: tuple[int, ...]) -> tuple[int, ..
 def _known_place(
     index: sqlite3.Connection, stamp: tuple[int, ...], stream: BufferedReader
 ) -> Position:
-    """Where reading goes on: behind what is indexed, if the ledger has only grown since."""
+    """Return the position after the indexed records if the ledger has only grown since, else the
+    start.
+    """
     seen = _covered(index, stamp)
     if seen is None or seen[0] != stamp[0] or seen[1] == stamp[1]:
         return BEGIN

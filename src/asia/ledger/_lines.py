@@ -1,11 +1,11 @@
-"""One record as lines of JSON, mostly a single one, that name the sha256 of the line before and of
-themselves.
+"""Encoding of one record as lines of JSON, mostly a single one, with the sha256 of the line before
+and of the line itself.
 
 A line is checked as bytes, without parsing it: `{"seq":N,"prev":"<sha256>","time":"..",`, the
 event, and last `"self":"<sha256>"}`, which is the digest of the line without that member.
 
-An event that is longer than a line may be is several lines, all of its number: each holds a piece
-of the event's text and ends with `"more":true`, the last one with `"more":false`.
+An event that exceeds the maximum length of a line is split over several lines with the same number:
+each holds a part of the event's text and ends with `"more":true`, the last one with `"more":false`.
 """
 
 from __future__ import annotations
@@ -108,10 +108,13 @@ def decode(raw: bytes, seq: int, where: str) -> Line:
 def scan(
     stream: BufferedReader, where: str, place: Position = BEGIN
 ) -> Iterator[tuple[Position, bytes]]:
-    """Every whole record from `place` on, checked, with the place behind it.
+    """Yield every complete record from `place` on, checked, with the position after it.
 
-    A torn last record, left by a crash or being written, is passed over, its whole lines too.
-    Raises UserError that names the first record that does not hold.
+    A torn last record, left by a crash or still being written, is ignored, including its complete
+    lines.
+
+    Raises:
+        UserError: a record does not verify; the message names the first one.
     """
     stream.seek(place.offset)
     lines, before = list[bytes](), place.head
@@ -140,7 +143,9 @@ def scan(
 
 
 def _digests(raw: bytes) -> tuple[bytes, str]:
-    """How a record must end, whatever its last byte, and its digest for the next one."""
+    """Return the required end of a record, whatever its last byte, and its digest for the next
+    record.
+    """
     digest = hashlib.sha256(raw[: -_SELF_BYTES - 1])
     own = digest.copy()
     own.update(b"}")

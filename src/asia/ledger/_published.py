@@ -1,6 +1,6 @@
-"""What whoever proposes may know of the scores.
+"""Scores that agents may see.
 
-The Ladder (Blum and Hardt, ICML 2015): a score is reported only when it is lower than the last
+The Ladder (Blum and Hardt, ICML 2015): a score is reported only if it is lower than the last
 reported one by a step, and then rounded to a grid of steps. So the information in the reported
 scores of any number of candidates is bounded by the number of steps. V has no upper limit, so the
 step is relative and the grid geometric. As in their parameter-free form, the gain must exceed its
@@ -23,8 +23,11 @@ _DEVIATIONS = 3.0
 
 
 def beats(score: Score, view: SearchView) -> bool:
-    """Whether it is a new best: below the incumbent's V; with the Ladder, below its reported V by
-    more than the step, and better over the parts by three standard errors."""
+    """Return whether a score is a new best.
+
+    It must be below V of the incumbent. With the Ladder it must be below the reported V by more
+    than the step, and better over the parts by three standard errors.
+    """
     best = view.best.score if view.best else None
     if best is None:
         return True

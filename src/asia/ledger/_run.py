@@ -18,13 +18,18 @@ from asia.ledger._store import Store
 from asia.ledger._view import SearchView, replay
 
 ERROR = "error.txt"
-"""Name of the file beside the ledger with the error that ended the search last."""
+"""Name of the file next to the ledger with the error that stopped the search last."""
 
 RunState = Literal["running", "interrupted", "finished", "unsealed"]
 
 
 def state_of(view: SearchView, *, busy: bool) -> RunState:
-    """Where a search stands; `busy`: a process holds its ledger."""
+    """Return the state of a search.
+
+    Args:
+        view: the replayed ledger.
+        busy: true if a process holds the ledger.
+    """
     if view.unsealed:
         return "unsealed"
     if busy:
@@ -64,7 +69,7 @@ class Run:
 
     @property
     def state(self) -> RunState:
-        """Where the search stands."""
+        """State of the search."""
         return state_of(self.view, busy=self.busy)
 
 
@@ -76,8 +81,9 @@ def open_run(directory: Path) -> Run:
 
 
 def keep_error(directory: Path, error: Exception) -> Path:
-    """Write the sentence of an error that ended a search, and its traceback, beside the ledger.
-    Returns the file."""
+    """Write the message of the error that stopped a search, and its traceback, next to the ledger.
+    Return the file.
+    """
     path = directory / ERROR
     lines = "".join(traceback.format_exception(error))
     write_whole(path, f"{error_sentence(error)}\n\n{lines}".encode("utf-8", "replace"))

@@ -17,11 +17,11 @@ _PART = 64 * 1024
 
 
 def without_artifacts(directory: Path) -> str:
-    """What a run directory without artifacts is good for."""
+    """Describe the use of a run directory without artifacts."""
     return (
-        f"{directory} is a ledger without its artifacts, and this needs its sources, models or "
-        "simulations: put its folder artifacts back. asia status, show, report and verify tell "
-        "what the ledger has"
+        f"{directory} has a ledger without artifacts, but this needs sources, models or "
+        f"simulations: restore the folder artifacts. asia status, show, report and verify work "
+        f"without it"
     )
 
 
@@ -33,7 +33,7 @@ class Store:
 
     @property
     def kept(self) -> bool:
-        """Whether there are artifacts at all; a ledger may be handed on without them."""
+        """Return whether there are artifacts at all; a ledger may be published without them."""
         return self._directory.is_dir()
 
     def put(self, data: bytes) -> str:
@@ -85,7 +85,7 @@ class Store:
 
 
 def _read(path: str) -> bytes:
-    """As `Path.read_bytes`, in half its time: a long search has a million of small ones."""
+    """Read a file in half the time of `Path.read_bytes`: a long search has a million small ones."""
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         parts = [os.read(fd, _PART)]

@@ -14,7 +14,7 @@ class ModelToUse:
     """The model to use and why."""
 
     model: Use
-    """Which one."""
+    """Name of the model."""
     reason: str
     """Why, in a sentence."""
 
@@ -34,7 +34,9 @@ def model_to_use(view: SearchView) -> ModelToUse | None:
 
 
 def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:
-    """What the sealed test said of this model; of the ensemble where it says nothing of it."""
+    """Return the result of the sealed test for this model, or that of the ensemble if it has
+    none.
+    """
     found = {"ensemble": record.ensemble, "refit": record.refit, "stack": record.stack}[use]
     return record.ensemble if found is None else found
 

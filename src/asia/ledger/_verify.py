@@ -30,8 +30,9 @@ from asia.ledger._lines import BEGIN, decode, scan
 
 @dataclass(frozen=True)
 class Verified:
-    """What was checked. `head` is the sha256 of the last record; `torn` the bytes of a record after
-    it that a crash cut off, or that is being written."""
+    """Result of a verification. `head` is the sha256 of the last record; `torn` counts the bytes of
+    an incomplete record after it, cut off by a crash or still being written.
+    """
 
     records: int
     artifacts: int
@@ -53,7 +54,7 @@ def verify(directory: Path, *, ledger_alone: bool = False) -> Verified:
                 for digest in () if ledger_alone else _artifacts(event):
                     artifacts.add(digest, record)
         except UserError:
-            # What does not hold in a record before that one comes first.
+            # An error in an earlier record is reported first.
             artifacts.check()
             raise
         artifacts.check()
@@ -66,8 +67,9 @@ def verify(directory: Path, *, ledger_alone: bool = False) -> Verified:
 
 
 class _Check:
-    """What a record must be after those before it. `replay` asks the same of it, and takes longer,
-    for it keeps them all."""
+    """Check of each record against those before it. `replay` checks the same, but takes longer
+    because it keeps all records.
+    """
 
     def __init__(self) -> None:
         self.started: Started | None = None

@@ -1,4 +1,4 @@
-"""The ledger replayed into what a person asks about."""
+"""Replay of a ledger into a view of the search."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from asia.scoring import Failure, Score
 
 @dataclass(frozen=True)
 class Experiment:
-    """One candidate and what came of it; `result` is None while it is being evaluated."""
+    """One candidate and its result; `result` is None during its evaluation."""
 
     proposed: Proposed
     result: Evaluated | None = None
@@ -73,12 +73,12 @@ class Experiment:
 
     @property
     def kept(self) -> bool:
-        """Whether it became the incumbent."""
+        """Return whether the experiment became the incumbent."""
         return self.result is not None and self.result.status == "keep"
 
     @property
     def lowest(self) -> bool:
-        """Whether its own fit was the best so far, whatever was decided on its method."""
+        """Return whether its own fit was the best so far, whatever was decided on its method."""
         return self.result is not None and self.result.lowest
 
 
@@ -89,11 +89,18 @@ def _is_lower(experiment: Experiment, other: Experiment) -> bool:
 
 @dataclass(frozen=True)
 class SearchView:
-    """A search as its ledger tells it. `budget` experiments and `hours` as last extended, which was
-    after experiment `extended_after`; `handed_over` between the legs of a relay; `unsealing` once
-    the test was about to be opened; `notes` of the person; `looks` at the guard, `looked` since the
-    search stopped; `exchanges` of the agent, its `sessions` that ended and all that were
-    `begun`."""
+    """State of a search, replayed from its ledger.
+
+    Attributes:
+        budget, hours: limits as last extended, which was after experiment `extended_after`.
+        handed_over: changes of the agent in a relay.
+        unsealing: true once the test was about to be opened.
+        notes: notes of the user.
+        looks, looked: evaluations on the guard records, and whether one was made since the search
+            stopped.
+        exchanges: requests to the language model.
+        sessions, begun: sessions that ended, and all that began.
+    """
 
     started: Started
     budget: int
@@ -115,11 +122,11 @@ class SearchView:
     repeats: tuple[Repeated, ...] = ()
     """Fits of candidates after the search, from other seeds."""
     confirmed: Confirmed | None = None
-    """What these said last; None since the search went on."""
+    """Last confirmation; None if the search continued since."""
     ablation_fits: tuple[AblationFit, ...] = ()
     """Fits of the winner with parts taken back, after the search."""
     ablated: Ablated | None = None
-    """What these said last; None since the search went on."""
+    """Last ablation; None if the search continued since."""
     validated: tuple[Validated, ...] = ()
     """The last dossier on what the folds held out, and on each new record; () since the search went
     on."""
@@ -165,14 +172,15 @@ class SearchView:
 
     @property
     def incumbent(self) -> Experiment | None:
-        """The last one kept: what a candidate must beat by more than luck."""
+        """Last kept experiment, which a candidate must beat significantly."""
         kept = [e for e in self.finished if e.kept]
         return kept[-1] if kept else None
 
     @property
     def bests(self) -> tuple[Experiment, ...]:
-        """Every best so far, oldest first. Where one fit decides, those that were kept. With
-        retests, those whose own fit had the lowest V so far."""
+        """All best experiments so far, oldest first. If one fit decides, those that were kept. With
+        retests, those whose own fit had the lowest V so far.
+        """
         found: list[Experiment] = []
         for e in self.finished:
             held = bool(found) and found[-1].lowest and not _is_lower(e, found[-1])
@@ -210,8 +218,9 @@ class SearchView:
 
     @property
     def guard_due(self) -> bool:
-        """Whether the guard records are to be looked at now: not when a person stopped the search,
-        who may go on with it."""
+        """Return whether the guard records are to be evaluated now: not if the user stopped the
+        search, because it may be resumed.
+        """
         ended = self.stopped is not None and self.stopped.reason != "user"
         guarded = self.started.guard_digest is not None and self.best is not None
         return ended and guarded and not self.looked
@@ -225,13 +234,14 @@ class SearchView:
 
     @property
     def v_name(self) -> str:
-        """What V is called beside a figure of this search: with validation early stopping, or where
-        held-out residuals are shown, it stands in no table with one without."""
+        """Label of V in figures of this search. It differs with validation early stopping and with
+        held-out residuals, whose V must not be compared with leak-free ones.
+        """
         marks = {
             "validation early stopping": self.started.early_stopping == "validation",
             "held-out residuals shown": self.started.residuals == "held_out",
         }
-        found = ", ".join(words for words, there in marks.items() if there)
+        found = ", ".join(text for text, there in marks.items() if there)
         return f"V ({found})" if found else "V"
 
     @property
@@ -241,8 +251,9 @@ class SearchView:
 
     @property
     def usage(self) -> Usage | None:
-        """What the agent's language model consumed so far; None for agents without one. The cost is
-        None as soon as one part of it is not known."""
+        """Usage of the agent's language model so far; None for agents without one. The cost is None
+        as soon as a part of it is not known.
+        """
         parts = [e.usage for e in (*self.exchanges, *self.sessions)]
         if not parts:
             return None
@@ -284,7 +295,11 @@ class Replay:
 
     @property
     def view(self) -> SearchView:
-        """As of the last event. Raises UserError before the first."""
+        """Return the view after the last event.
+
+        Raises:
+            UserError: there was no event yet.
+        """
         if self._view is None:
             raise UserError("the ledger is empty: the search was stopped before it began")
         return replace(
@@ -373,7 +388,7 @@ def replay(events: Iterable[Event]) -> SearchView:
 
 
 def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
-    """What changes the course of the search."""
+    """Apply an event that changes the state of the search."""
     match event:
         case Extended():
             return replace(
@@ -408,7 +423,7 @@ def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
 
 
 def _going_on(view: SearchView) -> SearchView:
-    """Without what is said of a finished search."""
+    """Return the view without the results of a finished search."""
     return replace(
         view, stopped=None, refitted=None, looked=False, confirmed=None, ablated=None, validated=()
     )

@@ -1,4 +1,4 @@
-"""What a failure says, on one line."""
+"""One-line descriptions of failures."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ _PHASES: dict[Phase, str] = {
     "refine": "later in the budget",
 }
 _ENDED: dict[HandOverReason, str] = {
-    "planned": "its experiments are done",
-    "saturated": "its last experiments found nothing better",
-    "exhausted": "it has nothing left to try",
-    "stuck": "it was stuck",
-    "tokens": "its tokens are spent",
-    "cost": "its money is spent",
-    "time": "its time is spent",
+    "planned": "experiments spent",
+    "saturated": "no improvement in the last experiments",
+    "exhausted": "no proposals left",
+    "stuck": "no progress",
+    "tokens": "tokens spent",
+    "cost": "money spent",
+    "time": "time spent",
     "agent": "it ended",
 }
 
 
 def hand_over_words(event: HandedOver) -> str:
-    """`bayes takes over after #05; of the agent before: its experiments are done`."""
+    """`bayes takes over after #05; stop reason of the previous agent: experiments spent`."""
     detail = f" ({event.detail})" if event.detail else ""
     return (
-        f"{event.agent} takes over after #{event.after:02d}; of the agent before: "
+        f"{event.agent} takes over after #{event.after:02d}; stop reason of the previous agent: "
         f"{_ENDED[event.reason]}{detail}"
     )
 
@@ -55,5 +55,7 @@ def error_line(error: str, most: int = 300) -> str:
 
 
 def phase_words(phase: Phase) -> str:
-    """Where in the budget an experiment lies; what it tries is its agent's choice."""
+    """Describe the part of the budget in which an experiment lies. Its hypothesis is the agent's
+    choice.
+    """
     return _PHASES[phase]

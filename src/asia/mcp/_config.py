@@ -32,8 +32,13 @@ class _Command:
 def client_configuration(
     client: str, arguments: Sequence[str], environment: Mapping[str, str]
 ) -> ClientConfiguration:
-    """For a client of `CLIENTS`. arguments: those of `asia agent mcp`, with absolute paths;
-    environment: what the server must find, for clients hand on little of their own."""
+    """Return the configuration for a client of `CLIENTS`.
+
+    Args:
+        client: name of the client.
+        arguments: arguments of `asia agent mcp`, with absolute paths.
+        environment: variables that the server needs, because clients pass on few of their own.
+    """
     script = Path(sys.executable).parent / "asia"
     if script.is_file():
         command = _Command(str(script), ("agent", "mcp", *arguments), environment)

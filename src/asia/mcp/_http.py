@@ -32,8 +32,8 @@ class BearerOnly:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""
         if scope["type"] == "http" and not self._admits(scope):
-            words = {"error": "a bearer token is needed: send Authorization: Bearer TOKEN"}
-            refusal = JSONResponse(words, 401, {"WWW-Authenticate": "Bearer"})
+            body = {"error": "a bearer token is needed: send Authorization: Bearer TOKEN"}
+            refusal = JSONResponse(body, 401, {"WWW-Authenticate": "Bearer"})
             await refusal(scope, receive, send)
             return
         await self._app(scope, receive, send)
@@ -75,7 +75,9 @@ def _address(address: str) -> tuple[str, int]:
 
 
 def _token(variable: str | None) -> str:
-    """From the environment, and out of it: the search that is started has no need of it."""
+    """Return the token from the environment and remove it there: the search that is started does
+    not need it.
+    """
     if variable is None:
         return secrets.token_urlsafe(32)
     token = os.environ.pop(variable, "").strip()

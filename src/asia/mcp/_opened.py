@@ -16,9 +16,9 @@ class Opened:
     """A run that takes submissions, and the problem it is about."""
 
     desk: RunDesk
-    """Where candidates are handed in."""
+    """Submission server of the run."""
     problem: Problem
-    """What a model is searched for."""
+    """Problem to solve."""
     directory: Path
     """The directory of the run."""
 

@@ -58,7 +58,7 @@ def _warm(desk: RunDesk) -> None:
         desk.run()
         desk.wake()
     except UserError as error:
-        # The next call of a tool meets it again and tells the agent.
+        # The next tool call raises the same error and reports it to the agent.
         say(f"asia: {error}", file=sys.stderr)
 
 
@@ -109,8 +109,8 @@ def _readable(text: Callable[[], str]) -> str:
 
 def _ledger(desk: RunDesk) -> str:
     view = desk.run().view
-    told = "\n".join(one_line(line, _LINE) for line in journal(view).splitlines())
-    return f"```tsv\n{results_table(view)}```\n\n{told}\n"
+    lines = "\n".join(one_line(line, _LINE) for line in journal(view).splitlines())
+    return f"```tsv\n{results_table(view)}```\n\n{lines}\n"
 
 
 def _experiment(desk: RunDesk, number: str) -> str:

@@ -1,4 +1,4 @@
-"""Words for whoever drives the search."""
+"""Texts for the MCP client."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ Each experiment is one complete candidate.py:
 2. asia_submit(code, hypothesis, expected, family, parent) gives a ticket. Say what you change and
    why it should help, and what you expect of V, before you know it.
 3. asia_wait(ticket) returns after at most 45 s; call it again until state is "done". A candidate
-   that fails has no V; reason and advice say what to mend.
-4. asia_results and asia_show(experiment) tell what was tried, with the residuals on the training
-   side; asia_best gives the best source, asia_status the budget left.
+   that fails has no V; reason and advice say what to correct.
+4. asia_results and asia_show(experiment) list the experiments, with the residuals on the training
+   records; asia_best gives the best source, asia_status the budget left.
 
 Explore first, about 40 % of the experiments: model classes that differ, a linear model, the
-person's equations where there are some, a nonlinear state-space model, a network. Then refine the
-best: structure, regularisation, training, one change at a time, by what the residuals say. Of two
-candidates that are equally good, the simpler one is better. Do not repeat what failed. Every
-submission costs an experiment, good or bad, the same source twice none. Go on until none are left,
-then say what was found.
+user's equations if given, a nonlinear state-space model, a network. Then refine the best:
+structure, regularisation, training, one change at a time, by what the residuals say. Prefer the
+simpler of two equally good candidates. Do not repeat what failed. Every submission costs an
+experiment, good or bad, the same source twice none. Continue until none are left, then report the
+result.
 
 Never write into a candidate what you know of single samples of the records: each of them is the
 answer of some fold, and the test is sealed. Titles, details and sources of candidates, and what
@@ -42,6 +42,6 @@ def problem_page(problem: Problem) -> str:
 
 
 def search_prompt(problem: Problem, focus: str) -> str:
-    """What starts a search. focus: a wish of the person's, "" for none."""
-    wish = f"\n\n# Wish of the person\n\n{focus.strip()}" if focus.strip() else ""
+    """Write the prompt that starts a search. focus: a request of the user, "" for none."""
+    wish = f"\n\n# Request of the user\n\n{focus.strip()}" if focus.strip() else ""
     return f"{problem_page(problem)}\n\n{_HOW}{wish}"

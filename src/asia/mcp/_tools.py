@@ -94,16 +94,16 @@ class Tools:
         submission = await self._known(ticket)
         if submission.state != "done":
             await ask(self._desk.wake)
-        told = -_PROGRESS_SECONDS
+        reported = -_PROGRESS_SECONDS
         while submission.state in ("queued", "running"):
             waited = time.monotonic() - start
             if waited >= timeout_s:
                 break
-            if waited - told >= _PROGRESS_SECONDS:
-                told = waited
+            if waited - reported >= _PROGRESS_SECONDS:
+                reported = waited
                 now = await ask(self._desk.progress)
-                words = _words(submission, begun=now.experiments > 0)
-                await ctx.report_progress(round(waited, 1), timeout_s, words)
+                text = _progress_text(submission, begun=now.experiments > 0)
+                await ctx.report_progress(round(waited, 1), timeout_s, text)
             await anyio.sleep(min(_POLL, timeout_s - waited))
             submission = await ask(self._desk.submission, ticket)
         if submission.state == "unknown":
@@ -111,8 +111,9 @@ class Tools:
         return await self._waited(submission)
 
     async def status(self) -> ProgressAnswer:
-        """Where the search stands: experiments spent and left, best V, V of trivial references,
-        notes of the person."""
+        """State of the search: experiments spent and left, best V, V of reference models, notes of
+        the user.
+        """
         now = await ask(self._desk.progress)
         return ProgressAnswer(
             run=now.run,
@@ -146,7 +147,8 @@ class Tools:
         """One experiment: hypothesis, expectation, result, training residuals a fold, source.
         whiteness, input_correlation, curvature: correlation of the residual with its own past, past
         inputs, squared output. top_, bottom_, start_error: RMS residual at the highest and lowest
-        outputs and in the first 5 % of a record, over that of all."""
+        outputs and in the first 5 % of a record, relative to that of all.
+        """
         return await ask(lambda: source_answer(self._desk.run(), experiment))
 
     async def best(self) -> SourceAnswer:
@@ -206,11 +208,11 @@ async def ask(function: Callable[..., T], *arguments: object) -> T:
         raise ToolError(f"{error.strerror or error}: {error.filename or 'a file'}") from None
 
 
-def _words(submission: Submission, *, begun: bool) -> str:
+def _progress_text(submission: Submission, *, begun: bool) -> str:
     if submission.state == "running":
         return f"experiment {submission.experiment} is being evaluated"
     if not begun:
-        return "the search evaluates the rungs, which are simple references, then the baseline"
+        return "the search evaluates the reference models, then the baseline"
     return f"queued, {submission.ahead} before it" if submission.ahead else "queued, it is next"
 
 
@@ -232,7 +234,7 @@ def _notes(notes: tuple[str, ...]) -> tuple[str, ...]:
 
 def _next_step(state: str, remaining: int) -> str:
     if state == "unsealed":
-        return "the sealed test was opened: the search is over; report what was found"
+        return "the sealed test was opened: the search is over; report the result"
     if remaining == 0:
-        return "the budget is spent: report what was found, asia_best has it"
+        return "the budget is spent: report the result, asia_best has it"
     return "asia_submit the next candidate"

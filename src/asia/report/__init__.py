@@ -140,8 +140,14 @@ def write_tables(run_directory: Path, directory: Path) -> tuple[Path, ...]:
 
 
 def methods_paragraph(directory: Path) -> str:
-    """What a paper says of how the model was found, from the ledger of the run in `directory`.
-    Raises UserError when that is not a run."""
+    """Write the methods paragraph of a paper from the ledger of a run.
+
+    Args:
+        directory: run directory.
+
+    Raises:
+        UserError: the directory is not a run.
+    """
     from asia.report._paper.methods import methods_paragraph
 
     return methods_paragraph(directory)

@@ -25,7 +25,7 @@ _LONGEST = "> 4 days"
 
 @dataclass(frozen=True)
 class OfficialFigure:
-    """One official number of a model on the sealed test."""
+    """One official test score of a model."""
 
     name: str
     """The test record, or the group of records it is the mean over."""
@@ -42,7 +42,7 @@ class Standing:
     rank: int
     """1 where no published result is lower."""
     among: int
-    """How many results are ranked, this one included; 1 where none is published."""
+    """Number of ranked results, this one included; 1 if none is published."""
     above: Entry | None
     """The published result just above; None at rank 1."""
     above_value: float | None = None
@@ -72,17 +72,19 @@ class Board:
     names: tuple[str, ...]
     """The official figures; where the test is sealed, of those that have a published value."""
     standings: tuple[Standing, ...]
-    """One for each figure; () while the test is sealed or the model has no score."""
+    """Rank of each figure; () while the test is sealed or the model has no score."""
     unit_is_outputs: bool = True
-    """Whether the problem names no official unit."""
+    """True if the problem names no official unit."""
     submission: str = ""
-    """What the form of the benchmarks' site asks for; "" without figures or published results."""
+    """Text for the submission form of the benchmarks' site; "" without figures or published
+    results.
+    """
 
 
 def read_board(problem: Problem, view: SearchView | None) -> Board:
     """The board of a problem with the model to use of a search, once its test was opened. view:
     None for no search."""
-    # A person's own data may bear a benchmark's name; their error has no place in that list.
+    # A user's own data may have a benchmark's name; their error does not belong on that list.
     entries = leaderboard(problem.name) if problem.data.public else ()
     unit = problem.protocol.test.unit or problem.outputs[0].unit
     figures = _figures_of_search(problem, view)
@@ -135,7 +137,7 @@ def official_figures(
     for figure in rule.figures:
         own = [v for n, v in values.items() if any(fnmatchcase(n, p) for p in figure.records)]
         if not own:
-            # The figures that follow would stand in another's place on the board.
+            # The following figures would be in the wrong place on the board.
             return ()
         found.append(OfficialFigure(figure.name, sum(own) / len(own)))
     return tuple(found)
@@ -157,9 +159,15 @@ def _figure(entry: Entry, index: int) -> float | None:
 
 
 def submission_line(figures: Sequence[OfficialFigure], unit: str, seconds: float) -> str:
-    """What the form of nonlinearbenchmark.org asks for. seconds: how long the model was trained."""
+    """Write the text for the submission form of nonlinearbenchmark.org.
+
+    Args:
+        figures: official scores of the model.
+        unit: unit of the scores.
+        seconds: training time of the model, s.
+    """
     values = "; ".join(f"{figure.value:.3g}" for figure in figures)
-    time = next((words for most, words in _TIMES if seconds <= most), _LONGEST)
+    time = next((text for most, text in _TIMES if seconds <= most), _LONGEST)
     return (
         f"RMSE [{values}] {unit}, training time {time}; your method, authors, and how white (1) or "
         f"black (10) the model is: {_FORM}"

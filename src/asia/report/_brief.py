@@ -27,7 +27,7 @@ def brief_html(directory: Path) -> str:
         (run.view.v_name, _value(best)),
         ("model to use", join((f"{named.model}. ", said(named.reason, 300)))),
     )
-    lines = (tag("div", tag("b", name), ": ", words) for name, words in rows)
+    lines = (tag("div", tag("b", name), ": ", text) for name, text in rows)
     picture = png_of(run, problem, "simulation", _DPI)
     image = tag(
         "img",

@@ -1,4 +1,6 @@
-"""What a picture of several searches shows. No matplotlib here: a comparison builds these."""
+"""Data of the pictures that compare several searches. No matplotlib here: a comparison builds
+these.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from asia.data import Array
 
 @dataclass(frozen=True)
 class Curve:
-    """One search: V of each experiment in order, None where it has no score."""
+    """V of each experiment of one search, in order; None without a score."""
 
     values: tuple[float | None, ...]
 
@@ -25,7 +27,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class ArmCurves:
-    """One side of the comparison, a curve a seed."""
+    """One side of the comparison with a curve for each seed."""
 
     label: str
     curves: tuple[Curve, ...]
@@ -36,7 +38,7 @@ class ComparedValue:
     """A V to compare searches with."""
 
     label: str
-    """Whose V it is."""
+    """Name of the agent."""
     value: float
     """V."""
 
@@ -62,9 +64,14 @@ class PublishedMee:
 
 @dataclass(frozen=True)
 class BenchPictures:
-    """All pictures of a comparison. progress: name of the file and run directory; opened: the run
-    whose sealed test was opened; test_mark: a published test error to mark beside ours; caption:
-    what to know of the protocol of the published Mean Euclidean Errors."""
+    """All pictures of a comparison.
+
+    Attributes:
+        progress: file name and run directory.
+        opened: run whose sealed test was opened.
+        test_mark: published test error to mark next to ours.
+        caption: protocol of the published Mean Euclidean Errors.
+    """
 
     progress: tuple[tuple[str, Path], ...]
     sides: tuple[ArmsPicture, ...]

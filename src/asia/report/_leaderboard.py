@@ -31,12 +31,12 @@ class Entry:
     method: str
     """The method or model."""
     authors: str
-    """Who published it."""
+    """Authors of the result."""
     figures: tuple[float | None, ...]
     """Test RMSE for each figure of the benchmark, in its official unit; None where none is
     published."""
     source: str
-    """Where it stands."""
+    """Source of the published figure."""
     training_time: str = ""
     """The class of training time; "" where it is not known."""
 

@@ -1,4 +1,4 @@
-"""Simulated cases of one experiment, as whoever draws them is given them."""
+"""Simulated cases of one experiment, as input of the pictures."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from asia.protocol import Block, Fold
 
 @dataclass(frozen=True)
 class SimulatedCase:
-    """One case with what was measured and what a fold's model simulates."""
+    """One case with its measured output and the simulation of a fold's model."""
 
     fold: int
     """Number of the fold, from 1."""
     held_out: bool
-    """Whether the fold holds it out; otherwise its model was fitted to it."""
+    """True if the fold holds the case out; otherwise its model was fitted to it."""
     record: str
     """Name of the record."""
     start: int
@@ -40,17 +40,17 @@ class SimulatedCases:
     """Some cases of an experiment's fold models."""
 
     title: str
-    """What the picture is of."""
+    """Title of the picture."""
     sampling_time: float
-    """In s."""
+    """Sampling time, s."""
     windows: bool
-    """Whether a case is a window, not a record."""
+    """True if a case is a window, not a record."""
     inputs: tuple[Signal, ...]
     """Names and units of the inputs."""
     outputs: tuple[Signal, ...]
     """Names and units of the outputs."""
     cases: tuple[SimulatedCase, ...]
-    """By fold, those it trains on before those it holds out."""
+    """Cases by fold, training cases before held-out ones."""
 
 
 def simulated_cases(

@@ -1,4 +1,4 @@
-"""From a run directory to picture files."""
+"""Picture files of a run directory."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from asia.scoring.dossier import Check
 
 Picture = tuple[str, Callable[[], Figure]]
 
-# Of a PNG and of a PDF, so that the same picture has the same bytes.
+# Metadata of a PNG and of a PDF, so that equal pictures have equal bytes.
 _METADATA = ({"Software": None}, {"CreationDate": None})
 
 
@@ -103,7 +103,7 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
 
 
 def progress_picture(run: Run, metric: str) -> Picture:
-    """All that a ledger has without its artifacts."""
+    """Return the picture of the progress, which needs no artifacts."""
     view = run.view
     beside = control(run.directory, view.started, len(view.finished))
     return "progress", lambda: draw_progress(view, metric, beside)
@@ -157,7 +157,7 @@ def _drawn(name: str, draw: Callable[[], Figure], failed: list[str]) -> Figure:
 
 
 def png_of(run: Run, problem: Problem, name: str, dpi: int) -> bytes:
-    """One of the `pictures`."""
+    """Return one of the `pictures` as PNG."""
     draw = dict(pictures(run, problem))[name]
     with drawing():
         stream = BytesIO()

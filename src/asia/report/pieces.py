@@ -1,4 +1,4 @@
-"""Pieces of the page of a run, for whoever shows a run by other means than one file."""
+"""Parts of the report page of a run, for other presentations than one file."""
 
 from importlib import resources
 

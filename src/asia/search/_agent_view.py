@@ -1,4 +1,4 @@
-"""From the ledger to what an agent may see."""
+"""View of a search for its agent, derived from the ledger."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class KnownTrials:
         self._found: dict[int, tuple[Experiment, Trial]] = {}
 
     def trial(self, e: Experiment) -> Trial:
-        """What an agent may see of an experiment that has its result."""
+        """Return the visible part of an experiment that has its result."""
         known = self._found.get(e.number)
         if known is None or known[0].proposed is not e.proposed or known[0].result is not e.result:
             known = self._found[e.number] = e, _trial(e, self._store)
@@ -74,7 +74,7 @@ def agent_view(
     """The search as its agent may see it now. known: of earlier views of this search."""
     known = known or KnownTrials(store)
     view = published(view)
-    told = {e.number for e in (view.best, *view.finished[-1:]) if e is not None}
+    shown = {e.number for e in (view.best, *view.finished[-1:]) if e is not None}
     settings = RunSettings(facts.inputs, facts.outputs, facts.budget.fit_seconds, 0)
     tried = {e.proposed.digest for e in view.experiments}
     return AgentView(
@@ -83,16 +83,16 @@ def agent_view(
         phase=phase(view),
         trials=tuple(
             replace(known.trial(e), evidence=_evidence(e, view, store, settings))
-            if e.number in told
+            if e.number in shown
             else known.trial(e)
             for e in view.finished
         ),
         remaining=view.leg_end - len(view.experiments),
         is_known=lambda source: digest(source) in tried,
         notes=tuple(note.text for note in view.notes),
-        linear=_rung(view, LINEAR_RUNG),
+        linear=_reference(view, LINEAR_RUNG),
         leg=view.leg,
-        mean=_rung(view, MEAN_RUNG),
+        mean=_reference(view, MEAN_RUNG),
         running=tuple(_running(e.proposed, store) for e in view.running),
     )
 
@@ -110,11 +110,13 @@ def _running(p: Proposed, store: Store) -> Running:
     )
 
 
-def _rung(view: SearchView, name: str) -> float | None:
-    """V of a rung. Not with the Ladder, which reports V of some candidates only."""
+def _reference(view: SearchView, name: str) -> float | None:
+    """Return V of a reference model; None with the Ladder, which reports V of some candidates
+    only.
+    """
     if view.started.ladder is not None:
         return None
-    outcomes = (rung.outcome for rung in view.rungs if rung.name == name)
+    outcomes = (reference.outcome for reference in view.rungs if reference.name == name)
     return next((found.value for found in outcomes if isinstance(found, Score)), None)
 
 
@@ -159,8 +161,9 @@ def _trial(e: Experiment, store: Store) -> Trial:
 def _evidence(
     e: Experiment, view: SearchView, store: Store, settings: RunSettings
 ) -> tuple[str, ...]:
-    """Without measured seconds and memory; () in older ledgers, whose prompts stay what they
-    were."""
+    """Return the evidence without measured seconds and memory; () in older ledgers, whose prompts
+    must not change.
+    """
     bounded = view.started.ladder is not None
     found = evidence_of(e, view, store, settings, bounded=bounded)
     return tuple(evidence_lines(found, measured=False)) if found.recorded else ()

@@ -1,5 +1,6 @@
-"""A dry run of a candidate beside a search: in the sandbox of its evaluator, on training records,
-with nothing written."""
+"""Dry run of a candidate during a search: in the sandbox of its evaluator, on training records,
+without a record in the ledger.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What outcomes and prompts may depend on beside the problem: Python, packages, the library."""
+"""Environment that outcomes and prompts depend on: Python, packages, model library."""
 
 from __future__ import annotations
 
@@ -17,10 +17,17 @@ PACKAGES = ("cloudpickle", "asia-sysid")
 
 
 def environment(*agents: str, gpu: str = "") -> dict[str, str]:
-    """Python, platform and the versions of the packages that outcomes or prompts may depend on,
-    those that bring parts included, and the digest of the model library, which may change between
-    two versions. gpu: what candidates compute on beside the processor. Raises UserError as
-    `asia._plugins.parts` does."""
+    """Return the environment that outcomes and prompts may depend on.
+
+    Args:
+        gpu: device of the candidates besides the processor.
+
+    Returns:
+        Python, platform, versions of packages and plugins, and the digest of the model library.
+
+    Raises:
+        UserError: as `asia._plugins.parts`.
+    """
     names = (
         *installed_libraries(),
         *PACKAGES,
@@ -44,7 +51,9 @@ def _library_digest() -> str:
 
 
 def environment_changes(there: Mapping[str, str], here: Mapping[str, str]) -> tuple[str, ...]:
-    """What differs between the environment in a ledger and the one here, one sentence each."""
+    """Describe the differences between the recorded and the present environment, one sentence
+    each.
+    """
     return tuple(
         f"{name} {here.get(name, 'missing')} here, {there.get(name, _absent(name))} then"
         for name in sorted({**there, **here})

@@ -77,7 +77,9 @@ def training_excerpt(fold: Fold, rule: ProtocolRule, most: int = _MOST_SAMPLES) 
 
 
 def _spread(blocks: Sequence[Block], rule: ProtocolRule, most: int) -> list[int]:
-    """Which blocks: some windows, evenly over all, or the first whole ones."""
+    """Return the indices of the chosen blocks: some windows, evenly spaced, or the first complete
+    records.
+    """
     if rule.horizon is None:
         ends = np.cumsum([len(block.y) for block in blocks[:_MOST_RECORDS]])
         return list(range(max(1, int((ends <= most).sum()))))

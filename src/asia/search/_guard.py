@@ -26,8 +26,8 @@ def look_at_guard(
     nothing new is learned and the look is not counted again."""
     bests = view.bests
     last = view.looks[-1] if view.looks else None
-    wanted = [e.number for e in bests[-NEW_BESTS:]]
-    if last is not None and [score.experiment for score in last.scores] == wanted:
+    expected = [e.number for e in bests[-NEW_BESTS:]]
+    if last is not None and [score.experiment for score in last.scores] == expected:
         return last
     blocks = whole(open_guard(problem), problem.protocol)
     y = np.concatenate([record.measured_y for record in problem.train])

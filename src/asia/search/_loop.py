@@ -72,20 +72,20 @@ _PAUSE_POLL = 0.2
 
 @dataclass(frozen=True)
 class Loop:
-    """One search: what is judged, by whom, and where it is written."""
+    """Loop of one search: proposals, evaluations, decisions and their records."""
 
     problem: Problem
-    """What a model is searched for."""
+    """Problem to solve."""
     baseline: str
     """Source of the first experiment."""
     agent: Agent
-    """Who proposes the others; in a relay, several after one another."""
+    """Agent that proposes all candidates after the baseline; in a relay, several in sequence."""
     evaluator: Evaluator
-    """Who fits and scores them."""
+    """Evaluator that fits and scores the candidates."""
     chain: Chain
     """The ledger, open for writing."""
     store: Store
-    """Where sources, models and predictions are kept."""
+    """Store of sources, models and predictions."""
     directory: Path
     """The directory of the run."""
     on_event: OnEvent
@@ -96,12 +96,12 @@ class Loop:
 
     @property
     def watch(self) -> Stopwatch:
-        """Where the seconds go."""
+        """Profile of the search."""
         return self.evaluator.stopwatch
 
     @property
     def steering(self) -> Steering:
-        """What a person says meanwhile."""
+        """Requests of the user during the search."""
         return Steering(self.directory)
 
     @property
@@ -113,11 +113,11 @@ class Loop:
     @cached_property
     def flights(self) -> Flights:
         """The first fits under way."""
-        return Flights(self.view.started.parallel, self.evaluator, self.store, self._landed)
+        return Flights(self.view.started.parallel, self.evaluator, self.store, self._completed)
 
     @cached_property
     def known_trials(self) -> KnownTrials:
-        """What agents were shown so far."""
+        """Trials that agents were shown so far."""
         return KnownTrials(self.store)
 
     def run(self) -> SearchView:
@@ -136,7 +136,7 @@ class Loop:
 
     @property
     def _proposer(self) -> Agent:
-        """Who proposes now."""
+        """Agent whose turn it is to propose."""
         return agent_of_leg(self.agent, self.view.leg)
 
     def _attach(self) -> None:
@@ -144,7 +144,7 @@ class Loop:
             self._proposer.attach(LoopJournal(self, self.view.leg))
 
     def _search(self) -> None:
-        self._score_rungs()
+        self._score_references()
         while self.view.stopped is None:
             stopped = self._advance()
             if stopped is not None:
@@ -187,7 +187,7 @@ class Loop:
             self.on_event(event, view)
 
     def _advance(self) -> Stopped | None:
-        """One experiment, unless a person says something else or the agent ends the search."""
+        """Run one experiment, unless the user pauses or stops the search or the agent ends it."""
         for path, text in self.steering.notes():
             self.record(Steered(text))
             path.unlink()
@@ -203,17 +203,23 @@ class Loop:
         except InterruptedWaitError:
             return None
 
-    def _score_rungs(self) -> None:
-        names = {rung.name for rung in self.view.rungs}
+    def _score_references(self) -> None:
+        names = {reference.name for reference in self.view.rungs}
         problem = self.problem
         with self.watch.activity(Activity.RUNGS, swallows=True):
-            for rung in score_rungs(self.evaluator, problem.protocol.metric, problem.truth, names):
-                self.record(RungScored(rung.name, rung.outcome, rung.failed_checks))
+            for reference in score_rungs(
+                self.evaluator, problem.protocol.metric, problem.truth, names
+            ):
+                self.record(RungScored(reference.name, reference.outcome, reference.failed_checks))
 
     def _step(self) -> Stopped | None:
-        """A proposal while there is room for one more experiment, else the result of the oldest.
-        Why the search is over, once there is neither: with results outstanding, whoever proposes
-        is asked again after each of them."""
+        """Propose a candidate if the budget allows another experiment, else take the oldest result.
+
+        With results outstanding, the agent is asked again after each of them.
+
+        Returns:
+            The stop reason once nothing is left to propose or to await, else None.
+        """
         self.flights.launch(self.view)
         if self._has_room:
             ended = self._ask()
@@ -254,11 +260,13 @@ class Loop:
         self.record(self._evaluate(pending))
 
     def _settle_begun(self) -> None:
-        """The results of all that was begun, so that nothing is lost when a person stops."""
+        """Take the results of all pending evaluations, so that none is lost when the user stops the
+        search.
+        """
         while self.flights.any:
             self._settle()
 
-    def _landed(self, landed: Landed) -> None:
+    def _completed(self, landed: Landed) -> None:
         """Write down a first fit whose turn has not come; the oldest will have its result now."""
         with self._lock:
             oldest = self.view.pending
@@ -353,7 +361,7 @@ class LoopJournal:
 
     @property
     def exchanges(self) -> tuple[Exchanged, ...]:
-        """All of this leg so far."""
+        """Exchanges of this leg so far."""
         return tuple(e for e in self.loop.view.exchanges if e.leg == self.leg)
 
     @property
@@ -376,7 +384,7 @@ class LoopJournal:
         return self.loop.store.get(name)
 
     def interrupted(self) -> bool:
-        """Whether a person has something for the search."""
+        """Return whether a request of the user is waiting."""
         return self.loop.steering.waiting
 
 
@@ -391,7 +399,7 @@ def _baseline(source: str) -> Proposal:
 
 
 def _outcome_of_twin(experiment: Experiment, twin: Experiment) -> Evaluated:
-    """The same normalised source was judged before: its outcome stands."""
+    """Return the outcome of the earlier experiment with the same normalised source."""
     r = twin.result
     assert r is not None
     status = "discard" if r.status == "keep" else r.status

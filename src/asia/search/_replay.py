@@ -55,17 +55,19 @@ ProposalAgreement = Literal["same", "differs", "taken", "none"]
 
 @dataclass(frozen=True)
 class Replayed:
-    """An experiment, a rung or the end of a search, done again."""
+    """Replay of one experiment, reference model or stop."""
 
     name: str
-    """`#07`, `rung linear model` or `stop`."""
+    """Name of the step, for example `#07` or `stop`."""
     outcome: OutcomeAgreement
     """`same` is bitwise the same, `close` within the tolerance, `exempt` where the deadline
-    decided."""
+    affected it."""
     proposal: ProposalAgreement = "none"
-    """`taken` from the ledger where there is no agent to ask, `none` for a rung."""
+    """Agreement of the proposal: `taken` from the ledger without an agent to ask, `none` for a
+    reference model.
+    """
     status: Status | None = None
-    """What the ledger says of an experiment."""
+    """Status of the experiment in the ledger."""
     V: float | None = None
     """The value in the ledger."""
     again: float | None = None
@@ -73,17 +75,17 @@ class Replayed:
     apart: float | None = None
     """Relative difference of the two; None without two scores."""
     detail: str = ""
-    """What is not the same."""
+    """Description of the difference."""
 
     @property
     def agrees(self) -> bool:
-        """Whether nothing speaks against the ledger."""
+        """Return whether the replay agrees with the ledger."""
         return self.outcome != "differs" and self.proposal != "differs"
 
 
 @dataclass(frozen=True)
 class ReplayReport:
-    """What a replay came to."""
+    """Result of a replay."""
 
     run: str
     """Name of the run."""
@@ -92,13 +94,13 @@ class ReplayReport:
     exchanges: int = 0
     """Answers of a language model that the ledger holds."""
     items: tuple[Replayed, ...] = ()
-    """All that was done again, in order."""
+    """Replayed steps in order."""
     notes: tuple[str, ...] = ()
-    """What on this machine is not as it was."""
+    """Differences between this machine and the recorded one."""
 
     @property
     def agrees(self) -> bool:
-        """Whether all of it agrees."""
+        """Return whether all steps agree."""
         return all(item.agrees for item in self.items)
 
     @property
@@ -144,10 +146,10 @@ class _Replaying:
     items: list[Replayed] = field(default_factory=list[Replayed])
 
     def run_all(self) -> None:
-        """Every event in turn, each with the view that there was before it."""
+        """Replay every event in order, each with the view before it."""
         events = [line.event for line in self.run.lines]
         journals = self._journals()
-        self._rungs([event for event in events if isinstance(event, RungScored)])
+        self._references([event for event in events if isinstance(event, RungScored)])
         asked: dict[int, Replayed] = {}
         for place, event in enumerate(events):
             match event:
@@ -169,7 +171,7 @@ class _Replaying:
             self._add(replace(item, outcome="unfinished"))
 
     def _journals(self) -> list[_ReplayJournal]:
-        """One for each agent, with its own exchanges, attached."""
+        """Return a journal for each agent, with its own exchanges, attached to the agent."""
         relay, exchanges = bool(self.run.view.started.legs), self.run.view.exchanges
         journals: list[_ReplayJournal] = []
         for place, agent in enumerate(self.agents):
@@ -180,22 +182,25 @@ class _Replaying:
         return journals
 
     def _agent(self, before: SearchView) -> Agent | None:
-        """Who proposed then; None where somebody brought the candidates."""
+        """Return the agent that proposed at this point; None if candidates were submitted from
+        outside.
+        """
         return self.agents[max(0, before.leg - 1)]
 
     def _add(self, item: Replayed) -> None:
         self.items.append(item)
         self.on_item(item)
 
-    def _rungs(self, recorded: list[RungScored]) -> None:
+    def _references(self, recorded: list[RungScored]) -> None:
         metric, truth = self.problem.protocol.metric, self.problem.truth
         again = {r.name: r.outcome for r in score_rungs(self.evaluator, metric, truth, set())}
         for rung in recorded:
             item = Replayed(f"rung {rung.name}", "same")
             if isinstance(rung.outcome, Failure) and rung.outcome.reason.status == "timeout":
-                self._add(replace(item, outcome="exempt", detail="the deadline decided"))
+                self._add(replace(item, outcome="exempt", detail="the deadline affected it"))
             elif rung.name not in again:
-                self._add(replace(item, outcome="differs", detail="this version has no such rung"))
+                detail = "this version has no such reference model"
+                self._add(replace(item, outcome="differs", detail=detail))
             else:
                 self._add(self._compare(item, rung.outcome, again[rung.name]))
 
@@ -204,7 +209,7 @@ class _Replaying:
         item = Replayed(f"#{event.experiment:02d}", "same", "taken")
         if event.phase == "baseline":
             same = as_bytes(self.problem.baseline or LINEAR) == self._source(event)
-            detail = "" if same else "the baseline is another"
+            detail = "" if same else "the baseline differs"
             return replace(item, proposal="same" if same else "differs", detail=detail)
         agent = self._agent(before)
         if agent is None:
@@ -214,14 +219,15 @@ class _Replaying:
         except DivergedError as error:
             return replace(item, proposal="differs", detail=str(error))
         except AgentStoppedError as end:
-            return replace(item, proposal="differs", detail=f"the agent ends now: {end.detail}")
+            detail = f"the agent ends the search here: {end.detail}"
+            return replace(item, proposal="differs", detail=detail)
         if proposal is None:
-            return replace(item, proposal="differs", detail="the agent has nothing to propose now")
+            return replace(item, proposal="differs", detail="the agent has no proposal here")
         different = self._different(event, proposal)
         return replace(
             item,
             proposal="differs" if different else "same",
-            detail=f"proposed with another {', '.join(different)}" if different else "",
+            detail=f"the proposal differs in {', '.join(different)}" if different else "",
         )
 
     def _seen(self, before: SearchView) -> AgentView:
@@ -251,7 +257,7 @@ class _Replaying:
             again = replace(item, outcome=twin.outcome, again=twin.again, apart=twin.apart)
             return _with_detail(again, f"twin of {twin.name}")
         if event.deadline:
-            return _with_detail(replace(item, outcome="exempt"), "the deadline decided")
+            return _with_detail(replace(item, outcome="exempt"), "the deadline affected it")
         proposed = view.experiment(event.experiment).proposed
         source = self.run.store.text(proposed.source)
         judged = judge(self.evaluator, source, view, over=proposed.over)
@@ -259,11 +265,11 @@ class _Replaying:
         if item.outcome != "same":
             return item
         if judged.status != event.status:
-            words = f"it would be {judged.status} now"
-            return _with_detail(replace(item, outcome="differs"), words)
+            text = f"the decision is {judged.status} now"
+            return _with_detail(replace(item, outcome="differs"), text)
         if judged.retests != event.retests and not self.tolerance:
-            words = "from another seed it comes out otherwise"
-            return _with_detail(replace(item, outcome="differs"), words)
+            text = "the result with another seed differs"
+            return _with_detail(replace(item, outcome="differs"), text)
         return item
 
     def _end(self, name: str, reason: HandOverReason | StopReason, before: SearchView) -> None:
@@ -282,10 +288,10 @@ class _Replaying:
                 self._add(Replayed(name, "same", "taken", detail=reason))
                 return
         item = Replayed(name, "same" if ended else "differs", "same")
-        self._add(item if ended else _with_detail(item, "the agent goes on now"))
+        self._add(item if ended else _with_detail(item, "the agent continues here"))
 
     def _ends(self, agent: Agent, before: SearchView) -> bool:
-        """Whether the agent has nothing to propose, or says that the search should end."""
+        """Return whether the agent has no proposal or ends the search."""
         try:
             return agent.propose(self._seen(before)) is None
         except AgentStoppedError:
@@ -335,9 +341,9 @@ class _ReplayJournal:
 
 def _level(started: Started) -> tuple[Isolation, tuple[str, ...]]:
     """The isolation to evaluate at, and what is not as it was."""
-    wanted, found = Isolation(started.isolation), probe().level
-    level = wanted if wanted is found or not LEVELS[wanted].confined else found
-    notes = () if level is wanted else (f"isolation {level.value} here, {wanted.value} then",)
+    expected, found = Isolation(started.isolation), probe().level
+    level = expected if expected is found or not LEVELS[expected].confined else found
+    notes = () if level is expected else (f"isolation {level.value} here, {expected.value} then",)
     gpu = started.environment.get("GPU", "") if gpu_nodes() else ""
     here = environment(started.agent, *(leg.agent for leg in started.legs), gpu=gpu)
     changes = environment_changes(started.environment, here)

@@ -57,15 +57,15 @@ class Prepared:
     """A run directory ready to be searched: nothing was written yet."""
 
     problem: Problem
-    """What a model is searched for."""
+    """Problem to solve."""
     directory: Path
-    """Where the run is, or will be."""
+    """Run directory, which may not exist yet."""
     lock: str
     """Text of the lock file: the problem resolved, with digests of its data."""
     started: Started
     """The first line of the ledger, as it would be written now."""
     resumes: bool
-    """Whether the run is there already."""
+    """True if the run exists already."""
 
 
 def prepare(
@@ -83,17 +83,26 @@ def prepare(
     stop_folds: bool = False,
     device: str = "cpu",
 ) -> Prepared:
-    """Check everything a search needs and compare with what is on disk. Writes nothing.
+    """Check everything a search needs and compare it with an existing run. Writes nothing.
 
-    isolation_strict: the folds of a candidate run one after the other. agent_settings: what shapes
-    the agent's proposals beside its name. legs: those of a relay, `legs_of` its agent. parallel:
-    experiments in flight. stop_folds: the folds of a candidate that is far behind the best already
-    are passed over. device: `gpu` for candidates that train networks on one, `auto` for one where
-    there is one.
+    Args:
+        problem: the problem to solve.
+        agent_name: name of the agent.
+        seed: seed of the search.
+        runs: folder of run directories.
+        name: name of the run.
+        isolation: isolation level of candidates.
+        isolation_strict: true to fit the folds of a candidate sequentially.
+        agent_settings: settings of the agent's proposals besides its name.
+        legs: legs of a relay, as `legs_of` its agent.
+        parallel: number of concurrent experiments.
+        stop_folds: true to prune the remaining folds of a candidate that is far behind the best.
+        device: `gpu` for candidates that train networks on one, `auto` for a GPU if there is one.
 
-    Raises UserError when the folds cannot be made, the test does not fit, the legs do not fit into
-    the budget, the run exists with other settings, several experiments are to be in flight while
-    folds are fitted one by one, or JAX does not reach the GPU that was asked for.
+    Raises:
+        UserError: the folds cannot be made, the test does not fit, the legs do not fit into the
+            budget, the run exists with other settings, several experiments are requested with
+            sequential folds, or JAX does not reach the requested GPU.
     """
     folds = _check(problem, legs, parallel, strict=isolation_strict, stop_folds=stop_folds)
     sealed = replace(seal(problem), guard=guard_digest(problem))
@@ -131,8 +140,9 @@ def prepare(
 
 
 def _on(device: str, started: Started, found: Probe) -> Started:
-    """With what keeps candidates in and a salt, and the GPU where workers reach the one asked
-    for."""
+    """Return the start event with the isolation, a salt, and the GPU if workers reach the requested
+    one.
+    """
     gpu, notes = chosen_gpu(device, found.level)
     return replace(
         started,
@@ -192,15 +202,15 @@ def search(
         # A search that was killed behind its last event has not written them.
         write_exports(directory, view)
         on_start(view)
-        wanted = prepared.started
-        if (wanted.experiments, wanted.hours) != (view.budget, view.hours):
-            loop.record(Extended(wanted.experiments, wanted.hours))
+        expected = prepared.started
+        if (expected.experiments, expected.hours) != (view.budget, view.hours):
+            loop.record(Extended(expected.experiments, expected.hours))
         stopped = loop.view.stopped
         if stopped is not None and stopped.reason in RESUMABLE and view.unsealing is None:
             loop.record(Resumed())
-        # One that starts while another runs could be told something by how long it takes.
-        alone = view.started.isolation_strict or carrier_of(executor) is not None
-        ready = nullcontext() if alone else evaluator.ready_workers(view.started.parallel)
+        # A standby worker that starts during a fit could receive information through its timing.
+        sequential = view.started.isolation_strict or carrier_of(executor) is not None
+        ready = nullcontext() if sequential else evaluator.ready_workers(view.started.parallel)
         (directory / ERROR).unlink(missing_ok=True)
         try:
             with ready:
@@ -254,8 +264,9 @@ def with_early_stopping(problem: Problem, setting: str) -> Problem:
 
 
 def with_relay_budget(problem: Problem, legs: Sequence[Leg]) -> Problem:
-    """The problem with the experiments that all legs have together, where it allows as many; for a
-    search whose number of experiments nobody gave."""
+    """Return the problem with the sum of the legs' experiments as its budget, if it allows as many;
+    for a search without a given number of experiments.
+    """
     total = relay_budget(legs) if legs else None
     if total is None or total > problem.budget.experiments:
         return problem
@@ -273,7 +284,9 @@ def check_baseline(problem: Problem) -> None:
 
 
 def _recorded_legs(legs: Sequence[Leg]) -> tuple[Leg, ...]:
-    """Without the number of the last one, which is the budget's: a larger budget extends it."""
+    """Return the legs without the number of the last one, which is the budget's: a larger budget
+    extends it.
+    """
     return (*legs[:-1], *(replace(leg, experiments=None) for leg in legs[-1:]))
 
 
@@ -302,13 +315,13 @@ def _probe(problem: Problem, directory: Path, wanted: Isolation | None) -> Probe
     try:
         found = probe(wanted)
     except SandboxError as error:
-        raise UserError(f"{error}; leave --isolation out for the strongest that works") from None
+        raise UserError(f"{error}; omit --isolation to use the strongest available level") from None
     check_run_is_hidden(problem, directory, found.level)
     return found
 
 
 def _resumes(problem: Problem, sealed: Seal, directory: Path) -> bool:
-    """Whether the run is there. The budget may grow; all else must be as it was."""
+    """Return whether the run exists. The budget may grow; all other settings must be equal."""
     if not ((directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()):
         return False
     found = lock_differences(problem, sealed, directory / LOCK)
@@ -349,7 +362,7 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
             f"run '{start.run}' started with a layer of isolation that is not available "
             f"({', '.join(lost)}): continue it where it started, or choose another --name"
         )
-    for settings in _settings_beside(start, wanted):
+    for settings in _other_settings(start, wanted):
         for what in dict.fromkeys([*settings[0], *settings[1]]):
             there, now = (s.get(what, "its default") for s in settings)
             if there != now:
@@ -374,7 +387,7 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         )
 
 
-def _settings_beside(
+def _other_settings(
     there: Started, now: Started
 ) -> Iterator[tuple[Mapping[str, str], Mapping[str, str]]]:
     """The settings of each agent, those of its leg in a relay; the names are the same."""

@@ -1,4 +1,4 @@
-"""That what must stay hidden lies outside every place that candidates and agents are shown."""
+"""Check that hidden data lie outside every folder that candidates and agents can read."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def check_hidden_from_workers(path: Path) -> None:
     folder = shown_in(path)
     if folder is not None:
         raise UserError(
-            f"{path} lies in {folder}, which every candidate can read, for it holds the "
+            f"{path} lies in {folder}, which every candidate can read, because it holds the "
             "interpreter, its libraries or the package of a part: keep runs, data and keys "
             "elsewhere"
         )

@@ -34,9 +34,10 @@ class BandedSimulation:
     level: float
     """The share of measured outputs that the bands are meant to hold."""
     outside: NDArray[np.bool_]
-    """Whether each sample (H,) is outside the region of validity: a signal is far beyond its
-    training range, an input changes faster than it did there, or inputs and simulated outputs are
-    together farther from the mean than 99 % of the training samples. The bands are wider there."""
+    """Mask of the samples (H,) outside the region of validity: a signal is far beyond its training
+    range, an input changes faster than it did there, or inputs and simulated outputs are together
+    farther from the mean than 99 % of the training samples. The bands are wider there.
+    """
 
 
 @overload
@@ -110,7 +111,9 @@ def simulate(
 def simulate_cases(
     directory: Path | str, cases: Sequence[tuple[Array, Array, Array]], model: Use | None = None
 ) -> list[Array]:
-    """As `simulate`, of several cases (past_u, past_y, u) at once: y_hat (H, ny) of each."""
+    """Simulate several cases (past_u, past_y, u) at once, see `simulate`. Return y_hat (H, ny) of
+    each.
+    """
     run = open_run(Path(directory))
     named = _named(run, model)
     problem = load_lock(run.directory / LOCK)
@@ -128,8 +131,14 @@ def simulate_cases(
 def _block(
     run: Run, problem: Problem, past_u: Array, past_y: Array, u: Array, record: int = 0
 ) -> Block:
-    """What is asked, as a block. record: cases of different records may be asked for at once.
-    Raises UserError for a wrong shape."""
+    """Return a case as a block.
+
+    Args:
+        record: true if cases of different records may be simulated at once.
+
+    Raises:
+        UserError: an array has the wrong shape.
+    """
     rule, nu, ny = problem.protocol, len(problem.inputs), len(problem.outputs)
     done, every = problem.preprocess, problem.preprocess.decimate
     for name, array, shape in (
@@ -163,8 +172,11 @@ def _simulated(
 def simulate_members(
     evaluator: Evaluator, run: Run, members: Sequence[FinalMember], blocks: Sequence[Block]
 ) -> list[Array]:
-    """Of each block, simulations (K, H, ny) whose mean is that of the members. Raises
-    CandidateError."""
+    """Return for each block simulations (K, H, ny) whose mean is that of the members.
+
+    Raises:
+        CandidateError: a member fails.
+    """
     total = [np.zeros((1, *block.y.shape)) for block in blocks]
     for member in members:
         models = [run.store.get(one) for one in member.models]

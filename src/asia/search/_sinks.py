@@ -1,4 +1,4 @@
-"""Sinks: where the events of a search go as they come, beside its ledger."""
+"""Sinks: receivers of the events of a search while it runs, besides its ledger."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Sinks:
     directory: Path
     """The run directory."""
     wanted: Mapping[str, OpenSink]
-    """How each sink is opened, by its name."""
+    """Function that opens each sink, by its name."""
     _open: dict[str, Sink] = field(default_factory=dict[str, Sink])
     _failed: set[str] = field(default_factory=set[str])
 
@@ -78,7 +78,7 @@ class Sinks:
         if name not in self._failed:
             self._failed.add(name)
             what = f"{type(error).__name__}: {error}"
-            say(f"sink {name} failed, the search goes on: {what}", file=sys.stderr)
+            say(f"sink {name} failed, the search continues: {what}", file=sys.stderr)
 
     def __enter__(self) -> Self:
         return self
@@ -112,8 +112,11 @@ def open_sinks(directory: Path, wanted: Sequence[str | OpenSink]) -> Sinks:
 
 
 def find_sink(name: str) -> OpenSink:
-    """What opens the sink of that name, or at `module:Name`. Raises UserError when there is none or
-    it cannot be called."""
+    """Return the function that opens a sink, by its name or `module:Name`.
+
+    Raises:
+        UserError: there is none, or it cannot be called.
+    """
     known = {part.name: part for part in parts_of(_GROUP)}
     if name in known:
         sink = known[name].load()

@@ -1,4 +1,6 @@
-"""What a person says to a search that runs: files in its directory, so that any process can."""
+"""Requests of the user to a running search, as files in its directory, so that any process can make
+them.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ class Steering:
 
     @property
     def folder(self) -> Path:
-        """Where the files are."""
+        """Folder of the request files."""
         return self.directory / "control"
 
     def steer(self, text: str) -> None:
@@ -32,7 +34,7 @@ class Steering:
         write_whole(self.folder / f"steer-{time.time_ns()}.txt", text.encode())
 
     def pause(self) -> None:
-        """No experiment begins until `go_on`."""
+        """Pause the search: no experiment begins until `go_on`."""
         write_whole(self.folder / "pause", b"")
 
     def go_on(self) -> None:
@@ -45,11 +47,11 @@ class Steering:
 
     @property
     def paused(self) -> bool:
-        """Whether a pause was asked for."""
+        """Return whether a pause was requested."""
         return (self.folder / "pause").exists()
 
     def take_stop(self) -> bool:
-        """Whether a stop was asked for; it is then no more."""
+        """Return whether a stop was requested, and clear the request."""
         try:
             (self.folder / "stop").unlink()
         except FileNotFoundError:
@@ -63,7 +65,7 @@ class Steering:
 
     @property
     def waiting(self) -> bool:
-        """Whether there is anything for the search."""
+        """Return whether any request is waiting."""
         try:
             names = os.listdir(self.folder)
         except FileNotFoundError:

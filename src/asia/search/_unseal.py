@@ -43,8 +43,7 @@ Answers = tuple[Array, ...]
 
 CONSENT = (
     "the candidates of run '{run}' ran at isolation level process, where a candidate can read "
-    "every file that you can, the test data and their key included: nothing shows that its winner "
-    "never saw them"
+    "every file that you can, the test data and their key included: the winner may have seen them"
 )
 
 
@@ -57,7 +56,7 @@ class UnsealResult:
     first_time: bool
     """False when this run had been unsealed before."""
     opened_before: tuple[str, ...]
-    """Names of the runs beside this one that had opened the same test."""
+    """Names of the other runs in the same folder that had opened the same test before."""
 
 
 def unseal(
@@ -65,13 +64,18 @@ def unseal(
 ) -> UnsealResult:
     """Score the ensemble of the winner's fold models, its refit and the stack on the sealed test.
 
-    A second call returns the first result. A model that fails on the test is recorded as a
-    Failure. process_consent: open it though the candidates ran at level process; recorded. keys:
-    folder of the key of an encrypted test, None for the person's own.
+    A second call returns the first result. A model that fails on the test is recorded as a Failure.
 
-    Raises UserError when the search is not finished, has no winner or no test, when a line of the
-    ledger or an artifact does not verify, when problem or test data are not those of its first
-    line, when the key is missing, and at level process without consent.
+    Args:
+        directory: run directory.
+        process_consent: true to open the test although the candidates ran at level process;
+            recorded.
+        keys: folder of the key of an encrypted test; None for the user's own.
+
+    Raises:
+        UserError: the search is not finished, has no winner or no test, a line of the ledger or an
+            artifact does not verify, problem or test data are not those of its first line, the key
+            is missing, or the level is process without consent.
     """
     with Chain(directory / "ledger.jsonl") as chain:
         view = replay(line.event for line in chain.lines)
@@ -99,8 +103,9 @@ def unseal(
 
 
 def needs_consent(view: SearchView) -> bool:
-    """Whether only a person can say that the test may be opened: nothing kept the candidates of
-    this search from reading it."""
+    """Return whether only the user can permit the opening of the test, because nothing kept the
+    candidates of this search from reading it.
+    """
     unopened = view.unsealing is None or not view.unsealing.process_consent
     open_levels = {level.isolation.value for level in LEVELS.values() if not level.confined}
     return unopened and view.started.isolation in open_levels
@@ -120,7 +125,7 @@ def _check(directory: Path, view: SearchView) -> tuple[Experiment, str]:
 
 
 def _openers(directory: Path, digest: str) -> tuple[str, ...]:
-    """Names of the runs beside this one that have opened the test already."""
+    """Return the names of the other runs in the same folder that have opened the test."""
     names: list[str] = []
     for ledger in sorted(directory.parent.glob("*/ledger.jsonl")):
         if ledger.parent.name == directory.name:
@@ -184,7 +189,7 @@ def _by_record(parts: Sequence[Array], blocks: Sequence[Block]) -> tuple[Array, 
 
 
 def _share(held: Mask, known: Mask) -> Array:
-    """Of the samples (N, ny) that are known, by output."""
+    """Return the share of measured samples (N, ny) in the held set, by output."""
     if known.all():
         return held.mean(axis=0)
     return (held & known).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
@@ -264,7 +269,9 @@ class _TestScorer:
         return total
 
     def _simulated(self, member: FinalMember) -> Sequence[Answers] | Failure:
-        """What each of its models says; each is simulated once, whatever it is a part of."""
+        """Return the simulation of each of the member's models; each model is simulated once, even
+        if several members contain it.
+        """
         if member not in self.asked:
             source, models = self.store.text(member.source), map(self.store.get, member.models)
             try:

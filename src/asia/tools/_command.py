@@ -42,10 +42,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("candidate", nargs="?", default="candidate.py", help="the file to score")
-    add("--seed", type=int, help="other random draws of the fits; several show how far V moves")
+    add("--seed", type=int, help="seeds of the fits; several show the spread of V")
     add("--fold", type=int, help="this fold alone, from 1")
-    add("--blocks", type=int, help="folds of your own: each record in so many parts")
-    add("--gap", type=int, default=0, help="samples beside a part that train nothing")
+    add("--blocks", type=int, help="folds of your own: number of parts of each record")
+    add("--gap", type=int, default=0, help="samples next to a part that are not used for training")
     add("--hold-out", metavar="NAMES", help="a fold of your own: hold these records out (A,B)")
     add("--held-out", action="store_true", help="residuals of the held-out part as well")
     add("--plot", action="store_true", help="draw simulation and residuals into plots/")

@@ -35,11 +35,11 @@ class LocalFold:
     """One fold of a candidate that was fitted in this process."""
 
     fold: Fold
-    """What trained, and what was held out."""
+    """Training and held-out parts."""
     model: Model
     """The fitted model."""
     seconds: float
-    """How long the fit took."""
+    """Duration of the fit, s."""
     score: FoldScore
     """The errors on the held-out part; `score.value` is V of this fold."""
     training_score: FoldScore
@@ -65,7 +65,9 @@ class LocalFold:
         return {str(k): float(v) for k, v in found.items()} if isinstance(found, dict) else {}
 
     def residuals(self, *, held_out: bool) -> tuple[SignedResidual, ...]:
-        """Where the model is too high or too low, on the held-out or on the training part."""
+        """Return the operating ranges in which the model is too high or too low, on the held-out or
+        on the training part.
+        """
         blocks = self.fold.validation if held_out else self.training
         y_hat = self.y_hat if held_out else self.training_y_hat
         u = [b.case.u for b in blocks]

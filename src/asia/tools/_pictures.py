@@ -43,6 +43,6 @@ def draw(
 def _some(
     blocks: Sequence[Block], y_hat: Sequence[Array]
 ) -> tuple[Sequence[Block], Sequence[Array]]:
-    """Of many windows some, evenly over all."""
+    """Select some of many windows, evenly spaced."""
     every = -(-len(blocks) // _MOST_BLOCKS)
     return blocks[::every], y_hat[::every]

@@ -1,4 +1,4 @@
-"""What `tools.py` prints: scores, parameters, residuals, correlations."""
+"""Tables of `tools.py`: scores, parameters, residuals, correlations."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ def _scores(problem: Problem, folds: Sequence[LocalFold], *, whole: bool) -> Ite
         )
         if len(problem.outputs) > 1:
             errors = zip(problem.outputs, one.score.per_channel(metric.name), strict=True)
-            said = ", ".join(
+            message = ", ".join(
                 f"{s.name} {e:.4g} {metric.unit_of(s.unit)}".rstrip() for s, e in errors
             )
-            yield f"    {metric.label}: {said}"
+            yield f"    {metric.label}: {message}"
 
 
 def _parameters(folds: Sequence[LocalFold]) -> Iterator[str]:
@@ -80,7 +80,7 @@ def _residuals(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) 
         for residual in listed[:_MOST_RESIDUALS]:
             yield f"  {_name(one)}: {_words(problem, residual)}"
         if not listed:
-            yield f"  {_name(one)}: nowhere too high or too low by more than a standard error"
+            yield f"  {_name(one)}: no mean residual exceeds its standard error"
 
 
 def _words(problem: Problem, residual: SignedResidual) -> str:
@@ -88,7 +88,9 @@ def _words(problem: Problem, residual: SignedResidual) -> str:
 
 
 def _correlations(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) -> Iterator[str]:
-    """As the picture draws them: all folds together, the held-out part where it is shown."""
+    """Yield the correlations as the picture draws them: all folds together, the held-out part if it
+    is shown.
+    """
     part = "held-out" if held_out else "training"
     yield f"correlation of the residuals, {part} part, all folds together, 99 % bands"
     blocks = [b for one in folds for b in (one.fold.validation if held_out else one.training)]
@@ -102,17 +104,17 @@ def _line(problem: Problem, blocks: Sequence[Block], e: Sequence[Array]) -> str:
     beyond = np.flatnonzero(np.abs(own.values) < own.band)
     length = int(beyond[0]) if len(beyond) else own.lags[-1]
     longer = " or more" if not len(beyond) else ""
-    said = [f"own past {own.values[1]:.2f} at lag 1, above the band for {length}{longer} lags"]
+    message = [f"own past {own.values[1]:.2f} at lag 1, above the band for {length}{longer} lags"]
     for i, signal in enumerate(problem.inputs):
         found = with_input(e, [b.case.u[:, i] for b in blocks])
         place = int(np.argmax(np.abs(found.values)))
         largest = float(found.values[place])
         side = "above" if abs(largest) > found.band else "within"
-        said.append(
+        message.append(
             f"{signal.name} {largest:.2f} at lag {found.lags[place]}, {side} the band of "
             f"{found.band:.2f}"
         )
-    return "; ".join(said)
+    return "; ".join(message)
 
 
 def _name(one: LocalFold) -> str:

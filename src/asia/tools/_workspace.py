@@ -1,5 +1,4 @@
-"""What `tools.py` knows of its folder: the problem as the evaluator reads it, and how to split its
-records."""
+"""Workspace of `tools.py`: the problem as the evaluator reads it, and splits of its records."""
 
 from __future__ import annotations
 
@@ -34,12 +33,12 @@ class WorkspaceTools:
 
     @property
     def rule(self) -> ProtocolRule:
-        """How V is computed."""
+        """Rule by which V is computed."""
         return self.problem.protocol
 
     @property
     def context(self) -> Context:
-        """What a candidate is given, but for the seed of its fold."""
+        """Context of a candidate, except for the seed of its fold."""
         return search_context(self.problem, derive_seed(self.seed, "search"))
 
     @cached_property
@@ -53,7 +52,7 @@ class WorkspaceTools:
         return self._split(FoldRule("contiguous", count, gap=gap or None))
 
     def hold_out(self, names: Sequence[str]) -> tuple[Fold, ...]:
-        """One fold of your own: these records are held out, all others train."""
+        """Return one fold of your own: these records are held out, all others train."""
         records = [t.name for t in self.problem.train]
         for name in names:
             if name not in records:

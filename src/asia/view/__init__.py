@@ -11,7 +11,7 @@ from asia.errors import UserError
 __all__ = ["PORT", "require_server", "serve_view"]
 
 PORT = 8731
-"""Where the pages are, unless another port is named."""
+"""Default port of the pages."""
 
 
 def require_server() -> None:

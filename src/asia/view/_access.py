@@ -1,8 +1,8 @@
-"""Who may ask: a browser on this machine that was given the token.
+"""Access control: the pages answer only browsers on this machine that hold the token.
 
 127.0.0.1 belongs to every process and every user of the machine, agents with a network among them,
-so that reading needs the token too. The address that is printed bears it; the first answer puts it
-into a cookie. What changes a search needs it once more, in a header that no other site can send.
+so that reading needs the token too. The printed address contains it; the first answer puts it into
+a cookie. Requests that change a search need it once more, in a header that no other site can send.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class TokenOnly:
         origin = headers.get("origin")
         own = origin is None or origin.removeprefix("http://") in self._hosts
         if not own or not self._is_token(headers.get(TOKEN_HEADER, "")):
-            return PlainTextResponse("the token is missing or is another one\n", 403)
+            return PlainTextResponse("the token is missing or wrong\n", 403)
         return None
 
     def _greeting(self, scope: Scope) -> Response | None:

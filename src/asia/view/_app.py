@@ -1,4 +1,4 @@
-"""Addresses and what stands there."""
+"""Routes of the pages and their contents."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LONGEST_BODY: Final = 20_000
 
 
 def make_app(folder: RunFolder, streams: Streams, token: str) -> Starlette:
-    """The pages of a folder of runs. `TokenOnly` stands before it."""
+    """Return the web application for a folder of runs. `TokenOnly` must wrap it."""
     pages = _Pages(folder, streams, token)
     routes = [
         Route("/", pages.listed),
@@ -60,9 +60,9 @@ class _Pages:
     folder: RunFolder
     """The runs."""
     streams: Streams
-    """All that are open."""
+    """Open event streams."""
     token: str
-    """What a page sends with a person's word."""
+    """Token that a page sends with a command of the user."""
 
     def _snapshot(self, request: Request, *, with_records: bool = False) -> Snapshot:
         return self.folder.get(request.path_params["run"]).snapshot(with_records=with_records)
@@ -98,7 +98,7 @@ class _Pages:
         return HTMLResponse(experiment_page(snapshot, request.path_params["number"], self.token))
 
     def experiment_part(self, request: Request) -> Response:
-        """What that page says."""
+        """Send the content of the experiment's page."""
         number = request.path_params["number"]
         return HTMLResponse(experiment_part(self._snapshot(request, with_records=True), number))
 
@@ -114,17 +114,17 @@ class _Pages:
         return HTMLResponse(comparison_page(self._pair(request), self.token))
 
     def compare_part(self, request: Request) -> Response:
-        """What that page says."""
+        """Send the content of the comparison's page."""
         return HTMLResponse(comparison_part(self._pair(request)))
 
     def _pair(self, request: Request) -> list[Snapshot]:
         names = request.query_params.getlist("run")
         if len(names) != 2:
-            raise UserError(f"choose two runs to see them side by side: {len(names)} are named")
+            raise UserError(f"expected two runs to compare, got {len(names)}")
         return [self.folder.get(name).snapshot(with_records=True) for name in names]
 
     async def run_events(self, request: Request) -> Response:
-        """What is new in a run, as it comes."""
+        """Stream the changes of a run."""
         followed = await run_sync(self.folder.get, request.path_params["run"])
         return _stream(self.streams.of_run(followed, _mark(request)))
 
@@ -133,7 +133,7 @@ class _Pages:
         return _stream(self.streams.of_list(self.folder, _mark(request)))
 
     async def steer(self, request: Request) -> Response:
-        """A person's word to the search."""
+        """Pass a command of the user to the search."""
         text = await _body(request)
         snapshot = await run_sync(self._snapshot, request)
         words = await run_sync(tell, snapshot.run, request.path_params["what"], text)
@@ -150,7 +150,7 @@ class _Pages:
         return Response(file.read_bytes(), media_type=_KINDS[name[name.rindex(".") :]])
 
     def refuse(self, request: Request, error: Exception) -> Response:
-        """What is wrong, in words."""
+        """Send the message of an error."""
         words = str(error)
         if request.method == "POST":
             return JSONResponse({"words": words}, 409)
@@ -161,12 +161,14 @@ class _Pages:
 
 def _number(request: Request, key: str) -> int | None:
     """A count that the address names; None where it names none."""
-    words = request.query_params.get(key, "")
-    return int(words) if words.isdecimal() and len(words) < 16 else None
+    text = request.query_params.get(key, "")
+    return int(text) if text.isdecimal() and len(text) < 16 else None
 
 
 def _mark(request: Request) -> str:
-    """What the page shows: the last message that it got, else what it was loaded with."""
+    """Return the state that the page shows: the last message that it received, else the state it
+    was loaded with.
+    """
     return request.headers.get("last-event-id") or request.query_params.get("mark", "")
 
 

@@ -23,7 +23,7 @@ from asia.problem.load import Problem, load_lock
 from asia.report.pieces import Detail, Subject
 from asia.search._steering import Steering
 
-# A long search is not told whole below its list of experiments.
+# Below its list of experiments, a long search is shown in part.
 _DETAIL = Detail(sources=1, stories=1, rows=150)
 
 
@@ -32,7 +32,7 @@ class Snapshot:
     """A run as of one line of its ledger."""
 
     subject: Subject
-    """What pages are written from."""
+    """Subject from which pages are written."""
     head: str
     """Digest of that line."""
     problem: Problem | None = None
@@ -40,7 +40,7 @@ class Snapshot:
     trouble: str = ""
     """Why there are no records, in words; "" where there are."""
     paused: bool = False
-    """Whether a person asked it to pause."""
+    """True if the user paused the search."""
 
     @property
     def run(self) -> Run:
@@ -49,7 +49,7 @@ class Snapshot:
 
     @property
     def mark(self) -> str:
-        """Where in the ledger this is, as `N-DIGEST` with the count of lines."""
+        """Position in the ledger, as `N-DIGEST` with the count of lines."""
         return f"{len(self.run.lines)}-{self.head[:20]}"
 
     def changed_since(self, count: int) -> list[int]:
@@ -63,18 +63,24 @@ class Snapshot:
 
 
 class FollowedRun:
-    """One run; threads may share it."""
+    """One run, shared between threads."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
         self._follower = Follower(ledger_of(directory))
         self._lock = threading.Lock()
         self._snapshot: Snapshot | None = None
-        self._records = _RecordsBeside(directory / "problem.lock.toml")
+        self._records = _BackgroundRecords(directory / "problem.lock.toml")
 
     def snapshot(self, *, with_records: bool = False) -> Snapshot:
-        """As of now. with_records: wait for the records to be read. Raises UserError where the
-        ledger does not verify or is gone."""
+        """Return the present state.
+
+        Args:
+            with_records: true to wait for the records to be read.
+
+        Raises:
+            UserError: the ledger does not verify or is gone.
+        """
         if with_records and Store(self.directory / "artifacts").kept:
             self._records.wait()
         with self._lock:
@@ -101,16 +107,17 @@ class FollowedRun:
         return last if last.paused == paused else replace(last, paused=paused)
 
     def count_of(self, mark: str) -> int | None:
-        """How many lines lie before a mark; None where it is not of this ledger."""
+        """Return the number of lines before a mark; None if the mark is not of this ledger."""
         count, _, head = mark.partition("-")
         with self._lock:
             known = count.isdecimal() and self._follower.head_at(int(count)).startswith(head)
         return int(count) if known and len(head) >= 20 else None
 
 
-class _RecordsBeside:
-    """The problem of a run with its records, which are read beside: they may have to be
-    downloaded."""
+class _BackgroundRecords:
+    """Problem of a run with its records, which a background thread reads: they may have to be
+    downloaded.
+    """
 
     def __init__(self, lock_file: Path) -> None:
         self._lock_file = lock_file
@@ -127,7 +134,7 @@ class _RecordsBeside:
                 self._thread.start()
 
     def wait(self) -> None:
-        """Until they were read."""
+        """Wait until the records were read."""
         self.begin()
         if self._thread is not None:
             self._thread.join()
@@ -146,7 +153,7 @@ class ListedRun:
     name: str
     """Name of its directory."""
     changed: float
-    """When its ledger last did, in seconds since 1970."""
+    """Time of the last change of the ledger, in seconds since 1970."""
     brief: Brief | None
     """The run at a glance; None where its ledger cannot be read."""
     trouble: str = ""
@@ -173,11 +180,11 @@ class RunFolder:
             return self._followed[name]
 
     def names(self) -> list[str]:
-        """Of all runs, in alphabetical order."""
+        """Names of all runs in alphabetical order."""
         return sorted(path.parent.name for path in self.folder.glob("*/ledger.jsonl"))
 
     def listed(self) -> Sequence[ListedRun]:
-        """All runs: those that run, then the last one to change first."""
+        """Return all runs: those in progress first, then by the time of the last change."""
         with self._lock:
             found = [one for name in self.names() if (one := self._list(name)) is not None]
         return sorted(found, key=lambda one: (not _runs(one), -one.changed))
@@ -203,7 +210,7 @@ class RunFolder:
         return listed
 
     def _is_run(self, name: str) -> bool:
-        """Whether it is a directory of this folder itself with a ledger in it."""
+        """Return whether a name is a direct subfolder with a ledger in it."""
         plain = name not in ("", ".", "..") and not {"/", "\\", "\0"} & set(name)
         return plain and (self.folder / name / "ledger.jsonl").is_file()
 

@@ -1,4 +1,4 @@
-"""From a folder of runs to a server on this machine."""
+"""Web server on this machine for a folder of runs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class _LocalServer(uvicorn.Server):
         self._on_start = on_start
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """From here on an interrupt is a clean end."""
+        """Start the server. From here on an interrupt is a clean end."""
         await super().startup(sockets)
         self._on_start()
 

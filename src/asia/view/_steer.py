@@ -9,8 +9,19 @@ from asia.search._steering import Steering
 
 
 def tell(run: Run, what: str, text: str) -> str:
-    """Do `what`: steer, pause, continue or stop. Returns what will come of it. Raises UserError
-    where it cannot be done."""
+    """Execute a command: steer, pause, continue or stop.
+
+    Args:
+        run: the run.
+        what: the command.
+        text: the note of steer.
+
+    Returns:
+        The effect of the command, as a sentence.
+
+    Raises:
+        UserError: the command cannot be executed.
+    """
     steering, running = Steering(run.directory), run.state == "running"
     if what == "steer":
         steering.steer(text)
@@ -27,11 +38,11 @@ def tell(run: Run, what: str, text: str) -> str:
         steering.pause()
         return "the search pauses after its current experiment"
     steering.stop()
-    return "the search stops after its present experiment; the command that began it continues it"
+    return "the search stops after its present experiment; repeat its command to resume it"
 
 
 def _noted(run: Run, *, running: bool) -> str:
     when = "at its next step" if running else "when the search continues"
-    words, started = f"noted: recorded {when}", run.view.started
-    deaf = f"; the agent '{started.agent}' reads no notes, the ledger keeps it for people"
-    return words if reads_notes(started) else f"{words}{deaf}"
+    text, started = f"noted: recorded {when}", run.view.started
+    deaf = f"; the agent '{started.agent}' does not read notes, so the note is only recorded"
+    return text if reads_notes(started) else f"{text}{deaf}"

@@ -23,7 +23,7 @@ _RETRY = "retry: 500\n\n"
 
 
 class Streams:
-    """All that are open."""
+    """Open event streams of the pages."""
 
     def __init__(self) -> None:
         self._over = False
@@ -33,7 +33,7 @@ class Streams:
         self._over = True
 
     def of_run(self, followed: FollowedRun, mark: str) -> AsyncIterator[str]:
-        """What is new in a run since a mark of its ledger."""
+        """Stream the changes of a run since a mark of its ledger."""
         return self._messages(_RunNews(followed, mark).look, _LOOK_SECONDS)
 
     def of_list(self, folder: RunFolder, shown: str) -> AsyncIterator[str]:
@@ -58,19 +58,19 @@ class Streams:
 
 @dataclass
 class _RunNews:
-    """What one stream has told."""
+    """State of one stream."""
 
     followed: FollowedRun
     """The run."""
     mark: str
     """The line up to which the page shows it."""
     told: Snapshot | None = None
-    """What was last told of; None before the first look."""
+    """Snapshot of the last message; None before the first one."""
     trouble: str = ""
-    """What was wrong last."""
+    """Last error message."""
 
     def look(self, _: str) -> Changed | None:
-        """None where there is nothing new."""
+        """Return the next message; None without changes."""
         try:
             snapshot = self.followed.snapshot()
         except UserError as error:

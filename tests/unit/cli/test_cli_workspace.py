@@ -208,7 +208,7 @@ def nothing(path: Path) -> None:
         (os.mkfifo, "candidate.py: it is a named pipe"),
         (a_folder, "candidate.py: it is a folder"),
         (a_device, "candidate.py: it is a device"),
-        (a_loose_link, "candidate.py, a link that leads nowhere"),
+        (a_loose_link, "candidate.py, a broken link"),
         (nothing, "no such file: "),
     ],
 )

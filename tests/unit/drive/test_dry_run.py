@@ -97,7 +97,7 @@ def test_one_dry_run_at_a_time(place: Place, monkeypatch: pytest.MonkeyPatch) ->
     first = threading.Thread(target=ask)
     first.start()
     assert inside.wait(20.0)
-    with pytest.raises(UserError, match="under way"):
+    with pytest.raises(UserError, match="in progress"):
         desk.dry_run(arx(2))
     go.set()
     first.join()

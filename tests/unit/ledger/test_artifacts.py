@@ -50,5 +50,5 @@ def test_no_artifacts_at_all(kept: list[Path]) -> None:
     for path in kept:
         path.unlink()
     kept[0].parent.rmdir()
-    with pytest.raises(UserError, match=r"event 0 of .* is a ledger without its artifacts"):
+    with pytest.raises(UserError, match=r"event 0 of .* has a ledger without artifacts"):
         check(kept)

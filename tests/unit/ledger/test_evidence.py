@@ -166,7 +166,7 @@ def test_held_out_residuals_are_a_block_of_their_own(store: Store) -> None:
     assert "held-out samples" not in text
     shown = view(store, SCORE, held_out_residuals=(residual(0.5, part=2),))
     text = "\n".join(lines(store, shown, 1))
-    assert "where it is wrong on the held-out samples" in text
+    assert "mean residuals on the held-out samples" in text
     assert "too low by 0.5 ± 0.04 s.d., both folds" in text
 
 

@@ -46,7 +46,7 @@ def test_the_journal_has_its_five_fields(run: Path) -> None:
     for field in ("Changed", "Hypothesis", "Result", "Decision", "Next"):
         assert text.count(f"**{field}:**") == 3
     assert "ValueError: x" in text
-    assert "Rungs, V of trivial references: linear model 0.5000." in text
+    assert "Reference models, V: linear model 0.5000." in text
 
 
 def test_two_writers_are_refused(run: Path) -> None:

@@ -74,7 +74,7 @@ def test_a_full_disk_says_what_to_do_and_the_search_goes_on_afterwards(
 ) -> None:
     path = whole / "ledger.jsonl"
     sound = path.read_bytes()
-    words = r"the disk is full .* is safe: make room and give the same command again"
+    words = r"the disk is full .* are safe: free some space and repeat the command"
     with Chain(path) as chain:
         with full_disk(), pytest.raises(UserError, match=words):
             chain.append(Stopped("user"))
@@ -117,7 +117,7 @@ def test_an_artifact_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     store = Store(tmp_path / "artifacts")
     with (
         largest_file(1000),
-        pytest.raises(UserError, match=r"could not be written: .* is safe: raise it"),
+        pytest.raises(UserError, match=r"could not be written: .* are safe: raise it"),
     ):
         store.put(b"x" * 2000)
     assert list((tmp_path / "artifacts").iterdir()) == []

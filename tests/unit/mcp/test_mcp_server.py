@@ -208,7 +208,7 @@ def test_a_person_steers_and_stops_it(setting: Setting) -> None:
             while (await agent.call("status"))["state"] == "running":
                 await anyio.sleep(0.05)
             words = {"hypothesis": "h", "expected": "e"}
-            assert "a person stopped this search" in await agent.refused(
+            assert "the user stopped this search" in await agent.refused(
                 "submit", code=arx(3), **words
             )
             setting.opened()

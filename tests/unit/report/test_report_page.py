@@ -311,7 +311,7 @@ def test_an_interval_by_folds_or_by_a_missing_effect_is_on_the_page(
     assert low < 0.8
     for words in (f"{low:.4g}", f"{high:.4g}", ">folds<", ">missing effect<", "1.5", "2.5"):
         assert words in part
-    assert "R differs between the folds by more than noise explains" in part
+    assert "R differs significantly between the folds" in part
     assert "the folds disagree on R" in page
     assert audit(page, run.directory, len(run.lines)) > 10
 
@@ -368,7 +368,7 @@ def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:
     assert "after the sealed test had been opened" in page
     with Chain(directory / "ledger.jsonl") as chain:
         chain.append(replace(found, candidates=(), pairs=(), noise=None, expected=None))
-    assert "None of them has a score from another seed" in page_of(open_run(directory))
+    assert "None of them has a score with another seed" in page_of(open_run(directory))
 
 
 def test_an_ablation_has_its_section_and_its_picture(make_run: Callable[..., Run]) -> None:
@@ -391,7 +391,9 @@ def test_an_ablation_has_its_section_and_its_picture(make_run: Callable[..., Run
     figure = draw_ablation(found, "run", "V")
     assert [t.get_text() for t in figure.axes[0].get_yticklabels()][-1] == "the change of #02"
     with Chain(directory / "ledger.jsonl") as chain:
-        chain.append(replace(found, crossing=None, detail="fit of #1 does more", left_out=()))
+        chain.append(
+            replace(found, crossing=None, detail="fit of #1 contains further code", left_out=())
+        )
     assert "cannot be crossed" in page_of(open_run(directory))
 
 

@@ -48,9 +48,9 @@ def test_an_agent_is_asked_again(
     assert [name for name, item in other.items() if not item.agrees] == [
         "#02", "#03", "#04", "stop",
     ]  # fmt: skip
-    assert other["#02"].detail == "proposed with another source"
+    assert other["#02"].detail == "the proposal differs in source"
     assert other["#02"].outcome == "same"
-    assert "goes on now" in other["stop"].detail
+    assert "continues here" in other["stop"].detail
 
 
 @pytest.mark.long

@@ -162,4 +162,4 @@ def test_a_process_left_behind_is_told(tmp_path: Path) -> None:
         for event in events:
             chain.append(event)
     text = journal(open_run(directory).view)
-    assert "worker process 4242, 4243 could not be ended" in text
+    assert "worker process 4242, 4243 could not be terminated" in text

@@ -92,7 +92,7 @@ def test_a_search_goes_to_every_sink_and_a_broken_one_is_reported_once(
     assert run.view.started.salt
     assert {view.started.salt for view in sink.views} == {""}
     said = capsys.readouterr().err
-    assert said == "sink Broken failed, the search goes on: OSError: no such host\n"
+    assert said == "sink Broken failed, the search continues: OSError: no such host\n"
 
 
 def test_sinks_are_found_by_name_and_by_module(tmp_path: Path) -> None:

@@ -189,9 +189,9 @@ def test_a_run_without_its_artifacts_has_what_the_ledger_says(
 def test_a_run_without_its_records_says_so(client: TestClient, runs: Path) -> None:
     lock = runs / "made" / "problem.lock.toml"
     lock.write_text(lock.read_text().replace("simulated:two_tanks", "no_such:source"))
-    assert "Without the records" not in client.get("/runs/made").text
+    assert "No simulations, because the records are missing" not in client.get("/runs/made").text
     assert client.get("/runs/made/experiments/2").status_code == 200
-    assert "Without the records" in client.get("/runs/made").text
+    assert "No simulations, because the records are missing" in client.get("/runs/made").text
 
 
 def test_a_long_list_comes_in_pieces(client: TestClient) -> None:

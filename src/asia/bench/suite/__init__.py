@@ -1,4 +1,4 @@
-"""Every benchmark that comes with ASIA, searched one after the other, beside its board."""
+"""Suite of all benchmarks in ASIA, searched sequentially and compared with their leaderboards."""
 
 from asia.bench.suite.plan import SUITE, SuitePlan, select_problems
 from asia.bench.suite.run import SuiteResult, SuiteWatcher, bench_suite

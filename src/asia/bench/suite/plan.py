@@ -1,4 +1,4 @@
-"""Which benchmarks are searched, and at which budget."""
+"""Plan of a suite: its benchmarks and their budgets."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SUITE = (
 
 @dataclass(frozen=True)
 class SuitePlan:
-    """One search of the expert a benchmark, with seed 0."""
+    """Plan with one search of the expert for each benchmark, with seed 0."""
 
     names: tuple[str, ...]
     """The benchmarks, in this order."""
@@ -40,7 +40,7 @@ class SuitePlan:
 
     @property
     def directory(self) -> Path:
-        """Where the table and the picture go."""
+        """Folder of the table and the picture."""
         return self.runs / "bench-suite"
 
     def comparison(self, name: str) -> ComparisonPlan:
@@ -61,13 +61,13 @@ def select_problems(only: str | None) -> tuple[str, ...]:
     None. Raises UserError for a name that is not of the suite."""
     if only is None:
         return SUITE
-    wanted = [name.strip().replace("-", "_") for name in only.split(",") if name.strip()]
-    for name in wanted:
+    expected = [name.strip().replace("-", "_") for name in only.split(",") if name.strip()]
+    for name in expected:
         if name not in SUITE:
             raise UserError(
                 f"--only: there is no benchmark '{name}' in the suite{suggestion(name, SUITE)} "
                 f"(they are {', '.join(SUITE)})"
             )
-    if not wanted:
+    if not expected:
         raise UserError(f"--only names no benchmark: expected some of {', '.join(SUITE)}")
-    return tuple(name for name in SUITE if name in wanted)
+    return tuple(name for name in SUITE if name in expected)

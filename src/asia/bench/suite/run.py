@@ -1,4 +1,4 @@
-"""Search each benchmark, and set what was found beside what is published."""
+"""Searches of a suite, compared with the published results."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SuiteWatcher(Watcher, Protocol):
 
 @dataclass(frozen=True)
 class BenchmarkResult:
-    """What one benchmark's search found."""
+    """Result of one benchmark's search."""
 
     name: str
     """Name of the benchmark."""
@@ -52,13 +52,13 @@ class SuiteResult:
     """A finished suite."""
 
     results: tuple[BenchmarkResult, ...]
-    """One for each benchmark."""
+    """Results, one for each benchmark."""
     table: TextTable
     """The same for people, a row for each official figure."""
     document: Path
     """The table as Markdown."""
     pictures: tuple[Path, ...]
-    """Every board in one picture, PNG and PDF; () where no board has a published result."""
+    """Picture of all leaderboards, PNG and PDF; () without published results."""
 
 
 def bench_suite(
@@ -107,7 +107,7 @@ def _table(results: Sequence[BenchmarkResult]) -> TextTable:
     rows = [row for result in results for row in _rows(result)]
     notes = [f"{r.name} was left out: {r.left_out}" for r in results if r.left_out]
     if any(r.board is not None and not r.board.standings for r in results):
-        notes.insert(0, "Where ours is sealed, the test was not opened: --unseal opens it, once.")
+        notes.insert(0, "Sealed tests were not opened: --unseal opens them, once.")
     return TextTable("The suite", _HEADER, tuple(rows), tuple(notes))
 
 

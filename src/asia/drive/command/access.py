@@ -1,4 +1,6 @@
-"""What a program in a jail reaches beside its workspace, and that it is not the runs."""
+"""Access of a jailed program besides its workspace, with a check that it does not include the
+runs.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,10 @@ from asia.search._secrecy import check_hidden_from_agent
 
 @dataclass(frozen=True)
 class Access:
-    """What is opened to a program in a jail."""
+    """Access of a jailed program."""
 
     network: bool = False
-    """Whether it reaches the network."""
+    """True if it reaches the network."""
     mounts: tuple[Path, ...] = ()
     """Folders that it sees, read-only."""
     configs: tuple[Path, ...] = ()
@@ -29,7 +31,7 @@ class Access:
 
     @property
     def confinement(self) -> Confinement:
-        """What a jail with this access is called."""
+        """Confinement of a jail with this access."""
         return Confinement.JAIL_WITH_NETWORK if self.network else Confinement.JAIL
 
 
@@ -68,7 +70,7 @@ def copied_configs(access: Access, home: Path) -> tuple[Path, ...]:
     home.mkdir()
     for path in access.configs:
         if path.is_dir():
-            # Sockets and what cannot be read are left out.
+            # Sockets and unreadable files are skipped.
             with contextlib.suppress(shutil.Error):
                 shutil.copytree(path, home / path.name, symlinks=True, dirs_exist_ok=True)
         else:

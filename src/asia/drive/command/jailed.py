@@ -1,4 +1,4 @@
-"""A program of a person's choice in the jail of a workspace: `asia agent workspace --jail CMD`."""
+"""Any program in the jail of a workspace: `asia agent workspace --jail CMD`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from asia.problem.load import Problem
 from asia.sandbox import SOCKET_FOLDER, Jail, jail_environment
 
 SOCKET = "desk.sock"
-# What a program that draws on a terminal asks for.
+# Variables that terminal programs need.
 _TERMINAL_VARIABLES = ("TERM", "COLORTERM")
 
 
@@ -61,8 +61,9 @@ def run_jailed(place: Workspace, words: list[str], access: Access) -> int:
 
 
 class _RenewingDesk(RunDesk):
-    """Writes the views of the workspace before it says where the search stands: what is in the jail
-    cannot read the ledger."""
+    """Submission server that writes the views of the workspace before it reports the state of the
+    search, because a jailed program cannot read the ledger.
+    """
 
     def __init__(self, place: Workspace) -> None:
         assert place.run is not None
@@ -75,7 +76,7 @@ class _RenewingDesk(RunDesk):
         now = super().progress()
         if now.experiments != self._written:
             opened = open_run(self._run_directory)
-            # An agent that makes its folder unwritable harms nobody but itself.
+            # An agent that makes its folder unwritable harms only itself.
             with contextlib.suppress(UserError):
                 write_views(self._place.folder, opened.view, opened.store)
             self._written = now.experiments

@@ -15,7 +15,7 @@ PLACEHOLDERS = ("prompt", "prompt_file", "workspace", "session", "dollars")
 
 @dataclass(frozen=True)
 class Preset:
-    """How a coding agent is started, and what its stream tells."""
+    """Command line and stream format of a coding agent."""
 
     start: tuple[str, ...]
     """Template of its arguments."""
@@ -32,10 +32,11 @@ class Preset:
     config: str = ""
     """Its own folder below the home directory."""
     tells_cost: bool = False
-    """Whether its stream tells the cost."""
+    """True if its stream reports the cost."""
     tells_late: bool = False
-    """Whether it tells tokens only at the end of a turn or session, so that a cap may be passed by
-    far."""
+    """True if it reports tokens only at the end of a turn or session, so that a cap may be exceeded
+    considerably.
+    """
 
 
 _CLAUDE = (
@@ -92,10 +93,10 @@ def make_preset(name: str, command: str | None) -> Preset:
             f"--agent command:{name}: there is {', '.join(PRESETS)}; for any other program give "
             "its command line with --command, with {prompt} or {prompt_file} in it"
         )
-    words = tuple(shlex.split(command))
-    if not words or not any("{prompt}" in w or "{prompt_file}" in w for w in words):
+    arguments = tuple(shlex.split(command))
+    if not arguments or not any("{prompt}" in w or "{prompt_file}" in w for w in arguments):
         raise UserError("--command: expected a command line with {prompt} or {prompt_file} in it")
-    return Preset(start=words)
+    return Preset(start=arguments)
 
 
 def filled(template: tuple[str, ...], values: Mapping[str, str]) -> list[str]:

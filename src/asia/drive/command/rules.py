@@ -1,4 +1,4 @@
-"""What a command agent may use, what it has spent, and what must not be written down."""
+"""Limits of a command agent, its usage so far, and the secrets that must not be recorded."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class StopCause(NamedTuple):
     """Why an agent was stopped."""
 
     reason: StopReason
-    """As the ledger names it."""
+    """Name of the reason in the ledger."""
     detail: str
     """The same for people, with figures."""
 
 
 @dataclass(frozen=True)
 class CommandRules(Access):
-    """What a command agent may use: beside what is opened to it, its caps."""
+    """Limits of a command agent: its access and its caps."""
 
     minutes: float | None = None
     """Most minutes of wall-clock time in one sitting; None for no cap."""
@@ -50,18 +50,20 @@ class CommandRules(Access):
 
 @dataclass(frozen=True)
 class Spent:
-    """What all sessions have spent, that in flight included."""
+    """Usage of all sessions, including the present one."""
 
     tokens: int
     """Input and output tokens."""
     cost: float
-    """What is known of the cost, USD."""
+    """Known part of the cost, USD."""
     unknown: float
     """Upper bound of the cost of sessions that ended without telling it, USD."""
 
     @classmethod
     def of(cls, view: SearchView, stream: Stream | None, leg: int = 0) -> Spent:
-        """As the ledger and the stream of the present session tell it; in a relay, of one leg."""
+        """Return the usage from the ledger and the stream of the present session; in a relay, of
+        one leg.
+        """
         now = stream.usage if stream is not None else Usage()
         grants = {event.session: event.grant for event in view.begun}
         tokens, cost, unknown = now.tokens, now.cost or 0.0, 0.0
@@ -79,7 +81,7 @@ class Spent:
             return StopCause("tokens", f"{self.tokens} of {rules.tokens} tokens")
         if rules.cost is not None and self.cost + self.unknown >= rules.cost:
             more = (
-                f", and up to {self.unknown:.2f} USD in sessions that did not tell theirs"
+                f", and up to {self.unknown:.2f} USD in sessions that did not report their cost"
                 if self.unknown
                 else ""
             )
@@ -95,26 +97,26 @@ class Secrets:
 
     @classmethod
     def of(cls, variables: Iterable[str]) -> Secrets:
-        """Of environment variables, as they are and as JSON has them."""
+        """Return the secrets in environment variables, plain and JSON-encoded."""
         plain = {os.environ.get(name, "") for name in variables}
         known = {form for v in plain for form in (v, json.dumps(v)[1:-1])}
         long = [value for value in known if len(value) >= _SHORTEST_SECRET]
         return cls(tuple(sorted(long, key=len, reverse=True)))
 
     def clean(self, text: str) -> str:
-        """With every value replaced."""
+        """Return the text with every secret replaced."""
         for value in self.values:
             text = text.replace(value, _HIDDEN)
         return text
 
     def clean_bytes(self, data: bytes) -> bytes:
-        """As `clean`."""
+        """Return the bytes with every secret replaced."""
         for value in self.values:
             data = data.replace(value.encode("utf-8", "surrogateescape"), _HIDDEN.encode())
         return data
 
     def clean_proposal(self, proposal: Proposal) -> Proposal:
-        """As `clean`, in all its words."""
+        """Return the proposal with every secret in its texts replaced."""
         return replace(
             proposal,
             source=self.clean(proposal.source),

@@ -53,14 +53,14 @@ from asia.search._steering import Steering
 
 SOCKET = "desk.sock"
 WORKSPACES = ".workspaces"
-_LAST_WORDS_SECONDS = 60.0
+_LAST_OUTPUT_SECONDS = 60.0
 _IDLE_SESSIONS = 2
 _FIRST = (
     "Read PROGRAM.md in this folder and do what it says: find the best model you can, with "
     "`asia try`."
 )
 _AGAIN = (
-    "Go on with the search that PROGRAM.md describes: read results.tsv and search_journal.md "
+    "Continue the search that PROGRAM.md describes: read results.tsv and search_journal.md "
     "first. There are experiments left."
 )
 _FROM_OTHERS = (
@@ -132,7 +132,7 @@ class CommandAgent(SubmittedAgent):
         clearing(self._queue, event)
         if isinstance(event, Evaluated):
             self._quiet_since = time.monotonic()
-            # An agent that makes its folder unwritable harms nobody but itself.
+            # An agent that makes its folder unwritable harms only itself.
             with contextlib.suppress(UserError):
                 write_views(self._folder, view, store)
 
@@ -148,7 +148,7 @@ class CommandAgent(SubmittedAgent):
         if session is None:
             return
         if reason in ("budget", "hours", "saturated"):
-            session.wait(_LAST_WORDS_SECONDS)
+            session.wait(_LAST_OUTPUT_SECONDS)
         self._finish(session)
 
     def leaving(self) -> None:
@@ -157,7 +157,7 @@ class CommandAgent(SubmittedAgent):
             self._finish(self._session)
 
     def _take(self) -> Proposal | None:
-        """What was handed in, unless a cap was reached meanwhile."""
+        """Return the submitted candidate, unless a cap was reached meanwhile."""
         session = self._session
         stop = session.stopped if session is not None else self._judge(None)
         if stop is not None:
@@ -219,12 +219,12 @@ class CommandAgent(SubmittedAgent):
         assert view is not None
         assert journal is not None
         number = 1 + max(len(view.begun), len(view.sessions))
-        # A jail has a new home each time: only what lies in a configuration outlives a session.
+        # A jail has a new home each time: only a configuration folder outlives a session.
         kept = not rules.jail or preset.config in [path.name for path in rules.configs]
         resumes = bool(number > 1 and self._resumable and preset.resume and kept)
         template = preset.resume if resumes else preset.start
-        notes = "".join(f"\n\nThe person says: {n.text}" for n in view.notes)
-        prompt = self._words(number, view) + notes
+        notes = "".join(f"\n\nNote of the user: {n.text}" for n in view.notes)
+        prompt = self._prompt(number, view) + notes
         write_file(self._folder, "PROMPT.md", prompt)
         spent = Spent.of(view, None, self._leg)
         left = None if rules.cost is None else rules.cost - spent.cost - spent.unknown
@@ -248,8 +248,8 @@ class CommandAgent(SubmittedAgent):
         stream = Stream(preset.format, self._totals)
         return Session(process, stream, number, len(view.experiments), self._keep, self._judge)
 
-    def _words(self, session: int, view: SearchView) -> str:
-        """What the process is asked to do."""
+    def _prompt(self, session: int, view: SearchView) -> str:
+        """Return the prompt of the process."""
         own = [event for event in view.begun if event.leg == self._leg]
         if session > 1 and (own or not self._leg):
             return _AGAIN
@@ -304,7 +304,7 @@ class CommandAgent(SubmittedAgent):
         return outcome
 
     def _streamed(self, number: int, journal: Journal) -> Usage | None:
-        """What the ledger has of the stream of a session that was cut off. Its cost is unknown."""
+        """Return the recorded usage of a session that was cut off. Its cost is unknown."""
         if self._preset.format == "none":
             return None
         stream = Stream(self._preset.format)
@@ -326,7 +326,7 @@ def command_agent(
     if rules.jail:
         check_access(rules, directory, prepared.problem)
     check_program(preset.start[0], rules if rules.jail else None)
-    # A level further down than the runs are looked for: what lies in it is never taken for one.
+    # One level below the folder of runs, so that its contents are never listed as runs.
     folder = directory.resolve().parent / WORKSPACES / directory.name
     if os.path.lexists(folder / "ledger.jsonl"):
         raise UserError(f"{folder} contains ledger.jsonl, so it looks like a run: remove this file")
@@ -345,8 +345,11 @@ def run_command(
     on_event: OnEvent,
     on_start: Callable[[SearchView], None],
 ) -> SearchView:
-    """As `search`, with candidates from a coding agent. Raises UserError before anything starts
-    as `command_agent` does."""
+    """Run a search with candidates from a coding agent, see `search`.
+
+    Raises:
+        UserError: as `command_agent`, before anything starts.
+    """
     agent = command_agent(prepared, preset, rules)
     return search_beside(prepared, agent, (agent,), on_event, on_start)
 
@@ -359,8 +362,9 @@ def search_beside(
     on_start: Callable[[SearchView], None],
     executor: Executor | None = None,
 ) -> SearchView:
-    """As `search`; the coding agents among those who propose hear of every event, and are closed
-    afterwards."""
+    """Run a search and pass every event to its coding agents; close them afterwards. See
+    `search`.
+    """
     store = Store(prepared.directory / "artifacts")
 
     def both(event: Event, view: SearchView) -> None:

@@ -1,4 +1,4 @@
-"""One process of a coding agent: read, watched and ended."""
+"""Process of a coding agent: start, output, deadline and end."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ class Session:
 
     @property
     def ended(self) -> bool:
-        """Whether the process is."""
+        """Return whether the process has ended."""
         return self.process.poll() is not None
 
     def wait(self, seconds: float) -> None:
-        """For its end, at most so long."""
+        """Wait for the end of the process, at most `seconds`."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(seconds)
 
@@ -72,7 +72,7 @@ class Session:
     def end(self) -> str:
         """Kill it, read what it has left; how it ended. A child that escaped its group may hold the
         output open: it is not waited for."""
-        alone = self.ended
+        has_ended = self.ended
         self.kill()
         self._over.set()
         self._thread.join(_JOIN_SECONDS)
@@ -80,7 +80,7 @@ class Session:
             return self.stream.outcome
         if self.stopped is not None:
             return f"stopped: {self.stopped.detail}"
-        how = f"exit code {self.process.returncode}" if alone else "stopped with the search"
+        how = f"exit code {self.process.returncode}" if has_ended else "stopped with the search"
         return f"{how}: {self._last_words}" if self._last_words else how
 
     def _attend(self) -> None:
@@ -117,7 +117,7 @@ class Session:
         self._flush(at_once=True)
 
     def _read(self, output: int) -> bool:
-        """What is there; False at the end of the output."""
+        """Read the available output; return False at its end."""
         try:
             data = os.read(output, _READ_BYTES)
         except BlockingIOError:

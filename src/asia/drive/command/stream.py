@@ -1,7 +1,7 @@
-"""Event streams of coding agents: tokens, cost, turns, session, how it ended.
+"""Event streams of coding agents: tokens, cost, turns, session, result.
 
 Formats: Claude Code `--output-format stream-json`, Codex `exec --json`, Gemini CLI `-o
-stream-json`. What does not parse is passed over: the whole stream is in the ledger anyway.
+stream-json`. Lines that do not parse are ignored: the whole stream is in the ledger anyway.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ StreamFormat = Literal["claude", "codex", "gemini", "none"]
 
 @dataclass
 class Stream:
-    """What one session's stream has reported so far."""
+    """Values reported by one session's stream so far."""
 
     format: StreamFormat
-    """How its lines are read."""
+    """Format of the lines."""
     before: Usage = field(default_factory=lambda: Usage(cost=0.0))
     """The agent's own totals when a session that is taken up again was left; its totals hold them
     again."""
@@ -39,7 +39,7 @@ class Stream:
     _seen: set[str] = field(default_factory=set[str])
 
     def feed(self, line: str) -> None:
-        """One line of the stream."""
+        """Parse one line of the stream."""
         reader = _READERS.get(self.format)
         if reader is None:
             return
@@ -62,7 +62,7 @@ class Stream:
         )
 
     def first_time(self, name: str) -> bool:
-        """Whether an item occurs for the first time; one reply may have several events."""
+        """Return whether an item occurs for the first time; one reply may have several events."""
         new = name not in self._seen
         self._seen.add(name)
         return new
@@ -163,7 +163,9 @@ def _text(value: object) -> str:
 
 
 def _name(value: object) -> str:
-    """Of a session: it goes back onto a command line, where it must not be taken for an option."""
+    """Return the name of a session, checked: it goes back onto a command line, where it must not be
+    read as an option.
+    """
     text = _text(value)
     return text if re.fullmatch(r"\w[\w.-]*", text) else ""
 

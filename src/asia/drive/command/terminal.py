@@ -1,5 +1,6 @@
-"""A program on a terminal of its own, which is shown on the person's: it cannot reach the terminal
-that other programs use."""
+"""Program on its own pseudo-terminal, shown on the user's terminal: it cannot reach the terminal
+that other programs use.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ _TICK_SECONDS = 0.2
 
 
 def on_terminal() -> bool:
-    """Whether a person sits at this process."""
+    """Return whether this process has the user's terminal."""
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
@@ -88,7 +89,7 @@ def _raw() -> Generator[None]:
 
 @contextmanager
 def _resizing(ours: int) -> Generator[None]:
-    """The program's terminal has the size of the person's, also when that changes."""
+    """Keep the size of the program's terminal equal to that of the user's."""
     before = signal.signal(signal.SIGWINCH, lambda number, frame: _copy_size(ours))
     try:
         yield

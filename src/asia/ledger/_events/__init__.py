@@ -1,4 +1,4 @@
-"""What a search records. One dataclass an event; every field is JSON."""
+"""Events that a search records: one dataclass an event, every field is JSON."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ class AblationFit:
     """A variant of the winner fitted on every fold, from a seed that the evaluator chose."""
 
     variant: str
-    """What it is, in words."""
+    """Description of the variant."""
     source: str
     """Artifact of its `candidate.py`."""
     digest: str
@@ -38,15 +38,14 @@ class LeftOut:
     experiment: int
     """The experiment that brought the change."""
     loss: Interval | None = None
-    """How much higher V is without it, with a 95 % interval over the seeds; None where that is not
-    known."""
+    """Increase of V without the change, with a 95 % interval over the seeds; None if not known."""
     detail: str = ""
     """Why it is not known."""
 
 
 @dataclass(frozen=True)
 class Ablated:
-    """What the gain of a search is due to."""
+    """Contributions of the changes to the gain of a search."""
 
     winner: int
     """The incumbent of the search."""

@@ -1,4 +1,4 @@
-"""What a language model or a coding agent asked, said and consumed."""
+"""Requests, answers and token usage of language models and coding agents."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Usage:
-    """What a language model consumed."""
+    """Tokens and cost of a language model."""
 
     input_tokens: int = 0
     """Tokens of the requests."""
@@ -42,7 +42,7 @@ class Exchanged:
     status: int
     """HTTP status; 0 when there was no reply."""
     usage: Usage | None = None
-    """What the exchange consumed."""
+    """Tokens and cost of the exchange."""
     leg: int = 0
     """The leg of a relay that asked, 1-based; 0 where one agent proposes."""
     event: Literal["exchanged"] = "exchanged"
@@ -68,7 +68,7 @@ class SessionStarted:
     grant: float | None
     """USD that it may spend; None where money has no cap."""
     leg: int = 0
-    """As in `Exchanged`."""
+    """Leg of a relay, see `Exchanged`."""
     event: Literal["session_started"] = "session_started"
 
 
@@ -79,9 +79,9 @@ class SessionEnded:
     session: int
     """Number of the session."""
     outcome: str
-    """How it ended."""
+    """Outcome of the session."""
     usage: Usage | None
-    """What it consumed."""
+    """Tokens and cost of the session."""
     leg: int = 0
-    """As in `Exchanged`."""
+    """Leg of a relay, see `Exchanged`."""
     event: Literal["session_ended"] = "session_ended"

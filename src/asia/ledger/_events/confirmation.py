@@ -19,10 +19,13 @@ class Repeated:
     outcome: Outcome
     """Its score, or why there is none."""
     blocks: tuple[tuple[float, ...], ...] = ()
-    """How each block of a fold's held-out samples enters the score, one tuple a fold; () for a
-    failure."""
+    """Contribution of each block of held-out samples to the score, one tuple a fold; () for a
+    failure.
+    """
     same: bool = False
-    """Whether every simulation is bitwise that of the search: the seed plays no part."""
+    """True if every simulation is bitwise equal to that of the search, so that the seed has no
+    effect.
+    """
     seconds: float = 0.0
     """Duration."""
     event: Literal["repeated"] = "repeated"
@@ -30,7 +33,7 @@ class Repeated:
 
 @dataclass(frozen=True)
 class ConfirmedCandidate:
-    """One candidate after its repeats."""
+    """One candidate with its repeated fits."""
 
     experiment: int
     """1-based."""
@@ -47,7 +50,7 @@ class ConfirmedCandidate:
     failed: int
     """Repeats that failed."""
     deterministic: bool
-    """Whether fits do not depend on the seed."""
+    """True if fits do not depend on the seed."""
     best_rank: int
     """1 plus the candidates that are better, beyond doubt."""
     worst_rank: int
@@ -67,13 +70,13 @@ class ConfirmedPair:
 
     @property
     def apart(self) -> bool:
-        """Whether the first is better, beyond doubt."""
+        """Return whether the first candidate is significantly better."""
         return self.difference.low > 0.0
 
 
 @dataclass(frozen=True)
 class Confirmed:
-    """What the repeats of the top candidates say."""
+    """Result of repeated fits of the best candidates."""
 
     winner: int
     """The incumbent of the search."""
@@ -86,7 +89,7 @@ class Confirmed:
     candidates: tuple[ConfirmedCandidate, ...]
     """The lowest V first."""
     pairs: tuple[ConfirmedPair, ...]
-    """All pairs of candidates."""
+    """Differences between all pairs of candidates."""
     noise: float | None
     """The noise floor: standard deviation of V over seeds, pooled over the candidates; None where
     it is not known."""
@@ -96,9 +99,11 @@ class Confirmed:
     expected_level: float = 0.9
     """The level of that interval."""
     ensemble: Interval | None = None
-    """As `expected`, of the mean of the fold models' simulations; None where it is not known."""
+    """Expected score of the mean of the fold models' simulations, see `expected`; None if not
+    known.
+    """
     failed: tuple[int, ...] = ()
     """Experiments all of whose repeats failed; they are not ranked."""
     after_unsealing: bool = False
-    """Whether the sealed test had been opened before."""
+    """True if the sealed test had been opened before."""
     event: Literal["confirmed"] = "confirmed"

@@ -10,7 +10,7 @@ Use = Literal["ensemble", "refit", "stack"]
 
 @dataclass(frozen=True)
 class RefitStart:
-    """One fit of the winner on all training records, compared with the fold models."""
+    """One fit of the winner to all training records, compared with the fold models."""
 
     error: float | None
     """Its error on the training records, in the metric of V; None where it gives no answer."""
@@ -23,7 +23,7 @@ class RefitStart:
 
 @dataclass(frozen=True)
 class RefitCheck:
-    """What the fold models and each start of the refit answer to the training records."""
+    """Errors of the fold models and of each start of the refit on the training records."""
 
     fold_errors: tuple[float | None, ...]
     """The error of each fold model, in the metric of V; None where it gives no answer."""

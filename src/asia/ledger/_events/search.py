@@ -25,7 +25,7 @@ HandOverReason = Literal[
 _AtOnce = Annotated[int, Field(exclude_if=lambda value: value == 1)]
 # Left out where the search's own machine fitted.
 _Elsewhere = Annotated[str, Field(exclude_if=lambda value: value == "")]
-# Left out where nobody asked for a GPU.
+# Omitted if no GPU was requested.
 _Device = Annotated[Device, Field(exclude_if=lambda value: value == "cpu")]
 _Flag = Annotated[bool, Field(exclude_if=lambda value: not value)]
 _Bound = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
@@ -44,8 +44,9 @@ class Leg:
     agent: str
     """Name of the agent."""
     experiments: int | None = None
-    """How many experiments it has; the baseline counts as one of the first leg. None for all that
-    are left, which the last leg takes."""
+    """Number of experiments of the leg; the baseline counts as one of the first leg. None for all
+    that remain, which only the last leg may have.
+    """
     settings: dict[str, str] = field(default_factory=dict[str, str])
     """Settings of the agent that shape the search."""
 
@@ -77,16 +78,19 @@ class Started:
     isolation: str
     """The level of isolation that candidates run at."""
     isolation_notes: tuple[str, ...]
-    """What that level lacks, for people."""
+    """Protection that this isolation level lacks, for display."""
     environment: dict[str, str]
     """Python, platform and package versions."""
     early_stopping: EarlyStopping = "inner"
-    """With `validation` candidates saw their score on the held-out parts: V is not leak-free."""
+    """Source of the score for early stopping. With `validation`, candidates saw their score on the
+    held-out parts and V is not leak-free.
+    """
     agent_settings: dict[str, str] = field(default_factory=dict[str, str])
     """Settings of the agent that shape the search."""
     ladder: float | None = None
-    """The share of V by which a new best must be better for whoever proposes to see it; None where
-    all of V is shown."""
+    """Relative improvement of V that a new best needs before the agent sees it; None if all of V is
+    shown.
+    """
     guard_digest: str | None = None
     """Commits the guard records; None when the problem has none."""
     layers: tuple[str, ...] = ()
@@ -94,25 +98,30 @@ class Started:
     salt: str = ""
     """Seeds the choice of cases that new bests are checked on; never shown to agents."""
     isolation_strict: bool = False
-    """Whether the folds of a candidate ran one after the other, so that none could tell another."""
+    """True if the folds of a candidate were fitted sequentially, so that none could pass
+    information to another.
+    """
     lessons: str | None = None
-    """Only in older ledgers: artifact of what earlier searches taught."""
+    """Artifact with the lessons of earlier searches, in older ledgers only."""
     folds: tuple[str, ...] = ()
-    """What each fold holds out, in words; () in older ledgers."""
+    """Description of the held-out part of each fold; () in older ledgers."""
     residuals: ShownResidual = "train"
-    """With `held_out` those who propose saw residuals of the held-out samples."""
+    """Residuals that agents saw: with `held_out`, those of the held-out samples."""
     legs: tuple[Leg, ...] = ()
     """The agents that propose one after the other; () where one agent does."""
     retests: int = 0
     """The most fits from other seeds of a candidate about to be kept, which must then be better by
     the floor; 0 where one fit decides, as in older ledgers."""
     parallel: _AtOnce = 1
-    """How many experiments may be in flight: each is proposed once all but the last `parallel` - 1
-    before it have their results."""
+    """Maximum number of concurrent experiments. Each is proposed once all but the last `parallel` -
+    1 before it have their results.
+    """
     stop_folds: _Flag = False
-    """Whether folds of a first fit are passed over once V must be above `Proposed.over`."""
+    """True if the remaining folds of a first fit are pruned once V must be above
+    `Proposed.over`.
+    """
     device: _Device = "cpu"
-    """What candidates that train networks compute on; `environment` names the GPU."""
+    """Device of candidates that train networks; `environment` names the GPU."""
     event: Literal["started"] = "started"
 
     @property
@@ -126,7 +135,7 @@ class RungScored:
     """A trivial reference."""
 
     name: str
-    """Name of the rung."""
+    """Name of the reference model."""
     outcome: Outcome
     """Its score, or why there is none."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
@@ -151,7 +160,7 @@ class Proposed:
     hypothesis: str
     """Why it should be better."""
     expected: str
-    """What the agent expects of V."""
+    """Expected V, in the words of the agent."""
     source: str
     """Artifact of `candidate.py`."""
     digest: str
@@ -163,7 +172,7 @@ class Proposed:
     agent: str = ""
     """The agent of that leg; "" where one agent proposes, and for the baseline."""
     remark: str = ""
-    """What the agent makes of the search by now, for people; "" for nothing."""
+    """Comment of the agent on the state of the search, for display; "" for none."""
     over: _Bound = None
     """V above which the folds that are left do not count; None where all of them do."""
     event: Literal["proposed"] = "proposed"
@@ -184,7 +193,7 @@ class FoldEvidence:
     fit_seconds: float
     """Duration of the fit."""
     validation_scores: int = 0
-    """How often the fit asked for its score on the held-out part."""
+    """Number of requests of the fit for its score on the held-out part."""
     findings: str | None = None
     """Artifact of `asia.evaluation.FoldFindings`; None in older ledgers."""
     machine: _Elsewhere = ""
@@ -193,8 +202,9 @@ class FoldEvidence:
     """The level that was in force on that machine; "" for the search's own, which the result
     names."""
     device: _Elsewhere = ""
-    """What JAX computed on, by the word of the worker, which runs the candidate; "" where nobody
-    asked for a GPU."""
+    """JAX device as reported by the worker, which runs the candidate; "" if no GPU was
+    requested.
+    """
 
 
 @dataclass(frozen=True)
@@ -208,14 +218,16 @@ class Retest:
     failed: str = ""
     """The reason of the failure."""
     same: bool = False
-    """Whether every simulation is bitwise that of the first fit: the seed plays no part."""
+    """True if every simulation is bitwise equal to that of the first fit, so that the seed has no
+    effect.
+    """
     seconds: float = field(default=0.0, compare=False)
     """Duration."""
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """What came of a candidate."""
+    """Outcome of a candidate."""
 
     experiment: int
     """1-based."""
@@ -232,7 +244,7 @@ class Evaluated:
     duplicate_of: int | None = None
     """The experiment whose outcome was reused."""
     deadline: bool = False
-    """Whether the outcome depends on how fast the machine was."""
+    """True if the outcome depends on the speed of the machine."""
     validation_scores: int = 0
     """Validation scores given in all folds, failed ones too."""
     isolation: str | None = None
@@ -240,21 +252,24 @@ class Evaluated:
     left_behind: tuple[int, ...] = ()
     """Process ids of workers that the kernel did not let end."""
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
-    """Where the seconds went since the last event that says so; () in older ledgers."""
+    """Profile of the time since the last event with a profile; () in older ledgers."""
     retests: tuple[Retest, ...] = ()
     """Its fits from other seeds; () where it was not about to be kept."""
     floor: float | None = None
-    """How much lower than the incumbent's its mean over the seeds had to be; None without an
-    incumbent, or where one fit decides."""
+    """Significance threshold: improvement of the mean over seeds that was required. None without an
+    incumbent, or if one fit decides.
+    """
     lowest: bool = False
-    """Whether V of its first fit was the lowest so far, and its model passed the checks of one that
-    is handed over; False where one fit decides, and in older ledgers."""
+    """True if V of the first fit was the lowest so far and its model passed the checks of a final
+    model. False if one fit decides, and in older ledgers.
+    """
     elapsed: _Elapsed = None
     """Seconds that the search waited for it, decision included; None where one experiment runs at
     a time, which takes `seconds`."""
     ended_folds: _Count = field(default=0, compare=False)
-    """How many folds were ended while they ran, since V was far above the best without them. It
-    depends on the machine."""
+    """Number of folds that were cancelled while they ran, because V was far above the best without
+    them. It depends on the machine.
+    """
     failed_checks: _FailedChecks = field(default=(), compare=False)
     """Diagnostics that raised an exception, a line each."""
     event: Literal["evaluated"] = "evaluated"
@@ -278,7 +293,7 @@ class Landed:
     validation_scores: int = 0
     """Validation scores given in all folds, failed ones too."""
     ended_folds: _Count = field(default=0, compare=False)
-    """As in `Evaluated`."""
+    """Number of cancelled folds, see `Evaluated`."""
     event: Literal["landed"] = "landed"
 
 
@@ -330,7 +345,7 @@ class Resumed:
 
 @dataclass(frozen=True)
 class Steered:
-    """A person's note to the agent, seen from the next proposal on."""
+    """Note of the user to the agent, visible from the next proposal on."""
 
     text: str
     """The note."""
@@ -363,9 +378,9 @@ class Refitted:
     again: Again | None = None
     """The second fit of one fold; None in older ledgers."""
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
-    """As in `Evaluated`."""
+    """Profile of the time, see `Evaluated`."""
     check: RefitCheck | None = None
-    """The refit beside the fold models; None in older ledgers."""
+    """Comparison of the refit with the fold models; None in older ledgers."""
     stack: Stack | None = None
     """The weighted mean of several experiments; None where it would be the winner alone."""
     use: Use | None = None
@@ -376,5 +391,5 @@ class Refitted:
     """Artifact of what the refit says of its parameters; None where it says nothing, and in older
     ledgers."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
-    """As in `Evaluated`."""
+    """Failed checks, see `Evaluated`."""
     event: Literal["refitted"] = "refitted"

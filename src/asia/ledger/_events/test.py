@@ -29,20 +29,20 @@ class GuardLooked:
     look: int
     """Number of this look."""
     scores: tuple[GuardScore, ...]
-    """Of the last new bests."""
+    """Scores of the last new bests on the guard records."""
     pick: int | None
     """The best of them on the guard records."""
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
-    """As in `Evaluated`."""
+    """Profile of the time, see `Evaluated`."""
     event: Literal["guard"] = "guard"
 
 
 @dataclass(frozen=True)
 class TestedModel:
-    """One model on the sealed test."""
+    """Scores of one model on the sealed test."""
 
     scores: tuple[TestScore, ...]
-    """One a test metric."""
+    """Score of each test metric."""
     y_hat: str
     """Artifact of its simulation."""
     mee: MeeTable | None = None
@@ -76,16 +76,17 @@ class Unsealing:
     test_digest: str
     """Digest of the test."""
     opened_before: tuple[str, ...]
-    """Runs beside this one that had opened the same test."""
+    """Other runs in the same folder that had opened the same test before."""
     process_consent: bool = False
-    """A person agreed to open it though candidates ran at level process, where they could read
-    it."""
+    """True if the user agreed to open the test although candidates ran at level process, where they
+    could read it.
+    """
     event: Literal["unsealing"] = "unsealing"
 
 
 @dataclass(frozen=True)
 class Unsealed:
-    """What the sealed test said."""
+    """Result of the sealed test."""
 
     experiment: int
     """The winner."""
@@ -111,7 +112,9 @@ class Unsealed:
     stack: TestedModel | Failure | None = None
     """The weighted mean of several experiments; None where the search has none."""
     bands: TestBands | None = None
-    """Of the model to use; None where a fold model does not simulate the test."""
+    """Coverage of the bands of the model to use; None if a fold model does not simulate the
+    test.
+    """
     failed_checks: Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)] = ()
-    """As in `Evaluated`."""
+    """Failed checks, see `Evaluated`."""
     event: Literal["unsealed"] = "unsealed"

@@ -11,18 +11,18 @@ from asia.scoring.dossier import Verdict
 
 @dataclass(frozen=True)
 class RecordedCheck:
-    """One check of a dossier, as it was printed."""
+    """One check of a validation report, as it was printed."""
 
     name: str
     """A few words, unique within a dossier."""
     verdict: Verdict
-    """How it ended."""
+    """Result of the check."""
     sentence: str
-    """What was found, with numbers."""
+    """Finding, with numbers."""
     cause: str = ""
-    """What would explain it; "" where nothing is named."""
+    """Probable cause; "" if none is named."""
     weight: float = 0.0
-    """How much it matters among those that do not pass."""
+    """Importance among the checks that do not pass."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class Validated:
     experiment: int
     """The winner of the search, 1-based."""
     model: Use
-    """Which final model was checked."""
+    """Final model that was checked."""
     record: str
     """The new record that was simulated; "" for what the folds held out."""
     record_digest: str
     """Digest of that record; "" without one."""
     checks: tuple[RecordedCheck, ...]
-    """In the order to read them."""
+    """Checks in reading order."""
     curves: str
     """Artifact with what the checks draw."""
     passed: int
@@ -50,7 +50,7 @@ class Validated:
     worst: str = ""
     """The check to look at first; "" where all pass."""
     after_unsealing: bool = False
-    """Whether the sealed test had been opened before."""
+    """True if the sealed test had been opened before."""
     event: Literal["validated"] = "validated"
 
 

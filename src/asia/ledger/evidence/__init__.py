@@ -1,1 +1,1 @@
-"""What is shown of an experiment beside its score, to agents and to people alike."""
+"""Evidence on an experiment besides its score, for agents and users alike."""

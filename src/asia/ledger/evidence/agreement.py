@@ -1,4 +1,4 @@
-"""What the folds of one experiment have in common, and what they do not."""
+"""Agreement and disagreement between the folds of one experiment."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ParameterSpread:
     name: str
     """Its name, the model's word."""
     values: tuple[float, ...]
-    """In each fold."""
+    """Value in each fold."""
 
     @property
     def spread(self) -> float:
@@ -35,18 +35,19 @@ class ParameterSpread:
 
     @property
     def changes_sign(self) -> bool:
-        """Whether the folds do not agree on the direction."""
+        """Return whether the folds disagree on the sign."""
         return min(self.values) < 0 < max(self.values)
 
     @property
     def disagrees(self) -> bool:
-        """Whether the folds found different values: the model is wrong there, or the records do not
-        determine it."""
+        """Return whether the folds found significantly different values: the model is wrong there,
+        or the records do not determine it.
+        """
         return self.changes_sign or self.spread > LARGEST_SPREAD
 
 
 def parameter_spreads(folds: Sequence[FoldFindings]) -> tuple[ParameterSpread, ...]:
-    """Of the parameters that all folds name, those that agree least first."""
+    """Return the spread of each parameter that all folds name, largest disagreement first."""
     tables = [dict(one.parameters) for one in folds]
     names = [n for n in (tables[0] if tables else {}) if all(n in table for table in tables)]
     found = [ParameterSpread(name, tuple(table[name] for table in tables)) for name in names]
@@ -69,15 +70,17 @@ class SharedResidual:
 
     @property
     def evidence(self) -> Evidence:
-        """Whether it is worth a look, by the rule that holds for one fold too."""
+        """Relevance by the rule for a single fold."""
         return self.residual.evidence
 
 
 def shared_residuals(
     folds: Sequence[Sequence[SignedResidual]],
 ) -> tuple[SharedResidual, ...]:
-    """Of the signed residuals of each fold those that are more than noise in all of them together:
-    clear ones before those that may be chance, and then the largest gain first."""
+    """Return the signed residuals that exceed the noise in all folds together.
+
+    Significant residuals come before those that may be chance, then the largest gain first.
+    """
     found: defaultdict[tuple[int, PartKind, int, int], list[tuple[int, SignedResidual]]]
     found = defaultdict(list)
     for number, fold in enumerate(folds, 1):

@@ -1,4 +1,4 @@
-"""What the checks of a dossier draw, as an artifact of a run."""
+"""Curves of the validation checks, as an artifact of a run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from asia.ledger._store import Store
 from asia.scoring.dossier import Check, CheckCurve
 
 MOST_CURVES = 5
-"""Of a check: more are not told apart in a drawing."""
+"""Maximum number of curves of a check: more cannot be distinguished in a drawing."""
 _COLUMNS = 120
 _DIGITS = 5
 
@@ -24,7 +24,7 @@ class DrawnCurve:
     """One line to draw."""
 
     name: str
-    """What it is."""
+    """Name of the curve."""
     x: tuple[float, ...]
     """(n,)."""
     y: tuple[float, ...]
@@ -35,14 +35,14 @@ class DrawnCurve:
 
 @dataclass(frozen=True)
 class DrawnCheck:
-    """What one check draws."""
+    """Drawing of one check."""
 
     name: str
     """Name of the check."""
     axes: tuple[str, str]
     """Names of the axes."""
     curves: tuple[DrawnCurve, ...]
-    """At least one."""
+    """Curves, at least one."""
     left_out: int = 0
     """Curves beyond those."""
 
@@ -84,7 +84,9 @@ def _drawn(curve: CheckCurve) -> DrawnCurve:
 
 
 def _extremes(y: Array) -> list[int]:
-    """Where the least and the greatest value of each of some parts are; all of a short curve."""
+    """Return the indices of the minimum and maximum of each segment; all indices of a short
+    curve.
+    """
     if len(y) <= 2 * _COLUMNS:
         return list(range(len(y)))
     found: set[int] = set()

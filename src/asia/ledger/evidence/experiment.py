@@ -1,4 +1,4 @@
-"""All that is shown of one experiment beside its score."""
+"""Evidence on one experiment besides its score."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from asia.scoring import Diagnostics
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What the figures of an experiment are read against."""
+    """Limits and settings that the figures of an experiment are compared with."""
 
     inputs: tuple[Signal, ...]
     """Names and units of the inputs."""
     outputs: tuple[Signal, ...]
     """Names and units of the outputs."""
     fit_seconds: float
-    """How long the fit of a fold may take."""
+    """Time limit of the fit of a fold, s."""
     memory_mb: int
     """The largest address space of a worker."""
 
 
 @dataclass(frozen=True)
 class FoldShown:
-    """One fold of an experiment."""
+    """Evidence on one fold of an experiment."""
 
     held_out: str
-    """What it holds out, in words; "" in older ledgers."""
+    """Description of the held-out part; "" in older ledgers."""
     value: float | None
     """V of the fold; None where it is not reported."""
     diagnostics: Diagnostics
@@ -49,12 +49,12 @@ class FoldShown:
     fit_seconds: float
     """Duration of the fit."""
     findings: FoldFindings | None
-    """What else is known; None in older ledgers."""
+    """Further findings; None in older ledgers."""
 
 
 @dataclass(frozen=True)
 class ComparedScore:
-    """V beside that of another experiment."""
+    """Difference of V to that of another experiment."""
 
     experiment: int
     """The other one."""
@@ -68,36 +68,42 @@ class ComparedScore:
 
 @dataclass(frozen=True)
 class ExperimentEvidence:
-    """One experiment beside its score."""
+    """Evidence on one experiment besides its score."""
 
     setting: RunSettings
-    """What its figures are read against."""
+    """Settings that the figures are compared with."""
     folds: tuple[FoldShown, ...]
     """Its folds; () for a failure."""
     residuals: tuple[SharedResidual, ...]
-    """Where the model is too high or too low on the training records, what weighs most first."""
+    """Operating ranges in which the model is too high or too low on the training records, most
+    important first.
+    """
     held_out_residuals: tuple[SharedResidual, ...]
     """The same on the held-out parts; () unless the protocol shows them."""
     parameters: tuple[ParameterSpread, ...]
     """Named parameters, those on which the folds agree least first."""
     differences: tuple[ComparedScore, ...]
-    """V beside that of the parent and of the best before it."""
+    """Differences of V to the parent and to the best before it."""
     noise: float | None
     """The standard deviation of V over repeats, of the experiments in `differences` and this one
     where they were repeated; None where it was not measured."""
     printed: str
-    """What a failed fit printed; "" where there are folds."""
+    """Output of a failed fit; "" if there are folds."""
     failed_fold: str
     """The fold that failed, in words; "" where none did, and in older ledgers."""
 
     @property
     def recorded(self) -> bool:
-        """Whether the ledger holds more than older ledgers do."""
+        """Return whether the ledger holds findings, which older ledgers lack."""
         return bool(self.printed or self.failed_fold) or any(fold.findings for fold in self.folds)
 
 
 def settings_of_run(directory: Path) -> RunSettings:
-    """That of a run, from its lock file. Raises UserError when that cannot be read."""
+    """Return the settings of a run, from its lock file.
+
+    Raises:
+        UserError: the lock file cannot be read.
+    """
     path = directory / "problem.lock.toml"
     try:
         lock = tomllib.loads(path.read_text("utf-8"))
@@ -116,8 +122,14 @@ def settings_of_run(directory: Path) -> RunSettings:
 def evidence_of(
     experiment: Experiment, view: SearchView, store: Store, setting: RunSettings, *, bounded: bool
 ) -> ExperimentEvidence:
-    """What is shown of an experiment that has a result; view, experiment: with the scores that are
-    reported to whoever reads; bounded: as in `findings_of`."""
+    """Collect the evidence on an experiment that has a result.
+
+    Args:
+        experiment, view: with the scores that are reported to the reader.
+        store: artifacts of the run.
+        setting: settings of the run.
+        bounded: as in `findings_of`.
+    """
     result, score = experiment.result, experiment.score
     assert result is not None
     findings = findings_of(store, experiment, bounded=bounded)

@@ -30,12 +30,17 @@ def get_findings(store: Store, name: str) -> FoldFindings:
 
 
 def findings_of(store: Store, experiment: Experiment, *, bounded: bool) -> tuple[FoldFindings, ...]:
-    """Those of each fold, () for a failure and in older ledgers.
+    """Return the findings of each fold; () for a failure and in older ledgers.
 
-    Held-out errors are left out where the experiment has no score of its folds to show: one that
-    was found suspect must not learn by how much. bounded: whoever reads learns of the scores what
-    the Ladder gives; what a candidate can write itself, its prints and the names and values of its
-    parameters, is left out then, because it could carry records.
+    Held-out errors are left out if the experiment shows no score of its folds: an agent must not
+    learn the degree to which a candidate was found suspect.
+
+    Args:
+        store: artifacts of the run.
+        experiment: the experiment.
+        bounded: true if the reader sees only the scores that the Ladder reports. Texts that a
+            candidate controls, its prints and the names and values of its parameters, are left out
+            then, because they could carry records.
     """
     result, score = experiment.result, experiment.score
     names = [fold.findings for fold in result.folds] if result else []

@@ -1,4 +1,4 @@
-"""What was identified, in lines of text and as an object for scripts."""
+"""Identified model as lines of text and as an object for scripts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ _MOST_PAIRS = 5
 
 
 def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Iterator[str]:
-    """The equations with their numbers, a row a parameter, and what cannot be told apart."""
+    """Yield the equations with their numbers, one row a parameter, and the parameters that cannot
+    be distinguished.
+    """
     if found.equations and equations:
         yield "equations with the fitted numbers:"
         yield from (f"  {one_line(line, 600)}" for line in found.equations)
@@ -29,11 +31,11 @@ def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Itera
     yield from (f"  {line}" for line in disagreement_lines(found))
     for first, second, rho in found.entangled[:_MOST_PAIRS]:
         yield (
-            f"  the errors of {second} and {first} have correlation {rho:+.3f}: the records tell "
-            "the two apart badly"
+            f"  the errors of {second} and {first} have correlation {rho:+.3f}: the records "
+            f"hardly distinguish the two"
         )
     if len(found.entangled) > _MOST_PAIRS:
-        yield f"  ... {len(found.entangled) - _MOST_PAIRS} more pairs like that"
+        yield f"  ... {len(found.entangled) - _MOST_PAIRS} more such pairs"
 
 
 def disagreement_lines(found: IdentifiedModel) -> Iterator[str]:
@@ -42,13 +44,13 @@ def disagreement_lines(found: IdentifiedModel) -> Iterator[str]:
     if apart:
         verb = "differs" if len(apart) == 1 else "differ"
         yield (
-            f"{listed(apart)} {verb} between the folds by more than noise explains: the system "
+            f"{listed(apart)} {verb} significantly between the folds: the system "
             "drifts, or an effect is missing"
         )
     if any(one.fitted.misfit_error > 0 for one in found.parameters):
         yield (
-            "the residuals follow the input in a way that noise does not explain: an effect is "
-            "missing, and the intervals allow for what it moves in the parameters"
+            "the residuals are correlated with the input: an effect is missing, and the intervals "
+            "include the bias that it may cause"
         )
 
 

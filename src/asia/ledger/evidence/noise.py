@@ -1,4 +1,4 @@
-"""How far V moves when nothing changed but luck."""
+"""Variance of V over seeds."""
 
 from __future__ import annotations
 
@@ -13,10 +13,17 @@ from asia.scoring import least_significant_difference
 
 
 def noise_of_repeats(view: SearchView, among: Collection[int] = ()) -> float | None:
-    """The standard deviation of V over fits of one and the same source, pooled over the sources
-    that were judged more than once; None where no source was. among: experiments that are asked
-    about: where one of these was repeated, the others do not count, for a family far above them in
-    V has another luck."""
+    """Return the standard deviation of V over fits of the same source, pooled over all sources that
+    were fitted repeatedly.
+
+    Args:
+        view: the search.
+        among: experiments of interest. If one of these was repeated, the others do not count,
+            because a family far above them in V has another variance.
+
+    Returns:
+        The standard deviation; None if no source was repeated.
+    """
     own = _pooled([e for e in view.finished if e.number in among])
     return _pooled(view.finished) if own is None else own
 
@@ -35,9 +42,13 @@ def _pooled(experiments: Sequence[Experiment]) -> float | None:
 
 
 def floor_to_beat(view: SearchView) -> float | None:
-    """By how much a candidate must be lower than the incumbent, over the seeds, to be kept, if it
-    varies as much; 0 where the incumbent does not depend on the seed, None where that is not known
-    or one fit decides."""
+    """Return the significance threshold: the improvement of the mean over seeds that a candidate
+    with the same variance needs to be kept.
+
+    Returns:
+        The improvement; 0 if the incumbent does not depend on the seed, None if that is not known
+            or one fit decides.
+    """
     held = view.incumbent
     if held is None or held.result is None or not held.result.retests:
         return None
@@ -50,8 +61,8 @@ def method_words(view: SearchView) -> str:
     if best is None or held is None or best.number == held.number:
         return ""
     return (
-        f"#{best.number:02d} is handed over: its own fit has the lowest V; beyond the luck of the "
-        f"seeds nothing is better than #{held.number:02d}"
+        f"#{best.number:02d} and #{held.number:02d} are statistically equal; #{best.number:02d} is "
+        "handed over, because its own fit has the lowest V"
     )
 
 

@@ -1,4 +1,4 @@
-"""What was identified: the parameters of the winner with their uncertainty."""
+"""Identified parameters of the winner with their uncertainty."""
 
 from __future__ import annotations
 
@@ -18,10 +18,12 @@ from asia.ledger._store import Store
 from asia.ledger.evidence.findings import findings_of
 
 LEAST_SHARE = 0.5
-"""Of what is known of a parameter: if the records give less, they do not determine it."""
+"""Minimum share of the information on a parameter that must come from the records; with less, the
+records do not determine it.
+"""
 STRONG = 0.95
 """Parameters whose errors are correlated more than this are known together only."""
-# Of the width of a range: this near to its end a parameter sits at it.
+# Distance to a bound, as a share of the range, below which a parameter is at the bound.
 _AT_END = 0.005
 DISAGREEMENT = 3.0
 """Standard error by the folds over that by noise, from which on the fold models disagree."""
@@ -40,9 +42,9 @@ class EstimatedParameter:
     unit: str
     """Its unit; "" where none is given."""
     value: float
-    """In this unit."""
+    """Value in this unit."""
     standard_error: float | None
-    """In this unit; None where the records say nothing of it."""
+    """Standard error in this unit; None if the records do not determine the parameter."""
     low: float | None
     """Lower end of the 95 % interval; None where it is open."""
     high: float | None
@@ -54,13 +56,15 @@ class EstimatedParameter:
     data_share: float
     """The part of what is known of it that the records give, from 0 to 1."""
     misfit_error: float = 0.0
-    """How far a missing effect may have moved it, in this unit; 0 where the residuals show none,
-    and in older ledgers."""
+    """Possible bias by a missing effect, in this unit; 0 if the residuals show none, and in older
+    ledgers.
+    """
 
     @property
     def identifiable(self) -> bool:
-        """Whether the records determine it: better than a prior does, and better than its search
-        range."""
+        """Return whether the records determine the parameter better than its prior and its search
+        range do.
+        """
         if self.standard_error is None or self.data_share < LEAST_SHARE:
             return False
         ends = (self.low, self.high, self.lower, self.upper)
@@ -85,22 +89,22 @@ class EstimatedParameter:
 
 @dataclass(frozen=True)
 class EstimatedModel:
-    """All of them."""
+    """Estimated parameters of one model."""
 
     parameters: tuple[EstimatedParameter, ...]
-    """In the order of the model."""
+    """Parameters in the order of the model."""
     correlation: tuple[tuple[float | None, ...], ...]
-    """Of their errors; None where one is not known."""
+    """Correlation matrix of the errors; None for unknown entries."""
     equations: tuple[str, ...]
     """The model's equations with numbers in them, one a line; () where it gives none."""
 
 
 @dataclass(frozen=True)
 class IdentifiedParameter:
-    """A parameter beside what the fold models say of it."""
+    """Parameter with its values in the fold models."""
 
     fitted: EstimatedParameter
-    """From all training records."""
+    """Estimate from all training records."""
     folds: tuple[float, ...]
     """Its value in each fold model; () where these do not name it."""
     fold_error: float | None
@@ -128,7 +132,7 @@ class IdentifiedParameter:
 
     @property
     def disagrees(self) -> bool:
-        """Whether the fold models differ by more than noise explains."""
+        """Return whether the fold models differ by more than noise explains."""
         error, spread = self.fitted.standard_error, self.fold_error
         return error is not None and spread is not None and spread > DISAGREEMENT * error
 
@@ -151,8 +155,13 @@ def interval_ends(
 def beside_folds(
     fitted: EstimatedModel, tables: Sequence[Mapping[str, float]], *, jackknife: bool = True
 ) -> tuple[IdentifiedParameter, ...]:
-    """Parameters beside their values in the fold models, a table of names a fold. jackknife: false
-    where the folds do not each leave out another part of the records."""
+    """Combine parameters with their values in the fold models.
+
+    Args:
+        fitted: estimates from all training records.
+        tables: one table of values by name a fold.
+        jackknife: false if the folds do not each leave out another part of the records.
+    """
     rows: list[IdentifiedParameter] = []
     for one in fitted.parameters:
         known = bool(tables) and all(one.name in table for table in tables)
@@ -169,16 +178,16 @@ def jackknife_error(value: float, folds: Sequence[float]) -> float:
 
 @dataclass(frozen=True)
 class IdentifiedModel:
-    """What a search identified."""
+    """Model that a search identified."""
 
     experiment: int
     """The winner."""
     parameters: tuple[IdentifiedParameter, ...]
-    """In the order of the model."""
+    """Parameters in the order of the model."""
     correlation: tuple[tuple[float | None, ...], ...]
-    """Of their errors."""
+    """Correlation matrix of the errors."""
     equations: tuple[str, ...]
-    """With numbers in them."""
+    """Equations with their numerical values."""
 
     @property
     def disagreeing(self) -> tuple[str, ...]:
@@ -217,8 +226,9 @@ def get_estimates(store: Store, name: str) -> EstimatedModel:
 
 
 def identified(run: Run) -> IdentifiedModel | None:
-    """What the winner of a run says of its parameters; None where it says nothing, while there is
-    no winner, and in older ledgers."""
+    """Return the identified parameters of the winner of a run; None if it reports none, without a
+    winner, and in older ledgers.
+    """
     refitted = run.view.refitted
     if refitted is None or refitted.estimates is None or not run.store.kept:
         return None

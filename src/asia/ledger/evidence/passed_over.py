@@ -1,4 +1,4 @@
-"""Folds that were passed over, since the candidate was far behind without them."""
+"""Counts of folds that were pruned because the candidate was far behind without them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from asia.ledger._view import SearchView
 
 
 def folds_passed_over(view: SearchView) -> tuple[int, ...]:
-    """Of each experiment that was stopped early, how many folds do not count for that reason. One
-    that was given the outcome of a twin is not among them."""
+    """Return for each pruned experiment its number of pruned folds. An experiment with the outcome
+    of a duplicate is not among them.
+    """
     folds = len(view.started.folds)
     return tuple(
         folds - e.failure.fold
@@ -22,5 +23,5 @@ def folds_passed_over(view: SearchView) -> tuple[int, ...]:
 
 
 def folds_ended(view: SearchView) -> int:
-    """How many of the folds that were passed over ran already, and were ended."""
+    """Return the number of pruned folds that were cancelled while they ran."""
     return sum(e.result.ended_folds for e in view.finished if e.result is not None)

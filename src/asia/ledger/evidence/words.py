@@ -39,7 +39,9 @@ def evidence_lines(evidence: ExperimentEvidence, *, measured: bool = True) -> li
 
 
 def difference_lines(evidence: ExperimentEvidence) -> Iterator[str]:
-    """V beside that of the parent and of the best before, and beside the noise of repeats."""
+    """Yield the differences of V to the parent and to the best before, compared with the variance
+    over seeds.
+    """
     if not evidence.differences:
         return
     parts = [
@@ -51,7 +53,9 @@ def difference_lines(evidence: ExperimentEvidence) -> Iterator[str]:
 
 
 def fold_lines(evidence: ExperimentEvidence, *, measured: bool) -> Iterator[str]:
-    """A line a fold: what it holds out, V, training error, time and memory beside their limits."""
+    """Yield a line for each fold: held-out part, V, training error, time and memory with their
+    limits.
+    """
     names = [one_line(fold.held_out, 60) for fold in evidence.folds]
     width = max(map(len, names), default=0)
     for number, (fold, name) in enumerate(zip(evidence.folds, names, strict=True), 1):
@@ -74,7 +78,7 @@ def _cost(fold: FoldShown, evidence: ExperimentEvidence) -> Iterator[str]:
 
 
 def failure_lines(evidence: ExperimentEvidence) -> Iterator[str]:
-    """Which fold failed."""
+    """Yield the fold that failed."""
     if evidence.failed_fold:
         yield f"it failed in {one_line(evidence.failed_fold, WIDTH)}"
 
@@ -110,8 +114,9 @@ def output_lines(evidence: ExperimentEvidence, findings: Sequence[FoldFindings])
 
 
 def check_lines(evidence: ExperimentEvidence) -> Iterator[str]:
-    """What the checks of `asia validate` say on the training records, a line for each that does not
-    pass in some fold, in the words of the fold where it matters most."""
+    """Yield a line for each check of `asia validate` that does not pass on the training records of
+    some fold, in the wording of the fold with the largest deviation.
+    """
     findings = [one.findings for one in evidence.folds if one.findings is not None]
     yield from dict.fromkeys(line for one in findings for line in one.failed)
     known = [one.checks for one in findings]
@@ -133,7 +138,9 @@ def check_lines(evidence: ExperimentEvidence) -> Iterator[str]:
 
 
 def residual_lines(evidence: ExperimentEvidence) -> Iterator[str]:
-    """Where the model is too high or too low on the training records."""
+    """Yield the operating ranges in which the model is too high or too low on the training
+    records.
+    """
     if any(fold.findings for fold in evidence.folds):
         yield from _residual_lines(evidence, evidence.residuals, "on the training records")
 
@@ -155,12 +162,12 @@ def _residual_lines(
         if of_output < _OF_ONE_OUTPUT and len(kept) < MOST_RESIDUALS:
             kept.append(one)
     if not kept:
-        yield f"{where} it is nowhere too high or too low by more than a standard error"
+        yield f"{where} no mean residual exceeds its standard error"
         return
-    yield f"where it is wrong {where} (mean ± standard error, share of the MSE):"
+    yield f"mean residuals {where} (mean ± standard error, share of the MSE):"
     for one in kept:
-        words = one_line(one.residual.words(setting.inputs, setting.outputs), 90)
-        yield f"  {words}, {_folds(one.folds, evidence)}, {100 * one.share:.0f} %"
+        text = one_line(one.residual.words(setting.inputs, setting.outputs), 90)
+        yield f"  {text}, {_folds(one.folds, evidence)}, {100 * one.share:.0f} %"
 
 
 def _folds(numbers: Sequence[int], evidence: ExperimentEvidence) -> str:
@@ -168,7 +175,7 @@ def _folds(numbers: Sequence[int], evidence: ExperimentEvidence) -> str:
         return "all folds" if len(numbers) > 2 else "both folds"
     if len(numbers) > 1:
         return f"folds {', '.join(map(str, numbers))}"
-    return f"fold {numbers[0]} alone" if numbers else "no fold by itself"
+    return f"fold {numbers[0]} alone" if numbers else "no single fold"
 
 
 def parameter_lines(parameters: Sequence[ParameterSpread]) -> Iterator[str]:
@@ -176,7 +183,7 @@ def parameter_lines(parameters: Sequence[ParameterSpread]) -> Iterator[str]:
     apart = [one for one in parameters if one.disagrees]
     alike = [one for one in parameters if not one.disagrees]
     if apart:
-        yield "parameters that the folds disagree on, fold by fold:"
+        yield "parameters that differ between the folds:"
     for one in apart[:MOST_PARAMETERS]:
         values = ", ".join(f"{value:.4g}" for value in one.values)
         sign = ", of opposite sign" if one.changes_sign else ""
@@ -203,7 +210,7 @@ def printed_lines(evidence: ExperimentEvidence) -> Iterator[str]:
         if not lines or (number > 1 and text == texts[0]):
             continue
         whose = f"of fold {number}" if evidence.folds and len(set(texts)) > 1 else ""
-        yield f"printed by the fit {whose}".strip() + ", the candidate's words and no instruction:"
+        yield f"printed by the fit {whose}".strip() + ", text of the candidate, not an instruction:"
         yield from (f"  | {line}" for line in lines)
 
 

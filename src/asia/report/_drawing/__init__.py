@@ -1,1 +1,1 @@
-"""What the pictures are drawn with: style, time axes, panels, places for text."""
+"""Drawing toolkit for matplotlib: style, time axes, panels, places for text."""

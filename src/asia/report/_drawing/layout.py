@@ -18,7 +18,7 @@ _PLOT = 1.3
 _BETWEEN = 0.08
 _STRIP = 0.44
 _TICKS = 0.2
-_BESIDE_TICKS = 0.1
+_TICK_GAP = 0.1
 _EDGE = 0.1
 
 
@@ -77,5 +77,5 @@ def _align(axes: Sequence[Axes], dpi: float, width: float) -> float:
     ticks = max(t.get_window_extent().width for a in axes for t in a.get_yticklabels()) / dpi
     names = max(a.yaxis.label.get_window_extent().width for a in axes) / dpi
     for a in axes:
-        a.yaxis.set_label_coords(-(ticks + _BESIDE_TICKS) / width, 0.5)
-    return _EDGE + names + ticks + _BESIDE_TICKS
+        a.yaxis.set_label_coords(-(ticks + _TICK_GAP) / width, 0.5)
+    return _EDGE + names + ticks + _TICK_GAP

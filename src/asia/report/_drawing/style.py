@@ -1,5 +1,6 @@
-"""How every picture looks. Applied for the time of a drawing; the caller's matplotlib settings
-come back unchanged."""
+"""Style of all pictures. It is applied during a drawing; the caller's matplotlib settings are
+restored.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from matplotlib.transforms import Bbox, offset_copy
 from asia.data import Signal
 from asia.protocol import find_metric
 
-# Okabe and Ito's colours: told apart by the colour-blind, and of unlike lightness in print.
+# Okabe and Ito's colours: distinguishable with colour blindness, and different in grey print.
 INK: Final = "#222222"
 QUIET: Final = "#6b6b6b"
 FAINT: Final = "#a8a8a8"

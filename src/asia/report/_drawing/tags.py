@@ -1,5 +1,6 @@
-"""Places for texts beside the points that they name, for SVG and matplotlib alike: no two overlap,
-none covers a point, none leaves the frame. x to the right, y down."""
+"""Placement of labels near their points, for SVG and matplotlib: no two overlap, none covers a
+point, none leaves the frame. x points right, y down.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +23,12 @@ class Box:
     bottom: float
 
     def meets(self, other: Box) -> bool:
-        """Whether the two overlap."""
+        """Return whether two boxes overlap."""
         apart = self.right < other.left or other.right < self.left
         return not (apart or self.bottom < other.top or other.bottom < self.top)
 
     def holds(self, other: Box) -> bool:
-        """Whether the other one is inside."""
+        """Return whether the other box is inside this one."""
         across = self.left <= other.left and other.right <= self.right
         return across and self.top <= other.top and other.bottom <= self.bottom
 

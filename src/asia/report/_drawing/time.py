@@ -37,10 +37,10 @@ class Stretch:
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """Where each stretch lies on one axis: `times` holds the time of each sample in `unit`,
-    `pieces` what the stretches are.
+    """Positions of segments on one time axis: `times` holds the time of each sample in `unit`,
+    `pieces` names the kind of the segments.
 
-    A single stretch keeps the time of its record; several are laid end to end with a gap.
+    A single segment keeps the time of its record; several are laid end to end with a gap.
     """
 
     times: tuple[Array, ...]
@@ -56,13 +56,13 @@ class TimeAxis:
 
     @property
     def seams(self) -> tuple[float, ...]:
-        """Times between one stretch and the next."""
+        """Times between consecutive segments."""
         pairs = zip(self.times, self.times[1:], strict=False)
         return tuple(float(a[-1] + b[0]) / 2 for a, b in pairs)
 
 
 def last_sample(stretches: Sequence[Stretch]) -> int:
-    """Where an axis for `stretches` ends, in samples."""
+    """Return the last sample of the axis for these segments."""
     total = sum(s.length for s in stretches)
     return stretches[0].start + total if len(stretches) == 1 else total
 
@@ -70,15 +70,22 @@ def last_sample(stretches: Sequence[Stretch]) -> int:
 def lay_out(
     stretches: Sequence[Stretch], sampling_time: float, unit: TimeUnit, pieces: str = "records"
 ) -> TimeAxis:
-    """The axis for `stretches`, whose records are sampled every `sampling_time` seconds."""
+    """Return the time axis for segments.
+
+    Args:
+        stretches: the segments.
+        sampling_time: sampling time of their records, s.
+        unit: unit of the axis.
+        pieces: name of the kind of the segments.
+    """
     total = sum(s.length for s in stretches)
     gap = total // 50 + 1
     first = stretches[0].start if len(stretches) == 1 else 0
     scale = sampling_time / unit.seconds
     times: list[Array] = []
-    for stretch in stretches:
-        times.append((first + np.arange(stretch.length, dtype=np.float64)) * scale)
-        first += stretch.length + gap
+    for segment in stretches:
+        times.append((first + np.arange(segment.length, dtype=np.float64)) * scale)
+        first += segment.length + gap
     edge = total * scale / 100
     limits = float(times[0][0]) - edge, float(times[-1][-1]) + edge
     return TimeAxis(tuple(times), unit, limits, pieces)

@@ -1,4 +1,4 @@
-"""The page of a run: one HTML file that tells all of it, offline."""
+"""Report page of a run: one HTML file with everything, offline."""
 
 from asia.report._page.bundle import PublishedRuns, write_bundle
 from asia.report._page.page import LIMIT, page_of, write_page

@@ -24,9 +24,20 @@ _SHA = re.compile(r"[0-9a-f]{64}")
 
 
 def audit(page: str, directory: Path, events: int) -> int:
-    """How many numbers were checked. events: how many events of the ledger in `directory` the page
-    is of. Raises InternalError that names the first number that is not what the ledger says, or
-    that names no source."""
+    """Check every number of a page against the ledger.
+
+    Args:
+        page: the HTML page.
+        directory: run directory.
+        events: number of events of the ledger that the page covers.
+
+    Returns:
+        The number of checked numbers.
+
+    Raises:
+        InternalError: a number differs from the ledger or names no source; the message names the
+            first one.
+    """
     reader = _Reader(_Sources(directory, events))
     reader.feed(page)
     reader.close()
@@ -44,7 +55,7 @@ class _Sources:
         self._lock: dict[str, Any] | None = None
 
     def values(self, sources: str) -> list[Any]:
-        """Of all sources, in order."""
+        """Return the values of all sources, in order."""
         found: list[Any] = []
         for one in sources.split(" "):
             name, _, path = one.partition(":")
@@ -71,8 +82,9 @@ class _Sources:
 
 
 class _Reader(HTMLParser):
-    """Walks the page. A text with a digit stands in a checked element, or in one whose text is
-    quoted, is code, or is drawn."""
+    """Parser of the page. A text with a digit must be in a checked element, or in one that is
+    quoted, code, or drawn.
+    """
 
     def __init__(self, sources: _Sources) -> None:
         super().__init__(convert_charrefs=True)

@@ -19,7 +19,7 @@ from asia.report._page.subject import Subject
 
 @dataclass(frozen=True)
 class PublishedRuns:
-    """What was written."""
+    """Files that were written."""
 
     index: Path
     """The list."""
@@ -60,8 +60,8 @@ def _index(runs: Sequence[Run]) -> str:
     ordered = sorted(runs, key=lambda run: (*_compared(run), _value(run), run.name))
     tables = [_table(list(group)) for _, group in groupby(ordered, key=_compared)]
     header = tag("header", tag("p", "ASIA", class_="kind"), tag("h1", "Searches"))
-    words = tag("p", "Runs stand in one table where their V can be compared.")
-    return document("Searches", (header, tag("main", words, *tables)))
+    text = tag("p", "Runs stand in one table where their V can be compared.")
+    return document("Searches", (header, tag("main", text, *tables)))
 
 
 def _compared(run: Run) -> tuple[str, str, str]:
@@ -86,10 +86,10 @@ def _row(run: Run) -> list[str | None]:
     subject = Subject(run, None, DETAILS[-1])
     best, start = run.view.best, run.view.started
     link = tag("a", said(run.name), href=quote(f"{run.name}.html"))
-    words, kind = stamp(subject)
+    text, kind = stamp(subject)
     cells: list[Html] = [
         link,
-        tag("span", words, class_=f"stamp small {kind}"),
+        tag("span", text, class_=f"stamp small {kind}"),
         subject.v(best) if best is not None else tag("span", "no score"),
         said(best.proposed.title, 60) if best is not None else tag("span"),
         subject.over("evaluated", "experiment", "count", "count"),

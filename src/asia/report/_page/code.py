@@ -21,7 +21,7 @@ _CLASSES = (
 
 
 def python(source: str, label: str) -> Html:
-    """A source with keywords, strings and comments told apart."""
+    """Format Python source with marked keywords, strings and comments."""
     clean = printable(source)
     if len(clean) > _LONGEST:
         clean = f"{clean[:_LONGEST]}\n… cut here; asia show --source prints all of it"

@@ -29,7 +29,9 @@ _UNARY = 3
 
 
 def equations(physics: Physics) -> tuple[tuple[str, Html], ...]:
-    """What each equation is, and the equation: definitions, dynamics and outputs."""
+    """Format the equations of a problem as (description, formula): definitions, dynamics and
+    outputs.
+    """
     rows = [("definition", symbol(name), text) for name, text in physics.definitions.items()]
     for name in physics.states:
         slope = tag("mfrac", tag("mi", "d"), tag("mrow", tag("mi", "d"), tag("mi", "t")))
@@ -45,7 +47,7 @@ def equation(left: Html, text: str) -> Html:
 
 
 def formula(expression: Expression) -> Html:
-    """The terms in the order that the person wrote them."""
+    """Format an expression with its terms in the order of the problem file."""
     return _node(expression.root)
 
 
@@ -92,13 +94,15 @@ def _node(node: Node) -> Html:
 
 
 def _is_word(*factors: Node) -> bool:
-    """Whether one of the factors ends or begins with a word, which a space would not part."""
+    """Return whether one of the factors ends or begins with a word, which a space would not
+    separate.
+    """
     last, first = factors
     while isinstance(last, Binary) and last.symbol == "*":
         last = last.right
-    words = [n.name for n in (last, first) if isinstance(n, Name)]
+    names = [n.name for n in (last, first) if isinstance(n, Name)]
     calls = isinstance(first, Call) and first.function not in ("sqrt", "abs")
-    return calls or any(n not in _GREEK and not _SHORT.fullmatch(n) for n in words)
+    return calls or any(n not in _GREEK and not _SHORT.fullmatch(n) for n in names)
 
 
 def _call(function: str, arguments: list[Html]) -> Html:

@@ -17,9 +17,9 @@ class Html(str):
 
 
 def tag(name: str, /, *children: str | None, **attributes: object) -> Html:
-    """An element. Children that are not `Html` are escaped, None is left out. Attributes:
-    `class_` is class, `data_from` is data-from, True stands without a value, None and False are
-    left out."""
+    """Write an element. Children that are not `Html` are escaped, None is left out. Attributes:
+    `class_` is class, `data_from` is data-from, True has no value, None and False are left out.
+    """
     words = [name]
     for key, value in attributes.items():
         if value is None or value is False:
@@ -33,7 +33,7 @@ def tag(name: str, /, *children: str | None, **attributes: object) -> Html:
 
 
 def join(parts: Iterable[str | None], between: str = "") -> Html:
-    """One after the other; None is left out."""
+    """Concatenate parts; None is left out."""
     return Html(text(between).join(text(part) for part in parts if part is not None))
 
 
@@ -43,8 +43,9 @@ def text(part: str) -> Html:
 
 
 def said(words: str, most: int = 300) -> Html:
-    """What ASIA did not write itself, on one line: names, titles, what an agent says. Its numbers
-    are nobody's claim, so the audit passes over them."""
+    """Quote a foreign text on one line: a name, a title, a text of an agent. The audit ignores its
+    numbers.
+    """
     return tag("span", one_line(words, most), class_="said")
 
 

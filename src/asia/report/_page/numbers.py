@@ -50,7 +50,7 @@ FORMS: Final[dict[str, Callable[[Any], str]]] = {
     "text": _text,
     "short": lambda v: str(v)[:12],
 }
-"""How a value is written."""
+"""Formats of values."""
 
 RULES: Final[dict[str, Callable[[Sequence[Any]], Any]]] = {
     ONE: lambda values: values[0] if len(values) == 1 else _not_one(values),
@@ -68,7 +68,7 @@ RULES: Final[dict[str, Callable[[Sequence[Any]], Any]]] = {
     "effect_high": lambda values: interval_ends(*values)[1],
     "change": lambda values: (values[0] - values[1]) / values[1],
 }
-"""What is made of the values of the sources."""
+"""Functions that combine the values of the sources."""
 
 
 def _floats(values: Sequence[Any]) -> bool:
@@ -87,13 +87,18 @@ def _not_one(values: Sequence[Any]) -> Any:
 
 
 def follow(value: Any, path: str) -> list[Any]:
-    """What stands at a path of nested mappings, sequences or dataclasses: one value; with
-    `name=value` at the end, one or none; with `*` at the end, all of a sequence. Raises KeyError
-    where there is nothing."""
+    """Return the values at a path of nested mappings, sequences or dataclasses.
+
+    A plain path gives one value; with `name=value` at the end, one or none; with `*` at the end,
+    all of a sequence.
+
+    Raises:
+        KeyError: the path does not exist.
+    """
     for step in path.split("."):
         if step == "*":
             return list(value)
-        name, equals, wanted = step.partition("=")
+        name, equals, expected = step.partition("=")
         if isinstance(value, dict):
             value = value[name]
         elif isinstance(value, list | tuple):
@@ -101,7 +106,7 @@ def follow(value: Any, path: str) -> list[Any]:
         else:
             value = getattr(value, name)
         if equals:
-            return [value] if str(value) == wanted else []
+            return [value] if str(value) == expected else []
     return [value]
 
 

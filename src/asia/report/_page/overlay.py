@@ -12,15 +12,15 @@ from asia.report._page.html import Html, join, tag
 from asia.report._page.svg.curves import Curves, draw_curves, legend
 
 MOST_PANELS = 6
-"""Of a section."""
+"""Maximum number of panels of a section."""
 
 
 @dataclass(frozen=True)
 class Overlay:
-    """One output over one record, block or window."""
+    """Measured and simulated output over one record, block or window."""
 
     title: Html
-    """What it shows."""
+    """Title of the panel."""
     alt: str
     """The same for those who do not see it."""
     channel: int
@@ -37,8 +37,9 @@ class Overlay:
     """Lower and upper edges (H, ny) of the output bands; None without any."""
 
     def cut(self, first: int, last: int) -> Overlay:
-        """From one sample to another, both counted from its start and kept within it; at least
-        two samples."""
+        """Return the part between two samples, counted from its start and clipped to it; at least
+        two samples.
+        """
         begin = min(max(first, 0), len(self.measured) - 2)
         end = max(min(last + 1, len(self.measured)), begin + 2)
         return replace(
@@ -59,13 +60,13 @@ def draw_overlays(problem: Problem, overlays: Sequence[Overlay]) -> Html:
 
 
 def overlay_legend(*, banded: bool = False) -> Html:
-    """Which curve is which. banded: output bands are among them."""
-    words = [("measured", "measured"), ("model", "simulated"), ("error", "difference")]
-    return legend([*words, *([("outputs", "output bands")] if banded else [])])
+    """Write the legend of the curves. banded: true if output bands are among them."""
+    text = [("measured", "measured"), ("model", "simulated"), ("error", "difference")]
+    return legend([*text, *([("outputs", "output bands")] if banded else [])])
 
 
 def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
-    """One of them."""
+    """Draw one overlay."""
     signal = problem.outputs[overlay.channel]
     end = overlay.first + len(overlay.measured)
     unit = time_unit(problem.sampling_time * end)

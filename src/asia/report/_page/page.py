@@ -1,4 +1,4 @@
-"""From a run to its page."""
+"""Report page of a run, assembled from its sections."""
 
 from __future__ import annotations
 
@@ -98,21 +98,21 @@ def _section(section: Section, inner: Html) -> Html:
 
 def _header(subject: Subject) -> Html:
     start = subject.view.started
-    words = (
+    text = (
         "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
         subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
     )  # fmt: skip
     kind = tag("p", "ASIA, report of a search", class_="kind")
-    return tag("header", kind, tag("h1", said(start.run)), tag("p", *words))
+    return tag("header", kind, tag("h1", said(start.run)), tag("p", *text))
 
 
 def _footer(subject: Subject) -> Html:
     version = subject.view.started.environment.get("asia-sysid", "")
-    words = (
-        "Every number on this page names the event of the ledger that it stands in, and was "
-        "checked against it when the page was written. Hold the pointer over a number to see it."
+    text = (
+        "Every number on this page comes from an event of the ledger, and was checked against it "
+        "when the page was written. Hold the pointer over a number to see its event."
     )
-    return tag("footer", tag("p", words), tag("p", "ASIA ", said(version)))
+    return tag("footer", tag("p", text), tag("p", "ASIA ", said(version)))
 
 
 def _style() -> str:

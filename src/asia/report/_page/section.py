@@ -18,13 +18,14 @@ class Section:
     title: str
     """Its heading."""
     write: Callable[[Subject], Html | None]
-    """What stands below the heading; None where the run has nothing for it. Numbers come from
-    `Subject.number` and its like, words from elsewhere go through `html.said`; the audit refuses a
-    page with any other digit."""
+    """Function that writes the section below its title; None if the run has nothing for it. Numbers
+    come from `Subject.number` and similar methods, foreign texts go through `html.said`; the audit
+    refuses a page with any other digit.
+    """
 
 
 def used_no_test(after_unsealing: bool) -> Html | None:
-    """What a reader has to know of evidence that came after the test was opened."""
+    """Return the note on evidence that was computed after the test was opened."""
     if not after_unsealing:
         return None
-    return tag("p", "This came after the sealed test had been opened, and used none of it.")
+    return tag("p", "This was computed after the sealed test had been opened, without using it.")

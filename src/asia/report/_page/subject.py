@@ -1,4 +1,4 @@
-"""What a section reads: one run, with numbers that know where they come from."""
+"""Subject of a report page: one run, with numbers that carry their sources."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from asia.scoring import Score
 
 @dataclass(frozen=True)
 class Detail:
-    """How much of a long search the page holds."""
+    """Limits on the length of the page of a long search."""
 
     sources: int
-    """How many experiments may have their changed source on the page."""
+    """Maximum number of experiments with their changed source on the page."""
     stories: int
-    """How many experiments may have a hypothesis and a fold table; the others have a row."""
+    """Maximum number of experiments with a hypothesis and a fold table; the others have a row."""
     rows: int
-    """How many experiments are listed at all."""
+    """Maximum number of listed experiments."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,11 @@ class Subject:
     problem: Problem | None
     """Its problem with the training data; None where the ledger came without its artifacts."""
     detail: Detail
-    """How much is shown."""
+    """Level of detail."""
 
     @property
     def view(self) -> SearchView:
-        """What the ledger says."""
+        """View of the search from its ledger."""
         return self.run.view
 
     @cached_property
@@ -78,7 +78,7 @@ class Subject:
 
     @cached_property
     def with_story(self) -> frozenset[int]:
-        """Numbers of the experiments that are told whole."""
+        """Numbers of the experiments with a hypothesis and a fold table."""
         return frozenset(e.number for e in self._chosen(self.detail.stories))
 
     def _chosen(self, most: int) -> tuple[Experiment, ...]:
@@ -146,10 +146,10 @@ class Subject:
         return self.number(experiment.proposed, "experiment", "number")
 
     def rung(self, name: str) -> tuple[Event, float] | None:
-        """A rung with its V; None where it has none."""
-        for rung in self.view.rungs:
-            if rung.name == name and isinstance(rung.outcome, Score):
-                return rung, rung.outcome.value
+        """Return a reference model's event with its V; None without a score."""
+        for reference in self.view.rungs:
+            if reference.name == name and isinstance(reference.outcome, Score):
+                return reference, reference.outcome.value
         return None
 
 

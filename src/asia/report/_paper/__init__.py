@@ -1,1 +1,1 @@
-"""What a paper needs of a run: figures, tables, and the paragraph on methods."""
+"""Figures, tables and methods paragraph of a run for a paper."""

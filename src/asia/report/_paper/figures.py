@@ -24,7 +24,7 @@ COLUMN: Final = 3.5
 PAGE: Final = 7.16
 """Width of a page with two columns, in inches: 181.9 mm."""
 _PNG_DPI: Final = 300
-# What depends on nothing but the picture: no date, no version, ids from the same salt.
+# Metadata without date and version, ids from a fixed salt: the file depends only on the picture.
 _METADATA: Final[dict[str, dict[str, Any]]] = {
     "pdf": {"CreationDate": None},
     "svg": {"Date": None},
@@ -47,14 +47,14 @@ def write_figures(run_directory: Path, directory: Path) -> tuple[Path, ...]:
 
 
 def _dossiers(run: Run) -> Iterator[Picture]:
-    """Of the folds and of each new record, as the ledger keeps them."""
+    """Yield the pictures of the validation of the folds and of each new record in the ledger."""
     for place, found in enumerate(run.view.validated):
-        said = {one.name: one for one in found.checks}
+        checks = {one.name: one for one in found.checks}
         checks = tuple(
             Check(
                 drawn.name,
-                said[drawn.name].verdict,
-                said[drawn.name].sentence,
+                checks[drawn.name].verdict,
+                checks[drawn.name].sentence,
                 curves=tuple(_curve(one) for one in drawn.curves),
                 axes=drawn.axes,
             )

@@ -61,13 +61,13 @@ def _judged(view: SearchView, metric: str) -> Iterator[str]:
         + f" of open-loop simulation: V is the {metric_label(metric)} on the held-out part over "
         "the standard deviation of the output in the training part, mean over outputs and folds."
     )
-    rungs = [
+    references = [
         f"{_words(r.name)} {error_value(r.outcome.value)}"
         for r in view.rungs
         if isinstance(r.outcome, Score)
     ]
-    if rungs:
-        yield f"Trivial references have V: {', '.join(rungs)}."
+    if references:
+        yield f"Trivial references have V: {', '.join(references)}."
 
 
 def _kept_apart(view: SearchView) -> Iterator[str]:
@@ -79,17 +79,17 @@ def _kept_apart(view: SearchView) -> Iterator[str]:
     )
     if start.early_stopping == "validation":
         yield (
-            f"While they trained they were given {view.validation_scores} scores on held-out "
-            "parts, so that V is not free of leaks."
+            f"During training they received {view.validation_scores} scores on held-out "
+            "parts, so V is not leak-free."
         )
     if start.residuals == "held_out":
-        yield "Whoever proposed saw the residuals on the held-out parts."
+        yield "The agent saw the residuals on the held-out parts."
     if view.usage is not None:
         cost = "" if view.usage.cost is None else f" for {view.usage.cost:.2f} USD"
         tokens = f"{view.usage.tokens} tokens{cost}"
         yield f"The language model was asked {view.usage.turns} times, {tokens}."
     if view.notes:
-        yield f"A person gave the agent {len(view.notes)} notes."
+        yield f"The user gave the agent {len(view.notes)} notes."
 
 
 def _found(view: SearchView) -> Iterator[str]:
@@ -132,7 +132,7 @@ def _tested(view: SearchView) -> Iterator[str]:
     yield f"The test records ({seal}) were opened once, after the search had ended."
     model = tested_model(opened, named.model)
     if not isinstance(model, TestedModel):
-        yield "On them the model gives no answer."
+        yield "The model fails on them."
         return
     errors = ", ".join(f"{find_metric(s.metric).label} {s.value:.4g}" for s in model.scores)
     how = f"windows of {opened.horizon} samples"

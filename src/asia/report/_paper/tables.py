@@ -90,7 +90,7 @@ def _experiment(view: SearchView, e: Experiment) -> list[str]:
 
 
 def _winner(view: SearchView, metric: str) -> str:
-    """V of the winner on each fold, beside the rungs."""
+    """Write V of the winner on each fold, with the reference models."""
     best = view.best
     scores = [(r.name, r.outcome) for r in view.rungs if isinstance(r.outcome, Score)]
     if best is not None and best.score is not None:
@@ -101,12 +101,15 @@ def _winner(view: SearchView, metric: str) -> str:
         [latex(name), error_value(score.value), *(error_value(f.value) for f in score.folds)]
         for name, score in scores
     ]
-    what = f"The winner beside the rungs, {metric_label(metric)} over the variation of the output"
+    what = (
+        f"The winner and the reference models, {metric_label(metric)} over the standard deviation "
+        "of the output"
+    )
     return _table("l" + "r" * (folds + 1), head, rows, _note(view, what))
 
 
 def _parameters(view: SearchView, found: IdentifiedModel) -> str:
-    """Of the refit, with their uncertainty."""
+    """Write the parameters of the refit with their uncertainty."""
     rows: list[list[str]] = []
     for row in found.parameters:
         one, ends = row.fitted, row.interval
@@ -126,8 +129,8 @@ def _parameters(view: SearchView, found: IdentifiedModel) -> str:
 def _test(view: SearchView, opened: Unsealed) -> str:
     """A row for each metric and output, a column for each model."""
     named = model_to_use(view)
-    found = [(key, words, getattr(opened, key)) for key, words in _MODELS]
-    models = [(key, words, m) for key, words, m in found if isinstance(m, TestedModel)]
+    found = [(key, text, getattr(opened, key)) for key, text in _MODELS]
+    models = [(key, text, m) for key, text, m in found if isinstance(m, TestedModel)]
     rows: list[list[str]] = []
     for k, score in enumerate(models[0][2].scores if models else ()):
         label = latex(find_metric(score.metric).label)
@@ -139,6 +142,6 @@ def _test(view: SearchView, opened: Unsealed) -> str:
             values = (f"{s.per_channel[c]:.4g}" for s in scores)
             rows.append([f"{label} {latex(name)}", *values])
     use = named.model if named is not None else ""
-    head = ["Error", *(f"{words} (to use)" if key == use else words for key, words, _ in models)]
+    head = ["Error", *(f"{text} (to use)" if key == use else text for key, text, _ in models)]
     what = "The sealed test, in the units of the outputs"
     return _table("l" + "r" * len(models), head, rows, _note(view, what))

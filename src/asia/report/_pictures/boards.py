@@ -14,7 +14,7 @@ from asia.report._drawing.style import BLUE, QUIET, RED, entitle, picture_width,
 
 _ROW = 0.24
 _MARGINS = 1.1
-# Results beyond this many times the best stand at the edge.
+# Results beyond this many times the best are drawn at the edge.
 _WORST = 1_000.0
 
 
@@ -53,10 +53,10 @@ def _rows(board: Board) -> list[_Row]:
             continue
         ours = board.standings[index] if index < len(board.standings) else None
         label = board.problem if len(board.names) == 1 else f"{board.problem}: {name}"
-        words = f"best {published[0]:g} {board.unit}"
+        text = f"best {published[0]:g} {board.unit}"
         if ours is not None:
-            words += f", ours {ours.figure.value:.3g}: {ours.rank} of {ours.among}"
-        found.append(_Row(label, published, ours.figure.value if ours else None, words))
+            text += f", ours {ours.figure.value:.3g}: {ours.rank} of {ours.among}"
+        found.append(_Row(label, published, ours.figure.value if ours else None, text))
     return found
 
 

@@ -44,7 +44,7 @@ _MOST_LETTERS = 40
 
 
 def draw_dossier(checks: Sequence[Check], title: str) -> Figure:
-    """Of many curves in one check the first ones."""
+    """Draw the checks of a validation; of many curves in one check the first ones."""
     drawn = [check for check in checks if check.curves]
     rows = [drawn[i : i + _COLUMNS] for i in range(0, len(drawn), _COLUMNS)]
     figure = Figure(figsize=(_WIDTH, _ROW), layout="constrained")
@@ -85,7 +85,7 @@ def _draw(axes: Axes, check: Check) -> float:
 
 
 def _common(names: Sequence[str]) -> str:
-    """What stands before the first comma, where it is the same in all names."""
+    """Return the text before the first comma if all names share it."""
     first = names[0].partition(", ")[0] + ", "
     return first if len(names) > 1 and all(name.startswith(first) for name in names) else ""
 

@@ -1,4 +1,4 @@
-"""How the error of windows grows with the number of samples since their start."""
+"""Picture of the error of windows over the number of samples since their start."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Marks:
 
 @dataclass(frozen=True)
 class Growth:
-    """One panel; `title` names the output or group, `label` the axis."""
+    """Error growth of one output or group; `title` names it, `label` the axis."""
 
     title: str
     label: str

@@ -36,9 +36,15 @@ _BAND = 0.2
 
 @dataclass(frozen=True)
 class Piece:
-    """One stretch of a record: measured and simulated (H,) outputs, `other` a second simulation,
-    `start` its first sample in the record; the first `skip` samples do not count. `band`: lower and
-    upper edges (H,) of the output bands."""
+    """One segment of a record.
+
+    Attributes:
+        measured, simulated: outputs (H,).
+        other: a second simulation (H,).
+        start: index of its first sample in the record.
+        skip: number of first samples that do not count.
+        band: lower and upper edges (H,) of the output bands.
+    """
 
     name: str
     start: int
@@ -57,14 +63,14 @@ class Heading:
     error: str
 
     def lines(self, width: int) -> str:
-        """On one line when `width` characters hold it."""
+        """Return the text, on one line if `width` characters hold it."""
         line = f"{self.what}:  {self.error}"
         return line if len(line) <= width else f"{self.what}\n{self.error}"
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One output over one or several pieces."""
+    """One output over one or several segments."""
 
     heading: Heading
     signal: Signal
@@ -108,9 +114,9 @@ def draw_overlay(panels: Sequence[Panel], sampling_time: float, words: Words) ->
 
 
 def _time_axes(panels: Sequence[Panel], sampling_time: float, pieces: str) -> list[TimeAxis]:
-    stretches = [[Stretch(p.start, len(p.measured)) for p in panel.pieces] for panel in panels]
-    unit = time_unit(sampling_time * max(last_sample(s) for s in stretches))
-    return [lay_out(s, sampling_time, unit, pieces) for s in stretches]
+    segments = [[Stretch(p.start, len(p.measured)) for p in panel.pieces] for panel in panels]
+    unit = time_unit(sampling_time * max(last_sample(s) for s in segments))
+    return [lay_out(s, sampling_time, unit, pieces) for s in segments]
 
 
 def _curves(axes: Axes, panel: Panel, axis: TimeAxis, characters: int) -> None:

@@ -40,7 +40,7 @@ _OFF_SCALE = 4.0
 _MOST_TAGS = 12
 _TAG_FONT = 7.5
 _DASHES = ((5.0, 2.5), (1.2, 1.8), (7.0, 2.0, 1.2, 2.0), (2.5, 1.5))
-_RUNG_NAMES = {"simulated truth": "noise floor (truth)"}
+_REFERENCE_NAMES = {"simulated truth": "noise floor (truth)"}
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,9 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Points:
-    """What is drawn: kept, discarded and off-scale experiments, those on the guard records, numbers
-    of the failed ones, rungs as (name, V), and the number of experiments."""
+    """Points to draw: kept, discarded and off-scale experiments, those on the guard records,
+    numbers of the failed ones, reference models as (name, V), and the number of experiments.
+    """
 
     kept: tuple[_Point, ...]
     discarded: tuple[_Point, ...]
@@ -74,9 +75,17 @@ class _Points:
 
 
 def draw_progress(view: SearchView, metric: str, beside: Control | None = None) -> Figure:
-    """A point each experiment, the incumbent as a step line, failures as crosses on the upper
-    edge, the last look at the guard as diamonds, tags at improvements, the rungs and the control
-    arm `beside` as thin lines. metric: its name."""
+    """Draw the progress of a search.
+
+    A point for each experiment, the incumbent as a step line, failures as crosses on the upper
+    edge, the last evaluation on the guard records as diamonds, tags at improvements, reference
+    models and the control run as thin lines.
+
+    Args:
+        view: the search.
+        metric: name of the metric.
+        beside: the control run.
+    """
     search = _gather(view, beside)
     width = picture_width()
     figure = Figure(figsize=(width, min(_HEIGHT, width)), layout="constrained")
@@ -86,7 +95,7 @@ def draw_progress(view: SearchView, metric: str, beside: Control | None = None) 
     _entitle(axes, _title(view))
     _mark(axes, search)
     _hand_overs(axes, view)
-    labels = [_rung(axes, i, name, value) for i, (name, value) in enumerate(search.rungs)]
+    labels = [_reference(axes, i, name, value) for i, (name, value) in enumerate(search.rungs)]
     handles = axes.get_legend_handles_labels()[0]
     figure_legend(figure, handles, 4, handletextpad=0.5, columnspacing=2.2)
     canvas.draw()
@@ -98,19 +107,19 @@ def draw_progress(view: SearchView, metric: str, beside: Control | None = None) 
 
 
 def _gather(view: SearchView, beside: Control | None) -> _Points:
-    rungs = tuple(
-        (_RUNG_NAMES.get(r.name, plain(r.name, 24)), r.outcome.value)
+    references = tuple(
+        (_REFERENCE_NAMES.get(r.name, plain(r.name, 24)), r.outcome.value)
         for r in view.rungs
         if isinstance(r.outcome, Score)
     )
     if beside is not None and beside.value is not None:
-        rungs = (*rungs, ("expert, same budget", beside.value))
+        references = (*references, ("expert, same budget", beside.value))
     scored = [(e, e.score.value) for e in view.finished if e.score]
     bests = {e.number for e in view.bests}
     kept = tuple(_point(e, v) for e, v in scored if e.number in bests)
     others = [_point(e, v) for e, v in scored if e.number not in bests]
     guard = _guarded(view)
-    usual = [v for _, v in rungs] + [p.value for p in kept]
+    usual = [v for _, v in references] + [p.value for p in kept]
     ceiling = _OFF_SCALE * max(usual, default=float("inf"))
     return _Points(
         kept,
@@ -118,7 +127,7 @@ def _gather(view: SearchView, beside: Control | None) -> _Points:
         tuple(p for p in (*others, *guard) if p.value > ceiling),
         tuple(p for p in guard if p.value <= ceiling),
         tuple(e.number for e in view.finished if e.failure),
-        rungs,
+        references,
         max((e.number for e in view.finished), default=0),
     )
 
@@ -226,7 +235,9 @@ def _mark(axes: Axes, search: _Points) -> None:
 
 
 def _hand_overs(axes: Axes, view: SearchView) -> None:
-    """In a relay, a line where the next agent takes over, and the agents between the lines."""
+    """Draw a line at each change of the agent in a relay, with the names of the agents between the
+    lines.
+    """
     legs = view.started.legs
     if not legs:
         return
@@ -248,7 +259,7 @@ def _hand_overs(axes: Axes, view: SearchView) -> None:
             )
 
 
-def _rung(axes: Axes, index: int, name: str, value: float) -> Text:
+def _reference(axes: Axes, index: int, name: str, value: float) -> Text:
     dashes = _DASHES[index % len(_DASHES)]
     axes.axhline(value, color=QUIET, lw=0.8, dashes=dashes, zorder=2)
     return axes.annotate(

@@ -17,7 +17,7 @@ from asia.report._pictures.overlay import MOST_PANELS, Heading, Panel, Piece, Wo
 from asia.report._pictures.windows import telling
 from asia.scoring import FoldScore, Score, fit_index
 
-_MOST_PIECES = 4
+_MOST_SEGMENTS = 4
 
 
 def draw_simulation(
@@ -35,7 +35,7 @@ def draw_simulation(
         Panel(
             _fold_title(problem, k, c, score.folds[k]),
             problem.outputs[c],
-            _fold_pieces(problem, folds[k], outputs[k], c),
+            _fold_segments(problem, folds[k], outputs[k], c),
         )
         for c in channels
         for k in shown_folds
@@ -48,7 +48,7 @@ def draw_simulation(
     )
     windows = problem.protocol.kind == "windows"
     if not windows:
-        notes += shown((min(len(problem.train), _MOST_PIECES), len(problem.train), "records"))
+        notes += shown((min(len(problem.train), _MOST_SEGMENTS), len(problem.train), "records"))
     what = "best, median and worst held-out window of each fold" if windows else "held-out folds"
     title = f"{head}: {what}, {run.view.v_name} = {number(score.value)}{notes}"
     pieces = "windows" if windows else "records"
@@ -80,18 +80,18 @@ def _fold_title(problem: Problem, fold: int, channel: int, score: FoldScore) -> 
     return Heading(f"Fold {fold + 1}{which}", f"{plain(metric.label, 16)} {error}{ending}")
 
 
-def _fold_pieces(
+def _fold_segments(
     problem: Problem, fold: Fold, outputs: Sequence[Array], channel: int
 ) -> tuple[Piece, ...]:
     if problem.protocol.kind == "windows":
-        return _telling_pieces(problem, fold, outputs, channel)
+        return _selected_segments(problem, fold, outputs, channel)
     return tuple(
         Piece(block.case.name, block.start, block.y[:, channel], y_hat[:, channel])
-        for block, y_hat in list(zip(fold.validation, outputs, strict=True))[:_MOST_PIECES]
+        for block, y_hat in list(zip(fold.validation, outputs, strict=True))[:_MOST_SEGMENTS]
     )
 
 
-def _telling_pieces(
+def _selected_segments(
     problem: Problem, fold: Fold, outputs: Sequence[Array], channel: int
 ) -> tuple[Piece, ...]:
     """The windows with the least, the middle and the largest error over all outputs."""
@@ -143,7 +143,7 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble_record: Tes
         (len(channels), len(opened.channels), "outputs"),
         (len(trajectories), len(shapes), "trajectories"),
     )
-    return draw_overlay(panels, problem.sampling_time, _test_words(title, problem, opened))
+    return draw_overlay(panels, problem.sampling_time, _test_text(title, problem, opened))
 
 
 def _draw_test_windows(
@@ -183,7 +183,7 @@ def _draw_test_windows(
     title += "and worst of "
     title += f"{len(measured)} windows"
     title += shown((len(channels), len(opened.channels), "outputs with the lowest fit"))
-    return draw_overlay(panels, problem.sampling_time, _test_words(title, problem, opened))
+    return draw_overlay(panels, problem.sampling_time, _test_text(title, problem, opened))
 
 
 def _named(run: Run) -> str:
@@ -192,14 +192,14 @@ def _named(run: Run) -> str:
     return f", model to use: {refitted.use}" if refitted and refitted.use else ""
 
 
-def _test_words(title: str, problem: Problem, opened: Unsealed) -> Words:
+def _test_text(title: str, problem: Problem, opened: Unsealed) -> Words:
     folds = problem.protocol.folds.count
     names = f"ensemble of {folds} fold models", "refitted on all training data"
     pieces = "records" if opened.horizon is None else "windows"
-    return Words(title, *names, pieces, _band_words(opened))
+    return Words(title, *names, pieces, _band_text(opened))
 
 
-def _band_words(opened: Unsealed) -> str:
+def _band_text(opened: Unsealed) -> str:
     if opened.bands is None:
         return ""
     level, held = opened.bands.level, min(opened.bands.covered)

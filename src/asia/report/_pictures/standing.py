@@ -45,9 +45,9 @@ def draw_standing(
     if mark is not None:
         box.plot([1.0], [mark[1]], "D", mfc="white", mec=ORANGE, mew=1.6, ms=6.5, zorder=4)
         bars.axvline(mark[1], color=ORANGE, lw=1.4, dashes=(1.5, 1.5))
-        words = f"{plain(mark[0], 20)}: {quantity(mark[1], output.unit)}"
+        text = f"{plain(mark[0], 20)}: {quantity(mark[1], output.unit)}"
         (point,) = bars.plot([mark[1]], [0.0], "D", mfc="white", mec=ORANGE, mew=1.6, ms=6.5)
-        point.set(clip_on=False, zorder=4, label=words)
+        point.set(clip_on=False, zorder=4, label=text)
     _histogram(bars, values, ours, quantity(ours, output.unit))
     bars.set_xlabel(label)
     if mark is not None:

@@ -1,4 +1,4 @@
-"""What a model does on the records that it was fitted to: its simulation and its residuals."""
+"""Pictures of a model on the records that it was fitted to: its simulation and its residuals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from asia.report._pictures.residuals import draw_correlations
 from asia.report._pictures.windows import telling
 from asia.report._simulated import SimulatedCase, SimulatedCases
 
-_MOST_PIECES = 4
+_MOST_SEGMENTS = 4
 _MOST_ROWS = 4
 _MOST_INPUTS = 2
 _BINS = 10
@@ -61,8 +61,10 @@ def draw_tried(shown_cases: SimulatedCases) -> Figure:
 
 
 def draw_tried_residuals(shown_cases: SimulatedCases) -> Figure:
-    """For each output the residual against the simulated output, with its own past and with the
-    inputs. All folds on the records that they train on; held-out cases where there are any."""
+    """Draw for each output the residual against the simulated output, and its correlation with its
+    own past and with the inputs. All folds on the records that they train on; held-out cases if
+    there are any.
+    """
     outputs = _worst(shown_cases, _MOST_ROWS)
     inputs = range(min(len(shown_cases.inputs), _MOST_INPUTS))
     columns = 2 + len(inputs)
@@ -81,8 +83,8 @@ def draw_tried_residuals(shown_cases: SimulatedCases) -> Figure:
         draw_correlations(row_axes, e, u, signals, last=output == outputs[-1])
     figure.align_ylabels(list(grid[:, 0]))
     part = "held-out part" if held_out else "training part"
-    words = f"residuals of the {part}, bins with 2 standard errors, 99 % bands"
-    entitle(figure, f"{shown_cases.title}: {words}")
+    text = f"residuals of the {part}, bins with 2 standard errors, 99 % bands"
+    entitle(figure, f"{shown_cases.title}: {text}")
     return figure
 
 
@@ -125,18 +127,18 @@ def _panel(
             f"Fold {fold}, {_PART[held_out]}{which}", error + quantity(float(e.mean()), signal.unit)
         ),
         signal,
-        tuple(_pieces(shown_cases, cases, arrays, output)),
+        tuple(_segments(shown_cases, cases, arrays, output)),
     )
 
 
-def _pieces(
+def _segments(
     shown_cases: SimulatedCases,
     cases: Sequence[SimulatedCase],
     arrays: Sequence[Arrays],
     output: int,
 ) -> list[Piece]:
     if not shown_cases.windows:
-        chosen = [(case.record, k) for k, case in enumerate(cases)][:_MOST_PIECES]
+        chosen = [(case.record, k) for k, case in enumerate(cases)][:_MOST_SEGMENTS]
     else:
         scale = np.maximum(np.concatenate([y for _, y, _ in arrays]).std(axis=0), 1e-300)
         found = telling([y for _, y, _ in arrays], [y_hat for _, _, y_hat in arrays], scale)

@@ -1,1 +1,1 @@
-"""What the gain of a search is due to: fits of its winner with parts taken back."""
+"""Ablation of the winner: fits with parts of its changes reverted."""

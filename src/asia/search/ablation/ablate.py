@@ -37,13 +37,13 @@ class Variant:
     """A candidate to be fitted for an ablation."""
 
     name: str
-    """What it is, in words."""
+    """Description of the variant."""
     source: str
     """Its `candidate.py`."""
 
     @property
     def digest(self) -> str:
-        """Of its normalised AST: variants that say the same are fitted once."""
+        """Digest of the normalised AST: equivalent variants are fitted once."""
         return source_digest(self.source)
 
 
@@ -97,7 +97,7 @@ class _Ablation:
     on_fit: OnFit
 
     def run(self, winner: Experiment) -> Ablated:
-        """All variants, then what they say."""
+        """Fit all variants and summarise them."""
         view = self.chain.view
         baseline = view.experiment(1)
         cross, reason = self._crossing(winner, baseline)
@@ -110,7 +110,7 @@ class _Ablation:
             names = (_BASELINE, _MODEL, _TRAINING, _WINNER)
             failed = [name for name in names if not len(values[name])]
             if failed:
-                reason = f"{failed[0]} fails from every seed"
+                reason = f"{failed[0]} fails with every seed"
             else:
                 found = attribute(*(values[name] for name in names))
         left_out = tuple(
@@ -131,7 +131,9 @@ class _Ablation:
             return {}, str(error)
 
     def _changes(self, winner: Experiment) -> dict[int, Variant | str]:
-        """For each change of the lineage the winner without it, or why there is none."""
+        """Return for each change of the lineage the winner without it, or the reason why there is
+        none.
+        """
         line, found = lineage(self.chain.view, winner), dict[int, Variant | str]()
         for before, after in pairwise(line):
             number = after.number
@@ -141,7 +143,7 @@ class _Ablation:
                 found[number] = str(error)
                 continue
             name = f"the winner without the change of #{number:02d}"
-            found[number] = Variant(name, source) if source else "nothing of it is left"
+            found[number] = Variant(name, source) if source else "no part of it is left"
         return found
 
     def _source(self, experiment: Experiment) -> str:
@@ -175,15 +177,16 @@ class _Ablation:
         outcome = self.evaluator.evaluate(variant.source, repeat).outcome
         seconds = time.monotonic() - begin
         source = self.store.put(variant.source.encode())
-        told = variant.name, source, variant.digest, repeat
+        identity = variant.name, source, variant.digest, repeat
         if isinstance(outcome, Failure):
-            return AblationFit(*told, failed=outcome.reason.value, seconds=seconds)
+            return AblationFit(*identity, failed=outcome.reason.value, seconds=seconds)
         folds = tuple(fold.value for fold in outcome.folds)
-        return AblationFit(*told, outcome.value, folds, seconds=seconds)
+        return AblationFit(*identity, outcome.value, folds, seconds=seconds)
 
     def _is_same(self, digest: str, repeat: int) -> bool:
-        """Whether all folds have the same V as from the seed before, or in the search: the seed
-        plays no part."""
+        """Return whether all folds have the same V as with the seed before, or as in the search, so
+        that the seed has no effect.
+        """
         last = self._known(digest, repeat)
         assert last is not None
         before = self._known(digest, repeat - 1)
@@ -203,5 +206,5 @@ def _left_out(number: int, made: Variant | str, values: dict[str, Array]) -> Lef
     if isinstance(made, str):
         return LeftOut(number, detail=made)
     if not len(values[made.name]) or not len(values[_WINNER]):
-        return LeftOut(number, detail="it fails from every seed")
+        return LeftOut(number, detail="it fails with every seed")
     return LeftOut(number, gain(values[made.name], values[_WINNER]))

@@ -23,21 +23,21 @@ class _Parts:
     """The statements of a candidate by the names that they define."""
 
     order: tuple[ast.stmt, ...]
-    """All but those that are not for one name, in their order."""
+    """Statements that do not define one name, in their order."""
 
     def needed(self, name: str) -> list[ast.stmt]:
         """The statements that define `name`, and all that they use."""
-        wanted, found = {name}, set[int]()
+        expected, found = {name}, set[int]()
         while True:
             more = {
                 i
                 for i, one in enumerate(self.order)
-                if i not in found and wanted.intersection(_defined(one))
+                if i not in found and expected.intersection(_defined(one))
             }
             if not more:
                 return [self.order[i] for i in sorted(found)]
             found |= more
-            wanted |= {used for i in more for used in _used(self.order[i])}
+            expected |= {used for i in more for used in _used(self.order[i])}
 
 
 def crossed(model: str, training: str) -> str:
@@ -69,7 +69,7 @@ def without_change(winner: str, before: str, after: str) -> str | None:
 
 def _recipe_without(winner: Recipe, before: Recipe, after: Recipe) -> Recipe:
     if (before.package, before.family) != (after.package, after.family):
-        raise UserError("it changes the family, which the model and training crossed tell about")
+        raise UserError("it changes the family: see model and training crossed")
     taken = replace(winner, config=_settings_without(winner.config, before.config, after.config))
     if before.method != after.method:
         if winner.method != after.method:
@@ -130,7 +130,7 @@ def _parts(source: str) -> _Parts:
         raise UserError(f"a candidate has no function {missing[0]}: {_LAYOUT}")
     body = [one for one in functions["fit"].body if not _is_docstring(one)]
     if len(body) != 1 or ast.dump(body[0]) != _FIT:
-        raise UserError(f"fit of a candidate does more: {_LAYOUT}")
+        raise UserError(f"fit of a candidate contains further code: {_LAYOUT}")
     return _Parts(tuple(one for one in tree.body if not _is_docstring(one)))
 
 
@@ -161,7 +161,7 @@ def _used(one: ast.stmt) -> set[str]:
 
 
 def _futures_first(statements: Iterable[ast.stmt]) -> list[ast.stmt]:
-    """`from __future__` stands first; imports before what uses them."""
+    """Sort `from __future__` imports first, then imports before their uses."""
     every = list(statements)
     imports = [one for one in every if isinstance(one, ast.Import | ast.ImportFrom)]
     futures = [one for one in imports if _is_future(one)]

@@ -1,4 +1,4 @@
-"""Whether several experiments may be in flight, and folds passed over."""
+"""Check of the options for concurrent experiments and pruned folds."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ def check_parallel(parallel: int, *, strict: bool) -> None:
     """Raises UserError for no experiment at all, or for several where no two workers may run at
     once."""
     if parallel < 1:
-        raise UserError(f"--parallel {parallel}: at least 1 experiment is in flight")
+        raise UserError(f"--parallel {parallel}: expected at least 1")
     if parallel > 1 and strict:
         raise UserError(
-            f"--parallel {parallel} with --isolation-strict: strict isolation lets no two workers "
-            "run at once; leave one of the two out"
+            f"--parallel {parallel} with --isolation-strict: strict isolation runs the workers "
+            f"sequentially; omit one of the two"
         )
 
 
@@ -32,14 +32,12 @@ def check_stop_folds(rule: ProtocolRule) -> None:
     metric = find_metric(rule.metric)
     if metric.direction != "lower" or metric.best != 0.0:
         raise UserError(
-            f"--stop-folds with the metric {metric.name}: the folds that are left give no bound on "
-            "V; leave it out, or use a metric that is 0 at best and never negative, such as rmse"
+            f"--stop-folds with the metric {metric.name}: the completed folds give no lower bound "
+            f"on V; omit it, or use a metric that is never negative and 0 at best, such as rmse"
         )
     if rule.early_stopping != "inner" or rule.ladder is not None:
         what = "a ladder" if rule.ladder is not None else "validation early stopping"
-        raise UserError(
-            f"--stop-folds with {what}: V of every candidate must be counted there; leave it out"
-        )
+        raise UserError(f"--stop-folds with {what}: V of every candidate is needed there; omit it")
 
 
 def check_ahead(parallel: int, agent: Agent) -> None:
@@ -51,6 +49,6 @@ def check_ahead(parallel: int, agent: Agent) -> None:
     name = next(each.name for each in agents if not proposes_ahead(each))
     raise UserError(
         f"--parallel {parallel}: the agent {name} proposes one experiment at a time, from the "
-        "result of the one before; leave --parallel out. An agent of your own that reads "
+        f"result of the one before; omit --parallel. An agent of your own that reads "
         "view.running says so with proposes_ahead = True"
     )

@@ -22,11 +22,11 @@ class Flown:
     """A first fit that is over."""
 
     evaluation: Evaluation
-    """What it gave."""
+    """Result of the evaluation."""
     seconds: float
     """Its duration."""
     lane: Lane
-    """What it spent them on."""
+    """Profile of the evaluation."""
 
 
 class Flights:
@@ -47,7 +47,7 @@ class Flights:
 
     @property
     def any(self) -> bool:
-        """Whether a fit was begun that nobody has taken."""
+        """Return whether a pending fit was not collected yet."""
         return bool(self._under_way)
 
     def launch(self, view: SearchView) -> None:
@@ -93,7 +93,7 @@ class Flights:
 
 
 def _has_twin(experiment: Experiment, view: SearchView) -> bool:
-    """Whether the same normalised source was proposed before."""
+    """Return whether the same normalised source was proposed before."""
     digest = experiment.proposed.digest
     earlier = (e for e in view.experiments if e.number < experiment.number)
     return any(e.proposed.digest == digest for e in earlier)

@@ -33,7 +33,7 @@ def _keep(store: Store, fold: FoldResult) -> FoldEvidence:
 
 
 def keep_output(store: Store, output: str) -> str | None:
-    """What a candidate printed as an artifact; None for nothing."""
+    """Store the output of a candidate as an artifact; return None for an empty output."""
     return store.put(output.encode()) if output else None
 
 

@@ -44,19 +44,22 @@ class Judged:
     retests: tuple[Retest, ...] = ()
     """Its fits from other seeds."""
     floor: float | None = None
-    """How much lower than the incumbent's its mean over the seeds had to be; None without an
-    incumbent, or where one fit decides."""
+    """Significance threshold: required improvement of the mean over seeds; None without an
+    incumbent, or if one fit decides.
+    """
     deadline: bool = False
-    """Whether the machine's speed had a part in the decision."""
+    """True if the speed of the machine influenced the decision."""
     validation_scores: int = 0
     """Validation scores given in all fits."""
     lowest: bool = False
-    """Whether its own fit is the best so far, and is handed over as long as none is lower."""
+    """True if the candidate's own fit is the best so far; its model is handed over until another is
+    lower.
+    """
 
 
 @dataclass(frozen=True)
 class _Decision:
-    """What the fits from several seeds say."""
+    """Decision from the fits with several seeds."""
 
     status: Status
     retests: tuple[Retest, ...] = ()
@@ -122,7 +125,7 @@ def _objection(
 
 @dataclass(frozen=True)
 class _Retesting:
-    """A candidate with a score beside the incumbent."""
+    """Repeated fits of a candidate with a score, compared with the incumbent."""
 
     evaluator: Evaluator
     source: str
@@ -201,10 +204,14 @@ def _decision(
 
 
 def _is_lower(values: Sequence[float], known: Sequence[float]) -> bool:
-    """By more than the floor; by any amount where neither depends on the seed."""
+    """Return whether the mean is lower by more than the threshold, or by any amount if neither
+    depends on the seed.
+    """
     return fmean(known) - fmean(values) > least_significant_difference(values, known)
 
 
 def _is_narrow(values: Sequence[float]) -> bool:
-    """Whether these seeds are enough for an incumbent: the floor that it gives is small."""
+    """Return whether these seeds suffice for an incumbent: the threshold that they give is
+    small.
+    """
     return least_significant_difference(values, values) <= _NARROW * fmean(values)

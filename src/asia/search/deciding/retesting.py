@@ -13,9 +13,16 @@ from asia.evaluation import BackgroundJob, Evaluation, Evaluator, JobSettings
 def retest_fits(
     evaluator: Evaluator, fit: Callable[[int], Evaluation], most: int
 ) -> Generator[Callable[[int], Evaluation]]:
-    """`fit`, called with 0, 1, ... in order. Once all folds of one fit are under way the next one
-    begins; one that nobody asks for is ended. What comes out does not depend on that. most: how
-    many there may be."""
+    """Prefetch fits: yield a function that returns the results of `fit(0)`, `fit(1)`, ... in order.
+
+    Once all folds of one fit have started, the next fit begins; an unused one is cancelled. The
+    results do not depend on that.
+
+    Args:
+        evaluator: the evaluator of the fits.
+        fit: function that fits with a repeat number.
+        most: maximum number of fits.
+    """
     if not evaluator.may_fit_ahead:
         yield fit
         return
@@ -58,14 +65,14 @@ class _RetestFits:
 
 
 class _Begun:
-    """How many folds of a fit have begun."""
+    """Counter of the folds of a fit that have started."""
 
     def __init__(self, folds: int) -> None:
         self.all = threading.Event()
         self._left, self._lock = folds, threading.Lock()
 
     def one(self) -> None:
-        """One more."""
+        """Count one more fold."""
         with self._lock:
             self._left -= 1
             if self._left <= 0:

@@ -11,7 +11,7 @@ from asia.scoring import Failure, Outcome
 
 EXPLORE_SHARE = 0.4
 FAR_ABOVE = 1.5
-"""V over that of the incumbent, above which folds are passed over."""
+"""V relative to the incumbent above which the remaining folds are pruned."""
 
 
 def phase(view: SearchView) -> Literal["explore", "refine"]:
@@ -60,7 +60,9 @@ def bound_on_folds(view: SearchView) -> float | None:
 
 
 def decide(outcome: Outcome, view: SearchView) -> Status:
-    """By one fit: `keep` when V beats the incumbent's, else `discard`; a failure by its reason."""
+    """Decide by one fit: `keep` if V beats the incumbent's, else `discard`; a failure by its
+    reason.
+    """
     if isinstance(outcome, Failure):
         return outcome.reason.status
     return "keep" if beats(outcome, view) else "discard"

@@ -1,4 +1,4 @@
-"""Questions to a model beside its held-out samples: small steps, a long run, later starts."""
+"""Probes of a model beyond its held-out samples: small steps, a long run, later starts."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _STARTS, _AHEAD = 24, 50
 
 @dataclass(frozen=True)
 class ProbeRange:
-    """What the training records are like."""
+    """Ranges and records of the training data for probes."""
 
     records: tuple[Trajectory, ...]
-    """All of them."""
+    """All training records."""
     past_inputs: int
     """Samples of a past window."""
     past_outputs: int

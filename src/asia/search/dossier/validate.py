@@ -56,20 +56,20 @@ from asia.search.final.members import FinalMember, final_members
 
 @dataclass(frozen=True)
 class Dossier:
-    """All checks of the model to use."""
+    """Validation report: all checks of the model to use."""
 
     run: str
     """The run."""
     experiment: int
     """Its winner, 1-based."""
     model: Use
-    """Which final model answered small steps and the long run."""
+    """Final model that simulated the small steps and the long run."""
     record: str | None
     """The new record that was simulated; None for the held-out samples of the folds."""
     checks: tuple[Check, ...]
-    """In the order to read them."""
+    """Checks in reading order."""
     recorded: bool
-    """Whether the ledger has it, and so the report; not before the search is finished."""
+    """True if the ledger, and so the report, has it; not before the search is finished."""
 
     @property
     def summary(self) -> str:
@@ -83,14 +83,22 @@ def validate(
     progress: Callable[[str], None] = lambda text: None,
     reading: Wanted | None = None,
 ) -> Dossier:
-    """Check the model to use of a run.
+    """Validate the model to use of a run.
 
-    Without a record, residuals are those of the fold models on what their fold held out. With one,
-    the model to use simulates it from its first past window. The dossier of a finished search is
-    kept in its ledger. progress: told what is under way. reading: options for the record, in place
-    of those of the problem; a file of several experiments is validated on all of them. Raises
-    UserError where the run has no scored model, hides its scores, or came without its artifacts,
-    and where the record cannot be read; CandidateError where the model cannot simulate it.
+    Without a record, residuals are those of the fold models on their held-out samples. With one,
+    the model to use simulates it from its first past window. The validation of a finished search is
+    recorded in its ledger.
+
+    Args:
+        directory: run directory.
+        record: new record; a file of several experiments is validated on all of them.
+        progress: called with a description of the current step.
+        reading: options for the record, in place of those of the problem.
+
+    Raises:
+        UserError: the run has no scored model, hides its scores, or came without its artifacts, or
+            the record cannot be read.
+        CandidateError: the model cannot simulate the record.
     """
     run = open_run(directory)
     chosen = model_to_use(run.view)
@@ -156,7 +164,7 @@ class _Validation:
         )
 
     def _overfit(self, found: SimulatedBlocks) -> tuple[Check, ...]:
-        """Nothing of an older ledger."""
+        """Check for overfitting; () for an older ledger."""
         errors = findings_of(self.run.store, self.best, bounded=False)
         if not errors:
             return ()
@@ -188,7 +196,7 @@ class _Validation:
         )
 
     def _bands(self, basis: BandBasis, blocks: Sequence[Block], y_hat: Sequence[Array]) -> Check:
-        """How much of a new record the output bands hold."""
+        """Check the coverage of a new record by the output bands."""
         behind = models_behind(self.run.view, self.use)
         self.progress("output bands")
         try:
@@ -209,7 +217,7 @@ class _Validation:
         return SimulatedBlocks(blocks, inputs, outputs, self.problem.sampling_time)
 
     def _of_residuals(self, found: SimulatedBlocks) -> tuple[Check, ...]:
-        """The checks of the registry."""
+        """Return the checks of the registry."""
         simulator = self._simulator(final_members(self.run.view, self.use))
         given = self._range
         self.progress("responses to small steps")
@@ -242,7 +250,7 @@ class _Validation:
         return ProbeRange(self.evaluator.records, rule.past_inputs, rule.past_outputs)
 
     def _of_windows(self, pairs: Sequence[tuple[Block, Array]]) -> Check:
-        """Every window begins anew."""
+        """Check windows, each of which starts anew."""
         past = self.problem.protocol.past_outputs
         hold = np.stack([filled(b.y - b.case.past_y[-1]) for b, _ in pairs]) if past else None
         errors = np.stack([filled(b.y - y_hat) for b, y_hat in pairs])
@@ -251,7 +259,7 @@ class _Validation:
     def _ahead(self) -> Check:
         """Each fold's model from starts within what it did not fit."""
         if self.problem.protocol.past_outputs == 0:
-            return no_steps_ahead("the protocol gives a model no measured outputs to start from")
+            return no_steps_ahead("the protocol has no past outputs from which a model could start")
         self.progress("steps ahead, from many starts")
         member = final_members(self.run.view, "ensemble")[0]
         model_errors: list[Array] = []
@@ -269,7 +277,9 @@ class _Validation:
                 model_errors.append(filled(block.y - reply))
                 hold_errors.append(filled(block.y - block.case.past_y[-1]))
         if not model_errors:
-            return no_steps_ahead("no held-out part has room for a start, or no answer was finite")
+            return no_steps_ahead(
+                "no held-out part is long enough for a start, or no simulation was finite"
+            )
         scale = self.evaluator.scale
         return check_ahead(np.stack(model_errors), np.stack(hold_errors), scale)
 

@@ -25,25 +25,25 @@ from asia.scoring import (
 from asia.search.final.members import FinalMember, final_members
 
 BAND_LEVEL = 0.9
-"""Of the bands that are drawn and recorded."""
+"""Coverage of the bands that are drawn and recorded."""
 
-# Of the differences between the fold models. Held-out errors have the luck of a fold model in
-# them already; the whole differences would count it twice.
+# Share of the differences between the fold models. Held-out errors already contain the variance
+# of a fold model; the full differences would count it twice.
 _SHARE = 0.5
 
 
 @dataclass(frozen=True)
 class BandBasis:
-    """What the bands of one final model are made of."""
+    """Data for the output bands of one final model."""
 
     errors: tuple[HeldOutErrors, ...]
-    """Of the fold models behind it, NaN where an output was not measured."""
+    """Held-out errors of the fold models behind the model, NaN for unmeasured outputs."""
     simulated: tuple[tuple[Array, ...], ...]
     """Their simulations (H, ny) of each held-out block, one tuple a fold."""
     region: Region
-    """Of all training records."""
+    """Region of all training records."""
     windows: bool
-    """Whether the protocol simulates windows, so that errors depend on the step."""
+    """True if the protocol simulates windows, so that errors depend on the step."""
 
     @cached_property
     def _sizes(self) -> ErrorSizes:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from asia.ledger import Experiment, ModelToUse, RefitCheck, Refitted, Stack, error_value
 from asia.search.final.refit import is_as_good, is_worthy
 
-# Of the winner's V: a stack is used only where its nested V is below.
+# Maximum nested V of a stack, relative to the winner's V.
 STACK_GAIN = 0.8
 
 
 @dataclass(frozen=True)
 class FinalEvidence:
-    """All that the rule knows."""
+    """Evidence for the choice of the model to use."""
 
     value: float
     """V of the winner."""
@@ -31,7 +31,7 @@ class FinalEvidence:
 
     @staticmethod
     def of(best: Experiment, refitted: Refitted) -> FinalEvidence:
-        """Of the winner, and the end of its search."""
+        """Return the evidence from the winner and the end of its search."""
         assert best.score is not None
         assert best.result is not None
         return FinalEvidence(
@@ -57,19 +57,19 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
         why = evidence.detail or "there is no refit"
         return ModelToUse("ensemble", f"{why[:1].upper()}{why[1:]}.")
     kept = check.starts[(check.kept or 0) - 1]
-    errors = f"{_words(kept.error)}, that of the ensemble {_words(check.ensemble_error)}"
+    errors = f"{_error_text(kept.error)}, that of the ensemble {_error_text(check.ensemble_error)}"
     if is_worthy(check):
-        words = f"It is fitted on all training records; its error there is {errors}."
-        return ModelToUse("refit", words)
+        text = f"It is fitted on all training records; its error there is {errors}."
+        return ModelToUse("refit", text)
     if is_as_good(check):
-        words = f"{_words(kept.disagreement)} against {_words(check.fold_disagreement)}"
+        text = f"{_error_text(kept.disagreement)} against {_error_text(check.fold_disagreement)}"
         return ModelToUse(
             "ensemble",
-            "The refit answers unlike the fold models, which differ less from each other: "
-            f"{words} standard deviations.",
+            "The refit differs from the fold models by more than they differ from each other: "
+            f"{text} standard deviations.",
         )
     return ModelToUse("ensemble", f"The refit's error on its own training records is {errors}.")
 
 
-def _words(error: float | None) -> str:
+def _error_text(error: float | None) -> str:
     return "none" if error is None else error_value(error)

@@ -106,12 +106,12 @@ class _Confirmation:
     on_repeat: OnRepeat
 
     def repeat_all(self, chosen: list[Experiment]) -> None:
-        """All seeds of one candidate, then the next."""
+        """Fit all seeds of each candidate in sequence."""
         total, done = len(chosen) * self.seeds, 0
         with self.evaluator.ready_workers():
             for experiment in chosen:
                 for repeat in range(1, self.seeds + 1):
-                    event = self._known(experiment.number, repeat)
+                    event = self._observed(experiment.number, repeat)
                     done += 1
                     if event is None:
                         event = self._repeat(experiment, repeat)
@@ -122,7 +122,7 @@ class _Confirmation:
                         done += self.seeds - repeat
                         break
 
-    def _known(self, experiment: int, repeat: int) -> Repeated | None:
+    def _observed(self, experiment: int, repeat: int) -> Repeated | None:
         for event in self.chain.view.repeats:
             if (event.experiment, event.repeat) == (experiment, repeat):
                 return event
@@ -142,7 +142,7 @@ class _Confirmation:
         return Repeated(experiment.number, repeat, found.outcome, blocks, same, seconds)
 
     def _simulations(self, experiment: Experiment) -> list[tuple[Array, ...]]:
-        """Of each fold's held-out blocks, as the search made them."""
+        """Return the simulations of each fold's held-out blocks from the search."""
         assert experiment.result is not None
         return [
             self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.validation])

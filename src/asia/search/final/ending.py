@@ -1,5 +1,6 @@
-"""What a search does with its winner: fit it on all training records, check that, build the stack,
-name the model to use."""
+"""Final models of a search: refit the winner on all training records, check the refit, build the
+stack, choose the model to use.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +75,7 @@ def _kept_estimates(store: Store, checked: CheckedRefit) -> str | None:
 
 
 def _second_fit(best: Experiment, refit: Refit) -> Again:
-    """The fold that was fitted a second time, beside the first time."""
+    """Compare the second fit of a fold with the first one."""
     assert best.score is not None
     first, second = best.score.folds[refit.fold - 1], refit.again
     if isinstance(second, Failure):

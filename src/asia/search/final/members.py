@@ -1,4 +1,4 @@
-"""Which stored models a final model is made of."""
+"""Stored models that make up a final model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ class FinalMember:
 
 
 def final_members(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
-    """What the final model is made of. Raises UserError when the search has no such model."""
+    """Return the members of a final model.
+
+    Raises:
+        UserError: the search has no such model.
+    """
     run, best, refitted = view.started.run, view.best, view.refitted
     if best is None:
         raise UserError(f"run '{run}' has no scored model")
@@ -42,7 +46,7 @@ def final_members(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
 
 
 def has_model(view: SearchView, use: Use) -> bool:
-    """Whether the search has this final model."""
+    """Return whether the search has this final model."""
     try:
         return bool(final_members(view, use))
     except UserError:

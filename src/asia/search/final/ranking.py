@@ -1,4 +1,4 @@
-"""From repeated fits to a confirmation: ranks, differences, the error to expect."""
+"""Statistics of repeated fits for a confirmation: ranks, differences, expected error."""
 
 from __future__ import annotations
 
@@ -42,13 +42,14 @@ class TriedCandidate:
 
     @property
     def deterministic(self) -> bool:
-        """Whether fits do not depend on the seed."""
+        """Return whether fits do not depend on the seed."""
         return any(repeat.same for repeat in self.repeats)
 
     @property
     def fits(self) -> RepeatedFits | None:
-        """What it is judged by: fits that had no part in choosing it, or the first where all are
-        alike; None where all repeats failed."""
+        """Fits that judge the candidate: those without influence on its choice, or the first if all
+        are equal; None if all repeats failed.
+        """
         if self.deterministic:
             return self.first
         sound = [(r.outcome, r.blocks) for r in self.repeats if isinstance(r.outcome, Score)]
@@ -59,8 +60,11 @@ class TriedCandidate:
 
 
 def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int) -> Confirmed:
-    """What the repeats of the first `top` of all candidates say. Differences hold together over as
-    many comparisons as a choice among all candidates makes, or the pairs if these are more."""
+    """Rank the first `top` candidates by their repeats.
+
+    Differences hold simultaneously over as many comparisons as a choice among all candidates makes,
+    or over the pairs if these are more.
+    """
     assert view.best is not None
     repeated = tried[:top]
     known = {c.experiment: c.fits for c in repeated}
@@ -76,7 +80,7 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
     winner = next(c.first for c in tried if c.experiment == view.best.number)
     blocks = even_blocks([_rows(candidate.first.blocks[0]) for candidate in tried])
     seed = derive_seed(view.started.seed, "confirm")
-    # Of the fit that is handed over, not of others: its luck with the seed stays with it.
+    # The expected error is that of the fit that is handed over, including the effect of its seed.
     expected = expected_error(winner, blocks, EXPECTED_LEVEL, seed)
     return Confirmed(
         winner=view.best.number,
@@ -95,7 +99,9 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
 
 
 def _of_ensemble(view: SearchView, expected: ExpectedError) -> Interval | None:
-    """None where the search did not compare its fold models on the training records."""
+    """Return the expected error of the ensemble; None if the search did not compare its fold models
+    on the training records.
+    """
     check = None if view.refitted is None else view.refitted.check
     if check is None or check.ensemble_error is None:
         return None

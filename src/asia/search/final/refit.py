@@ -1,5 +1,4 @@
-"""Whether a refit deserves to be used: it saw all that the fold models saw, and must fit it as
-well as they do."""
+"""Check of a refit: it saw all training records and must fit them as well as the fold models do."""
 
 from __future__ import annotations
 
@@ -18,12 +17,12 @@ from asia.ledger import RefitCheck, RefitStart, error_line, error_value
 from asia.scoring import score_fold
 
 STARTS = 3
-# Of the error of a fold model in the middle: a refit above it does not fit its own data.
+# Maximum error of a refit relative to the median fold model: above it, it does not fit its data.
 FALLS_SHORT = 1.2
-# Of the error of the ensemble, and of the difference of one fold model from the others: a refit
-# above either is used only where nothing better is found.
+# Maximum error of a refit relative to the ensemble, and maximum difference relative to that of one
+# fold model from the others: a refit above either is only a fallback.
 NOT_WORSE, NOT_FURTHER = 1.05, 2.0
-# In standard deviations of the output: below it an error is as good as none.
+# Negligible error, in standard deviations of the output.
 NEGLIGIBLE = 1e-4
 
 Answers = tuple[Array, ...]
@@ -40,7 +39,7 @@ class CheckedRefit:
     check: RefitCheck | None
     """The comparison; None where it could not be made."""
     estimates: ParameterEstimates | None = None
-    """What it says of its parameters; None where it says nothing."""
+    """Parameter estimates of the refit; None if it reports none."""
 
 
 def check_refit(
@@ -75,8 +74,9 @@ def check_refit(
 
 
 def is_worthy(check: RefitCheck) -> bool:
-    """Whether the refit is as good as the ensemble, and not much further from it than fold models
-    are from each other."""
+    """Return whether the refit is as good as the ensemble, and not much further from it than fold
+    models are from each other.
+    """
     if check.kept is None:
         return False
     distance, usual = check.starts[check.kept - 1].disagreement, check.fold_disagreement
@@ -85,8 +85,9 @@ def is_worthy(check: RefitCheck) -> bool:
 
 
 def is_as_good(check: RefitCheck) -> bool:
-    """Whether the error of the refit on the training records is hardly above the ensemble's; also
-    where that has none, because a fold model fails there."""
+    """Return whether the error of the refit on the training records is hardly above that of the
+    ensemble, or the ensemble has none because a fold model fails there.
+    """
     error = None if check.kept is None else check.starts[check.kept - 1].error
     ensemble = check.ensemble_error
     return error is not None and (ensemble is None or error <= NOT_WORSE * ensemble + NEGLIGIBLE)
@@ -108,13 +109,13 @@ def none_words(causes: Sequence[str]) -> str:
     where = f" in {_COUNT.get(count, f'all {count}')} starts" if count > 1 else ""
     kinds = {cause.partition(" (")[0] for cause in causes}
     if len(kinds) > 1:
-        return f"no start of the refit is good: one {', one '.join(causes)}"
+        return f"no start of the refit is usable: one {', one '.join(causes)}"
     kind, bracket, detail = causes[-1].partition(" (")
     return f"the refit {kind}{where}{bracket}{detail}"
 
 
 def cause_of(error: CandidateError) -> str:
-    """What a fit or a simulation that failed did, without its traceback."""
+    """Describe the failure of a fit or simulation without its traceback."""
     line = error_line(error.detail, 120)
     known = _CAUSES.get(error.reason)
     if known is None and error.reason is Reason.CRASH and _DIVERGED.search(line):
@@ -130,7 +131,7 @@ class _Comparison:
     fold_models: Sequence[bytes]
     starts: list[RefitStart] = field(default_factory=list[RefitStart])
     causes: list[str] = field(default_factory=list[str])
-    """What each start did that speaks against it, in a few words."""
+    """Objections against each start, in a few words."""
 
     def __post_init__(self) -> None:
         answers = self.evaluator.simulate_training(self.source, self.fold_models)
@@ -143,7 +144,7 @@ class _Comparison:
 
     @property
     def result(self) -> RefitCheck:
-        """What was found so far."""
+        """Return the findings so far."""
         return RefitCheck(
             fold_errors=self._errors,
             ensemble_error=None if self._mean is None else self._error(self._mean),
@@ -174,17 +175,17 @@ class _Comparison:
             self.causes.append(cause_of(answers))
             return RefitStart(None, None, f"its simulation failed: {answers}")
         error = self._error(answers)
-        words, cause = self._error_words(error)
+        text, cause = self._error_text(error)
         self.causes.append(cause)
-        if not words:
+        if not text:
             failure = self.evaluator.refit_objection(self.source, model, answers)
             if failure is not None:
-                words = failure.detail or failure.advice
-                self.causes[-1] = f"gives wrong answers ({error_line(words)})"
+                text = failure.detail or failure.advice
+                self.causes[-1] = f"gives invalid simulations ({error_line(text)})"
         apart = None if self._mean is None else self._apart(answers, self._mean)
-        return RefitStart(error, apart, words)
+        return RefitStart(error, apart, text)
 
-    def _error_words(self, error: float | None) -> tuple[str, str]:
+    def _error_text(self, error: float | None) -> tuple[str, str]:
         """The objection to an error and the cause; "" for none."""
         known = [one for one in self._errors if one is not None]
         if error is None:

@@ -28,7 +28,7 @@ Shortfall = Callable[[Array, Array, Array], float]
 
 @dataclass(frozen=True)
 class HeldOutPart:
-    """What one fold holds out, and what the model of each candidate answers there."""
+    """Held-out part of one fold with the simulation of each candidate's model."""
 
     y: Array
     """Measured outputs (S, ny)."""
@@ -67,7 +67,7 @@ def candidates(values: Sequence[Sequence[float]]) -> list[int]:
 def nested_weights(
     parts: Sequence[HeldOutPart], shortfall: Shortfall, seed: int = 0
 ) -> tuple[Array, ...]:
-    """For each fold the weights that are selected on the other folds."""
+    """Return for each fold the weights that are selected on the other folds."""
     return tuple(
         select_weights([*parts[:k], *parts[k + 1 :]], shortfall, seed) for k in range(len(parts))
     )
@@ -103,7 +103,7 @@ def _value(
 
 
 def _capped(weights: Array) -> Array:
-    """Without those that hardly count, and at most `MOST_MEMBERS`."""
+    """Return the weights without negligible ones, at most `MOST_MEMBERS`."""
     kept = np.argsort(-weights, kind="stable")[:MOST_MEMBERS]
     capped = np.zeros_like(weights)
     capped[kept] = np.where(weights[kept] >= _LEAST_WEIGHT, weights[kept], 0.0)

@@ -41,12 +41,12 @@ def comparison_page(pair: Sequence[Snapshot], token: str) -> str:
         for one in pair
     ]
     part = tag("div", comparison_part(pair), data_refresh=f"/compare/part?{query}")
-    header = tag("header", tag("h1", "Side by side"))
+    header = tag("header", tag("h1", "Comparison"))
     return whole_page(" and ".join(names), (("Searches", "/"),), (header, *streams, part), token)
 
 
 def comparison_part(pair: Sequence[Snapshot]) -> Html:
-    """What the page says."""
+    """Write the content of the page."""
     subjects = [one.subject for one in pair]
     columns = tag("div", *(_winner(one) for one in pair), class_="columns")
     parts = (
@@ -85,18 +85,21 @@ def _figures(subjects: Sequence[Subject]) -> Html:
         ("experiments", [s.over("evaluated", "experiment", "count", "count") for s in subjects]),
         ("spent on them", [s.over("evaluated", "seconds", "sum", "duration") for s in subjects]),
         ("V, the best", [_best(s) for s in subjects]),
-        *((f"V, {name}", [_rung(s, name) for s in subjects]) for name in _rungs(subjects)),
+        *(
+            (f"V, {name}", [_reference(s, name) for s in subjects])
+            for name in _references(subjects)
+        ),
         ("error on the sealed test", [_tested(s) for s in subjects]),
     ]
     head = ["", *(tag("a", said(s.run.name), href=run_address(s.run.name)) for s in subjects)]
     return tag(
-        "div", table(head, [(words, *cells) for words, cells in rows], "Both runs"), class_="both"
+        "div", table(head, [(text, *cells) for text, cells in rows], "Both runs"), class_="both"
     )
 
 
 def _stamp(subject: Subject) -> Html:
-    words, kind = stamp(subject)
-    return tag("span", words, class_=f"stamp small {kind}")
+    text, kind = stamp(subject)
+    return tag("span", text, class_=f"stamp small {kind}")
 
 
 def _best(subject: Subject) -> Html:
@@ -104,20 +107,20 @@ def _best(subject: Subject) -> Html:
     return subject.v(best) if best is not None else tag("span", "no score")
 
 
-def _rungs(subjects: Sequence[Subject]) -> list[str]:
-    names = {rung.name: None for subject in subjects for rung in subject.view.rungs}
+def _references(subjects: Sequence[Subject]) -> list[str]:
+    names = {reference.name: None for subject in subjects for reference in subject.view.rungs}
     return list(names)
 
 
-def _rung(subject: Subject, name: str) -> Html:
-    rung = subject.rung(name)
-    if rung is None:
+def _reference(subject: Subject, name: str) -> Html:
+    reference = subject.rung(name)
+    if reference is None:
         return tag("span", "none")
-    return subject.number(rung[0], "outcome.value", "error")
+    return subject.number(reference[0], "outcome.value", "error")
 
 
 def _tested(subject: Subject) -> Html:
-    """Of the model to use, once the test was opened."""
+    """Write the test scores of the models to use, once the test was opened."""
     opened, named = subject.view.unsealed, model_to_use(subject.view)
     if opened is None or named is None:
         return tag("span", "not opened")
@@ -148,9 +151,9 @@ def _best_so_far(subject: Subject) -> BestSoFar:
 def _winner(snapshot: Snapshot) -> Html:
     subject, name = snapshot.subject, snapshot.run.name
     best = subject.view.best
-    heading = tag("h3", said(name))
+    title = tag("h3", said(name))
     if best is None:
-        return tag("div", heading, tag("p", "There is no score yet."))
+        return tag("div", title, tag("p", "There is no score yet."))
     link = tag(
         "a",
         subject.name(best),
@@ -160,4 +163,4 @@ def _winner(snapshot: Snapshot) -> Html:
     )
     overlays = held_out_overlays(subject, best)
     boxes = [zoomable(snapshot, best.number, k, len(o.measured)) for k, o in enumerate(overlays)]
-    return tag("div", heading, tag("p", link, ", V ", subject.v(best)), *boxes)
+    return tag("div", title, tag("p", link, ", V ", subject.v(best)), *boxes)

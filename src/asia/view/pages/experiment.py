@@ -49,14 +49,18 @@ def experiment_page(snapshot: Snapshot, number: int, token: str) -> str:
 
 
 def experiment_part(snapshot: Snapshot, number: int) -> Html:
-    """What the page says. Raises UserError where there is no such experiment."""
+    """Write the content of the page.
+
+    Raises:
+        UserError: there is no such experiment.
+    """
     subject = replace(snapshot.subject, detail=_EVERY)
     e = subject.view.experiment(number)
     status = e.result.status if e.result else "running"
     label = tag("span", status, class_=f"status {status}")
-    heading = tag("h1", subject.name(e), " ", said(e.proposed.title, 200))
+    title = tag("h1", subject.name(e), " ", said(e.proposed.title, 200))
     value = join(("V ", tag("b", subject.v(e)))) if e.score else None
-    header = tag("header", heading, tag("p", label, " ", value))
+    header = tag("header", title, tag("p", label, " ", value))
     parts = (
         header,
         _neighbours(subject, e),
@@ -73,10 +77,10 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
 def _neighbours(subject: Subject, e: Experiment) -> Html:
     address, last = run_address(subject.run.name), len(subject.view.experiments)
     links = [
-        tag("a", words, href=f"{address}/experiments/{number}", rel=rel)
-        for number, words, rel in (
-            (e.number - 1, "‹ the one before", "prev"),
-            (e.number + 1, "the next one ›", "next"),
+        tag("a", text, href=f"{address}/experiments/{number}", rel=rel)
+        for number, text, rel in (
+            (e.number - 1, "‹ previous", "prev"),
+            (e.number + 1, "next ›", "next"),
         )
         if 1 <= number <= last
     ]
@@ -87,9 +91,9 @@ def _overlays(snapshot: Snapshot, subject: Subject, e: Experiment) -> Html | Non
     problem, overlays = subject.problem, held_out_overlays(subject, e)
     if problem is None or not overlays:
         return None
-    words = "Drag across a picture to see a part of it."
+    text = "Drag across a picture to see a part of it."
     boxes = [zoomable(snapshot, e.number, k, len(one.measured)) for k, one in enumerate(overlays)]
-    return join((tag("p", words), overlay_legend(), tag("div", *boxes, class_="grid")))
+    return join((tag("p", text), overlay_legend(), tag("div", *boxes, class_="grid")))
 
 
 def zoomable(snapshot: Snapshot, number: int, index: int, count: int) -> Html:
@@ -101,11 +105,11 @@ def zoomable(snapshot: Snapshot, number: int, index: int, count: int) -> Html:
             sign,
             type="button",
             data_zoom=what,
-            aria_label=words,
-            title=words,
+            aria_label=text,
+            title=text,
             aria_controls=name,
         )
-        for what, sign, words in _TOOLS
+        for what, sign, text in _TOOLS
     ]
     return tag(
         "div",
@@ -132,7 +136,7 @@ def overlay_part(
 
 
 def _evidence(subject: Subject, e: Experiment) -> Html | None:
-    """As asia show prints it."""
+    """Write the evidence as `asia show` prints it."""
     store, result = subject.run.store, e.result
     if result is None or not store.kept:
         return None

@@ -1,4 +1,4 @@
-"""What all pages have: the head, the way back, the state of the connection."""
+"""Frame of all pages: head, link back, state of the connection."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def whole_page(
     title: str, trail: Sequence[tuple[str, str]], main: Sequence[Html | None], token: str
 ) -> str:
     """A whole page. trail: names and addresses of the pages above it."""
-    links = [tag("a", words, href=address) for words, address in trail]
-    crumbs = tag("nav", *links, class_="trail", aria_label="Where this page belongs")
+    links = [tag("a", text, href=address) for text, address in trail]
+    crumbs = tag("nav", *links, class_="trail", aria_label="Breadcrumb")
     connection = tag("p", "", id="connection", role="status")
     head = tag(
         "head",

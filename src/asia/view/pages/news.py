@@ -1,4 +1,4 @@
-"""What a page that is open is sent when something has changed."""
+"""Messages to an open page when its run has changed."""
 
 from __future__ import annotations
 
@@ -21,14 +21,19 @@ class Changed:
     kind: Literal["news", "trouble", "anew"]
     """News; the run cannot be read; or the page shows what is no more and has to load again."""
     mark: str
-    """From where on the next message tells."""
+    """Mark from which the next message continues."""
     data: dict[str, Any]
     """JSON: names of elements with their HTML, or words."""
 
 
 def run_news(snapshot: Snapshot, count: int, *, first: bool) -> Changed:
-    """What a run's page shows otherwise than after `count` lines. first: whether the stream has
-    only begun, so that nothing is read aloud."""
+    """Return the changes of a run's page since `count` lines.
+
+    Args:
+        snapshot: the present state.
+        count: number of ledger lines that the page shows.
+        first: true for the first message of a stream, so that nothing is read aloud.
+    """
     subject, view = snapshot.subject, snapshot.run.view
     changed = [view.experiment(number) for number in snapshot.changed_since(count)]
     rows = [{"number": e.number, "html": experiment_row(subject, e)} for e in changed]

@@ -15,7 +15,7 @@ MOST = 3000
 
 
 def experiment_row(subject: Subject, e: Experiment) -> Html:
-    """One experiment, on one line."""
+    """Write one experiment on one line."""
     status = e.result.status if e.result else "running"
     link = tag(
         "a",
@@ -47,8 +47,6 @@ def experiment_rows(subject: Subject, before: int | None = None, most: int = FIR
     ]
     earlier = None
     if len(every) > len(shown):
-        words = f"Show those before #{shown[-1].number}"
-        earlier = tag(
-            "button", words, type="button", class_="earlier", data_before=shown[-1].number
-        )
+        text = f"Show those before #{shown[-1].number}"
+        earlier = tag("button", text, type="button", class_="earlier", data_before=shown[-1].number)
     return join((*lists, earlier))

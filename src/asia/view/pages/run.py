@@ -19,11 +19,11 @@ def run_page(snapshot: Snapshot, token: str) -> str:
     """The page of a run."""
     subject = snapshot.subject
     start, name = subject.view.started, snapshot.run.name
-    words = (
+    text = (
         "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
         subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
     )  # fmt: skip
-    header = tag("header", tag("h1", said(name)), tag("p", *words))
+    header = tag("header", tag("h1", said(name)), tag("p", *text))
     links = [tag("li", tag("a", title, href=f"#{key}")) for key, title in _titles()]
     main = (
         header,
@@ -55,7 +55,7 @@ def _titles() -> list[tuple[str, str]]:
 
 
 def now_panel(snapshot: Snapshot) -> Html:
-    """Where the search stands, in a few figures."""
+    """Write the state of the search in a few figures."""
     subject, view = snapshot.subject, snapshot.run.view
     best = view.best
     done = subject.over("evaluated", "experiment", "count", "count")
@@ -78,8 +78,8 @@ def now_panel(snapshot: Snapshot) -> Html:
     ]
     trouble = None
     if snapshot.trouble:
-        words = said(snapshot.trouble, 600)
-        trouble = tag("p", "Without the records, so without simulations: ", words, class_="trouble")
+        missing = "No simulations, because the records are missing: "
+        trouble = tag("p", missing, said(snapshot.trouble, 600), class_="trouble")
     return join((tag("dl", *shown, class_="tiles"), trouble))
 
 
@@ -102,8 +102,8 @@ def steering_panel(name: str, *, running: bool, deaf: str = "") -> Html:
         data_post="steer",
     )
     buttons = [
-        tag("button", words, type="button", data_post=what, data_running=True, disabled=not running)
-        for what, words in (
+        tag("button", text, type="button", data_post=what, data_running=True, disabled=not running)
+        for what, text in (
             ("pause", "Pause after this experiment"),
             ("continue", "Continue"),
             ("stop", "Stop after this experiment"),
@@ -122,8 +122,9 @@ def _later(name: str, one: Section) -> Html | None:
 
 
 def section_part(snapshot: Snapshot, key: str) -> Html | None:
-    """What stands below the heading of a section; None where the run has nothing for it, or there
-    is no such section."""
+    """Write the content of a section; None if the run has nothing for it, or there is no such
+    section.
+    """
     found = next((one for one in SECTIONS if one.key == key and key not in _OWN), None)
     inner = None if found is None else found.write(snapshot.subject)
     return None if inner is None else to_pages(inner, snapshot.run.name)

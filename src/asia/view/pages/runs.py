@@ -38,7 +38,7 @@ def runs_page(folder: Path, listed: Sequence[ListedRun], digest: str, token: str
         tag("div", runs_table(listed), id="list"),
         tag(
             "p",
-            tag("button", "Show two side by side", type="submit", disabled=True, id="two"),
+            tag("button", "Compare two runs", type="submit", disabled=True, id="two"),
             " ",
             tag("span", "Choose two runs.", id="two-words"),
         ),
@@ -55,7 +55,7 @@ def runs_table(listed: Sequence[ListedRun]) -> Html:
     if not listed:
         return tag("p", "There is no run yet. Start one with: ", tag("code", "asia run PROBLEM"))
     head = [tag("th", tag("span", "choose", class_="unseen"), scope="col")]
-    head += [tag("th", words, scope="col", class_=kind) for words, kind in _HEAD]
+    head += [tag("th", text, scope="col", class_=kind) for text, kind in _HEAD]
     body = [tag("tr", *_cells(one)) for one in listed]
     inner = tag("table", tag("thead", tag("tr", *head)), tag("tbody", *body), class_="runs")
     return tag("div", inner, class_="scroll", tabindex="0", role="region", aria_label="Runs")
@@ -93,6 +93,6 @@ def _cells(one: ListedRun) -> list[Html]:
 
 
 def state_mark(state: str, *, paused: bool = False) -> Html:
-    """Where a search stands, as a label."""
-    words = f"{state}, to pause" if paused else state
-    return tag("span", words, class_=f"state {state}")
+    """Write the state of a search as a label."""
+    text = f"{state}, to pause" if paused else state
+    return tag("span", text, class_=f"state {state}")

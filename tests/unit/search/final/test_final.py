@@ -188,7 +188,7 @@ def test_no_more_than_three_starts_are_tried(tmp_path: Path) -> None:
         (["failed (a)", "failed (b)"], "the refit failed in both starts (b)"),
         (
             ["diverged", "ran out of memory"],
-            "no start of the refit is good: one diverged, one ran out of memory",
+            "no start of the refit is usable: one diverged, one ran out of memory",
         ),
     ],
 )
@@ -221,7 +221,11 @@ def test_the_cause_of_a_failed_fit_has_no_traceback() -> None:
             'its fit failed.*File "candidate.py"',
             r"The refit diverged in all three starts\.",
         ),
-        (arx(2) + RESTLESS, "simulates differently", r"The refit gives wrong answers \(.*\)\."),
+        (
+            arx(2) + RESTLESS,
+            "simulates differently",
+            r"The refit gives invalid simulations \(.*\)\.",
+        ),
     ],
 )
 def test_a_refit_that_fails_or_does_not_answer_like_a_model_is_none(

@@ -46,7 +46,7 @@ def test_show_tells_all_but_the_source(bare: Run) -> None:
     assert "candidate.py and its output are not here" in done.out
     source = command_line("show", bare.name, "2", "--source", *where)
     assert source.code == 2
-    assert "a ledger without its artifacts" in source.err
+    assert "a ledger without artifacts" in source.err
 
 
 @pytest.mark.slow
@@ -59,7 +59,7 @@ def test_the_report_has_the_picture_that_needs_none(bare: Run) -> None:
 
 
 def test_a_replay_says_what_it_needs(bare: Run) -> None:
-    with pytest.raises(UserError, match="put its folder artifacts back"):
+    with pytest.raises(UserError, match="restore the folder artifacts"):
         replay_run(bare.directory, lambda item: None)
 
 

@@ -228,7 +228,7 @@ def test_an_agent_with_nothing_left_hands_over_what_it_had(
         patch.setitem(AGENTS, "second", lambda: second)
         report = replay_run(run.directory, lambda item: None)
     wrong = {item.name: item.detail for item in report.items if not item.agrees}
-    assert wrong == {"hand-over to second": "the agent goes on now"}
+    assert wrong == {"hand-over to second": "the agent continues here"}
 
 
 @pytest.mark.slow

@@ -20,11 +20,11 @@ def _write(subject: Subject) -> Html | None:
     best = subject.view.best
     if best is None:
         return None
-    words = (
+    text = (
         "Each fold of the cross-validation held out a part of the training records. Its model "
         "simulated that part from its start, without seeing a measured output on the way."
     )
-    return join((tag("p", words), _table(subject, best), _pictures(subject, best)))
+    return join((tag("p", text), _table(subject, best), _pictures(subject, best)))
 
 
 def _table(subject: Subject, best: Experiment) -> Html:
@@ -71,8 +71,9 @@ def _pictures(subject: Subject, best: Experiment) -> Html | None:
 
 
 def held_out_overlays(subject: Subject, experiment: Experiment) -> list[Overlay]:
-    """What an experiment's fold models simulate of what they were not fitted to, the outputs with
-    the lowest fit first; none without a score or the data."""
+    """Return the simulations of an experiment's fold models on their held-out data, lowest fit
+    first; none without a score or the data.
+    """
     problem, score = subject.problem, experiment.score
     if problem is None or score is None:
         return []
@@ -108,4 +109,4 @@ def _parts(
         )
 
 
-SECTION = Section("accuracy", "How good it is", _write)
+SECTION = Section("accuracy", "Accuracy", _write)

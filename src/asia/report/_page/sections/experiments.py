@@ -1,4 +1,4 @@
-"""Every experiment: what was expected, what came of it, what was changed."""
+"""Section of all experiments: expectation, result, and change of the source."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from asia.report._page.subject import Subject, result_of
 
 
 def _write(subject: Subject) -> Html | None:
-    told = subject.told
-    if not told:
+    shown = subject.told
+    if not shown:
         return None
-    left_out = len(subject.view.experiments) - len(told)
+    left_out = len(subject.view.experiments) - len(shown)
     note = None
     if left_out:
-        words = "Here are those that were kept, the lineage of the winner and the last ones."
-        note = tag("p", words)
-    listed = tag("div", *(_experiment(subject, e) for e in told), class_="experiments")
+        text = "Listed are the kept experiments, the lineage of the winner and the last ones."
+        note = tag("p", text)
+    listed = tag("div", *(_experiment(subject, e) for e in shown), class_="experiments")
     return join((note, listed))
 
 
 def _experiment(subject: Subject, e: Experiment) -> Html:
     status = e.result.status if e.result else "running"
     value = subject.v(e) if e.score else None
-    heading = tag(
+    title = tag(
         "summary",
         tag("span", subject.name(e), class_="id"),
         tag("span", said(e.proposed.title, 100), class_="what"),
@@ -35,10 +35,10 @@ def _experiment(subject: Subject, e: Experiment) -> Html:
     best = subject.view.best
     won = best is not None and best.number == e.number
     if e.number not in subject.with_story:
-        return tag("details", heading, tag("p", said(e.proposed.hypothesis)), id=f"e{e.number}")
+        return tag("details", title, tag("p", said(e.proposed.hypothesis)), id=f"e{e.number}")
     return tag(
         "details",
-        heading,
+        title,
         experiment_story(subject, e),
         id=f"e{e.number}",
         class_="won" if won else None,
@@ -47,7 +47,7 @@ def _experiment(subject: Subject, e: Experiment) -> Html:
 
 
 def experiment_story(subject: Subject, e: Experiment) -> Html:
-    """What was expected of an experiment, what came of it, what was changed."""
+    """Write expectation, result and change of an experiment."""
     p = e.proposed
     made_from = None
     if p.parent is not None:
@@ -78,11 +78,11 @@ def _seen(subject: Subject, e: Experiment) -> Html | None:
     parent = e.proposed.parent
     if parent is not None and parent != e.number and (not kept or parent != kept[-1].number):
         others.append(("its parent", subject.view.experiment(parent)))
-    for words, other in others:
+    for text, other in others:
         if other.score is None or not other.score.value:
             continue
         pair = (result_of(e), "outcome.value"), (result_of(other), "outcome.value")
-        parts += ["; ", subject.made("change", "signed_share", *pair), f" beside {words}, "]
+        parts += ["; ", subject.made("change", "signed_share", *pair), f" beside {text}, "]
         parts.append(subject.name(other))
     return join(parts)
 
@@ -117,8 +117,8 @@ def _change(subject: Subject, e: Experiment) -> Html | None:
     lines = change(old, new, names, f"change of candidate.py from {names[0]} to {names[1]}")
     if lines is None:
         return None
-    words = tag("summary", "change of the code")
-    return tag("details", words, lines, class_="change")
+    text = tag("summary", "change of the code")
+    return tag("details", text, lines, class_="change")
 
 
 SECTION = Section("experiments", "Experiments", _write)

@@ -24,7 +24,7 @@ def _write(subject: Subject) -> Html | None:
         rows = list(_rows(subject, refitted))
         if rows:
             head = ["model", "error on the training records", "difference from the ensemble"]
-            parts.append(table(head, rows, "The models that the search ends with"))
+            parts.append(table(head, rows, "Final models"))
         parts += [_stack(subject, refitted), _again(subject, refitted)]
     name = one_line(view.started.run, 120).replace('"', "'")
     source = (
@@ -85,11 +85,11 @@ def _again(subject: Subject, refitted: Refitted) -> Html | None:
         return None
     fold = subject.number(refitted, "again.fold", "count")
     if again.ratio is None:
-        return tag("p", "Fold ", fold, ", fitted a second time, fails: ", said(again.failed), ".")
+        return tag("p", "Fold ", fold, ", refitted, fails: ", said(again.failed), ".")
     if again.ratio == 1.0:
-        return tag("p", "Fold ", fold, ", fitted a second time, came out the same.")
+        return tag("p", "Fold ", fold, ", refitted, gave the same result.")
     ratio = subject.number(refitted, "again.ratio", "sig4")
-    return tag("p", "Fold ", fold, ", fitted a second time, has ", ratio, " times its error.")
+    return tag("p", "Fold ", fold, ", refitted, has ", ratio, " times its error.")
 
 
 SECTION = Section("use", "The model to use", _write)

@@ -1,4 +1,4 @@
-"""What kept the search honest, and what it cost."""
+"""Section of the integrity of the search and of its cost."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ def _write(subject: Subject) -> Html:
             "isolation",
             join((tag("b", start.isolation_words), " ", said(f"({layers})") if layers else None)),
         ),
-        ("what it lacks", said(notes, 800) if notes else None),
+        ("missing protection", said(notes, 800) if notes else None),
         ("test", _test(subject)),
         ("held-out scores shown", _oracle(subject)),
         ("guard records", _guard(subject)),
-        ("a person's notes", _notes(subject)),
+        ("notes of the user", _notes(subject)),
         ("evaluations", _time(subject)),
         ("outcomes", _outcomes(subject)),
         ("language model", _cost(subject)),
-        ("diagnostics that failed", _failed(subject)),
+        ("failed diagnostics", _failed(subject)),
     )
     relays = [tag("li", said(hand_over_words(event))) for event in view.handed_over]
     relay = tag("ul", *relays) if relays else None
@@ -41,9 +41,7 @@ def _test(subject: Subject) -> Html:
     digest = tag("code", view.started.test_digest[:12])
     state = "opened once, after the search" if view.unsealed else "sealed, never opened"
     consent = view.unsealing is not None and view.unsealing.process_consent
-    agreed = (
-        "; a person agreed to open it though nothing kept candidates from it" if consent else ""
-    )
+    agreed = "; the user agreed to open it although candidates could read it" if consent else ""
     before = view.unsealing.opened_before if view.unsealing else ()
     earlier = join(("; opened before by ", said(", ".join(before)))) if before else None
     return join((state, ", committed before the first experiment as ", digest, agreed, earlier))
@@ -60,7 +58,7 @@ def _guard(subject: Subject) -> Html:
     if subject.view.started.guard_digest is None:
         return join(("none",))
     if not subject.view.looks:
-        return join(("there are some, and nobody has looked at them",))
+        return join(("not evaluated yet",))
     return join(("looked at ", subject.over("guard", "look", "count", "count"), " times"))
 
 
@@ -121,7 +119,8 @@ def _look(subject: Subject, look: GuardLooked) -> Html:
         ]
         for k, score in enumerate(look.scores)
     ]
-    return table(["experiment", "error on the guard"], rows, "A look at the guard records")
+    caption = "Evaluation on the guard records"
+    return table(["experiment", "error on the guard records"], rows, caption)
 
 
 SECTION = Section("integrity", "Integrity and cost", _write)

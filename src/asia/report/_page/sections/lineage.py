@@ -1,4 +1,4 @@
-"""Which candidate was made from which."""
+"""Section of the lineage: the parent of each candidate."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from asia.report._page.svg.lanes import Kin, draw_lanes
 
 
 def _write(subject: Subject) -> Html | None:
-    told = subject.told
-    if len(told) < 2 or all(e.proposed.parent is None for e in told):
+    shown = subject.told
+    if len(shown) < 2 or all(e.proposed.parent is None for e in shown):
         return None
     rows = [
         Kin(
@@ -20,13 +20,13 @@ def _write(subject: Subject) -> Html | None:
             e.result.status if e.result else "running",
             e.number in subject.lineage,
         )
-        for e in told
+        for e in shown
     ]
     drawing, width = draw_lanes(rows)
-    items = [tag("li", *_row(subject, e), class_=_name(subject, e)) for e in told]
-    words = "The thick line leads from the first candidate to the winner."
+    items = [tag("li", *_row(subject, e), class_=_name(subject, e)) for e in shown]
+    text = "The thick line leads from the first candidate to the winner."
     listed = tag("ol", *items, style=f"padding-left:{width}px")
-    return join((tag("p", words), tag("div", drawing, listed, class_="lineage")))
+    return join((tag("p", text), tag("div", drawing, listed, class_="lineage")))
 
 
 def _row(subject: Subject, e: Experiment) -> list[Html | str]:

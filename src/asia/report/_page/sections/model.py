@@ -33,14 +33,11 @@ def _equations(subject: Subject, best: Experiment) -> Html | None:
         tag("div", tag("span", kind, class_="kind"), formula, class_="equation")
         for kind, formula in equations(physics)
     ]
-    words = (
-        "The equations that the problem gives. What the winner adds to them or learns beside them "
-        "stands in its code."
-    )
+    text = "The equations that the problem gives. The code of the winner shows its additions."
     return join(
         (
             tag("h3", "Equations"),
-            tag("p", words),
+            tag("p", text),
             tag(
                 "div",
                 *rows,
@@ -56,7 +53,7 @@ def _equations(subject: Subject, best: Experiment) -> Html | None:
 def _source(subject: Subject, best: Experiment) -> Html | None:
     store = subject.run.store
     if not store.kept:
-        return tag("p", "The ledger came without its artifacts, so the code is not here.")
+        return tag("p", "The code is missing, because the run has no artifacts.")
     source = store.text(best.proposed.source)
     long = source.count("\n") > 40
     block = python(source, "candidate.py of the winner")

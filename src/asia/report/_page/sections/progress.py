@@ -19,18 +19,18 @@ def _write(subject: Subject) -> Html | None:
         return None
     told = {e.number for e in subject.told}
     shown = [e for e in view.finished if e.number in told]
-    words = "V is the error of simulation on held-out data over the variation of the output."
+    text = "V is the error of simulation on held-out data over the variation of the output."
     rows = [_improvement(subject, e, before) for e, before in _improvements(subject)]
     head = ["experiment", "candidate", view.v_name, "change"]
     return join(
         (
-            tag("p", words),
+            tag("p", text),
             progress_figure(subject, shown),
-            _rungs(subject),
+            _references(subject),
             tag(
                 "details",
                 tag("summary", "The improvements as a table"),
-                table(head, rows, "Experiments that were the best so far"),
+                table(head, rows, "Best experiments so far"),
             ),
         )
     )
@@ -45,7 +45,10 @@ def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
     levels = [
         RungLevel(r.name, r.outcome.value) for r in view.rungs if isinstance(r.outcome, Score)
     ]
-    alt = "V of each experiment with the best so far as a step line; the same numbers stand below."
+    alt = (
+        "V of each experiment with the best so far as a step line; the table below has the same "
+        "numbers."
+    )
     drawings = [
         tag("div", draw_progress(points, levels, view.v_name, alt, size), class_=name)
         for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
@@ -72,7 +75,7 @@ def _point(subject: Subject, experiment: Experiment, *, best: bool) -> Point:
     )
 
 
-def _rungs(subject: Subject) -> Html | None:
+def _references(subject: Subject) -> Html | None:
     rows = [
         [
             said(r.name),
@@ -84,12 +87,12 @@ def _rungs(subject: Subject) -> Html | None:
     ]
     if not rows:
         return None
-    return table(["reference", subject.view.v_name], rows, "Trivial references, the rungs")
+    return table(["reference", subject.view.v_name], rows, "Reference models")
 
 
 def _improvements(subject: Subject) -> list[tuple[Experiment, Experiment | None]]:
-    told = {e.number for e in subject.told}
-    bests = [e for e in subject.view.bests if e.number in told]
+    shown = {e.number for e in subject.told}
+    bests = [e for e in subject.view.bests if e.number in shown]
     before: list[Experiment | None] = [None, *bests]
     return list(zip(bests, before, strict=False))
 

@@ -1,4 +1,4 @@
-"""How to come to the same result again."""
+"""Section of the commands that reproduce the result."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _write(subject: Subject) -> Html:
     block = tag("pre", tag("code", commands), tabindex="0", role="region", aria_label="commands")
     versions = ", ".join(f"{key} {value}" for key, value in sorted(start.environment.items()))
     pairs = (
-        ("problem, as it was", tag("code", start.lock_digest)),
+        ("problem file", tag("code", start.lock_digest)),
         ("protocol", tag("code", start.protocol_digest)),
         ("sealed test", tag("code", start.test_digest) if start.test_digest else None),
         ("ledger, last line", tag("code", _head(subject))),
@@ -47,4 +47,4 @@ def _head(subject: Subject) -> str:
     return hashlib.sha256(lines[len(subject.run.lines) - 1]).hexdigest()
 
 
-SECTION = Section("reproduce", "How to reproduce it", _write)
+SECTION = Section("reproduce", "Reproduction", _write)

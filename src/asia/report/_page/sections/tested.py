@@ -24,10 +24,10 @@ def _write(subject: Subject) -> Html | None:
     how = join((subject.number(opened, "skip", "count"), " samples of each record are left out"))
     if opened.horizon is not None:
         how = join(("windows of ", subject.number(opened, "horizon", "count"), " samples"))
-    words = tag("p", "The test records were opened once, after the search had ended: ", how, ".")
+    text = tag("p", "The test records were opened once, after the search had ended: ", how, ".")
     return join(
         (
-            words,
+            text,
             _table(subject, opened),
             _by_record(subject, opened),
             _horizons(subject, opened),
@@ -38,15 +38,15 @@ def _write(subject: Subject) -> Html | None:
 
 
 def _models(opened: Unsealed) -> list[tuple[str, str, TestedModel]]:
-    found = [(key, words, getattr(opened, key)) for key, words in _MODELS]
-    return [(key, words, model) for key, words, model in found if isinstance(model, TestedModel)]
+    found = [(key, text, getattr(opened, key)) for key, text in _MODELS]
+    return [(key, text, model) for key, text, model in found if isinstance(model, TestedModel)]
 
 
 def _table(subject: Subject, opened: Unsealed) -> Html | None:
     """A row for each metric and output, a column for each model."""
     named, models = model_to_use(subject.view), _models(opened)
-    failed = [words for key, words in _MODELS if _failed(opened, key)]
-    note = tag("p", "No answer from: ", ", ".join(failed), ".") if failed else None
+    failed = [text for key, text in _MODELS if _failed(opened, key)]
+    note = tag("p", "No simulation from: ", ", ".join(failed), ".") if failed else None
     if not models:
         return note
     rows: list[list[str | None]] = []
@@ -60,18 +60,18 @@ def _table(subject: Subject, opened: Unsealed) -> Html | None:
             ]
             rows.append([join((label, " ", said(name))), *values])
     use = named.model if named else ""
-    head = ["error", *(f"{words} (to use)" if key == use else words for key, words, _ in models)]
+    head = ["error", *(f"{text} (to use)" if key == use else text for key, text, _ in models)]
     return join((table(head, rows, "Error on the sealed test, in the unit of the output"), note))
 
 
 def _horizons(subject: Subject, opened: Unsealed) -> Html | None:
     """The Mean Euclidean Errors of the model to use."""
     named = model_to_use(subject.view)
-    models = [(key, words, model) for key, words, model in _models(opened) if model.mee]
+    models = [(key, text, model) for key, text, model in _models(opened) if model.mee]
     chosen = next((m for m in models if named and m[0] == named.model), None)
     if chosen is None or chosen[2].mee is None:
         return None
-    key, words, mee = chosen[0], chosen[1], chosen[2].mee
+    key, text, mee = chosen[0], chosen[1], chosen[2].mee
     rows: list[list[str | None]] = []
     for i, group in enumerate(mee.groups):
         at = f"{key}.mee.groups.{i}.steps"
@@ -79,7 +79,7 @@ def _horizons(subject: Subject, opened: Unsealed) -> Html | None:
         total = subject.made("sum", "sig4", (opened, f"{at}.*"))
         rows.append([said(group.name), *values, total])
     head = ["outputs", *(said(f"after {h}") for h in mee.horizons), "sum"]
-    return table(head, rows, f"Mean Euclidean error after so many samples, {words}")
+    return table(head, rows, f"Mean Euclidean error after so many samples, {text}")
 
 
 def _failed(opened: Unsealed, key: str) -> bool:
@@ -101,7 +101,7 @@ def _by_record(subject: Subject, opened: Unsealed) -> Html | None:
         ]
         for i, name in enumerate(opened.trajectories)
     ]
-    return table(["record", *(words for _, words, _ in models)], rows, "Error on each test record")
+    return table(["record", *(text for _, text, _ in models)], rows, "Error on each test record")
 
 
 def _board(subject: Subject) -> Html | None:
@@ -111,7 +111,7 @@ def _board(subject: Subject) -> Html | None:
     if not board.entries or not board.standings:
         return None
     parts: list[Html] = [_board_of(board, index) for index in range(len(board.standings))]
-    return join((tag("h3", "Among the published results"), *parts))
+    return join((tag("h3", "Comparison with published results"), *parts))
 
 
 def _board_of(board: Board, index: int) -> Html:
@@ -119,15 +119,15 @@ def _board_of(board: Board, index: int) -> Html:
     official figure is the one above in another unit, so both are quoted."""
     ours = board.standings[index]
     entries = [(e.figures[index], e.words) for e in board.entries if index < len(e.figures)]
-    rows = [(v, words, False) for v, words in entries if v is not None]
+    rows = [(v, text, False) for v, text in entries if v is not None]
     rows.append((ours.figure.value, "this search, the model to use", True))
     rows.sort(key=lambda row: row[0])
     most = rows[-1][0]
     bars: list[list[str | None]] = []
-    for value, words, own in rows:
+    for value, text, own in rows:
         share = f"width:{100 * value / most:.1f}%"
         bar = tag("span", class_="bar own" if own else "bar", style=share)
-        name = tag("b", words) if own else said(words)
+        name = tag("b", text) if own else said(text)
         bars.append([name, said(f"{value:.4g}"), bar])
     caption = f"Test error of {ours.figure.name} [{board.unit}]"
     return table(["result", "error", "size"], bars, caption)

@@ -1,4 +1,4 @@
-"""What speaks against using the model, once it was validated."""
+"""Section of the validation: objections against the use of the model."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _LOGARITHMIC: Final = frozenset({"frequency response", "error spectrum"})
 
 def _write(subject: Subject) -> Html | None:
     found = subject.view.validated
-    return join([_dossier(subject, one) for one in found]) if found else None
+    return join([_report(subject, one) for one in found]) if found else None
 
 
-def _dossier(subject: Subject, found: Validated) -> Html:
-    title = "On what the folds held out"
+def _report(subject: Subject, found: Validated) -> Html:
+    title = "On the held-out data"
     if found.record:
         title = join(("On the new record ", said(found.record)))
     counts = tag(
@@ -48,8 +48,8 @@ def _dossier(subject: Subject, found: Validated) -> Html:
 def _worst(subject: Subject, found: Validated) -> Html | None:
     for k, one in enumerate(found.checks):
         if one.name == found.worst:
-            words = subject.number(found, f"checks.{k}.sentence", "text")
-            return tag("p", tag("b", "To look at first: "), words, ".", class_="sentence")
+            text = subject.number(found, f"checks.{k}.sentence", "text")
+            return tag("p", tag("b", "Most important: "), text, ".", class_="sentence")
     return None
 
 
@@ -63,14 +63,14 @@ def _table(subject: Subject, found: Validated) -> Html:
         )
         for k, one in enumerate(found.checks)
     ]
-    head = [tag("th", words, scope="col") for words in ("check", "verdict", "what was found")]
+    head = [tag("th", text, scope="col") for text in ("check", "verdict", "finding")]
     inner = tag(
         "table",
-        tag("caption", "The checks of the dossier"),
+        tag("caption", "Validation checks"),
         tag("thead", tag("tr", *head)),
         tag("tbody", *rows),
     )
-    label = f"The checks of the dossier, {found.record or 'held-out parts'}"
+    label = f"Validation checks, {found.record or 'held-out parts'}"
     return tag("div", inner, class_="scroll dossier", tabindex="0", role="region", aria_label=label)
 
 
@@ -86,4 +86,4 @@ def _pictures(subject: Subject, found: Validated) -> Html | None:
     return tag("div", *panels, class_="grid") if panels else None
 
 
-SECTION = Section("validation", "May it be used?", _write)
+SECTION = Section("validation", "Validation", _write)

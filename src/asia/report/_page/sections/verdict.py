@@ -13,37 +13,37 @@ from asia.report._page.subject import Subject, result_of
 from asia.scoring.dossier import Verdict
 from asia.scoring.dossier.records import listed
 
-# V over that of a rung from which on a model is hardly better.
+# Ratio of V to that of a reference model above which the model is hardly better.
 _BETTER = 0.95
 
 
 def doubts(subject: Subject) -> Iterator[str]:
-    """What speaks against the model and its figures, in words."""
+    """Yield the objections against the model and its figures, as sentences."""
     view = subject.view
     best = view.best
     if best is None or best.score is None:
         return
     value = best.score.value
-    for name, words in (
+    for name, text in (
         ("training mean", "than the mean of the data"),
         ("linear model", "than a linear one"),
     ):
-        rung = subject.rung(name)
-        if rung is not None and value > _BETTER * rung[1]:
-            yield f"the model is {'worse' if value > rung[1] else 'hardly better'} {words}"
+        reference = subject.rung(name)
+        if reference is not None and value > _BETTER * reference[1]:
+            yield f"the model is {'worse' if value > reference[1] else 'hardly better'} {text}"
             break
     if view.started.isolation == "process":
-        yield "candidates ran without walls and could have read the answers"
+        yield "candidates ran without isolation and could have read the held-out data"
     if view.started.early_stopping == "validation":
-        yield "candidates were given their score on the held-out data while they trained"
+        yield "candidates saw their score on the held-out data during training"
     if view.started.residuals == "held_out":
-        yield "held-out residuals were shown to whoever proposed"
+        yield "the agent saw held-out residuals"
     again = view.refitted.again if view.refitted else None
     if again is not None and again.ratio != 1.0:
-        yield "a second fit of the winner came out differently"
-    for dossier in view.validated:
-        where = f" on the record {dossier.record}" if dossier.record else ""
-        for check in dossier.checks:
+        yield "refitting the winner gave a different result"
+    for validation in view.validated:
+        where = f" on the record {validation.record}" if validation.record else ""
+        for check in validation.checks:
             if check.verdict in (Verdict.DOUBT, Verdict.FAIL):
                 ends = "fails" if check.verdict is Verdict.FAIL else "is in doubt"
                 cause = f" ({check.cause})" if check.cause else ""
@@ -62,7 +62,7 @@ def doubts(subject: Subject) -> Iterator[str]:
 
 
 def stamp(subject: Subject) -> tuple[str, str]:
-    """The verdict in two or three words, and its kind: `good`, `doubt` or `none`."""
+    """Return the verdict in two or three words, and its kind: `good`, `doubt` or `none`."""
     view = subject.view
     if view.best is None:
         return "No model", "none"
@@ -77,7 +77,7 @@ def stamp(subject: Subject) -> tuple[str, str]:
 def _write(subject: Subject) -> Html:
     view = subject.view
     best = view.best
-    words, kind = stamp(subject)
+    text, kind = stamp(subject)
     lines = [_nothing(subject)]
     if best is not None:
         lines = [
@@ -92,7 +92,7 @@ def _write(subject: Subject) -> Html:
     tiles = None if best is None else _tiles(subject, best)
     return join(
         (
-            tag("p", words, class_=f"stamp {kind}"),
+            tag("p", text, class_=f"stamp {kind}"),
             tag("ol", *(tag("li", line) for line in lines), class_="verdict"),
             tiles,
         )
@@ -107,13 +107,13 @@ def _nothing(subject: Subject) -> Html:
 def _found(subject: Subject, best: Experiment) -> Html:
     view = subject.view
     count = subject.over("evaluated", "experiment", "count", "count")
-    several, alone = len(view.finished) > 1, ") is the only candidate for "
+    several, single = len(view.finished) > 1, ") is the only candidate for "
     return join(
         (
             tag("b", said(best.proposed.title)),
             " (experiment ",
             tag("a", subject.name(best), href=f"#e{best.number}"),
-            *((") is the best of ", count, " candidates for ") if several else (alone,)),
+            *((") is the best of ", count, " candidates for ") if several else (single,)),
             said(view.started.problem),
             ".",
             *_method(subject, best),
@@ -122,14 +122,13 @@ def _found(subject: Subject, best: Experiment) -> Html:
 
 
 def _method(subject: Subject, best: Experiment) -> tuple[Html | str, ...]:
-    """What the retests say where another candidate is the incumbent."""
+    """Describe the method of the incumbent if the retests prefer another candidate."""
     held = subject.view.incumbent
     if held is None or held.number == best.number:
         return ()
     link = tag("a", subject.name(held), href=f"#e{held.number}")
     return (
-        " Its own fit has the lowest V; beyond the luck of the seeds nothing is better than "
-        "experiment ",
+        " Its own fit has the lowest V; it is statistically equal to experiment ",
         link,
         ".",
     )
@@ -139,26 +138,25 @@ def _error(subject: Subject, best: Experiment) -> Html:
     result = result_of(best)
     share = subject.number(result, "outcome.value", "share")
     start: tuple[str | None, ...] = (
-        "On data that it was not fitted to it errs by ",
+        "On held-out data its error is ",
         tag("b", share),
-        " of the output's own variation",
+        " of the output's standard deviation",
     )
-    rung = subject.rung("linear model")
-    if rung is None:
+    reference = subject.rung("linear model")
+    if reference is None:
         return join((*start, "."))
-    linear, value = rung
+    linear, value = reference
     own = subject.view.best
     assert own is not None
     assert own.score is not None
-    if value > own.score.value:
-        first, second = (linear, "outcome.value"), (result, "outcome.value")
-        words = " times as much"
-    else:
-        first, second = (result, "outcome.value"), (linear, "outcome.value")
-        words = " times less"
-    times = subject.made("ratio", "times", first, second)
     other = subject.number(linear, "outcome.value", "share")
-    return join((*start, "; the best linear model by ", other, ", ", times, words, "."))
+    if own.score.value <= _BETTER * value:
+        first, second = (linear, "outcome.value"), (result, "outcome.value")
+        times = subject.made("ratio", "times", first, second)
+        return join((*start, ". The best linear model has ", other, ", ", times, " times as much."))
+    if value > _BETTER * own.score.value:
+        return join((*start, ", no better than the best linear model with ", other, "."))
+    return join((*start, ", worse than the best linear model with ", other, "."))
 
 
 def _test(subject: Subject) -> Html:
@@ -166,7 +164,7 @@ def _test(subject: Subject) -> Html:
     opened = view.unsealed
     if opened is None:
         if view.started.test_digest is None:
-            return join(("There is no sealed test: no figure here is of unseen records.",))
+            return join(("There is no sealed test, so no figure here is from unseen records.",))
         return join(
             (
                 "The sealed test is still closed. The error above also served to choose the model, "
@@ -177,7 +175,7 @@ def _test(subject: Subject) -> Html:
     use = named.model if named else "ensemble"
     model = tested_model(opened, use)
     if not isinstance(model, TestedModel):
-        return join(("On the sealed test the model to use gives no answer.",))
+        return join(("The model to use fails on the sealed test.",))
     place = use if getattr(opened, use) is not None else "ensemble"
     value = subject.number(opened, f"{place}.scores.0.value", "sig4")
     label = said(find_metric(model.scores[0].metric).label)
@@ -198,12 +196,12 @@ def _test(subject: Subject) -> Html:
 def _use(subject: Subject) -> Html:
     named = model_to_use(subject.view)
     assert named is not None
-    words = {
+    text = {
         "ensemble": "the ensemble, the mean of the fold models",
         "refit": "the refit, the winner fitted to all training records",
         "stack": "the stack, a weighted mean of several candidates",
     }[named.model]
-    return join(("Model to use: ", tag("b", words), "."))
+    return join(("Model to use: ", tag("b", text), "."))
 
 
 def _trust(subject: Subject, kind: str, against: list[str]) -> Html:
@@ -212,31 +210,31 @@ def _trust(subject: Subject, kind: str, against: list[str]) -> Html:
         return join((f"{start}: ", said("; ".join(against), 2000), "."))
     view = subject.view
     again = (
-        " A second fit of the winner gave the same result."
+        " Refitting the winner gave the same result."
         if view.refitted and view.refitted.again
         else ""
     )
     checked = (
-        " No check of the validation raises a doubt."
+        " No validation check failed or is in doubt."
         if view.validated
         else join((" Its residuals and behaviour were not checked: run ",
                    tag("code", f"asia validate {view.started.run}"), "."))
     )  # fmt: skip
-    return join((f"No candidate saw the data that it was judged on.{again}", checked))
+    return join((f"No candidate saw its validation data.{again}", checked))
 
 
 def _tiles(subject: Subject, best: Experiment) -> Html:
     result = result_of(best)
     tiles: list[tuple[str, Html]] = [("V, the best candidate", subject.v(best))]
-    rungs = [
+    references = [
         ("V, best linear model", "linear model"),
         ("V, the noise floor", "simulated truth"),
         ("V, mean of the data", "training mean"),
     ]
-    for label, name in rungs:
-        rung = subject.rung(name)
-        if rung is not None:
-            tiles.append((label, subject.number(rung[0], "outcome.value", "error")))
+    for label, name in references:
+        reference = subject.rung(name)
+        if reference is not None:
+            tiles.append((label, subject.number(reference[0], "outcome.value", "error")))
     score = best.score
     assert score is not None
     paths = [

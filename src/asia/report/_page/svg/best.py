@@ -16,14 +16,14 @@ LINES = ("best", "best second")
 
 @dataclass(frozen=True)
 class BestSoFar:
-    """One search."""
+    """Best V so far in one search."""
 
     name: str
     """Its name."""
     kept: tuple[tuple[int, float], ...]
     """Number and V of each new best."""
     experiments: int
-    """How many there are."""
+    """Number of experiments."""
 
 
 def draw_best(searches: Sequence[BestSoFar], axis: str, alt: str, size: Size) -> Html:

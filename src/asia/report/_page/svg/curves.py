@@ -1,5 +1,6 @@
-"""Records over time: measured, simulated, and the error below. The curves stretch with the page,
-their words are HTML."""
+"""Drawing of records over time: measured, simulated, and the error below. The curves scale with the
+page, their labels are HTML.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +22,10 @@ _MARGIN = 0.06
 
 @dataclass(frozen=True)
 class Curves:
-    """One output over one record or window."""
+    """Curves of one output over one record or window."""
 
     title: Html
-    """What it shows."""
+    """Title of the panel."""
     alt: str
     """The same for those who do not see it."""
     axis: str
@@ -134,10 +135,10 @@ def _panel(
 
 
 def _line(name: str, values: Array, scale: Scale) -> Html:
-    """With a gap where a value is NaN; a value on its own is a dash of one sample."""
+    """Draw a line with a gap at each NaN; an isolated value is a dash of one sample."""
     across = Scale(0, max(len(values) - 1, 1), 0, _WIDTH)
     parts: list[str] = []
-    for first, last in _stretches(values):
+    for first, last in _segments(values):
         points = thinned(values[first:last].tolist(), _COLUMNS)
         places = [f"{round(across.at(first + i))} {round(scale.at(v))}" for i, v in points]
         parts.append(f"M{'L'.join(places)}" + ("h1" if len(places) == 1 else ""))
@@ -145,7 +146,7 @@ def _line(name: str, values: Array, scale: Scale) -> Html:
 
 
 def _between(lower: Array, upper: Array, scale: Scale) -> Html:
-    """The area between two edges, as far as the panel shows it."""
+    """Draw the area between two edges, clipped to the panel."""
     across = Scale(0, max(len(lower) - 1, 1), 0, _WIDTH)
     edges = [np.clip(edge, scale.low, scale.high).tolist() for edge in (upper, lower)]
     there, back = (thinned(edge, _COLUMNS) for edge in edges)
@@ -153,8 +154,8 @@ def _between(lower: Array, upper: Array, scale: Scale) -> Html:
     return tag("path", d=f"M{'L'.join(places)}Z", class_="outputs")
 
 
-def _stretches(values: Array) -> list[tuple[int, int]]:
-    """First sample, and the one after the last, of the stretches without NaN."""
+def _segments(values: Array) -> list[tuple[int, int]]:
+    """Return the first sample and the one after the last of each segment without NaN."""
     known = ~np.isnan(values)
     if known.all():
         return [(0, len(values))]

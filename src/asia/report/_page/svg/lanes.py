@@ -1,4 +1,4 @@
-"""Who was made from whom: the lanes beside a list of experiments."""
+"""Drawing of the lineage as lanes next to a list of experiments."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ class Kin:
     number: int
     """Number of the experiment."""
     parent: int | None
-    """What it was made from."""
+    """Number of the parent experiment."""
     status: str
-    """What was decided."""
+    """Status of the experiment."""
     winning: bool
-    """Whether the winner was made from it, or it is the winner."""
+    """True for the winner and its ancestors."""
 
 
 def lanes(rows: Sequence[Kin]) -> dict[int, int]:
-    """The lane of each experiment, 0 for the winner's line. A child stands in the lane of its
-    parent where no other does from the parent on, else in the next free one."""
+    """Return the lane of each experiment, 0 for the winner's line. A child takes the lane of its
+    parent if no other experiment uses it from the parent on, else the next free one.
+    """
     last = {row.parent: i for i, row in enumerate(rows) if row.parent is not None}
     found: dict[int, int] = {}
     until: dict[int, int] = {0: len(rows)}

@@ -1,4 +1,6 @@
-"""What a check draws: a few lines over one axis, and the band that chance stays within."""
+"""Drawing of a validation check: a few lines over one axis, and the band that chance stays
+within.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ from asia.report._page.svg.scales import Scale, written
 
 _WIDTH, _HEIGHT = 600, 180
 _MARGIN = 0.06
-# Curves of so few points stand over numbers of folds or records, which are whole.
+# Curves with at most this many points have fold or record numbers as abscissa, which are integers.
 _FEW_POINTS = 12
 
 

@@ -1,4 +1,6 @@
-"""V of every experiment, the incumbent as a step line, tags at improvements, the rungs."""
+"""Drawing of V of every experiment, with the incumbent as a step line, tags at improvements, and
+the reference models.
+"""
 
 from __future__ import annotations
 
@@ -26,15 +28,15 @@ class Point:
     value: float | None
     """V; None where it has none."""
     status: str
-    """What was decided."""
+    """Status of the experiment."""
     title: str
     """The candidate."""
     sources: str
-    """Where V stands in the ledger; "" without one."""
+    """Location of V in the ledger; "" without one."""
     shown: str
     """V as it is written; "" without one."""
     best: bool
-    """Whether it was the best so far."""
+    """True if it was the best so far."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class RungLevel:
     """A trivial reference."""
 
     name: str
-    """Name of the rung."""
+    """Name of the reference model."""
     value: float
     """Its V."""
 
@@ -54,7 +56,7 @@ class Size:
     width: float
     height: float
     right: float
-    """Room on the right, where the names of the rungs stand when it holds them."""
+    """Right margin, which holds the names of the reference models if they fit."""
     tag: int
     """Most characters of a tag."""
 
@@ -169,16 +171,16 @@ def _marker(point: Point, across: Scale, up: Scale) -> Html:
     if point.value is None:
         y = up.end - 6
         cross = f"M{rounded(x - 4)} {rounded(y - 4)}l8 8m0 -8l-8 8"
-        words = tag("title", f"{title}: {one_line(point.title, 80)}")
-        return tag("g", words, tag("path", d=cross, class_="failed"))
+        text = tag("title", f"{title}: {one_line(point.title, 80)}")
+        return tag("g", text, tag("path", d=cross, class_="failed"))
     y = up.at(point.value)
-    words = tag("title", f"{title}, V {point.shown}: {one_line(point.title, 80)}")
+    text = tag("title", f"{title}, V {point.shown}: {one_line(point.title, 80)}")
     name = "kept" if point.best else "other"
     if point.value > up.high:
         mark = tag("path", d=f"M{rounded(x - 5)} {rounded(y + 4)}h10l-5 -9z", class_=name)
     else:
         mark = tag("circle", cx=rounded(x), cy=rounded(y), r="4.5", class_=name)
-    return tag("g", words, mark)
+    return tag("g", text, mark)
 
 
 def _tags(points: Sequence[Point], across: Scale, up: Scale, size: Size) -> Html:

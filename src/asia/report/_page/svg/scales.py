@@ -1,4 +1,4 @@
-"""From numbers to places in a drawing."""
+"""Scales from numbers to positions in a drawing."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class Scale:
     high: float
     """The number at `end`."""
     start: float
-    """Where it begins."""
+    """Value at the start of the axis."""
     end: float
-    """Where it ends."""
+    """Value at the end of the axis."""
     log: bool = False
-    """Whether it is logarithmic."""
+    """True for a logarithmic scale."""
 
     def at(self, value: float) -> float:
         """The place of a number, kept within the axis."""

@@ -1,1 +1,1 @@
-"""What `asia check` draws."""
+"""Pictures of `asia check`."""

@@ -1,4 +1,4 @@
-"""What `asia check` draws: the training records and what the protocol makes of them."""
+"""Pictures of `asia check`: the training records and their use in the protocol."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def draw_data(problem: Problem) -> Figure:
     Raises UserError when the records do not make folds."""
     folds = make_folds(problem.train, problem.protocol)
     chosen = _records(problem)
-    stretches = [Stretch(0, len(problem.train[i])) for i in chosen]
-    unit = time_unit(problem.sampling_time * last_sample(stretches))
-    axis = lay_out(stretches, problem.sampling_time, unit)
+    segments = [Stretch(0, len(problem.train[i])) for i in chosen]
+    unit = time_unit(problem.sampling_time * last_sample(segments))
+    axis = lay_out(segments, problem.sampling_time, unit)
     inputs, outputs = problem.inputs[:_MOST_INPUTS], problem.outputs[:_MOST_OUTPUTS]
     signals = [(s, True, c) for c, s in enumerate(inputs)]
     signals += [(s, False, c) for c, s in enumerate(outputs)]
@@ -117,7 +117,7 @@ def _folds(
 
 
 def _spans(fold: Fold) -> dict[int, range]:
-    """What is held out of each record, from its first sample to its last."""
+    """Return the held-out samples of each record, from the first to the last."""
     spans: dict[int, range] = {}
     for block in fold.validation:
         old = spans.get(block.record, range(block.start, block.stop))

@@ -1,4 +1,4 @@
-"""The person's equations, typeset: what was understood, to be checked by eye."""
+"""Picture of the equations from the problem file, for a visual check."""
 
 from __future__ import annotations
 
@@ -70,7 +70,9 @@ def _rows(physics: Physics) -> Iterator[tuple[str, str]]:
 
 
 def typeset(text: str) -> str:
-    """LaTeX of a physics expression, terms and factors in the order the person wrote them."""
+    """Convert a physics expression to LaTeX, with terms and factors in the order of the problem
+    file.
+    """
     expression = parse_expression(text, "physics")
     values = {name: sympy.Symbol(name) for name in expression.names}
     with sympy.evaluate(False):

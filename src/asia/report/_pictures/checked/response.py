@@ -1,4 +1,6 @@
-"""What `asia check` draws of the frequencies: output, noise and what a linear model leaves."""
+"""Pictures of `asia check` in the frequency domain: output, noise and the residual of a linear
+model.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ _DEEPEST = 1e-9
 
 
 def draw_responses(problem: Problem, found: tuple[FrequencyResponse | None, ...]) -> Figure:
-    """One panel an output; amplitudes in dB of the output's standard deviation."""
+    """Draw one panel for each output; amplitudes in dB of the output's standard deviation."""
     shown = [
         (signal, one) for signal, one in zip(problem.outputs, found, strict=True) if one is not None
     ][:_MOST_OUTPUTS]

@@ -1,4 +1,4 @@
-"""What the gain of the winner is due to: bars with their intervals."""
+"""Picture of the ablation: contribution of each change with its interval."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def draw_ablation(found: Ablated, run: str, v_name: str) -> Figure:
     axes.set_ylim(0.3, len(bars) + 0.7)
     axes.set_xlabel(f"Decrease of {plain(v_name, 40)}")
     quiet_grid(axes)
-    entitle(figure, f"{plain(run, 40)}: what the gain of #{found.winner:02d} is due to")
+    entitle(figure, f"{plain(run, 40)}: contributions to the gain of #{found.winner:02d}")
     return figure
 
 
@@ -41,7 +41,7 @@ def _of_crossing(found: Ablated) -> Sequence[Bar]:
         ("gain over the baseline", crossing.gain, INK),
         ("its model alone", crossing.model, BLUE),
         ("its training alone", crossing.training, BLUE),
-        ("both together, beyond that", crossing.interaction, BLUE),
+        ("interaction of both", crossing.interaction, BLUE),
     )
 
 

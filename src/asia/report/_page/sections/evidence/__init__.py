@@ -1,4 +1,4 @@
-"""What was computed about the winner: its parameters, its bands, and whether it was luck."""
+"""Evidence on the winner: its parameters, its bands, its confirmation and its ablation."""
 
 from asia.report._page.sections.evidence import ablation, bands, confirmation, identified
 

@@ -1,4 +1,4 @@
-"""What the gain of the winner is due to, once it was ablated."""
+"""Section of the ablation: contributions of the changes to the gain of the winner."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from asia.report._page.subject import Subject
 _PARTS = (
     ("its model, with the training of the baseline", "crossing.model"),
     ("its training, with the model of the baseline", "crossing.training"),
-    ("both together, beyond what each brings alone", "crossing.interaction"),
+    ("interaction of both", "crossing.interaction"),
     ("in all", "crossing.gain"),
 )
 
@@ -19,21 +19,21 @@ def _write(subject: Subject) -> Html | None:
     found = subject.view.ablated
     if found is None:
         return None
-    words = tag(
+    text = tag(
         "p",
-        "The winner was fitted again with parts taken back, each variant from up to ",
+        "The winner was refitted with parts of its changes reverted, each variant with up to ",
         subject.number(found, "seeds", "count"),
-        " seeds that the evaluator chose.",
+        " seeds chosen by the evaluator.",
     )
-    return join((words, _crossing(subject, found), _left_out(subject, found)))
+    return join((text, _crossing(subject, found), _left_out(subject, found)))
 
 
 def _crossing(subject: Subject, found: Ablated) -> Html:
     if found.crossing is None:
         return tag("p", "Model and training cannot be crossed: ", said(found.detail), ".")
-    rows: list[list[str | None]] = [[words, _interval(subject, found, at)] for words, at in _PARTS]
-    head = ["what the winner has", f"{subject.view.v_name} is lower by"]
-    return table(head, rows, "What the gain over the baseline is due to")
+    rows: list[list[str | None]] = [[text, _interval(subject, found, at)] for text, at in _PARTS]
+    head = ["part of the winner", f"{subject.view.v_name} is lower by"]
+    return table(head, rows, "Contributions to the gain over the baseline")
 
 
 def _left_out(subject: Subject, found: Ablated) -> Html | None:
@@ -55,4 +55,4 @@ def _interval(subject: Subject, found: Ablated, at: str) -> Html:
     return join((value, " (", low, " to ", high, ")"))
 
 
-SECTION = Section("ablation", "What is the gain due to?", _write)
+SECTION = Section("ablation", "Ablation", _write)

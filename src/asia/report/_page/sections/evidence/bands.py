@@ -1,4 +1,4 @@
-"""How far the output bands held on the sealed test."""
+"""Section of the output bands: their coverage on the sealed test."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ def _write(subject: Subject) -> Html | None:
     bands = opened.bands
     pairs = (
         ("model", bands.model),
-        ("meant to hold", subject.number(opened, "bands.level", "share")),
+        ("nominal coverage", subject.number(opened, "bands.level", "share")),
         ("outside the region of validity", subject.number(opened, "bands.outside", "share")),
     )
     rows = [
         [said(name), subject.number(opened, f"bands.covered.{c}", "share")]
         for c, name in enumerate(opened.channels[: len(bands.covered)])
     ]
-    head = ["output", "share of the test samples that they held"]
+    head = ["output", "coverage of the test samples"]
     return join((facts(pairs), table(head, rows, "The bands on the sealed test")))
 
 

@@ -1,4 +1,4 @@
-"""Whether the winner is better or was lucky, once it was confirmed."""
+"""Section of the confirmation: significance of the winner over repeated fits."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ def _write(subject: Subject) -> Html | None:
     found = subject.view.confirmed
     if found is None:
         return None
-    words = tag(
+    text = tag(
         "p",
-        "After the search the candidates with the lowest V were fitted again on every fold, from ",
+        "After the search the candidates with the lowest V were refitted on every fold, with ",
         subject.number(found, "seeds", "count"),
-        " seeds that the evaluator chose; those whose fits do not depend on the seed once.",
+        " seeds chosen by the evaluator; once if their fits do not depend on the seed.",
     )
     after = used_no_test(found.after_unsealing)
-    return join((words, _candidates(subject, found), _pairs(subject, found),
+    return join((text, _candidates(subject, found), _pairs(subject, found),
                  _expected(subject, found), after))  # fmt: skip
 
 
 def _candidates(subject: Subject, found: Confirmed) -> Html | None:
     if not found.candidates:
-        return tag("p", "None of them has a score from another seed.")
+        return tag("p", "None of them has a score with another seed.")
     rows: list[list[str | None]] = []
     for k, one in enumerate(found.candidates):
         at = f"candidates.{k}"
@@ -43,8 +43,8 @@ def _candidates(subject: Subject, found: Confirmed) -> Html | None:
         ])  # fmt: skip
     name = subject.view.v_name
     head = ["experiment", "rank", f"{name} over the seeds", f"{name} in the search",
-            "deviation over the seeds", "seeds that failed"]  # fmt: skip
-    return table(head, rows, "The candidates that were fitted again")
+            "standard deviation over the seeds", "failed seeds"]  # fmt: skip
+    return table(head, rows, "Refitted candidates")
 
 
 def _pairs(subject: Subject, found: Confirmed) -> Html | None:
@@ -54,18 +54,18 @@ def _pairs(subject: Subject, found: Confirmed) -> Html | None:
     for k, pair in enumerate(found.pairs):
         at = f"pairs.{k}"
         names = [subject.number(found, f"{at}.{side}", "number") for side in ("first", "second")]
-        words = "is better" if pair.apart else "statistically equal"
+        text = "is better" if pair.apart else "statistically equal"
         gap = _interval(subject, found, f"{at}.difference", "signed_error")
-        rows.append([join(names, " and "), gap, words])
+        rows.append([join(names, " and "), gap, text])
     note = tag(
         "p",
-        "The intervals hold together at ",
+        "The intervals hold simultaneously at ",
         subject.number(found, "level", "share"),
-        ", corrected for the ",
+        ", corrected for the selection among ",
         subject.number(found, "tried", "count"),
-        " candidates that the winner was the best of.",
+        " candidates.",
     )
-    return join((table(["pair", "difference of V", "verdict"], rows, "Two by two"), note))
+    return join((table(["pair", "difference of V", "verdict"], rows, "Pairwise differences"), note))
 
 
 def _expected(subject: Subject, found: Confirmed) -> Html:
@@ -79,7 +79,7 @@ def _expected(subject: Subject, found: Confirmed) -> Html:
             )
         )
     if found.expected is None:
-        return tag("p", noise, "No error can be expected of the winner: its repeats failed.")
+        return tag("p", noise, "The expected error of the winner is unknown: its repeats failed.")
     ensemble = None
     if found.ensemble is not None:
         ensemble = join(
@@ -94,9 +94,9 @@ def _expected(subject: Subject, found: Confirmed) -> Html:
         ", at a level of ",
         subject.number(found, "expected_level", "share"),
         ensemble,
-        "; of that ",
+        "; of this ",
         subject.number(found, "expected.optimism", "sig2"),
-        " is for having been chosen as the best.",
+        " corrects for the selection of the best.",
     )
 
 
@@ -107,4 +107,4 @@ def _interval(subject: Subject, found: Confirmed, at: str, form: str) -> Html:
     return join((value, " (", low, " to ", high, ")"))
 
 
-SECTION = Section("confirmation", "Better, or lucky?", _write)
+SECTION = Section("confirmation", "Significance", _write)

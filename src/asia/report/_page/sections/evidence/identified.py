@@ -46,7 +46,7 @@ def _parameters(run: Run, found: IdentifiedModel) -> Html | None:
     rows = [_row(run, k, one) for k, one in enumerate(found.parameters)]
     head = ["parameter", "value", "unit", "standard error", "standard error by folds", "interval",
             "decided by", "remark"]  # fmt: skip
-    words = tag(
+    text = tag(
         "p",
         "The intervals are those of ",
         fixed("95 %"),
@@ -54,7 +54,7 @@ def _parameters(run: Run, found: IdentifiedModel) -> Html | None:
         "residuals show would give.",
     )
     apart = [tag("p", tag("b", said(line), ".")) for line in disagreement_lines(found)]
-    return join((table(head, rows, "Parameters, fitted to all training records"), *apart, words))
+    return join((table(head, rows, "Parameters, fitted to all training records"), *apart, text))
 
 
 def _row(run: Run, place: int, one: IdentifiedParameter) -> list[str | None]:
@@ -133,11 +133,11 @@ def _entangled(run: Run, found: IdentifiedModel) -> Html | None:
     ]
     if not rows:
         return None
-    return table(["pair", "correlation of the errors"], rows, "Told apart badly by the records")
+    return table(["pair", "correlation of the errors"], rows, "Poorly distinguished by the records")
 
 
 def _number(run: Run, path: str, value: float, form: str) -> Html:
     return write_number([value], _sources(run, [path]), ONE, form)
 
 
-SECTION = Section("identified", "What was identified", _write)
+SECTION = Section("identified", "Identified parameters", _write)
