@@ -175,8 +175,9 @@ class RunDesk:
         spent = max(1, len(view.experiments)) + sum(t not in in_ledger for t in waiting)
         if spent >= budget:
             raise UserError(
-                f"the candidate was not judged: the budget of {budget} experiments is spent; the "
-                f"user can raise it with asia agent workspace or asia agent mcp and a larger --experiments"
+                f"the candidate was not evaluated: the budget of {budget} experiments is spent; "
+                "the user can raise it with asia agent workspace or asia agent mcp and a larger "
+                "--experiments"
             )
         numbers = {1, *(e.number for e in view.experiments)}
         if proposal.parent is not None and proposal.parent not in numbers:

@@ -247,10 +247,10 @@ class Evaluator(WorkerRunner):
         gpu: bool = False,
     ) -> None:
         """salt: a text that no candidate or agent knows, so that none can predict which cases are
-        checked; without: relations that are not checked, to show the effect of each; problem:
-        sha256 of the run's lock file; gpu: whether workers that train networks compute on the
-        GPU. Raises UserError where folds would be fitted on other machines and candidates may
-        ask for scores, which takes the held-out outputs there."""
+        checked; without: relations that are not checked, to show what each of them finds; problem:
+        sha256 of the run's lock file; gpu: whether workers that train networks compute on the GPU.
+        Raises UserError where folds would be fitted on other machines and candidates may ask for
+        scores, which takes the held-out outputs there."""
         limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
         super().__init__(isolation, limits, executor, len(folds), gpu=gpu)
         self.folds = tuple(folds)
@@ -281,22 +281,14 @@ class Evaluator(WorkerRunner):
         return not self.one_by_one and self._rule.early_stopping == "inner"
 
     def evaluate(self, source: str, start: int = 0) -> Evaluation:
-        """Fit and simulate `source` on every fold. A failed fold fails the candidate.
-
-        Args:
-            start: fits from another start have seeds of their own, the same for all candidates;
-                0 in a search
-        """
+        """Fit and simulate `source` on every fold. A failed fold fails the candidate. start: fits
+        from another start have seeds of their own, the same for all candidates; 0 in a search."""
         return self._evaluate(source, start, None)
 
     def evaluate_first(self, source: str, over: float | None) -> Evaluation:
-        """Evaluate the first fit of a candidate, as `evaluate`, with early pruning.
-
-        Args:
-            over: threshold of V; once V must exceed it, no fold is begun, running ones are
-                ended, and the outcome is a Failure with reason BEHIND. None evaluates every
-                fold.
-        """
+        """As `evaluate`, for a first fit. over: no fold is begun once V must be above it, those
+        under way are ended, and the outcome is a Failure with reason BEHIND; None where every
+        fold counts."""
         if over is None:
             return self.evaluate(source)
         return self._evaluate(source, 0, FoldPruner(len(self.folds), over))
@@ -328,13 +320,9 @@ class Evaluator(WorkerRunner):
         return Evaluation(combine([f.score for f in folds]), folds, ends[0].output, calls)
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
-        """Check the models of a candidate in fresh workers.
-
-        Returns:
-            a Failure unless each model simulates bitwise the same as in the worker that fitted
-                it, keeps the relations of `suspicions`, and keeps V where it is far below the
-                training error
-        """
+        """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
+        same as the worker that fitted it, and answers like a model (see `suspicions`), and unless V
+        stays where it is far below the training error."""
         found = self.objection_to_answers(source, folds)
         return self.objection_to_consistency(source, folds) if found is None else found
 
@@ -353,9 +341,9 @@ class Evaluator(WorkerRunner):
             return Failure(error.reason, error.detail)
 
     def objection_to_consistency(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
-        """The part of `objection` with fits one after the other: no other worker of the same
-        candidate may run meanwhile."""
-        if SuspicionKind.CONSISTENCY in self._without:
+        """The part of `objection` with fits one after the other: no worker of the same candidate
+        may run beside it."""
+        if SuspicionKind.CONSISTENCY in self._checks.without:
             return None
 
         def fit_sequentially(place: int) -> FoldResult | Failure:
@@ -368,57 +356,6 @@ class Evaluator(WorkerRunner):
                 return sequential_objection(folds, fit_sequentially, random)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
-
-    def _fold_objection(self, source: str, fold: Fold, result: FoldResult) -> Failure | None:
-        place = fold.index + 1
-        followed = [i for i, known in enumerate(fold.followed) if known]
-        seed = self._check_seed(source, place)
-        ask = partial(
-            suspicions, scale=fold.scale, horizon=self.horizon, seed=seed, followed=followed,
-            without=self._without, rounding=0.0,
-        )  # fmt: skip
-        try:
-            found = self._ask_fresh(source, result.model, fold.validation, result.y_hat, ask)
-        except CandidateError as error:
-            return Failure(error.reason, error.detail, place)
-        return objection_to(found, place)
-
-    def _ask_fresh(
-        self,
-        source: str,
-        model: bytes,
-        blocks: Sequence[Block],
-        y_hat: Sequence[Array],
-        ask: Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]],
-    ) -> Sequence[Suspicion]:
-        """Call `ask` with a worker that has seen no case.
-
-        Raises:
-            CandidateError: with reason NOT_REPRODUCIBLE when even the scored order does not
-                give the scored outputs
-        """
-        with self._worker_for(source, fitting=False) as worker:
-            try:
-                worker.load(executed_source(source), model, self._fold_context("load"))
-            except CandidateError as error:
-                raise CandidateError(Reason.NOT_REPRODUCIBLE, str(error)) from None
-            try:
-                found = ask(worker, blocks, y_hat)
-            except CandidateError as error:
-                detail = f"next to the scored cases: {error.detail or error.reason.advice}"
-                raise CandidateError(error.reason, detail) from None
-        if any(one.kind is SuspicionKind.STRANGERS for one in found):
-            again = self._simulate_model(source, model, blocks)
-            pairs = zip(again, y_hat, strict=True)
-            if any(one.tobytes() != other.tobytes() for one, other in pairs):
-                raise CandidateError(Reason.NOT_REPRODUCIBLE)
-        kind = SuspicionKind.STRANGERS
-        return [one for one in found if one.kind is not kind or one.figure > ROUNDING]
-
-    def _check_seed(self, source: str, *parts: object) -> int:
-        """Return a seed for the check requests of one source, so that findings reveal nothing about
-        the requests of the next one."""
-        return derive_seed(self._context.seed, self._salt, source, *parts)
 
     def refit(self, source: str) -> Refit:
         """Fit on all training records, and on one of the folds a second time."""
@@ -439,8 +376,7 @@ class Evaluator(WorkerRunner):
         return self._run([partial(self._fit_all, executed_source(source), start)])[0]
 
     def _fit_all(self, source: str, start: int) -> RefitModel | CandidateError:
-        """Fit on all records; nothing is held out, so the candidate has no validation score to ask
-        for."""
+        """Nothing is held out, so the candidate has no validation score to ask for."""
         model: bytes | None = None
         try:
             with self._worker_for(source, fitting=True) as worker:
@@ -454,24 +390,13 @@ class Evaluator(WorkerRunner):
     def simulate_training(
         self, source: str, models: Sequence[bytes]
     ) -> list[tuple[Array, ...] | CandidateError]:
-        """Simulate `training_blocks` with stored models; return the outputs or the error of
-        each."""
+        """What stored models answer to `training_blocks`, or why one does not."""
         blocks = self.training_blocks
         return self._run([partial(self._stored.answers, source, model, blocks) for model in models])
 
     def refit_objection(self, source: str, model: bytes, y_hat: Sequence[Array]) -> Failure | None:
-        """Return an objection to a model fitted on all records, as `objection`.
-
-        Relations about samples outside the training records are left out.
-
-        Args:
-            y_hat: its simulations of `training_blocks`
-        """
-        ask = partial(
-            suspicions, scale=self.scale, horizon=self.horizon, rounding=0.0,
-            seed=self._check_seed(source, "refit"),
-            without={*self._without, SuspicionKind.RESTART, SuspicionKind.BLOCK_END},
-        )  # fmt: skip
+        """As `objection`, for a model fitted on all records and its answers to `training_blocks`:
+        without what asks how it does outside the records that it was fitted on."""
         blocks = self.training_blocks
         job = partial(self._checks.refit_objection, source, model, blocks, y_hat)
         try:
@@ -490,14 +415,10 @@ class Evaluator(WorkerRunner):
     def simulate_scored(
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
     ) -> list[tuple[Array, ...] | CandidateError]:
-        """Simulate blocks whose outputs will be scored, as `simulate`, and check causality in a
-        second worker as `dependences` does.
-
-        Returns:
-            for each model its simulations or its error: reason SUSPECT where an output depends
-                on data that it must not use
-        """
-        jobs = [partial(self._simulate_checked, source, model, blocks) for model in models]
+        """As `simulate`, for answers that will be scored: a second worker is asked as `dependences`
+        does. For each model its simulations, or what it did: reason SUSPECT where an answer depends
+        on what it must not."""
+        jobs = [partial(self._checks.simulate, source, model, blocks) for model in models]
         return self._run(jobs)
 
     def lowered(self, source: str, models: Sequence[bytes]) -> list[LoweredModel | str]:
@@ -531,63 +452,6 @@ class Evaluator(WorkerRunner):
         return FoldEnd(result, found.printed, oracle.calls)
 
     def _analysis_lock(self, fold: Fold) -> AbstractContextManager[object]:
-        """Return a lock that lets one fold of long records be analysed at a time, to limit
-        memory."""
+        """Of long records one fold is analysed at a time, for the sake of memory."""
         long = sum(len(record) for record in fold.train) > _LONG
         return self._analysing if long else nullcontext()
-
-    def _ask_strangers(self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]) -> None:
-        """Simulate a few cases in a fresh worker, where several requests go to one worker.
-
-        Raises:
-            CandidateError: when the outputs differ
-        """
-        if self.horizon is None or SuspicionKind.STRANGERS in self._without:
-            return
-
-        def ask(
-            worker: Worker, blocks: Sequence[Block], y_hat: Sequence[Array]
-        ) -> Sequence[Suspicion]:
-            seed = self._check_seed(source, fold.index, "strangers")
-            found = strangers(
-                worker, blocks, y_hat, fold.scale, self.horizon, seed, 0.0, _STRANGERS_ASKED
-            )
-            return () if found is None else (found,)
-
-        failure = objection_to(self._ask_fresh(source, model, fold.validation, y_hat, ask), None)
-        if failure is not None:
-            raise CandidateError(failure.reason, failure.detail)
-
-    def _simulate_checked(
-        self, source: str, model: bytes, blocks: Sequence[Block]
-    ) -> tuple[Array, ...] | CandidateError:
-        try:
-            y_hat = self._simulate_model(source, model, blocks)
-            failure = self._dependence(source, model, blocks, y_hat)
-        except CandidateError as error:
-            return error
-        return y_hat if failure is None else CandidateError(failure.reason, failure.detail)
-
-    def _dependence(
-        self, source: str, model: bytes, blocks: Sequence[Block], y_hat: Sequence[Array]
-    ) -> Failure | None:
-        ask = partial(
-            dependences, scale=self.scale, horizon=self.horizon, without=self._without,
-            seed=self._check_seed(source, "other"), rounding=0.0,
-        )  # fmt: skip
-        return objection_to(self._ask_fresh(source, model, blocks, y_hat, ask), None)
-
-    def _answers(
-        self, source: str, model: bytes, blocks: Sequence[Block]
-    ) -> tuple[Array, ...] | CandidateError:
-        try:
-            return self._simulate_model(source, model, blocks)
-        except CandidateError as error:
-            return error
-
-    def _simulate_model(
-        self, source: str, model: bytes, blocks: Sequence[Block]
-    ) -> tuple[Array, ...]:
-        with self._worker_for(source, fitting=False) as worker:
-            worker.load(executed_source(source), model, self._fold_context("load"))
-            return simulate_held_out(worker, blocks, self.horizon)

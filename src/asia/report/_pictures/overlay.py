@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -186,7 +187,7 @@ def _legend(figure: Figure, panels: Sequence[Panel], words: Words) -> None:
     ]
     if any(p.other is not None for p in pieces):
         handles += axes.plot([], [], color=ORANGE, lw=0.9, dashes=(4, 1.5), label=words.other)
-    shaded: list[object] = []
+    shaded: list[Artist] = []
     if any(p.band is not None for p in pieces):
         shaded += axes.fill([np.nan], [np.nan], color=BLUE, alpha=_BAND, lw=0, label=words.band)
     if any(p.skip for p in pieces):
