@@ -18,6 +18,8 @@ GROUPS = (
     "asia.metrics",
     "asia.executors",
     "asia.sinks",
+    "asia.export_targets",
+    "asia.validation_checks",
     "asia.commands",
 )
 

@@ -96,6 +96,8 @@ def test_doctor_lists_every_part_and_where_it_comes_from(programs: Path, tmp_pat
         ("agents", "doubling"),
         ("sources", "tables"),
         ("metrics", "p95"),
+        ("export_targets", "json"),
+        ("validation_checks", "offset"),
         ("commands", "taps"),
     }
 
@@ -118,6 +120,10 @@ def test_every_part_serves_a_search_and_its_test(programs: Path, tmp_path: Path)
     ]
     assert "95 % error" in run(programs, "asia", "unseal", "oven", "--yes", cwd=tmp_path)
     run(programs, "asia", "verify", "--replay", "oven", cwd=tmp_path)
+    assert "the mean error is at most" in run(programs, "asia", "validate", "oven", cwd=tmp_path)
+    exported = run(programs, "asia", "export", "oven", "--to", "json", cwd=tmp_path)
+    assert exported.splitlines()[1].startswith("json ")
+    assert (tmp_path / "runs" / "oven" / "export" / "json" / "program.json").is_file()
 
 
 def test_the_parts_pass_the_suites(programs: Path, tmp_path: Path) -> None:

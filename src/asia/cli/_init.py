@@ -150,7 +150,7 @@ def _print_made(made: NewProblem, name: Path, *, has_test: bool) -> None:
     elif has_test:
         say("note     the test files are not encrypted; --seal encrypts them")
     else:
-        say("note     no test data: asia unseal cannot score this problem")
+        say("note     no test data. --seal holds out the last 20 % of each record as the test")
     say(f"next     describe the system in {made.path.parent / 'description.md'}")
     say(f"         asia check {name}")
     say(f"         asia run {name}")
