@@ -9,9 +9,10 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
-from asia.sandbox import Limits, Worker
-from asia.sandbox.worker import channel as channel
-from asia.sandbox.worker.process import Pipes, WorkerProcess
+from asia.judge.sandbox.types import Limits
+from asia.judge.sandbox.worker import process as channel
+from asia.judge.sandbox.worker.process import Pipes, WorkerProcess
+from asia.judge.sandbox.worker.worker import Worker
 
 _TOKEN = b"\xa5sesame\x5a"
 _SOURCE = "def fit(trajectories, context):\n    return None\n"

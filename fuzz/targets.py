@@ -23,18 +23,20 @@ from asia.agents.llm.client import ChatClient, read_answer
 from asia.agents.llm.reply import MalformedReplyError, read_reply
 from asia.agents.llm.settings import LlmSettings
 from asia.candidate import check_source, source_digest
-from asia.data._store import read_seal
 from asia.data.intake.records import take_in
 from asia.data.intake.sheet import Wanted
-from asia.drive import RunDesk, SearchRequest, Workspace
-from asia.drive._desk import tidy
-from asia.drive._queue import Queue
-from asia.drive._socket import _answer as answer_request
-from asia.drive.command.stream import Stream
+from asia.data.store import read_seal
 from asia.errors import CandidateError, UserError
-from asia.ledger import Chain, Exchanged, Started, open_run
+from asia.interfaces.coding_agents.presets import Stream
+from asia.interfaces.workspace.process import Queue, SearchRequest
+from asia.interfaces.workspace.server import RunDesk, tidy
+from asia.interfaces.workspace.server import _answer as answer_request
+from asia.interfaces.workspace.workspace import Workspace
+from asia.ledger.chain import Chain
+from asia.ledger.events import Exchanged, Started
+from asia.ledger.run import open_run
 from asia.problem.load import load_lock, load_problem
-from asia.problem.physics.expressions import parse_expression
+from asia.problem.physics import parse_expression
 
 EXPECTED = (UserError, CandidateError, MalformedReplyError)
 

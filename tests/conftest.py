@@ -7,7 +7,7 @@ from zlib import crc32
 
 import pytest
 
-from asia.evaluation import LINEAR
+from asia.judge.evaluation.references import LINEAR
 from tests.compiled import compile_cheaply, kept
 
 compile_cheaply()
@@ -17,7 +17,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 QUICK = Path(__file__).parent / "quick"
-_RUNG = "asia.evaluation._rungs.LINEAR"
+_RUNG = "asia.judge.evaluation.references.LINEAR"
 _LONG = (
     "agents",
     "bench",

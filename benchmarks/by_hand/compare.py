@@ -24,7 +24,7 @@ from statistics import median
 import numpy as np
 
 from asia.problem.load import load_problem
-from asia.protocol import make_folds
+from asia.problem.protocol import make_folds
 
 HERE = Path(__file__).parent
 PROBLEM = "two_tanks_sim"
@@ -33,14 +33,14 @@ WITHIN = 1.01
 PEERS = {"scipy_greybox": "greybox", "jax_sysid_rnn": "neural_ss", "torch_gru": "recurrent"}
 OURS = """
 import sys
-from asia.agents.library.table import family
+from asia.agents.library.registry import family
 from asia.candidate import Context
-from asia.evaluation import Evaluator
-from asia.executor import LocalExecutor
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.executors import LocalExecutor
 from asia.problem.load import load_problem
-from asia.protocol import make_folds
-from asia.sandbox import probe
-from asia.search import problem_facts
+from asia.problem.protocol import make_folds
+from asia.judge.sandbox.availability import probe
+from asia.search.agent_views import problem_facts
 problem = load_problem(sys.argv[1])
 facts, rule = problem_facts(problem), problem.protocol
 row = family(sys.argv[2])

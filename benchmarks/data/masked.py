@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
-from asia.protocol import FoldRule, ProtocolRule, make_folds
-from asia.tools import evaluate
+from asia.interfaces.workspace.tools import evaluate
+from asia.problem.protocol import FoldRule, ProtocolRule, make_folds
 
 Array = NDArray[np.float64]
 

@@ -22,9 +22,10 @@ import numpy as np
 from band_systems import KINDS, PAST, Kind, Model, fit, make_system
 
 from asia.data import Array, Trajectory
-from asia.protocol import Block, Fold, FoldRule, Group, ProtocolRule, make_folds, whole
-from asia.scoring import HeldOutErrors, region_of, score_fold
-from asia.search.final.bands import BandBasis
+from asia.judge.scoring.bands import HeldOutErrors, region_of
+from asia.judge.scoring.outcome import score_fold
+from asia.problem.protocol import Block, Fold, FoldRule, Group, ProtocolRule, make_folds, whole
+from asia.search.simulation import BandBasis
 
 LEVELS = (0.5, 0.9, 0.95)
 NOMINAL = 1

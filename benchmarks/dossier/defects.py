@@ -21,19 +21,15 @@ from multiprocessing import Pool
 import numpy as np
 from defect_systems import SAMPLES, SYSTEMS, Array, Defect, Motion, excitation, measured, run
 
-from asia.scoring.dossier import (
+from asia.judge.scoring.checks.check import Cause, Check, Verdict, most_serious
+from asia.judge.scoring.checks.errors import check_overfit
+from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
+from asia.judge.scoring.checks.residual import residual_checks
+from asia.judge.scoring.checks.response import (
     HORIZONS,
-    Cause,
-    Check,
-    SimulatedBlock,
-    SimulatedBlocks,
-    Verdict,
     check_frequency_response,
     check_gain,
     check_long_run,
-    check_overfit,
-    most_serious,
-    residual_checks,
 )
 
 FOLDS, NOISE, ROUNDS = 3, 0.03, 12

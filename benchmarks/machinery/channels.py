@@ -23,7 +23,8 @@ from statistics import median
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.errors import CandidateError
-from asia.sandbox import Isolation, Layer, Limits, machine, open_worker, why_not
+from asia.judge.sandbox.availability import machine, open_worker, why_not
+from asia.judge.sandbox.types import Isolation, Layer, Limits
 
 LIMITS = Limits(300.0, 60.0, 4096)
 # Both workers have started by then.

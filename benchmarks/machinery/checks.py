@@ -16,15 +16,18 @@ import time
 from collections.abc import Collection
 from statistics import median
 
-from asia.agents.library.table import all_families
+from asia.agents.library.registry import all_families
 from asia.candidate import Context
-from asia.evaluation import Evaluation, Evaluator, SuspicionKind
-from asia.executor import LocalExecutor
-from asia.problem.load import Problem, load_problem
-from asia.protocol import make_folds
-from asia.sandbox import machine, probe
-from asia.scoring import Failure
-from asia.search import problem_facts
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.relations import SuspicionKind
+from asia.judge.evaluation.results import Evaluation
+from asia.judge.executors import LocalExecutor
+from asia.judge.sandbox.availability import machine, probe
+from asia.judge.scoring.outcome import Failure
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
+from asia.problem.protocol import make_folds
+from asia.search.agent_views import problem_facts
 
 FAMILIES = ("greybox", "physics_net", "linear", "narx", "recurrent")
 

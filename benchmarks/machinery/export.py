@@ -17,11 +17,13 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
-from asia.export import TARGETS, ExportModel, Ready, TrainingWindow, table, write
-from asia.lowering import unpack
+from asia.export.model import ExportModel, TrainingWindow
+from asia.export.pipeline import Ready, table, write
+from asia.export.registry import TARGETS
 from asia.lowering.trace import lowered_bytes
+from asia.lowering.wire import unpack
 from asia.models import subnet
-from asia.models._data.scaling import Scaling
+from asia.models._numerics.records import Scaling
 
 PAST, SAMPLES = 10, 5000
 

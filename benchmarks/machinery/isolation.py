@@ -18,7 +18,10 @@ from collections.abc import Callable
 from functools import partial
 from statistics import median, quantiles
 
-from asia.sandbox import LEVELS, Isolation, Limits, Worker, machine, open_worker, why_not
+from asia.judge.sandbox.availability import machine, open_worker, why_not
+from asia.judge.sandbox.levels import LEVELS
+from asia.judge.sandbox.types import Isolation, Limits
+from asia.judge.sandbox.worker.worker import Worker
 
 LIMIT_MS = 30.0
 LIMITS = Limits(60.0, 60.0, 4096)

@@ -39,8 +39,9 @@ from typing import Any
 
 import numpy as np
 
-from asia.sandbox import Isolation, Limits, open_worker
-from asia.sandbox.worker import orphans
+from asia.judge.sandbox.availability import open_worker
+from asia.judge.sandbox.types import Isolation, Limits
+from asia.judge.sandbox.worker import process as orphans
 from kill_cheap import NAME
 from kill_common import (
     ASIA,

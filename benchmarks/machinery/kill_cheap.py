@@ -13,10 +13,10 @@ from pathlib import Path
 
 from asia.agents import AgentView, Proposal
 from asia.errors import AsiaError
-from asia.executor import make_executor
+from asia.judge.executors import make_executor
+from asia.judge.sandbox.types import Isolation
 from asia.problem.load import load_problem
-from asia.sandbox import Isolation
-from asia.search import prepare, search
+from asia.search.run import prepare, search
 
 NAME = "killed"
 ARX = """

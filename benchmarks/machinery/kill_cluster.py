@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 
 from asia.errors import UserError
-from asia.executor.dask import DaskExecutor
+from asia.judge.executors.dask import DaskExecutor
 from kill_common import (
     UNDISTURBED,
     Bench,

@@ -25,19 +25,11 @@ from pathlib import Path
 import numpy as np
 
 from asia.errors import Reason
-from asia.ledger import (
-    Chain,
-    Diagnostics,
-    Evaluated,
-    Event,
-    FoldEvidence,
-    Proposed,
-    RungScored,
-    Started,
-    verify,
-)
-from asia.ledger._lines import BEGIN, encode
-from asia.scoring import Failure, FoldScore, Score
+from asia.judge.scoring.outcome import Failure, FoldScore, Score
+from asia.judge.scoring.residuals import Diagnostics
+from asia.ledger.chain import BEGIN, Chain, encode
+from asia.ledger.events import Evaluated, Event, FoldEvidence, Proposed, RungScored, Started
+from asia.ledger.verification import verify
 
 ASIA = str(Path(sys.executable).parent / "asia")
 NAME = "long"

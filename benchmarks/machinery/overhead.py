@@ -28,11 +28,13 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
-from asia.evaluation import Evaluator
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.sandbox.availability import probe
+from asia.judge.sandbox.types import FitReply, Isolation, Limits
+from asia.judge.sandbox.worker.worker import Worker
+from asia.judge.scoring.outcome import Score
 from asia.problem import Budget
-from asia.protocol import Fold, ProtocolRule, make_folds, whole
-from asia.sandbox import FitReply, Isolation, Limits, Worker, probe
-from asia.scoring import Score
+from asia.problem.protocol import Fold, ProtocolRule, make_folds, whole
 
 T = TypeVar("T")
 

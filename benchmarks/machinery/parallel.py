@@ -35,11 +35,13 @@ import numpy as np
 
 from asia.agents import Agent, AgentView, Proposal, make_agent
 from asia.errors import UserError
-from asia.executor import Executor, make_executor
-from asia.executor.dask import DaskExecutor
-from asia.ledger import SearchView, floor_words
-from asia.problem.load import Problem, load_problem
-from asia.search import prepare, search
+from asia.judge.executors import Executor, make_executor
+from asia.judge.executors.dask import DaskExecutor
+from asia.ledger.evidence import floor_words
+from asia.ledger.view import SearchView
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
+from asia.search.run import prepare, search
 
 CANDIDATE = """
 import time

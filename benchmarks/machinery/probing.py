@@ -23,14 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asia.candidate import Context
-from asia.data import Array
-from asia.evaluation._results import score_outputs
-from asia.models import linear
-from asia.models.methods import LevenbergMarquardt
-from asia.problem.load import Problem, load_problem
-from asia.protocol import Fold, make_folds
-from asia.redteam._score_only_search import (
+from asia.assurance.redteam.arena import (
     HALVINGS,
     ScoreOnlySearch,
     Spoil,
@@ -38,7 +31,15 @@ from asia.redteam._score_only_search import (
     one_start,
     turn,
 )
-from asia.scoring import Failure, Score
+from asia.candidate import Context
+from asia.data import Array
+from asia.judge.evaluation.results import score_outputs
+from asia.judge.scoring.outcome import Failure, Score
+from asia.models import linear
+from asia.models._least_squares import LevenbergMarquardt
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
+from asia.problem.protocol import Fold, make_folds
 
 Outputs = list[list[Array]]
 AMPLITUDES = (0.03, 0.1, 0.3, 0.6)

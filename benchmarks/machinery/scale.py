@@ -34,10 +34,12 @@ from pathlib import Path
 import numpy as np
 
 from asia.agents import AgentView, Proposal
-from asia.executor import make_executor
-from asia.ledger import Evaluated, Event, SearchView, open_run
+from asia.judge.executors import make_executor
+from asia.ledger.events import Evaluated, Event
+from asia.ledger.run import open_run
+from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
-from asia.search import prepare, search
+from asia.search.run import prepare, search
 from kill_cheap import NAME
 from kill_common import ASIA, below, write_problem
 

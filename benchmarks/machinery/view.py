@@ -26,19 +26,15 @@ from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
-from asia.ledger import (
-    Chain,
-    Diagnostics,
-    Evaluated,
-    FoldEvidence,
-    Proposed,
-    RungScored,
-    Started,
-    Store,
-)
-from asia.problem.load import Problem, Seal, load_problem, lock_text
-from asia.protocol import make_folds
-from asia.scoring import FoldScore, Score
+from asia.judge.scoring.outcome import FoldScore, Score
+from asia.judge.scoring.residuals import Diagnostics
+from asia.ledger.artifacts import Store
+from asia.ledger.chain import Chain
+from asia.ledger.events import Evaluated, FoldEvidence, Proposed, RungScored, Started
+from asia.problem.load import load_problem
+from asia.problem.lock import lock_text
+from asia.problem.problem import Problem, Seal
+from asia.problem.protocol import make_folds
 
 NAME = "long"
 SCROLL = """async ([query, pixels, seconds]) => {

@@ -19,13 +19,14 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import nnls
 
-from asia._stopwatch import Activity
+from asia._timer import Activity
 from asia.agents.library.cost import Timing, work
 from asia.agents.library.recipe import read_recipe
-from asia.agents.library.table import family
-from asia.ledger import Store, open_run
+from asia.agents.library.registry import family
+from asia.ledger.artifacts import Store
+from asia.ledger.run import open_run
 from asia.problem.load import load_lock
-from asia.search import problem_facts
+from asia.search.agent_views import problem_facts
 
 LEAST_SHARE = 0.1
 FITTING = (Activity.TRACE, Activity.COMPILE, Activity.FIT)

@@ -19,7 +19,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.models import greybox, hybrid
-from asia.models.methods import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import ParameterRange, Physics
 
 TIME, LENGTH = 0.1, 600

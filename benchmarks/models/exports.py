@@ -21,14 +21,18 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from asia.agents.library.table import Family, all_families
+from asia.agents.library.family import Family
+from asia.agents.library.registry import all_families
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.errors import UserError
-from asia.export import TARGETS, ExportModel, Ready, TrainingWindow, write
-from asia.lowering import LoweredModel, unpack
+from asia.export.model import ExportModel, TrainingWindow
+from asia.export.pipeline import Ready, write
+from asia.export.registry import TARGETS
+from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered_bytes
-from asia.testing._family import family_problem, smallest_source
+from asia.lowering.wire import unpack
+from asia.testing.family import family_problem, smallest_source
 
 PAST, HORIZON, LONG = 5, 20, 100
 

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.models import arx, block_oriented, esn, gp_narx, linear, narx, neural_ss
-from asia.models.methods import LeastSquares, LevenbergMarquardt, MarginalLikelihood
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models.methods import LeastSquares, MarginalLikelihood
 
 Array = NDArray[np.float64]
 Respond = Callable[[Array, Array], Array]

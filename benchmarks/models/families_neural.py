@@ -37,7 +37,7 @@ from asia.models import (
 )
 from asia.models.methods import Adam
 from asia.problem.load import load_problem
-from asia.protocol import make_folds
+from asia.problem.protocol import make_folds
 
 PAST = 8
 NOISE = 0.05

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from asia.candidate import Context, Model
 from asia.data import Signal, Trajectory
 from asia.models import greybox, hybrid, kinematic, linear, physics_net
-from asia.models.methods import Adam, LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models.methods import Adam
 from asia.problem import ParameterRange, Physics
 
 Array = NDArray[np.float64]

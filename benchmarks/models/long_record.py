@@ -31,7 +31,8 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.models import linear, neural_ss
-from asia.models.methods import Adam, LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models.methods import Adam
 
 LIMIT_GIB = 4.0
 PAST = 10

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.models import greybox, hybrid, linear, neural_ss
-from asia.models.methods import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import ParameterRange, Physics
 
 Array = NDArray[np.float64]

@@ -14,7 +14,8 @@ from scipy.signal import lfilter, lfiltic
 
 from asia.data import Trajectory
 from asia.errors import UserError
-from asia.problem.load import Problem, load_problem
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
 from asia.report import leaderboard
 
 NAMES = ("wiener_hammerstein", "silverbox", "emps")

@@ -27,15 +27,17 @@ from option_systems import (
     vehicle,
 )
 
-from asia.evaluation import Evaluator, search_context
-from asia.executor import LocalExecutor
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.findings import search_context
+from asia.judge.executors import LocalExecutor
+from asia.judge.sandbox.types import Isolation
+from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.models import greybox, neural_ss, physics_net, recurrent
-from asia.models.methods import Adam, LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models.methods import Adam
 from asia.problem import Budget
 from asia.problem.load import load_problem
-from asia.protocol import make_folds
-from asia.sandbox import Isolation
-from asia.scoring import Failure, Outcome, Score
+from asia.problem.protocol import make_folds
 
 Draw = Callable[[int], System]
 """The system of a seed."""

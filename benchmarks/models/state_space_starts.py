@@ -14,7 +14,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Trajectory
 from asia.models import neural_ss, nl_lfr
-from asia.models.methods import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import Signal
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "searches"))

@@ -5,7 +5,7 @@ The residual counts as a slow disturbance and white noise. Priors are the proble
 """
 
 from asia.models import greybox
-from asia.models.methods import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 
 CONFIG = greybox.Config(
     saturation=("x1",),

@@ -20,8 +20,8 @@ import numpy as np
 
 from asia import run
 from asia.agents import AgentView, Proposal
-from asia.ledger import AblationFit
-from asia.search import ablate
+from asia.analysis.ablation import ablate
+from asia.ledger.events import AblationFit
 
 CANDIDATE = """
 import numpy as np

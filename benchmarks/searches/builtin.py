@@ -14,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from asia.agents import make_agent
-from asia.ledger import open_run
+from asia.ledger.run import open_run
 from asia.problem.load import load_problem
-from asia.search import prepare, search
+from asia.search.run import prepare, search
 from harness import number, option_parser, table
 
 PUBLISHED = {"cascaded_tanks": 0.250}

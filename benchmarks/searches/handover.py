@@ -27,11 +27,14 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from asia.agents import make_agent
-from asia.ledger import Store, TestedModel, Unsealed, open_run
-from asia.problem.load import Problem
-from asia.sandbox import Isolation
-from asia.search import prepare, search, unseal
-from asia.search.final.choice import FinalEvidence, choose_model
+from asia.judge.sandbox.types import Isolation
+from asia.ledger.artifacts import Store
+from asia.ledger.events import TestedModel, Unsealed
+from asia.ledger.run import open_run
+from asia.problem.problem import Problem
+from asia.search.final import FinalEvidence, choose_model
+from asia.search.run import prepare, search
+from asia.search.unsealing import unseal
 from harness import Brisk, option_parser, run_all, synthetic_problem, table, words
 from systems import KINDS, Record, System, make_system
 

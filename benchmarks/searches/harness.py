@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from asia.agents import Agent, AgentView, Proposal
-from asia.problem.load import Problem, load_problem
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
 from systems import System, write_problem
 
 T = TypeVar("T")

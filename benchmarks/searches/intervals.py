@@ -30,15 +30,15 @@ from scipy.signal import lfilter
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
-from asia.ledger import (
+from asia.ledger.evidence import (
     FOLD_QUANTILE,
     IdentifiedParameter,
-    beside_folds,
     estimated,
     interval_ends,
+    with_fold_values,
 )
 from asia.models import greybox
-from asia.models.methods import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import Bounds, ParameterRange, Physics
 
 Array = NDArray[np.float64]
@@ -237,7 +237,7 @@ def fitted(kind: Kind, condition: str, rho: float, folds: int, seed: tuple[int, 
 
     found = train(data).estimates(data, context)
     tables = [train(fold_records(data, folds, k)).parameters() for k in range(folds)]
-    return Fit(mean, beside_folds(estimated(found), tables))
+    return Fit(mean, with_fold_values(estimated(found), tables))
 
 
 WAYS = ("noise alone", "folds alone", "quoted")

@@ -21,11 +21,13 @@ import numpy as np
 
 from asia import run
 from asia.agents import AgentView, Proposal
-from asia.evaluation import Evaluation, Evaluator, FoldResult
-from asia.ledger import Evaluated, Event, Proposed, Started, replay
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.scoring.outcome import Score
+from asia.ledger.events import Evaluated, Event, Proposed, Started
+from asia.ledger.view import replay
 from asia.problem.load import load_problem
-from asia.scoring import Score
-from asia.search.deciding.judging import judge
+from asia.search.loop import judge
 
 EXPERIMENTS = 50
 RULES = {"one fit": 0, "retests": 2}
@@ -89,7 +91,7 @@ def searched(seed: int, retests: int, root: Path) -> tuple[int, int, float]:
 class _Drawn(Evaluator):
     """V of every fit is drawn anew."""
 
-    one_by_one, may_fit_ahead = True, False
+    is_sequential, may_fit_ahead = True, False
 
     def __init__(self, random: np.random.Generator, scatter: float) -> None:
         self._random, self._scatter, self.fits = random, scatter, 0

@@ -22,17 +22,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from asia.agents import (
-    Agent,
-    RelayAgent,
-    legs_of,
-    make_agent,
-    make_runner,
-)
-from asia.ledger import open_run
-from asia.problem.load import Problem, load_problem
-from asia.sandbox import Isolation
-from asia.search import prepare, search
+from asia.agents import Agent, RelayAgent, legs_of, make_agent, make_runner
+from asia.judge.sandbox.types import Isolation
+from asia.ledger.run import open_run
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
+from asia.search.run import prepare, search
 from harness import (
     Brisk,
     number,

@@ -33,14 +33,14 @@ SAMPLES, RECORDS, SAMPLING_TIME = 2700, 3, 0.01
 # Run by the Python that is measured. The grey-box is the first that the expert proposes.
 FOLD = """
 import time
-from asia.agents.library.table import all_families
+from asia.agents.library.registry import all_families
 from asia.candidate import Context
-from asia.evaluation import Evaluator
-from asia.executor import LocalExecutor
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.executors import LocalExecutor
 from asia.problem.load import load_problem
-from asia.protocol import make_folds
-from asia.sandbox import probe
-from asia.search import problem_facts
+from asia.problem.protocol import make_folds
+from asia.judge.sandbox.availability import probe
+from asia.search.agent_views import problem_facts
 problem = load_problem("two_tanks_sim")
 facts, rule = problem_facts(problem), problem.protocol
 family = next(one for one in all_families() if one.name == "greybox")

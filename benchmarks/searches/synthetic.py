@@ -23,18 +23,15 @@ from statistics import median
 import numpy as np
 
 from asia.agents import AGENTS, make_agent
-from asia.ledger import (
-    Evaluated,
-    Event,
-    SearchView,
-    Store,
-    TestedModel,
-    model_to_use,
-    tested_model,
-)
-from asia.problem.load import Problem, load_problem
-from asia.scoring import Failure, Score
-from asia.search import prepare, search, unseal
+from asia.judge.scoring.outcome import Failure, Score
+from asia.ledger.artifacts import Store
+from asia.ledger.events import Evaluated, Event, TestedModel
+from asia.ledger.run import model_to_use, tested_model
+from asia.ledger.view import SearchView
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
+from asia.search.run import prepare, search
+from asia.search.unsealing import unseal
 from harness import option_parser, table, words
 from systems import KINDS, System, make_system, write_problem
 from unfamiliar import UNFAMILIAR

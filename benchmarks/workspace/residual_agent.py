@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from asia.scoring import PartKind, cross_correlation, independent_band
-from asia.tools import LocalFold, WorkspaceTools
+from asia.interfaces.workspace.tools import LocalFold, WorkspaceTools
+from asia.judge.scoring.residuals import PartKind, cross_correlation, independent_band
 
 TRIES = 6
 LAGS = 40

@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import typer
 
-from asia.cli import app
+from asia.interfaces.cli import app
 
 VALUES = {str: "TEXT", int: "N", float: "NUMBER", Path: "PATH"}
 INTRODUCTION = """# Commands

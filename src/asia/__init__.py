@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from asia._api import run
     from asia.candidate import Context, Model
-    from asia.data import Signal, Trajectory
-    from asia.identifier import SystemIdentifier, load_run
-    from asia.ledger import open_run
-    from asia.problem.load import Problem, load_problem
+    from asia.data.trajectory import Signal, Trajectory
+    from asia.interfaces.python import SystemIdentifier, load_run
+    from asia.ledger.run import open_run
+    from asia.problem.load import load_problem
+    from asia.problem.problem import Problem
     from asia.report import write_report
-    from asia.search import simulate, unseal
+    from asia.search.simulation import simulate
+    from asia.search.unsealing import unseal
 
 __version__ = "0.1.0"
 
@@ -42,16 +44,16 @@ __all__ = [
 _HOMES = {
     "Context": "asia.candidate",
     "Model": "asia.candidate",
-    "Problem": "asia.problem.load",
-    "Signal": "asia.problem",
-    "SystemIdentifier": "asia.identifier",
-    "Trajectory": "asia.problem",
+    "Problem": "asia.problem.problem",
+    "Signal": "asia.data.trajectory",
+    "SystemIdentifier": "asia.interfaces.python",
+    "Trajectory": "asia.data.trajectory",
     "load_problem": "asia.problem.load",
-    "load_run": "asia.identifier",
-    "open_run": "asia.ledger",
+    "load_run": "asia.interfaces.python",
+    "open_run": "asia.ledger.run",
     "run": "asia._api",
-    "simulate": "asia.search",
-    "unseal": "asia.search",
+    "simulate": "asia.search.simulation",
+    "unseal": "asia.search.unsealing",
     "write_report": "asia.report",
 }
 

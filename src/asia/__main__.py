@@ -1,5 +1,5 @@
 """`python -m asia`: the command line."""
 
-from asia.cli import main
+from asia.interfaces.cli import main
 
 main()

@@ -6,19 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from asia.agents import Agent, NamedAgent, SpaceName, choose_agent, legs_of, settings_of
-from asia.executor import Executor, make_executor
-from asia.ledger import Event, Run, SearchView, open_run
-from asia.problem.load import Problem, load_problem
-from asia.protocol import EarlyStopping
-from asia.search import (
-    OpenSink,
-    open_sinks,
-    prepare,
-    search,
-    with_early_stopping,
-    with_relay_budget,
-)
+from asia.agents.random import SpaceName
+from asia.agents.registry import NamedAgent, choose_agent
+from asia.agents.relay import legs_of
+from asia.agents.view import Agent, settings_of
+from asia.judge.executors import Executor, make_executor
+from asia.ledger.events import Event
+from asia.ledger.run import Run, open_run
+from asia.ledger.view import SearchView
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
+from asia.problem.protocol import EarlyStopping
+from asia.search.run import prepare, search, with_early_stopping, with_relay_budget
+from asia.search.sinks import OpenSink, open_sinks
 
 
 def run(
@@ -44,7 +44,7 @@ def run(
     one of your own, `expert*5+bayes` for several one after the other. early_stopping: instead of
     the problem's own setting. space: what the agent "random" draws from. executor: what runs the
     evaluations, one of `executor_names()` or one of your own. sinks: where events go as they come,
-    by the name of an installed one, `module:Name`, or what opens one; see `asia.search.Sink`.
+    by the name of an installed one, `module:Name`, or what opens one; see `asia.search.sinks.Sink`.
     parallel: experiments in flight. stop_folds: pass over the folds of a candidate that is
     far behind the best without them. device: what networks are trained on, `cpu`, `gpu` or `auto`.
     Raises UserError for anything the caller can mend.

@@ -1,14 +1,19 @@
-"""Words from outside, made fit to be shown: on a terminal, on one line, in Markdown.
-
-From outside is what ASIA did not write itself: candidates and what they print, agents, notes, names
-of files, records and signals. Terminals obey control characters, so none of these gets there.
-"""
+"""Text from outside made safe to show, and suggestions for misspelt names."""
 
 from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import TextIO
+
+# Words from outside, made fit to be shown: on a terminal, on one line, in Markdown.
+#
+# From outside is what ASIA did not write itself: candidates and what they print, agents, notes,
+# names of files, records and signals. Terminals obey control characters, so none of these gets
+# there.
+
 
 _LINE_BREAKS = "\n\t\r"
 # Special characters of a line of Markdown: escapes, emphasis, code, links, HTML and its names of
@@ -79,3 +84,20 @@ def _fit(character: str) -> str:
     if character.isprintable():
         return character
     return " " if character in _LINE_BREAKS else "\N{REPLACEMENT CHARACTER}"
+
+
+# Suggestions for misspelt names ("did you mean").
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """`; did you mean 'x'?` for the nearest known name, else nothing."""
+    names = {name.casefold(): name for name in known if name}
+    close = get_close_matches(word.casefold(), names, n=1, cutoff=0.5)
+    return f"; did you mean '{names[close[0]]}'?" if close else ""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """`; did you mean 'x'?` for the nearest known name, else the list of what is known."""
+    names = [name for name in known if name]
+    close = suggestion(word, names)
+    return close or (f"; known: {', '.join(names)}" if names else "")

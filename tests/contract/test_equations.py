@@ -13,10 +13,10 @@ from asia.candidate import Context
 from asia.data import Signal
 from asia.models import greybox, hybrid, physics_net
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.measured_cell import MeasuredCell
+from asia.models._equations.measured import MeasuredCell
 from asia.models._equations.simulate import Scales, simulate
 from asia.models._networks.compiled import compiled
-from asia.models._networks.simulation import outputs_of
+from asia.models._networks.network import outputs_of
 from asia.models._networks.structure import rollout
 from asia.problem import Bounds, ParameterRange, Physics
 

@@ -4,7 +4,7 @@ from typing import TypeVar
 
 import pytest
 
-from asia.executor import Executor, LocalExecutor, SequentialExecutor
+from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
 from asia.testing import check_executor
 
 T = TypeVar("T")

@@ -2,7 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from asia.ledger import Chain, Event, read_lines, replay
+from asia.ledger.chain import Chain, read_lines
+from asia.ledger.events import Event
+from asia.ledger.view import replay
 from asia.testing import check_ledger
 
 

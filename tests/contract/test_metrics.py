@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.protocol import METRICS, Metric, find_metric, metric_names
-from asia.scoring import fit_index
+from asia.judge.scoring.outcome import fit_index
+from asia.problem.metrics import METRICS, Metric, find_metric, metric_names
 from asia.testing import check_metric
 
 FIT = Metric("fit", "fit index", fit_index, unit="%", direction="higher", best=100.0)

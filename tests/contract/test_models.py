@@ -7,7 +7,7 @@ import pytest
 
 import asia.models
 from asia.agents.library.recipe import MODELS
-from asia.agents.library.table import all_families
+from asia.agents.library.registry import all_families
 from asia.testing import check_family
 
 

@@ -1,7 +1,9 @@
 import pytest
 
-from asia.sandbox import Isolation, Layer, Limits, Worker, open_worker, why_not
-from asia.testing import _sandbox, check_sandbox
+from asia.judge.sandbox.availability import open_worker, why_not
+from asia.judge.sandbox.types import Isolation, Layer, Limits
+from asia.judge.sandbox.worker.worker import Worker
+from asia.testing import check_sandbox, sandbox
 
 REASONS = {level: why_not(level) for level in Isolation if level is not Isolation.SANDBOX_EXEC}
 LEVELS = [
@@ -20,7 +22,7 @@ def test_the_suite_refuses_a_level_that_claims_missing_layers(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name in ("answers", "failures", "deadlines", "environment", "nothing_is_left"):
-        monkeypatch.setattr(_sandbox, f"_check_{name}", lambda *arguments: None)
+        monkeypatch.setattr(sandbox, f"_check_{name}", lambda *arguments: None)
     with pytest.raises(AssertionError, match="could read a file of the parent"):
         check_sandbox(lambda limits: open_worker(Isolation.PROCESS, limits))
 
@@ -37,12 +39,12 @@ def test_the_suite_refuses_a_level_without_a_filter_on_system_calls(
 ) -> None:
     if REASONS[level] is not None:
         pytest.skip(str(REASONS[level]))
-    case = _sandbox._Case()
+    case = sandbox._Case()
 
     def thin(limits: Limits) -> Worker:
         return open_worker(level, limits, without=(Layer.SECCOMP,))
 
     with pytest.raises(AssertionError, match=r"set attributes of a file, start a process$"):
-        _sandbox._check_walls(thin, case)
+        sandbox._check_walls(thin, case)
     with pytest.raises(AssertionError, match=messages):
-        _sandbox._check_no_messages(thin, case)
+        sandbox._check_no_messages(thin, case)

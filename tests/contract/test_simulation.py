@@ -17,15 +17,13 @@ import numpy as np
 import pytest
 
 from asia.agents import Facts
-from asia.agents.library import Family
-from asia.agents.library.table import all_families
+from asia.agents.library.family import Family
+from asia.agents.library.registry import all_families
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
-from asia.models._data.records import scaled, window
-from asia.models._data.scaling import Scaling
-from asia.models._networks import compiled, simulation
-from asia.models._networks.family import Driven
-from asia.models._networks.network import NetworkModel, as_built
+from asia.models._networks import compiled, network
+from asia.models._networks.network import Driven, NetworkModel, as_built
+from asia.models._numerics.records import Scaling, scaled, window
 from asia.problem import ParameterRange, Physics
 
 FLOAT32, FLOAT64 = 1e-5, 1e-9
@@ -138,9 +136,9 @@ def in_numpy_and_jax(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> Pairs:
     """Answers to every request."""
     pairs: Pairs = []
     for request in requests():
-        monkeypatch.setattr(simulation, "is_compiled", lambda *shape: False)
+        monkeypatch.setattr(network, "is_compiled", lambda *shape: False)
         in_numpy = ask(*request)
-        monkeypatch.setattr(simulation, "is_compiled", lambda *shape: True)
+        monkeypatch.setattr(network, "is_compiled", lambda *shape: True)
         pairs.append((in_numpy, ask(*request)))
     return pairs
 
@@ -167,7 +165,7 @@ def test_a_network_simulates_in_numpy_as_in_jax(
     assert spy.precisions == [np.float32, np.float32]
     monkeypatch.undo()
     past_u, past_y, u = (np.asarray(values, np.float32) for values in requests()[0])
-    found = simulation.outputs_of(model.cell, model.params, window(past_u, past_y), u)
+    found = network.outputs_of(model.cell, model.params, window(past_u, past_y), u)
     assert found.dtype == np.float32
 
 
@@ -181,7 +179,7 @@ def test_a_network_simulates_in_double_precision_as_in_jax(
     params = mapped(model.params, np.float64)
 
     def ask(past_u: Array, past_y: Array, u: Array) -> Array:
-        return simulation.outputs_of(model.cell, params, window(past_u, past_y), u)
+        return network.outputs_of(model.cell, params, window(past_u, past_y), u)
 
     assert largest_difference(in_numpy_and_jax(ask, monkeypatch)) < FLOAT64
     assert spy.precisions == [np.float64, np.float64]

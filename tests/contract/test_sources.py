@@ -16,9 +16,12 @@ from asia.data.sources import SOURCES, Channels, DataSet, SourceData, Subset, so
 from asia.data.sources.files import RecordFiles
 from asia.data.sources.nanodrone import Nanodrone
 from asia.data.sources.official import OfficialBenchmark
-from asia.data.sources.simulated import Simulated
+from asia.data.sources.simulated.source import Simulated
 from asia.errors import UserError
-from asia.problem.load import Seal, init_problem, load_lock, load_problem, lock_text
+from asia.problem.create import init_problem
+from asia.problem.load import load_lock, load_problem
+from asia.problem.lock import lock_text
+from asia.problem.problem import Seal
 from asia.testing import check_source
 
 ONE = Channels((Signal("u"),), (Signal("y"),), 0.5)
@@ -116,7 +119,7 @@ def plugged(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 
     def plug(name: str) -> None:
         part = Part("asia.sources", "loggers", f"{__name__}:{name}", "made-up", "1.0")
-        monkeypatch.setattr("asia.data.sources.table.parts_of", lambda group: (part,))
+        monkeypatch.setattr("asia.data.sources.registry.parts_of", lambda group: (part,))
 
     return plug
 

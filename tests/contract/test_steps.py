@@ -7,11 +7,13 @@ import jax
 import numpy as np
 import pytest
 
-from asia.agents.library import Family
-from asia.agents.library.table import all_families
+from asia.agents.library.family import Family
+from asia.agents.library.registry import all_families
 from asia.candidate import StepModel, simulate_steps
-from asia.lowering import LoweredModel, simulate, unpack
+from asia.lowering.evaluation import simulate
+from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered_bytes
+from asia.lowering.wire import unpack
 from asia.models._networks.network import NetworkModel
 from asia.models.physics_net import PhysicsNet
 from tests.unit.export.models import MODELS, NU, NY, PAST, SCALING

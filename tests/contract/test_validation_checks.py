@@ -9,20 +9,13 @@ import numpy as np
 import pytest
 
 from asia.errors import UserError
-from asia.scoring.dossier import (
-    VALIDATION_CHECKS,
-    Cause,
-    Check,
-    CheckCurve,
-    ValidationData,
-    Verdict,
-    validation_checks,
-)
+from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
+from asia.judge.scoring.checks.registry import VALIDATION_CHECKS, ValidationData, validation_checks
 from asia.testing import check_validation_check
 from tests.unit.made_up_parts import installed
 
 PLUGGED = """
-from asia.scoring.dossier import Check, Verdict
+from asia.judge.scoring.checks.check import Check, Verdict
 
 def largest(data):
     worst = max(abs(b.residual).max() for b in data.simulations.blocks)

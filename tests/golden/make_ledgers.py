@@ -16,11 +16,13 @@ from pathlib import Path
 
 import asia
 from asia.agents import LlmAgent, LlmSettings
-from asia.evaluation import _rungs
-from asia.ledger import Run, open_run
+from asia.judge.evaluation import references
+from asia.judge.sandbox.types import Isolation
+from asia.ledger.run import Run, open_run
 from asia.problem.load import load_problem
-from asia.sandbox import Isolation
-from asia.search import Steering, prepare, search, unseal
+from asia.search.run import prepare, search
+from asia.search.steering import Steering
+from asia.search.unsealing import unseal
 from tests.unit.agents.fake_llm import fake_llm, said
 from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
 
@@ -30,7 +32,7 @@ NOTE = "Try a slower pole: τ is about 3 s."
 
 def main(root: Path) -> None:
     """Finished, interrupted in the middle of a record, unsealed, and steered with a model."""
-    _rungs.LINEAR = arx(2)
+    references.LINEAR = arx(2)
     platform.platform = lambda *_: "Linux"
     problem = write_problem(root / "problem")
     runs = root / "runs"

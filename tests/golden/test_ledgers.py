@@ -6,12 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from asia.ledger import brief, journal, open_run, results_table, verify
+from asia.judge.sandbox.types import Isolation
+from asia.ledger.exports import journal, results_table
+from asia.ledger.index import brief
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
 from asia.problem.load import load_problem
-from asia.sandbox import Isolation
-from asia.search import prepare, search, unseal
+from asia.search.run import prepare, search
+from asia.search.unsealing import unseal
 from tests.golden.make_ledgers import AGENT, recorded
-from tests.unit.cli.conftest import command_line
+from tests.unit.interfaces.cli.conftest import command_line
 from tests.unit.search.toy import arx
 
 VERSIONS = sorted(p for p in Path(__file__).parent.iterdir() if (p / "runs").is_dir())
@@ -71,7 +75,7 @@ def test_a_golden_search_goes_on_to_the_end_it_would_have_had(
     version: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Scores come out of this machine's linear algebra, and agree to rounding."""
-    monkeypatch.setattr("asia.evaluation._rungs.LINEAR", arx(2))
+    monkeypatch.setattr("asia.judge.evaluation.references.LINEAR", arx(2))
     runs = version / "runs"
     views = {}
     for name in ("finished", "interrupted"):

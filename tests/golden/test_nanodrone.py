@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.evaluation._velocity import constant_velocity, find_rates
-from asia.problem.load import Problem, Seal, load_lock, load_problem, lock_text
-from asia.problem.physics.expressions import parse_expression
-from asia.protocol import Fold, make_folds, whole
-from asia.scoring import mee_table, score_fold
-from asia.seal._test import open_test, seal
+from asia.judge.evaluation.references import constant_velocity, find_rates
+from asia.judge.scoring.outcome import mee_table, score_fold
+from asia.problem.load import load_lock, load_problem
+from asia.problem.lock import lock_text
+from asia.problem.physics import parse_expression
+from asia.problem.problem import Problem, Seal
+from asia.problem.protocol import Fold, make_folds, whole
+from asia.problem.seal import open_test, seal
 
 pytestmark = [
     pytest.mark.data,

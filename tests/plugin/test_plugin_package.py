@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from asia.ledger import open_run
+from asia.ledger.run import open_run
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "plugin"
@@ -59,7 +59,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     offline = ["--no-deps", "--no-index", "--no-build-isolation", "--disable-pip-version-check"]
     subprocess.run([*pip, *offline, str(EXAMPLE)], check=True)
     program = home / "bin" / "asia"
-    program.write_text(f"#!{python}\nfrom asia.cli import main\nmain()\n")
+    program.write_text(f"#!{python}\nfrom asia.interfaces.cli import main\nmain()\n")
     program.chmod(0o755)
     return program.parent
 

@@ -5,10 +5,13 @@ from dataclasses import replace
 import pytest
 from typer.testing import CliRunner
 
-from asia.cli import app
+from asia.assurance.redteam.attacks.table import ATTACKS
+from asia.assurance.redteam.suite import unchecked_table, without_checks
+from asia.assurance.redteam.types import AttackVerdict, CandidateAttack
 from asia.errors import UserError
-from asia.redteam import ATTACKS, AttackVerdict, CandidateAttack, unchecked_table, without_checks
-from asia.sandbox import Isolation, why_not
+from asia.interfaces.cli import app
+from asia.judge.sandbox.availability import why_not
+from asia.judge.sandbox.types import Isolation
 
 from .conftest import page_tables, tables
 
@@ -75,7 +78,7 @@ def test_a_layer_that_cannot_be_left_out_is_refused(words, said):
 
 @needs_level
 def test_the_command_leaves_out_one_check(monkeypatch):
-    from asia import redteam
+    from asia.assurance import redteam
 
     asked: list[tuple[str, ...]] = []
     monkeypatch.setattr(

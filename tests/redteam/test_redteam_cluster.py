@@ -5,12 +5,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from asia.cli import app, spread
+from asia.assurance.redteam.attacks.table import ATTACKS
+from asia.assurance.redteam.suite import RedTeamPlan, run_suite
+from asia.assurance.redteam.types import CandidateAttack
 from asia.errors import UserError
-from asia.evaluation import survey_machines
-from asia.redteam import ATTACKS, CandidateAttack, RedTeamPlan, run_suite
-from asia.sandbox import fitting_levels, why_not
-from tests.unit.executor.cluster import two_workers
+from asia.interfaces.cli import app, spread
+from asia.judge.evaluation.machines import survey_machines
+from asia.judge.sandbox.availability import fitting_levels, why_not
+from tests.unit.judge.executor.cluster import two_workers
 
 LEVELS = [x.isolation for x in fitting_levels() if x.confined and why_not(x.isolation) is None]
 

@@ -11,9 +11,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from asia.cli import app
-from asia.redteam import ATTACKS, OFF, AttackVerdict, Finding
-from asia.sandbox import Isolation, why_not
+from asia.assurance.redteam.attacks.table import ATTACKS
+from asia.assurance.redteam.outside.without_isolation import OFF
+from asia.assurance.redteam.types import AttackVerdict, Finding
+from asia.interfaces.cli import app
+from asia.judge.sandbox.availability import why_not
+from asia.judge.sandbox.types import Isolation
 
 WORKING = tuple(x for x in (Isolation.NAMESPACE, Isolation.LANDLOCK) if why_not(x) is None)
 ONE_LEVEL = WORKING[0] if WORKING else None
@@ -38,7 +41,7 @@ def test_the_command_prints_a_table_and_a_verdict():
 
 @needs_level
 def test_the_command_fails_when_something_gets_through(monkeypatch):
-    from asia.redteam import _suite
+    from asia.assurance.redteam import suite as _suite
 
     finding = Finding(2, str(ONE_LEVEL), AttackVerdict.THROUGH, (), "done")
     monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level, executor: finding)
@@ -51,8 +54,8 @@ def test_the_command_fails_when_something_gets_through(monkeypatch):
 
 @needs_level
 def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
-    from asia import redteam
-    from asia.redteam import _suite
+    from asia.assurance import redteam
+    from asia.assurance.redteam import suite as _suite
 
     blocked = Finding(2, str(ONE_LEVEL), AttackVerdict.BLOCKED, ("landlock",), "")
     clumsy = Finding(2, OFF, AttackVerdict.BLOCKED, ("parent",), "no score")
@@ -91,7 +94,7 @@ def test_an_attack_that_no_layer_has_a_part_in_is_refused():
 
 
 def test_the_level_of_another_system_is_not_for_attacks(monkeypatch):
-    monkeypatch.setattr("asia.sandbox.why_not", lambda level: "not here")
+    monkeypatch.setattr("asia.judge.sandbox.availability.why_not", lambda level: "not here")
     done = run()
     assert "no level of namespace, landlock works here" in str(done.exception)
 

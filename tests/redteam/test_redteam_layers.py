@@ -6,8 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from asia.redteam import ATTACKS, Attack, each_layer, why_no_outer, without_layers
-from asia.sandbox import Isolation, Layer, why_not
+from asia.assurance.redteam.attacks.table import ATTACKS
+from asia.assurance.redteam.outside.outer_sandbox import why_no_outer
+from asia.assurance.redteam.suite import each_layer, without_layers
+from asia.assurance.redteam.types import Attack
+from asia.judge.sandbox.availability import why_not
+from asia.judge.sandbox.types import Isolation, Layer
 
 from .conftest import BY_CHANCE, page_tables
 

@@ -6,9 +6,8 @@ import subprocess
 
 import pytest
 
-from asia.redteam import why_no_outer
-from asia.redteam.outside.outer_sandbox import outer_command
-from asia.sandbox.walls.surroundings import (
+from asia.assurance.redteam.outside.outer_sandbox import outer_command, why_no_outer
+from asia.judge.sandbox.layers.environment import (
     SYSTEM_FILES,
     code_folders,
     interpreter,

@@ -3,9 +3,10 @@ weakest level, where the parent stands alone."""
 
 import pytest
 
+from asia.assurance.redteam.attacks.scores import STEAL
 from asia.errors import CandidateError, Reason
-from asia.redteam.attacks.scores import STEAL
-from asia.sandbox import Limits, ScoreRefusedError, open_worker
+from asia.judge.sandbox.availability import open_worker
+from asia.judge.sandbox.types import Limits, ScoreRefusedError
 
 from .conftest import candidate
 from .test_redteam_attacks import FORK

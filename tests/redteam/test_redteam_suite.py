@@ -12,16 +12,25 @@ from pathlib import Path
 import pytest
 
 from asia.agents.library.family import Family
-from asia.errors import Reason, SandboxError
-from asia.redteam import (
-    ATTACKS,
-    OFF,
-    Attack,
-    AttackVerdict,
-    Barrier,
-    CandidateAttack,
-    Finding,
-    HonestFinding,
+from asia.assurance.redteam.arena import Interruption, attack_candidate
+from asia.assurance.redteam.attacks.source import candidate
+from asia.assurance.redteam.attacks.table import ATTACKS
+from asia.assurance.redteam.evidence import (
+    Traces,
+    a_step_succeeded,
+    conclude,
+    scores_better,
+    targets,
+)
+from asia.assurance.redteam.honest import HonestProblem, small_problems, try_honest
+from asia.assurance.redteam.outside.outer_sandbox import (
+    inside,
+    read_finding,
+    why_no_outer,
+    write_finding,
+)
+from asia.assurance.redteam.outside.without_isolation import CONTROL, OFF
+from asia.assurance.redteam.suite import (
     RedTeamPlan,
     RedTeamReport,
     honest_plan,
@@ -29,21 +38,21 @@ from asia.redteam import (
     report_table,
     run_suite,
     summary,
-    why_no_outer,
 )
-from asia.redteam._arena import attack_candidate
-from asia.redteam._honest import HonestProblem, small_problems, try_honest
-from asia.redteam._interruption import Interruption
-from asia.redteam._types import ANY_LEVEL, Observed
-from asia.redteam.attacks.source import candidate
-from asia.redteam.evidence.signs_of_success import a_step_succeeded, scores_better
-from asia.redteam.evidence.targets import targets
-from asia.redteam.evidence.traces import Traces
-from asia.redteam.evidence.verdict import conclude
-from asia.redteam.outside.outer_sandbox import inside, read_finding, write_finding
-from asia.redteam.outside.without_isolation import CONTROL
-from asia.sandbox import Isolation, Layer, why_not
-from asia.sandbox.walls.landlock import abi
+from asia.assurance.redteam.types import (
+    ANY_LEVEL,
+    Attack,
+    AttackVerdict,
+    Barrier,
+    CandidateAttack,
+    Finding,
+    HonestFinding,
+    Observed,
+)
+from asia.errors import Reason, SandboxError
+from asia.judge.sandbox.availability import why_not
+from asia.judge.sandbox.layers.landlock import abi
+from asia.judge.sandbox.types import Isolation, Layer
 
 from .conftest import BY_CHANCE, page_tables, tables
 
@@ -214,7 +223,7 @@ if os.fork() == 0:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_an_unmarked_process_is_found_and_those_of_others_are_not(tmp_path, monkeypatch):
-    from asia.redteam.evidence import traces as module
+    from asia.assurance.redteam import evidence as module
 
     monkeypatch.setattr(module, "_PATIENCE_SECONDS", 0.0)
     traces = Traces("rt", 1, str(tmp_path))
@@ -275,7 +284,7 @@ def test_a_neighbour_is_seen_to_be_hurt():
 
 @needs_level
 def test_an_honest_candidate_is_not_flagged_and_one_that_looks_ahead_is(honest, monkeypatch):
-    from asia.redteam import _honest
+    from asia.assurance.redteam import honest as _honest
 
     assert (honest.flagged, honest.failure, honest.words) == (False, None, "")
     tanks, _ = small_problems()
@@ -290,7 +299,7 @@ def test_an_honest_candidate_is_not_flagged_and_one_that_looks_ahead_is(honest, 
 @needs_level
 def test_an_honest_candidate_that_fails_was_not_checked(monkeypatch):
     """A failing fit on the small problems is reported for the problems with limits of their own."""
-    from asia.redteam import _honest
+    from asia.assurance.redteam import honest as _honest
 
     tanks, _ = small_problems()
     late = replace(tanks, seconds=0.2)
@@ -318,7 +327,7 @@ def test_a_fit_ends_with_all():
 
 
 def test_every_family_is_among_the_honest():
-    from asia.agents.library.table import all_families
+    from asia.agents.library.registry import all_families
 
     names = {row.name for row in all_families()}
     assert {row.name for _, row in honest_plan(quick=True)} == names

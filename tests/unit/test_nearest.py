@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from asia._nearest import nearest
+from asia._text import nearest
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from asia._stopwatch import Activity, Stopwatch, TimeSpent
+from asia._timer import Activity, ActivityTimer, TimeSpent
 
 
 def wall(spent: Sequence[TimeSpent]) -> dict[Activity, float]:
@@ -14,12 +14,12 @@ def wall(spent: Sequence[TimeSpent]) -> dict[Activity, float]:
 
 def adding(
     activity: Activity, seconds: float, processor: float = 0.0
-) -> Callable[[Stopwatch], None]:
+) -> Callable[[ActivityTimer], None]:
     return lambda watch: watch.add(activity, seconds, processor)
 
 
 def test_what_is_inside_another_activity_counts_once() -> None:
-    watch = Stopwatch()
+    watch = ActivityTimer()
     with watch.activity(Activity.AGENT):
         watch.add(Activity.LEDGER, 1000.0, 0.0)
     found = wall(watch.take())
@@ -28,7 +28,7 @@ def test_what_is_inside_another_activity_counts_once() -> None:
 
 
 def test_an_activity_swallows_what_happens_in_it() -> None:
-    watch = Stopwatch()
+    watch = ActivityTimer()
     with watch.activity(Activity.CHECKS, swallows=True), watch.activity(Activity.SCORE):
         watch.add(Activity.FIT, 3.0, 2.0)
     found = watch.take()
@@ -37,7 +37,7 @@ def test_an_activity_swallows_what_happens_in_it() -> None:
 
 
 def test_the_thread_that_ends_last_gives_the_wall_and_all_give_the_processor() -> None:
-    watch = Stopwatch()
+    watch = ActivityTimer()
     first_has_ended, both_run = threading.Event(), threading.Barrier(2)
 
     def first() -> None:
@@ -64,7 +64,7 @@ def test_the_thread_that_ends_last_gives_the_wall_and_all_give_the_processor() -
 
 
 def test_jobs_that_fail_count_too() -> None:
-    watch = Stopwatch()
+    watch = ActivityTimer()
 
     def fails() -> None:
         watch.add(Activity.FIT, 2.0, 1.0)
@@ -76,7 +76,7 @@ def test_jobs_that_fail_count_too() -> None:
 
 
 def test_a_thread_that_runs_no_job_changes_nothing() -> None:
-    watch = Stopwatch()
+    watch = ActivityTimer()
     thread = threading.Thread(target=adding(Activity.AGENT, 9.0), args=(watch,))
     thread.start()
     thread.join()
@@ -84,7 +84,7 @@ def test_a_thread_that_runs_no_job_changes_nothing() -> None:
 
 
 def test_what_is_taken_is_gone() -> None:
-    watch = Stopwatch()
+    watch = ActivityTimer()
     watch.add(Activity.FIT, 2.0, 1.0)
     assert Activity.FIT in wall(watch.take())
     assert Activity.FIT not in wall(watch.take())

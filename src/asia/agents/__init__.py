@@ -5,30 +5,15 @@ A new agent is one file here with a class that fulfils `Agent`, and one row in `
 
 from __future__ import annotations
 
-from asia.agents._driving import (
-    AgentStoppedError,
-    Attached,
-    Closing,
-    DivergedError,
-    InterruptedWaitError,
-    Journal,
-    proposes_ahead,
-    settings_of,
-)
-from asia.agents._relay import (
-    LegPlan,
-    RelayAgent,
-    Runner,
-    agent_of_leg,
-    check_legs,
-    check_relay_budget,
-    legs_of,
-    make_runner,
-    relay_budget,
-    relay_name,
-)
-from asia.agents._submitted import SubmittedAgent
-from asia.agents._table import (
+from asia.agents.bayes import BayesAgent
+from asia.agents.expert.agent import ExpertAgent
+from asia.agents.library.pages import families_page, family_page
+from asia.agents.library.registry import all_families
+from asia.agents.llm.agent import LlmAgent
+from asia.agents.llm.prompt import MODEL_RULES, briefing, equations, ladder_rule, symmetries
+from asia.agents.llm.settings import LlmSettings
+from asia.agents.random import SPACES, RandomAgent, SpaceName
+from asia.agents.registry import (
     AGENT_ROWS,
     AGENTS,
     RESERVED,
@@ -42,21 +27,36 @@ from asia.agents._table import (
     recorded_agent,
     recorded_agents,
 )
-from asia.agents._view import Agent, AgentView, Effort, Facts, Proposal, Running, Trial
-from asia.agents.controls.bayes import BayesAgent
-from asia.agents.controls.random import SPACES, RandomAgent, SpaceName
-from asia.agents.expert.agent import ExpertAgent
-from asia.agents.library.pages import families_page, family_page
-from asia.agents.library.table import all_families
-from asia.agents.llm.agent import LlmAgent
-from asia.agents.llm.problem import (
-    MODEL_RULES,
-    briefing,
-    equations,
-    ladder_rule,
-    symmetries,
+from asia.agents.relay import (
+    LegPlan,
+    RelayAgent,
+    Runner,
+    agent_of_leg,
+    check_legs,
+    check_relay_budget,
+    legs_of,
+    make_runner,
+    relay_budget,
+    relay_name,
 )
-from asia.agents.llm.settings import LlmSettings
+from asia.agents.view import (
+    Agent,
+    AgentStoppedError,
+    AgentView,
+    Attached,
+    Closing,
+    DivergedError,
+    Effort,
+    Facts,
+    InterruptedWaitError,
+    Journal,
+    Proposal,
+    Running,
+    SubmittedAgent,
+    Trial,
+    proposes_ahead,
+    settings_of,
+)
 
 __all__ = [
     "AGENTS",

@@ -3,8 +3,7 @@
 Light: a sandboxed worker imports it.
 """
 
-from asia.data._digest import data_digest
-from asia.data._trajectory import Array, Mask, Signal, Trajectory, filled, spread_of
+from asia.data.trajectory import Array, Mask, Signal, Trajectory, data_digest, filled, spread_of
 
 __all__ = [
     "Array",

@@ -1,20 +1,527 @@
-"""Trace a fitted model with JAX and lower it to programs.
-
-Tracing runs where the candidate runs; the result is bytes, which `wire` reads in the parent.
-"""
+"""Lowering of JAX programs: one rule a primitive."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from asia.data import Array
-from asia.lowering import rules, wire
-from asia.lowering.building import CannotLowerError, Values, number
-from asia.lowering.ops import Shape, ShapeError
-from asia.lowering.program import Builder, LoweredModel, Program
+from asia.lowering import wire
+from asia.lowering.program import Builder, LoweredModel, Program, Shape, ShapeError
+
+# Building blocks of the lowering rules: values, steps and their errors.
+
+
+Value: TypeAlias = "int | np.ndarray[Any, Any] | np.generic"
+"""Number of a value that depends on the signals, or a constant."""
+Values: TypeAlias = Sequence[Value]
+
+
+class CannotLowerError(Exception):
+    """Model that cannot be lowered, with the obstacle and the remedy."""
+
+
+def number(build: Builder, value: Value) -> int:
+    """Number of a value in a program; a constant is added to it."""
+    return value if isinstance(value, int) else build.constant(value)
+
+
+class Step:
+    """One operation of a jaxpr under lowering, with the program that it is added to."""
+
+    def __init__(self, build: Builder, equation: Any) -> None:
+        self.build = build
+        self.params: dict[str, Any] = {} if equation is None else dict(equation.params)
+        self.shape: Shape = () if equation is None else equation.outvars[0].aval.shape
+        self.equation: Any = equation
+
+    def add(self, op: str, *values: Value, attrs: Sequence[int] = ()) -> int:
+        numbers = [number(self.build, v) for v in values]
+        return self.build.add(op, numbers, tuple(int(a) for a in attrs))
+
+    def wise(self, op: str, *values: Value) -> int:
+        """Apply an operation elementwise; a scalar that was broadcast stays a scalar."""
+        narrow = [self.narrowed(v) for v in values]
+        shapes = [self.shape_of(v) for v in narrow if self.shape_of(v)]
+        wide = np.broadcast_shapes(*shapes)
+        found = self.add(op, *(self.filling(v, wide) for v in narrow))
+        return self.spread(found, np.broadcast_shapes(*(self.shape_of(v) for v in values)))
+
+    def filling(self, value: Value, shape: Shape) -> Value:
+        """Broadcast a value to this shape, unless it is a scalar."""
+        own = self.shape_of(value)
+        if own in ((), shape):
+            return value
+        if not isinstance(value, int):
+            return np.broadcast_to(value, shape)
+        return self.add("broadcast", value, attrs=(len(shape), *shape, *range(len(shape))))
+
+    def spread(self, value: int, shape: Shape) -> int:
+        if self.build.shape(value) == shape:
+            return value
+        return self.add("broadcast", value, attrs=(len(shape), *shape))
+
+    def narrowed(self, value: Value) -> Value:
+        if isinstance(value, int):
+            node = self.build.node(value)
+            if node is not None and node.op == "broadcast":
+                inner = node.operands[0]
+                if self.build.shape(inner) == ():
+                    return inner
+            return value
+        flat = np.asarray(value).reshape(-1)
+        if flat.size > 0 and np.ndim(value) and (flat == flat[0]).all():
+            return flat[0]
+        return value
+
+    def shape_of(self, value: Value) -> Shape:
+        return self.build.shape(value) if isinstance(value, int) else np.shape(value)
+
+    def choose(self, which: Value, yes: Value, no: Value, shape: Shape) -> int:
+        found = self.add("select", self.narrowed(which), self.narrowed(yes), self.narrowed(no))
+        return self.spread(found, shape)
+
+    def reversed_rows(self, value: Value) -> Value:
+        if not isinstance(value, int):
+            return np.asarray(value)[::-1]
+        return picked(self, value, lambda x: x[::-1])
+
+
+Rule = Callable[[Step, Values], Values]
+
+
+def picked(at: Step, value: int, move: Callable[[NDArray[np.int64]], Any]) -> int:
+    """Rearrange the numbers of a value as `move` rearranges those of an array."""
+    shape = at.build.shape(value)
+    places = np.asarray(move(np.arange(math.prod(shape)).reshape(shape)))
+    attrs = (places.ndim, *places.shape, *places.reshape(-1))
+    return at.add("pick", value, attrs=attrs)
+
+
+# Lowering rules for primitives that move, sum and multiply arrays.
+
+
+def reshape(at: Step, v: Values) -> Values:
+    """Lower `reshape`, `squeeze` and `expand_dims`."""
+    return [at.add("reshape", v[0], attrs=at.shape)]
+
+
+def broadcast(at: Step, v: Values) -> Values:
+    """Lower `broadcast_in_dim`: the operand lies along given axes of the result."""
+    axes, shape = at.params["broadcast_dimensions"], at.params["shape"]
+    if math.prod(at.shape_of(v[0])) == math.prod(shape):
+        return [at.add("reshape", v[0], attrs=shape)]
+    return [at.add("broadcast", v[0], attrs=(len(shape), *shape, *axes))]
+
+
+def transpose(at: Step, v: Values) -> Values:
+    """Lower `transpose`."""
+    return [transposed(at, v[0], at.params["permutation"])]
+
+
+def transposed(at: Step, value: Value, axes: Sequence[int]) -> Value:
+    """Permute the axes of a value."""
+    if list(axes) == sorted(axes):
+        return value
+    if not isinstance(value, int):
+        return np.transpose(value, axes)
+    shape = at.build.shape(value)
+    moved = [a for a in axes if shape[a] != 1]
+    if moved == sorted(moved):
+        return at.add("reshape", value, attrs=[shape[a] for a in axes])
+    return at.add("transpose", value, attrs=axes)
+
+
+def reshaped(at: Step, value: Value, shape: Sequence[int]) -> Value:
+    """Reshape a value."""
+    if not isinstance(value, int):
+        return np.reshape(value, shape)
+    return at.add("reshape", value, attrs=shape)
+
+
+def sliced(at: Step, v: Values) -> Values:
+    """Lower `slice`."""
+    starts, ends = at.params["start_indices"], at.params["limit_indices"]
+    steps = at.params["strides"] or (1,) * len(starts)
+    return [at.add("slice", v[0], attrs=(*starts, *ends, *steps))]
+
+
+def dynamic_slice(at: Step, v: Values) -> Values:
+    """Lower `dynamic_slice` with constant start indices."""
+    if any(isinstance(i, int) for i in v[1:]):
+        raise CannotLowerError(
+            "cannot be exported: dynamic_slice at a place that is computed; shift a buffer instead"
+        )
+    sizes, shape = at.params["slice_sizes"], at.shape_of(v[0])
+    requested = [int(np.asarray(i)) for i in v[1:]]
+    starts = [min(max(i, 0), n - m) for i, n, m in zip(requested, shape, sizes, strict=True)]
+    ends = [a + n for a, n in zip(starts, sizes, strict=True)]
+    return [at.add("slice", v[0], attrs=(*starts, *ends, *(1 for _ in sizes)))]
+
+
+def gather(at: Step, v: Values) -> Values:
+    """Lower `gather` with constant indices, which JAX itself evaluates."""
+    if not isinstance(v[0], int) or isinstance(v[1], int):
+        raise CannotLowerError(
+            "cannot be exported: gather at places that are computed; use a sum over a one-hot row"
+        )
+    import jax
+
+    equation = at.equation
+
+    def move(places: NDArray[np.int64]) -> NDArray[np.int64]:
+        # Indices outside the array give the fill value, nan.
+        with jax.ensure_compile_time_eval():
+            operand = jax.numpy.asarray(places, np.float64)
+            found = equation.primitive.bind(operand, jax.numpy.asarray(v[1]), **equation.params)
+        return np.asarray(found).astype(np.int64)
+
+    return [picked(at, v[0], move)]
+
+
+def reverse(at: Step, v: Values) -> Values:
+    """Lower `rev`: flip along axes."""
+    assert isinstance(v[0], int)
+    return [picked(at, v[0], lambda x: np.flip(x, at.params["dimensions"]))]
+
+
+def concat(at: Step, v: Values) -> Values:
+    """Lower `concatenate`."""
+    axis = at.params["dimension"]
+    full = [x for x in v if count(at, x)]
+    if len(full) == 1:
+        return [full[0]]
+    return [at.add("concat", *full, attrs=(axis,))]
+
+
+def stack(at: Step, v: Values) -> Values:
+    """Stack values along a new axis."""
+    axis, shape = at.params["axis"], at.shape
+    one = (*shape[:axis], 1, *shape[axis + 1 :])
+    rows = [at.add("reshape", x, attrs=one) for x in v]
+    return [at.add("concat", *rows, attrs=(axis,))]
+
+
+def count(at: Step, value: Value) -> int:
+    """Number of elements of a value."""
+    return math.prod(at.shape_of(value))
+
+
+def split(at: Step, v: Values) -> Values:
+    """Lower `split` along an axis."""
+    axis, shape, found, start = at.params["axis"], at.shape_of(v[0]), list[Value](), 0
+    for size in at.params["sizes"]:
+        starts = [start if a == axis else 0 for a in range(len(shape))]
+        ends = [start + size if a == axis else n for a, n in enumerate(shape)]
+        found.append(at.add("slice", v[0], attrs=(*starts, *ends, *(1 for _ in shape))))
+        start += size
+    return found
+
+
+def pad(at: Step, v: Values) -> Values:
+    """Lower `pad` with a constant around the array."""
+    counts = at.params["padding_config"]
+    if any(inner for _, _, inner in counts):
+        raise CannotLowerError("cannot be exported: pad between the numbers of an array")
+    shape, value = at.shape_of(v[0]), v[0]
+    if any(low < 0 or high < 0 for low, high, _ in counts):
+        starts = [max(-low, 0) for low, _, _ in counts]
+        ends = [n - max(-high, 0) for n, (_, high, _) in zip(shape, counts, strict=True)]
+        value = at.add("slice", value, attrs=(*starts, *ends, *(1 for _ in shape)))
+    before, behind = [max(c[0], 0) for c in counts], [max(c[1], 0) for c in counts]
+    if not any((*before, *behind)):
+        return [value]
+    return [at.add("pad", value, v[1], attrs=(*before, *behind))]
+
+
+def reduce(op: str) -> Rule:
+    """Make the rule of a reduction over axes."""
+
+    def rule(at: Step, v: Values) -> Values:
+        axes, shape = at.params["axes"], at.shape_of(v[0])
+        if all(shape[a] == 1 for a in axes):
+            return [at.add("reshape", v[0], attrs=at.shape)]
+        return [at.add(op, v[0], attrs=axes)]
+
+    return rule
+
+
+def dot(at: Step, v: Values) -> Values:
+    """Lower `dot_general` to a product of matrices."""
+    (left_sum, right_sum), (left_batch, right_batch) = at.params["dimension_numbers"]
+    shapes = [at.shape_of(x) for x in v]
+    sides: list[Value] = []
+    kept: list[list[int]] = []
+    if 0 in (*shapes[0], *shapes[1]):
+        return [np.zeros(at.shape)]
+    stack = [shapes[0][a] for a in left_batch]
+    inner = math.prod(shapes[0][a] for a in left_sum)
+    for side, (value, shape, batch, summed) in enumerate(
+        zip(v, shapes, (left_batch, right_batch), (left_sum, right_sum), strict=True)
+    ):
+        free = [a for a in range(len(shape)) if a not in batch and a not in summed]
+        order = (*batch, *free, *summed) if side == 0 else (*batch, *summed, *free)
+        wide = math.prod(shape[a] for a in free)
+        ends = [wide, inner] if side == 0 else [inner, wide]
+        front = [math.prod(stack)] if math.prod(stack) != 1 else []
+        sides.append(reshaped(at, transposed(at, value, order), [*front, *ends]))
+        kept.append([shape[a] for a in free])
+    product = at.add("matmul", *sides)
+    return [reshaped(at, product, [*stack, *kept[0], *kept[1]])]
+
+
+# Lowering rules, one a JAX primitive.
+#
+# JAX itself computes the values that depend on constants only, so that only primitives which
+# signals pass through need a rule.
+
+
+def in_single_precision(jaxpr: Any) -> bool:
+    """Return whether any part of a jaxpr is computed in float32."""
+    for equation in jaxpr.eqns:
+        if any(getattr(v.aval, "dtype", None) == np.float32 for v in equation.outvars):
+            return True
+        for inner in _inner(equation.params):
+            if in_single_precision(inner):
+                return True
+    return False
+
+
+def _inner(params: dict[str, Any]) -> list[Any]:
+    found: list[Any] = []
+    for value in params.values():
+        for one in value if isinstance(value, tuple | list) else (value,):
+            jaxpr = getattr(one, "jaxpr", one)
+            if hasattr(jaxpr, "eqns"):
+                found.append(jaxpr)
+    return found
+
+
+class Lowering:
+    """Translation of a jaxpr into operations of a program."""
+
+    def __init__(self, build: Builder) -> None:
+        self.build = build
+
+    def run(self, jaxpr: Any, consts: Sequence[Any], given: Values) -> Values:
+        """Compute the values of the jaxpr's outputs from those of its inputs."""
+        env: dict[Any, Value] = {}
+        env.update(zip(jaxpr.constvars, (np.asarray(c) for c in consts), strict=True))
+        env.update(zip(jaxpr.invars, given, strict=True))
+
+        def read(v: Any) -> Value:
+            return np.asarray(v.val) if hasattr(v, "val") else env[v]
+
+        for equation in jaxpr.eqns:
+            values = [read(v) for v in equation.invars]
+            found = self._equation(equation, values)
+            for variable, value in zip(equation.outvars, found, strict=True):
+                env[variable] = value
+        return [read(v) for v in jaxpr.outvars]
+
+    def _equation(self, equation: Any, values: Values) -> Values:
+        name, params = equation.primitive.name, equation.params
+        if all(not isinstance(v, int) for v in values):
+            return _computed(equation, values)
+        if all(math.prod(v.aval.shape) == 0 for v in equation.outvars):
+            return [np.zeros(v.aval.shape) for v in equation.outvars]
+        if name in _INLINED:
+            return self._inlined(params, values)
+        if name == "scan":
+            return self._scan(params, values)
+        if name == "cond":
+            return self._cond(params, values, equation)
+        if name not in _RULES:
+            raise CannotLowerError(
+                f"cannot be exported: {name}; write the step without it (docs/use/export.md lists "
+                "what can be exported)"
+            )
+        for variable in equation.outvars:
+            if np.dtype(variable.aval.dtype).kind == "c":
+                raise CannotLowerError(
+                    f"cannot be exported: {name} of complex numbers; keep real and imaginary parts "
+                    "apart in the state"
+                )
+        return _RULES[name](Step(self.build, equation), values)
+
+    def _inlined(self, params: dict[str, Any], values: Values) -> Values:
+        inner = next(params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in params)
+        closed = inner if hasattr(inner, "consts") else None
+        jaxpr = inner if closed is None else closed.jaxpr
+        return self.run(jaxpr, () if closed is None else closed.consts, values)
+
+    def _cond(self, params: dict[str, Any], values: Values, equation: Any) -> Values:
+        which, rest = values[0], values[1:]
+        branches = params["branches"]
+        if not isinstance(which, int):
+            chosen = branches[int(np.clip(which, 0, len(branches) - 1))]
+            return self.run(chosen.jaxpr, chosen.consts, rest)
+        if len(branches) != 2:
+            raise CannotLowerError("cannot be exported: a choice among more than two branches")
+        no, yes = (self.run(b.jaxpr, b.consts, rest) for b in branches)
+        at = Step(self.build, equation)
+        pairs = zip(yes, no, equation.outvars, strict=True)
+        return [at.choose(which, a, b, v.aval.shape) for a, b, v in pairs]
+
+    def _scan(self, params: dict[str, Any], values: Values) -> Values:
+        closed, length = params["jaxpr"], params["length"]
+        same, carried = params["num_consts"], params["num_carry"]
+        at = Step(self.build, None)
+        rows = values[same + carried :]
+        if params["reverse"]:
+            rows = [at.reversed_rows(r) for r in rows]
+        free = [i for i, v in enumerate(values[:same]) if isinstance(v, int)]
+        carry = [number(self.build, v) for v in values[same : same + carried]]
+        passed = [number(self.build, values[i]) for i in free]
+        stacked = [number(self.build, r) for r in rows]
+        shapes = [self.build.shape(i) for i in (*passed, *carry)]
+        body = Builder((*shapes, *(self.build.shape(r)[1:] for r in stacked)))
+        given: list[Value] = list(values[:same])
+        for place, i in enumerate(free):
+            given[i] = place
+        given += list(range(len(free), len(body.inputs)))
+        found = Lowering(body).run(closed.jaxpr, closed.consts, given)
+        program = body.program([number(body, v) for v in found])
+        attrs = (length, len(free), carried)
+        loop = self.build.add("loop", (*passed, *carry, *stacked), attrs, program)
+        parts: list[Value] = [self.build.add("part", (loop,), (k,)) for k in range(len(found))]
+        if params["reverse"]:
+            parts[carried:] = [at.reversed_rows(p) for p in parts[carried:]]
+        return parts
+
+
+def _computed(equation: Any, values: Values) -> Values:
+    import jax
+
+    with jax.ensure_compile_time_eval():
+        arrays = [
+            jax.numpy.asarray(x, v.aval.dtype) for x, v in zip(values, equation.invars, strict=True)
+        ]
+        primitive = equation.primitive
+        # Parameters of inner functions, separate in JAX before 0.8.
+        bound = primitive.get_bind_params(equation.params)
+        inside, params = bound if isinstance(bound, tuple) else ((), bound)
+        found = primitive.bind(*inside, *arrays, **params)
+    many = found if primitive.multiple_results else [found]
+    return [np.asarray(v) for v in many]
+
+
+def _plain(op: str) -> Rule:
+    return lambda at, v: [at.wise(op, *v)]
+
+
+def _same(at: Step, v: Values) -> Values:
+    return [v[0]]
+
+
+def _logistic(at: Step, v: Values) -> Values:
+    half = np.float64(0.5)
+    inner = at.wise("tanh", at.wise("mul", v[0], half))
+    return [at.wise("add", at.wise("mul", inner, half), half)]
+
+
+def _power(at: Step, v: Values) -> Values:
+    exponent, value = int(at.params["y"]), v[0]
+    result: Value = np.float64(1.0)
+    square, left = value, abs(exponent)
+    while left:
+        if left & 1:
+            result = at.wise("mul", square, result) if isinstance(result, int) else square
+        left >>= 1
+        if left:
+            square = at.wise("mul", square, square)
+    if exponent < 0:
+        result = at.wise("div", np.float64(1.0), result)
+    return [at.spread(number(at.build, result), at.shape)]
+
+
+def _select(at: Step, v: Values) -> Values:
+    if len(v) != 3:
+        raise CannotLowerError("cannot be exported: a choice among more than two arrays")
+    return [at.choose(v[0], v[2], v[1], at.shape)]
+
+
+def _clamp(at: Step, v: Values) -> Values:
+    low, x, high = v
+    return [at.wise("min", at.wise("max", x, low), high)]
+
+
+def _convert(at: Step, v: Values) -> Values:
+    new, old = np.dtype(at.params["new_dtype"]), np.dtype(at.equation.invars[0].aval.dtype)
+    if new.kind in "iu" and old.kind == "f":
+        raise CannotLowerError(
+            "cannot be exported: convert_element_type to whole numbers; use floor"
+        )
+    if new.kind == "b" and old.kind != "b":
+        return [at.wise("ne", v[0], np.float64(0.0))]
+    return [v[0]]
+
+
+def _division(at: Step, v: Values) -> Values:
+    if np.dtype(at.equation.outvars[0].aval.dtype).kind in "iu":
+        raise CannotLowerError("cannot be exported: div of whole numbers; divide real ones")
+    return [at.wise("div", *v)]
+
+
+def _not(at: Step, v: Values) -> Values:
+    return [at.wise("sub", np.float64(1.0), v[0])]
+
+
+def _or(at: Step, v: Values) -> Values:
+    return [at.wise("max", *v)]
+
+
+def _and(at: Step, v: Values) -> Values:
+    return [at.wise("mul", *v)]
+
+
+_INLINED_NAMES = (
+    "pjit jit closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr remat2 "
+    "checkpoint custom_jvp_call_jaxpr"
+)
+_INLINED = frozenset(_INLINED_NAMES.split())
+_UNARY = "neg abs sign floor sqrt exp log log1p expm1 tanh sin cos tan asin acos atan sinh cosh"
+_BINARY = "add sub mul max min pow atan2 lt le gt ge eq ne"
+_RULES: dict[str, Rule] = {
+    **{name: _plain(name) for name in (*_UNARY.split(), *_BINARY.split())},
+    **{f"reduce_{n}": reduce("r" + n) for n in ("sum", "max", "min", "prod")},
+    **dict.fromkeys(("copy", "copy_p", "stop_gradient", "optimization_barrier"), _same),
+    **dict.fromkeys(("reshape", "squeeze", "expand_dims"), reshape),
+    "add_any": _plain("add"),
+    "is_finite": _plain("isfinite"),
+    "rsqrt": lambda at, v: [at.wise("div", np.float64(1.0), at.wise("sqrt", v[0]))],
+    "square": lambda at, v: [at.wise("mul", v[0], v[0])],
+    "div": _division,
+    "logistic": _logistic,
+    "integer_pow": _power,
+    "select_n": _select,
+    "clamp": _clamp,
+    "convert_element_type": _convert,
+    "not": _not,
+    "or": _or,
+    "and": _and,
+    "broadcast_in_dim": broadcast,
+    "transpose": transpose,
+    "slice": sliced,
+    "dynamic_slice": dynamic_slice,
+    "gather": gather,
+    "rev": reverse,
+    "concatenate": concat,
+    "stack": stack,
+    "split": split,
+    "pad": pad,
+    "dot_general": dot,
+}
+PRIMITIVES = tuple(sorted((*_RULES, "scan", "cond")))
+"""The JAX primitives that signals may pass through."""
+
+
+# Trace a fitted model with JAX and lower it to programs.
+#
+# Tracing runs where the candidate runs; the result is bytes, which `wire` reads in the parent.
 
 
 def lowered_bytes(model: object, n_past_u: int, n_past_y: int, nu: int, ny: int) -> bytes:
@@ -68,7 +575,7 @@ def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> Lower
 
     one, _ = _traced(step, [*(leaves[i] for i in kept), _like((nu,))])
     programs = [_program(start, kept), _program(one)]
-    single = any(rules.in_single_precision(p.jaxpr) for p in (start, one))
+    single = any(in_single_precision(p.jaxpr) for p in (start, one))
     return LoweredModel(n_past_u, n_past_y, nu, ny, single, *programs)
 
 
@@ -99,9 +606,6 @@ def _traced(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[Any
 def _program(closed: Any, kept: Sequence[int] | None = None) -> Program:
     build = Builder(tuple(v.aval.shape for v in closed.jaxpr.invars))
     given: Values = list(range(len(build.inputs)))
-    found = rules.Lowering(build).run(closed.jaxpr, closed.consts, given)
+    found = Lowering(build).run(closed.jaxpr, closed.consts, given)
     chosen = found if kept is None else [found[i] for i in kept]
     return build.program([number(build, v) for v in chosen])
-
-
-__all__ = ["Array", "lowered", "lowered_bytes"]

@@ -13,8 +13,17 @@ import struct
 
 import numpy as np
 
-from asia.lowering.ops import LARGEST_RANK, LARGEST_SIZE, OPERATIONS, Shape, ShapeError
-from asia.lowering.program import Builder, LoweredModel, Node, Program
+from asia.lowering.program import (
+    LARGEST_RANK,
+    LARGEST_SIZE,
+    OPERATIONS,
+    Builder,
+    LoweredModel,
+    Node,
+    Program,
+    Shape,
+    ShapeError,
+)
 
 MAGIC = b"ASIA-LOWERED-1\n"
 REFUSED = b"ASIA-REFUSED-1\n"

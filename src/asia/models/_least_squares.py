@@ -14,10 +14,10 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from asia.data import Array
+from asia.data.trajectory import Array
 from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, demand
-from asia.models._noise.choice import NoiseKind, check_noise
+from asia.models._noise.model import NoiseKind, check_noise
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from asia.models._arrays import AnyArray, namespace
 def first_of_line(past: AnyArray, u: AnyArray, delay: int) -> AnyArray:
     """Last `delay` inputs (B, delay, nu) before the first sample, the oldest first.
 
-    Before the first known input it is held backwards, as in `asia.models._data.records.delayed`.
+    Before the first known input it is held backwards, as in
+    `asia.models._numerics.records.delayed`.
 
     Args:
         past: past inputs (B, n_past_u, nu).

@@ -15,25 +15,26 @@ from typing import Literal
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models._config import check_at_least, check_choice
-from asia.models._data.lags import History, Lags, fit_history
-from asia.models._data.records import ScaledData, check, past_length, scaled
-from asia.models._data.scaling import Scaling
-from asia.models._data.stretches import segments, simulation_error
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._noise.choice import refuse_noise
-from asia.models._one_step.free_model import (
+from asia.models._noise.model import refuse_noise
+from asia.models._numerics.lags import History, Lags, fit_history
+from asia.models._numerics.records import ScaledData, Scaling, check, past_length, scaled
+from asia.models._numerics.segments import segments, simulation_error
+from asia.models._one_step import (
     FreeRunModel,
     LagChoice,
+    PolynomialRun,
     choose_lags,
     choose_ridge,
     linear_run,
+    refine,
+    refinement_samples,
     selection,
     usable,
 )
-from asia.models._one_step.polynomial import PolynomialRun, refine, refinement_samples
 from asia.models.methods import LeastSquares
 
 # Limit on the output of an unstable model, in widths of the training range.

@@ -17,16 +17,12 @@ from typing import Any, Literal
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array, Signal, Trajectory
+from asia.data.trajectory import Array, Signal, Trajectory
 from asia.models import recurrent
 from asia.models._arrays import AnyArray, namespace
-from asia.models._data.records import ScaledData, window_size
-from asia.models._data.scaling import Scaling
-from asia.models._networks.family import Driven, network_family
-from asia.models._networks.features import Features, check_features, drive_size
-from asia.models._networks.layers import zeros
-from asia.models._networks.network import NetworkModel, Prepare
-from asia.models._networks.structure import Params
+from asia.models._networks.network import Driven, NetworkModel, Prepare, network_family
+from asia.models._networks.structure import Features, Params, check_features, drive_size, zeros
+from asia.models._numerics.records import ScaledData, Scaling, window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
@@ -44,7 +40,7 @@ class Config:
     encoder: int = 32
     """Units of the network that maps the past window to the initial state."""
     features: tuple[str, ...] = ()
-    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
+    """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
 
     def __post_init__(self) -> None:
         # The inner network checks the other settings.

@@ -16,14 +16,13 @@ from typing import Literal
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Trajectory
+from asia.data.trajectory import Trajectory
 from asia.models import linear, neural_ss
 from asia.models._config import check_choice
-from asia.models._data.records import check, scaled
-from asia.models._data.scaling import Scaling
-from asia.models._data.stretches import window_pieces
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._state_space.fitted import FittedStateSpace
+from asia.models._numerics.records import Scaling, check, scaled
+from asia.models._numerics.segments import window_segments
+from asia.models._state_space.model import FittedStateSpace
 from asia.models._state_space.structure import Basis, Nonlinearity
 from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructure
 from asia.models.neural_ss import NeuralStateSpace
@@ -123,7 +122,7 @@ def train(
         UserError: for records too short or mis-shaped.
     """
     check(trajectories, context)
-    segments = window_pieces(trajectories, context, _WINDOWS)
+    segments = window_segments(trajectories, context, _WINDOWS)
     blocks = model.blocks
     series = blocks.structure == "wiener_hammerstein" and blocks.basis == "tanh"
     if blocks.searched and series and context.nu == context.ny == 1:
@@ -139,9 +138,8 @@ def train(
 def _searched(
     config: Config, trajectories: Sequence[Trajectory], context: Context, method: LevenbergMarquardt
 ) -> FittedStateSpace:
-    from asia.models._state_space.filter_search import searched
-    from asia.models._state_space.filters import FilterRidge
     from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
+    from asia.models._state_space.wiener_hammerstein import FilterRidge, searched
 
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
@@ -168,7 +166,7 @@ def _wiener_hammerstein(
     config: Config, trajectories: Sequence[Trajectory], context: Context, method: LevenbergMarquardt
 ) -> FittedStateSpace:
     from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
-    from asia.models._state_space.wiener_hammerstein_starts import wiener_hammerstein_starts
+    from asia.models._state_space.wiener_hammerstein import wiener_hammerstein_starts
 
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)

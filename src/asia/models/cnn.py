@@ -19,12 +19,19 @@ import numpy as np
 from asia.candidate import Context
 from asia.models._arrays import AnyArray, namespace, sigmoid, split
 from asia.models._config import check_at_least
-from asia.models._data.records import window_size
-from asia.models._networks.family import Driven, network_family
-from asia.models._networks.features import check_features, drive_size
-from asia.models._networks.layers import decaying, dense, log_spaced, mlp, mlp_params, zeros
-from asia.models._networks.network import NetworkModel
-from asia.models._networks.structure import Params
+from asia.models._networks.network import Driven, NetworkModel, network_family
+from asia.models._networks.structure import (
+    Params,
+    check_features,
+    decaying,
+    dense,
+    drive_size,
+    log_spaced,
+    mlp,
+    mlp_params,
+    zeros,
+)
+from asia.models._numerics.records import window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
@@ -45,7 +52,7 @@ class Config:
     encoder: int = 32
     """Units of the network that fills them."""
     features: tuple[str, ...] = ()
-    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
+    """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "width", "memory", "encoder")

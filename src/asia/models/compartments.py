@@ -17,15 +17,15 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models import greybox
 from asia.models._arrays import AnyArray
 from asia.models._config import check_at_least, demand
-from asia.models._data.records import check
 from asia.models._equations.config import Sensor
 from asia.models._least_squares import LevenbergMarquardt
-from asia.problem import Bounds, ParameterRange, Physics
+from asia.models._numerics.records import check
+from asia.problem.physics import Bounds, ParameterRange, Physics
 
 Outflow = Literal["linear", "root", "power"]
 

@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace, scan
 from asia.models._config import check_at_least, demand
-from asia.models._data.encoder import Encoder, fit_encoder
-from asia.models._data.records import (
+from asia.models._numerics.encoder import Encoder, fit_encoder
+from asia.models._numerics.records import (
     ScaledData,
+    Scaling,
     check,
     past_length,
     scaled,
@@ -32,8 +33,7 @@ from asia.models._data.records import (
     window_rows,
     windows,
 )
-from asia.models._data.scaling import Scaling
-from asia.models._data.stretches import Stretches, segments
+from asia.models._numerics.segments import Stretches, segments
 from asia.models._steps import mean
 from asia.models.methods import LeastSquares
 

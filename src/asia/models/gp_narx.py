@@ -20,15 +20,13 @@ from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import minimize
 
 from asia.candidate import Context
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace
 from asia.models._config import Progress, check_at_least, check_choice
-from asia.models._data.cuts import spread
-from asia.models._data.lags import FreeRun, Lags, OutputRange, fit_history, regressors
-from asia.models._data.records import ScaledData, check, past_length, scaled
-from asia.models._data.scaling import Scaling
-from asia.models._data.stretches import left_out_error, segments, simulation_error
-from asia.models._one_step.free_model import (
+from asia.models._numerics.lags import FreeRun, Lags, OutputRange, fit_history, regressors
+from asia.models._numerics.records import ScaledData, Scaling, check, past_length, scaled, spread
+from asia.models._numerics.segments import left_out_error, segments, simulation_error
+from asia.models._one_step import (
     FreeRunModel,
     LagChoice,
     choose_lags,

@@ -15,21 +15,21 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import Context, ParameterEstimates
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray
-from asia.models._data.records import refuse_gaps
-from asia.models._equations.added.extend import extended
-from asia.models._equations.added.priors import NO_PRIORS, ParameterPriors, parameter_priors
+from asia.models._equations.additions import NO_PRIORS, ParameterPriors, parameter_priors
 from asia.models._equations.config import Config, GreyBoxStructure, Range
+from asia.models._equations.extension import extended
 from asia.models._equations.fit import FittedEquations, fit
-from asia.models._equations.identified.printed import equation_lines
+from asia.models._equations.identified import equation_lines
 from asia.models._equations.initial_state import CaseSteps, simulate_cases
 from asia.models._equations.ode import Equations, equations
 from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments
 from asia.models._least_squares import LevenbergMarquardt
-from asia.problem import Bounds, Physics
+from asia.models._numerics.records import refuse_gaps
+from asia.problem.physics import Bounds, Physics
 
 __all__ = ["Config", "GreyBox", "build", "train"]
 
@@ -102,7 +102,7 @@ class GreyBox:
             Standard errors, intervals and correlations, with the residuals' correlation in time
             taken into account, and the equations.
         """
-        from asia.models._equations.identified.estimates import Around
+        from asia.models._equations.identified import Around
 
         fitted = self._trained()
         refuse_gaps(trajectories)
@@ -217,7 +217,7 @@ def train(
     structure = extended(model.structure, segments)
     fitted = fit(structure, segments, method, context.seed)
     if structure.config.discover:
-        from asia.models._equations.added.discovery import discover
+        from asia.models._equations.discovery import discover
 
         structure, fitted = discover(structure, segments, fitted, method)
     for step in np.unique(np.linspace(0, len(fitted.history) - 1, 20).round().astype(int)):

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from asia.candidate import Context
-from asia.data import Trajectory
+from asia.data.trajectory import Trajectory
 from asia.models import greybox
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models.greybox import GreyBox

@@ -5,7 +5,7 @@
 
 The layers that give h[k] are those of `asia.models.autoregressive`, driven by the inputs and the
 model's own y[k-1]; the gains are learned too. Which output is the rate of which comes from
-[physics] or from the training records, see `asia.models._equations.rates`.
+[physics] or from the training records, see `asia.models._equations.measured`.
 Sources: Piga and Forgione (KinematicsLSTM, motor speeds squared, scheduled sampling).
 """
 
@@ -19,18 +19,14 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Trajectory
+from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.models import autoregressive
 from asia.models._arrays import AnyArray, namespace
-from asia.models._data.records import ScaledData
-from asia.models._data.scaling import Scaling
-from asia.models._equations.rates import Rate, find_rates, read_by_equations
-from asia.models._networks.family import network_family
-from asia.models._networks.features import Features
-from asia.models._networks.layers import zeros
-from asia.models._networks.network import NetworkModel, Prepare
-from asia.models._networks.structure import Params
+from asia.models._equations.measured import Rate, find_rates, read_by_equations
+from asia.models._networks.network import NetworkModel, Prepare, network_family
+from asia.models._networks.structure import Features, Params, zeros
+from asia.models._numerics.records import ScaledData, Scaling
 from asia.models.autoregressive import AutoregressiveCell, FeedbackState, increment_sizes
 
 __all__ = ["Config", "NetworkModel", "build", "train"]

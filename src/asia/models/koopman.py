@@ -20,21 +20,21 @@ import numpy as np
 from asia.candidate import Context
 from asia.models._arrays import AnyArray, complex_number, namespace, split
 from asia.models._config import check_at_least, demand
-from asia.models._data.records import window_size
-from asia.models._networks.family import Driven, network_family
-from asia.models._networks.features import check_features, drive_size
-from asia.models._networks.layers import (
+from asia.models._networks.network import Driven, NetworkModel, network_family
+from asia.models._networks.structure import (
+    Params,
+    check_features,
     dense,
     diagonal_states,
+    drive_size,
     log_spaced,
     mlp,
     mlp_params,
     poles,
-    turned_pole,
+    rotated_pole,
     zeros,
 )
-from asia.models._networks.network import NetworkModel
-from asia.models._networks.structure import Params
+from asia.models._numerics.records import window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
@@ -56,7 +56,7 @@ class Config:
     angle_max: float = 0.5
     """Largest initial rotation of a state in one sample, in rad, at most pi."""
     features: tuple[str, ...] = ()
-    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
+    """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "levels", "states", "lift", "width")
@@ -114,7 +114,7 @@ class KoopmanMap(Driven[Config]):
                 drive = drive + (before @ p["left"]) * (v @ p["right"] + p["shift"])
             real, imaginary = split(drive, 2)
             before_real, before_imaginary = split(z, 2)
-            moved = turned_pole(
+            moved = rotated_pole(
                 pole, before_real, before_imaginary, (gain * real, gain * imaginary)
             )
             after.append(xp.concatenate(moved, axis=-1))

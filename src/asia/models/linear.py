@@ -14,38 +14,47 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, demand
-from asia.models._data.encoder import Encoder
-from asia.models._data.records import (
-    ScaledData,
-    ScaledTrajectory,
-    check,
-    delayed_inputs,
-    past_length,
-    scaled,
-    shortened,
-    window,
-)
-from asia.models._data.scaling import Scaling
-from asia.models._data.windows import cut_windows, stretches
-from asia.models._linear import levels
-from asia.models._linear.drift import drift_shift
-from asia.models._linear.estimates import delayed_records, invariants, system_estimates
+from asia.models._linear import fit as levels
 from asia.models._linear.fit import (
     LinearFit,
     Refinement,
     choose_order,
+    delayed_records,
+    drift_shift,
     encoder_of,
     fit,
+    invariants,
     refined_under_noise,
+    system_estimates,
 )
-from asia.models._linear.horizon import MOST_WINDOWS, choose, fit_choice, held_out
-from asia.models._linear.periodic.fit import PeriodicChoice, fit_periodic
+from asia.models._linear.periodic import PeriodicChoice, fit_periodic
 from asia.models._linear.system import LinearSystem
-from asia.models._linear.windows import WindowPredictor, window_error
+from asia.models._linear.windows import (
+    MOST_WINDOWS,
+    WindowPredictor,
+    choose,
+    fit_choice,
+    held_out,
+    window_error,
+)
+from asia.models._numerics.encoder import Encoder
+from asia.models._numerics.records import (
+    ScaledData,
+    ScaledTrajectory,
+    Scaling,
+    check,
+    cut_windows,
+    delayed_inputs,
+    past_length,
+    scaled,
+    shortened,
+    stretches,
+    window,
+)
 from asia.models._steps import first_of_line, through_line
 
 if TYPE_CHECKING:

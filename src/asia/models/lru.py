@@ -16,22 +16,22 @@ import numpy as np
 from asia.candidate import Context
 from asia.models._arrays import AnyArray, complex_number, gelu, split
 from asia.models._config import check_at_least, demand
-from asia.models._data.records import window_size
-from asia.models._networks.family import Driven, network_family
-from asia.models._networks.features import check_features, drive_size
-from asia.models._networks.layers import (
+from asia.models._networks.network import Driven, NetworkModel, network_family
+from asia.models._networks.structure import (
+    Params,
+    check_features,
     dense,
     diagonal_states,
+    drive_size,
     gated,
     log_spaced,
     mlp,
     mlp_params,
     poles,
-    turned_pole,
+    rotated_pole,
     zeros,
 )
-from asia.models._networks.network import NetworkModel
-from asia.models._networks.structure import Params
+from asia.models._numerics.records import window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
@@ -53,7 +53,7 @@ class Config:
     angle_max: float = 0.5
     """Largest initial rotation of a state in one sample, in rad, at most pi."""
     features: tuple[str, ...] = ()
-    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
+    """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "layers", "states", "width", "encoder")
@@ -97,7 +97,7 @@ class LRUStack(Driven[Config]):
         for p, (real, imaginary) in zip(params["layers"], state, strict=True):
             pole, gain = poles(p["log_rate"], p["angle"])
             drive = gain * (x @ p["b_re"]), gain * (x @ p["b_im"])
-            real, imaginary = turned_pole(pole, real, imaginary, drive)
+            real, imaginary = rotated_pole(pole, real, imaginary, drive)
             after.append((real, imaginary))
             x = x + _read(p, x, real, imaginary)
         return after, x

@@ -15,16 +15,20 @@ from typing import Any, Literal
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Trajectory
+from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, check_choice
-from asia.models._data.records import window_size
-from asia.models._networks.family import Driven, network_family
-from asia.models._networks.features import check_features, drive_size
-from asia.models._networks.layers import dense, uniform, zeros
-from asia.models._networks.network import NetworkModel, Prepare, as_built
-from asia.models._networks.structure import Params
+from asia.models._networks.network import Driven, NetworkModel, Prepare, as_built, network_family
+from asia.models._networks.structure import (
+    Params,
+    check_features,
+    dense,
+    drive_size,
+    uniform,
+    zeros,
+)
+from asia.models._numerics.records import window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
@@ -48,7 +52,7 @@ class Config:
     bounded: bool = True
     """End f and the network that gives the initial states in a tanh."""
     features: tuple[str, ...] = ()
-    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
+    """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "hidden", "width")

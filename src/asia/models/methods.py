@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias, get_args
 from asia.errors import UserError
 from asia.models._config import check_at_least, check_choice, demand, owner
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._noise.choice import NoiseChoice, NoiseKind, check_noise
+from asia.models._noise.model import NoiseChoice, NoiseKind, check_noise
 
 __all__ = [
     "LBFGS",

@@ -20,32 +20,29 @@ from typing import NamedTuple
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.models._config import check_at_least
-from asia.models._data.gaps import has_gaps, reconstructed
-from asia.models._data.lags import Lags, OutputRange, fit_history
-from asia.models._data.records import ScaledData, check, past_length, scaled
-from asia.models._data.scaling import Scaling
-from asia.models._data.stretches import left_out_error, segments, simulation_error
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._noise.choice import refuse_noise
-from asia.models._one_step.free_model import (
+from asia.models._noise.model import refuse_noise
+from asia.models._numerics.gaps import has_gaps, reconstructed
+from asia.models._numerics.lags import Lags, OutputRange, fit_history
+from asia.models._numerics.records import ScaledData, Scaling, check, past_length, scaled
+from asia.models._numerics.segments import left_out_error, segments, simulation_error
+from asia.models._one_step import (
     RIDGES,
     FreeRunModel,
     LagChoice,
-    choose_lags,
-    selection,
-    usable,
-)
-from asia.models._one_step.polynomial import (
     Polynomial,
     PolynomialRun,
     Terms,
     all_terms,
+    choose_lags,
     equations,
     refine,
     refinement_samples,
+    selection,
     solve,
+    usable,
 )
 from asia.models.methods import LeastSquares
 

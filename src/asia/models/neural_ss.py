@@ -17,26 +17,30 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
 from asia.models._arrays import AnyArray, tree_size
 from asia.models._config import check_at_least, demand
-from asia.models._data.encoder import affine
-from asia.models._data.records import (
-    ScaledData,
-    check,
-    scaled,
-)
-from asia.models._data.turns import SignalTurns, TurnedData
-from asia.models._data.windows import cut_windows
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import Refinement, encoder_of
 from asia.models._linear.windows import WindowPredictor
-from asia.models._state_space.by_adam import encoded, fit_by_adam, fit_encoded
-from asia.models._state_space.fitted import FittedStateSpace, StateCell, carried_records
-from asia.models._state_space.starts import encoded_at_rest, starts_of, symmetric
+from asia.models._numerics.encoder import affine
+from asia.models._numerics.records import ScaledData, check, cut_windows, scaled
+from asia.models._numerics.symmetry import SignalTransformations, TransformedRecords
+from asia.models._state_space.model import (
+    FittedStateSpace,
+    StateCell,
+    carried_records,
+    encoded,
+    encoded_at_rest,
+    fit_by_adam,
+    fit_encoded,
+    starts_of,
+    symmetric,
+)
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
-from asia.models.methods import Adam, LevenbergMarquardt
+from asia.models.methods import Adam
 
 _LINEAR = ("a", "b", "c", "d", "offset")
 _NONLINEAR = ("f", "s", "r", "read", "act", "dry", "play")
@@ -187,7 +191,9 @@ def train(
         demand(c, "pieces", not c.pieces, "False with Adam")
         demand(c, "past_fit", not c.past_fit, "False with Adam")
     turned = c.symmetry or (isinstance(method, Adam) and method.symmetry)
-    data = TurnedData.of(trajectories, SignalTurns.of(context) if turned else None)
+    data = TransformedRecords.of(
+        trajectories, SignalTransformations.of(context) if turned else None
+    )
     choice = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
     if c.integrators and data.turns is None:
         still = linear.scaling_of(trajectories, context, choice)
@@ -220,14 +226,14 @@ def _train_carried(
 
 
 def _train_records(
-    c: Config, data: TurnedData, context: Context, method: LevenbergMarquardt | Adam
+    c: Config, data: TransformedRecords, context: Context, method: LevenbergMarquardt | Adam
 ) -> tuple[FittedStateSpace, float]:
     """Train on whole records; return the least cost with Levenberg-Marquardt too."""
     least = (1 if c.friction or c.play else 2) + (c.integrators > 0)
     choice = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
     found, delay, used = linear.fit_of_least_order(data.records, context, choice, least)
     if data.turns is not None:
-        used = data.with_turned(used)
+        used = data.with_transformed(used)
         found = symmetric(found, used, data.copies, Refinement(integrators=c.integrators))
     structure = StateSpaceStructure(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
@@ -235,7 +241,7 @@ def _train_records(
     )  # fmt: skip
     structure = replace(structure, friction=c.friction, play=c.play, integrators=c.integrators)
     if isinstance(method, LevenbergMarquardt):
-        from asia.models._state_space.by_lm import LmOptions, fit_members
+        from asia.models._state_space.model import LmOptions, fit_members
 
         options = LmOptions(
             _ridges(c), c.members, c.encoder, c.pieces, c.past_fit, seed=context.seed
@@ -263,7 +269,7 @@ def _windowed_start(
 def _train_windowed(
     model: NeuralStateSpace,
     predictor: WindowPredictor,
-    data: TurnedData,
+    data: TransformedRecords,
     context: Context,
     method: LevenbergMarquardt | Adam,
 ) -> NeuralStateSpace:

@@ -16,16 +16,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from asia.candidate import Context
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear
 from asia.models._arrays import AnyArray
 from asia.models._config import check_at_least
-from asia.models._data.records import check, scaled
-from asia.models._data.stretches import window_pieces
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import Refinement
-from asia.models._state_space.fitted import FittedStateSpace
-from asia.models.methods import LevenbergMarquardt
+from asia.models._numerics.records import check, scaled
+from asia.models._numerics.segments import window_segments
+from asia.models._state_space.model import FittedStateSpace
 
 # Greatest number of windows for a problem with a horizon; each has its own initial state.
 _WINDOWS = 40
@@ -134,11 +134,11 @@ def train(
     Raises:
         UserError: for records too short or mis-shaped.
     """
-    from asia.models._state_space.feedback.fit import FeedbackOptions, LinearCore, fit_feedback
+    from asia.models._state_space.feedback import FeedbackOptions, LinearCore, fit_feedback
 
     check(trajectories, context)
     c = model.config
-    pieces = window_pieces(trajectories, context, _WINDOWS)
+    pieces = window_segments(trajectories, context, _WINDOWS)
     plain = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
     scaling = linear.scaling_of(pieces, context, plain)
     records = scaled(pieces, scaling)

@@ -21,25 +21,20 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import VALIDATION_SCORES, Context
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models import recurrent
 from asia.models._arrays import AnyArray
 from asia.models._config import check_at_least, check_choice, demand
-from asia.models._data.records import check, past_length, scaled
-from asia.models._data.scaling import Scaling
-from asia.models._data.windows import whole_windows
 from asia.models._equations.config import Range
-from asia.models._equations.measured_cell import (
+from asia.models._equations.measured import (
     Disturbance,
     InputLag,
+    LimitedScore,
     MeasuredCell,
     MeasuredEquations,
     NetworkKind,
     TermNetwork,
-)
-from asia.models._equations.measured_sizes import (
-    LimitedScore,
     made_by_inputs,
     measured_sizes,
     most_probable,
@@ -48,11 +43,13 @@ from asia.models._equations.measured_sizes import (
     single_precision,
 )
 from asia.models._equations.ode import Equations, equations
-from asia.models._networks.layers import dense, zeros
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._networks.network import NetworkModel, as_built, train_network
-from asia.models._noise.choice import refuse_noise
-from asia.models.methods import LevenbergMarquardt, NetworkMethod
-from asia.problem.physics.expressions import parse_expression
+from asia.models._networks.structure import dense, zeros
+from asia.models._noise.model import refuse_noise
+from asia.models._numerics.records import Scaling, check, past_length, scaled, whole_windows
+from asia.models.methods import NetworkMethod
+from asia.problem.physics import parse_expression
 
 __all__ = ["Config", "build", "train"]
 

@@ -14,15 +14,21 @@ from typing import Any, Literal
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Trajectory
+from asia.data.trajectory import Trajectory
 from asia.models._arrays import AnyArray, gates, namespace, relu, split
 from asia.models._config import check_at_least, check_choice
-from asia.models._data.records import window_size
-from asia.models._networks.family import Driven, network_family
-from asia.models._networks.features import check_features, drive_size
-from asia.models._networks.layers import Float32, dense, linear_output, uniform, zeros
-from asia.models._networks.network import NetworkModel, Prepare, as_built
-from asia.models._networks.structure import Params
+from asia.models._networks.network import Driven, NetworkModel, Prepare, as_built, network_family
+from asia.models._networks.structure import (
+    Float32,
+    Params,
+    check_features,
+    dense,
+    drive_size,
+    linear_output,
+    uniform,
+    zeros,
+)
+from asia.models._numerics.records import window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
@@ -55,7 +61,7 @@ class Config:
     solves the output layer by ridge regression; "uniform" draws all weights within
     1 / sqrt(fan-in), as PyTorch does."""
     features: tuple[str, ...] = ()
-    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
+    """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
 
     def __post_init__(self) -> None:
         check_choice(self, "cell", tuple(_GATES))

@@ -19,23 +19,25 @@ from typing import Any, Literal
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.models import linear
 from asia.models._arrays import AnyArray, bounded, namespace
 from asia.models._config import check_at_least, check_choice, demand
-from asia.models._data.records import ScaledData, window_size
-from asia.models._data.scaling import Scaling
-from asia.models._data.windows import cut_windows
-from asia.models._linear.drift import drift_shift
-from asia.models._linear.fit import Refinement, encoder_of
-from asia.models._linear.integrators import free_entries, held_entries
+from asia.models._linear.fit import Refinement, drift_shift, encoder_of, free_entries, held_entries
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowLags, one_step
-from asia.models._networks.family import Driven, network_family
-from asia.models._networks.features import check_features, drive_size
-from asia.models._networks.layers import dense, log_spaced, mlp, mlp_params, zeros
-from asia.models._networks.network import NetworkModel, Prepare, as_built
-from asia.models._networks.structure import Params
+from asia.models._networks.network import Driven, NetworkModel, Prepare, as_built, network_family
+from asia.models._networks.structure import (
+    Params,
+    check_features,
+    dense,
+    drive_size,
+    log_spaced,
+    mlp,
+    mlp_params,
+    zeros,
+)
+from asia.models._numerics.records import ScaledData, Scaling, cut_windows, window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
@@ -61,7 +63,7 @@ class Config:
     horizon, at one whose state holds the last outputs, if there are enough states for one sample
     of them; "random" starts from time constants between 1 and 100 samples."""
     features: tuple[str, ...] = ()
-    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
+    """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
     integrators: int = 0
     """Free integrators: the last of the states, whose pole is held at 1 and which f and h do not
     read."""

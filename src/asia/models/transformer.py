@@ -18,12 +18,19 @@ import numpy as np
 from asia.candidate import Context
 from asia.models._arrays import AnyArray, gelu, namespace, softmax, split
 from asia.models._config import check_at_least, demand
-from asia.models._data.records import window_size
-from asia.models._networks.family import Driven, network_family
-from asia.models._networks.features import check_features, drive_size
-from asia.models._networks.layers import Float32, dense, mlp, mlp_params, normalised, zeros
-from asia.models._networks.network import NetworkModel
-from asia.models._networks.structure import Params
+from asia.models._networks.network import Driven, NetworkModel, network_family
+from asia.models._networks.structure import (
+    Float32,
+    Params,
+    check_features,
+    dense,
+    drive_size,
+    mlp,
+    mlp_params,
+    normalised,
+    zeros,
+)
+from asia.models._numerics.records import window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 
@@ -49,7 +56,7 @@ class Config:
     encoder: int = 32
     """Units of the network that makes the token of the past window."""
     features: tuple[str, ...] = ()
-    """Functions of the inputs offered beside them, see `asia.models._networks.features`."""
+    """Functions of the inputs offered beside them, see `asia.models._networks.structure`."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "layers", "heads", "width", "inner", "encoder")

@@ -22,8 +22,8 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
-from asia.data import Array
-from asia.models._noise.process import ResidualProcess
+from asia.data.trajectory import Array
+from asia.models._noise.model import ResidualProcess
 
 __all__ = ["Covariance", "PriorPenalty", "estimates", "gradient", "jacobians_of", "sandwich"]
 

@@ -3,9 +3,9 @@
 Reading problems from disk lives in `asia.problem.load`.
 """
 
-from asia.data import Array, Signal, Trajectory
-from asia.problem._budget import Budget
-from asia.problem.physics.types import Bounds, Correction, ParameterRange, Physics, Prior
+from asia.data.trajectory import Array, Signal, Trajectory
+from asia.problem.budget import Budget
+from asia.problem.physics import Bounds, Correction, ParameterRange, Physics, Prior
 
 __all__ = [
     "Array",

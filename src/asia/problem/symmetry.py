@@ -10,10 +10,10 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from asia._nearest import suggestion
-from asia.data import Array
+from asia._text import suggestion
+from asia.data.trajectory import Array
 from asia.errors import UserError
-from asia.problem.physics.types import Physics
+from asia.problem.physics import Physics
 
 Symmetry = Mapping[str, Mapping[str, str]]
 """Generators by name: each signal's new value, the name of a signal with or without a minus."""

@@ -9,14 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from asia.report._board import (
-    Board,
-    OfficialFigure,
-    Standing,
-    official_figures,
-    read_board,
-)
-from asia.report._comparison import (
+from asia.report.comparison import (
     ArmCurves,
     ArmsPicture,
     BenchPictures,
@@ -24,13 +17,21 @@ from asia.report._comparison import (
     Curve,
     PublishedMee,
 )
-from asia.report._leaderboard import Entry, leaderboard
-from asia.report._simulated import SimulatedCase, SimulatedCases, simulated_cases
+from asia.report.published import (
+    Board,
+    Entry,
+    OfficialFigure,
+    Standing,
+    leaderboard,
+    official_figures,
+    read_board,
+)
+from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
 
 if TYPE_CHECKING:
-    from asia.problem.load import Problem
-    from asia.report._page import PublishedRuns
-    from asia.scoring.dossier import Check
+    from asia.judge.scoring.checks.check import Check
+    from asia.problem.problem import Problem
+    from asia.report.page.page import PublishedRuns
 
 __all__ = [
     "ArmCurves",
@@ -56,11 +57,11 @@ __all__ = [
     "read_board",
     "simulated_cases",
     "write_bundle",
-    "write_dossier",
     "write_figures",
     "write_page",
     "write_report",
     "write_tables",
+    "write_validation",
 ]
 
 
@@ -76,25 +77,25 @@ def write_report(
     the test was opened. Returns the paths written. Raises UserError when `directory` is not a run,
     or its records, artifacts or training data are not what they were.
     """
-    from asia.report._write import write
+    from asia.report.files import write
 
     return write(directory, missing_only=missing_only, failed=failed)
 
 
-def write_dossier(
+def write_validation(
     directory: Path, checks: Sequence[Check], title: str, failed: list[str] | None = None
 ) -> tuple[Path, ...]:
     """Draw the checks of a dossier into `<directory>/report` as validation.png and validation.pdf.
     failed: as in `write_report`. Returns the paths written."""
-    from asia.report._write import write_dossier
+    from asia.report.files import write_validation
 
-    return write_dossier(directory, checks, title, failed)
+    return write_validation(directory, checks, title, failed)
 
 
 def brief_html(directory: Path) -> str:
     """The run in `directory` for a notebook: V, the model to use, the problem's equations and the
     simulation of held-out parts as a picture. Raises UserError when `directory` is not a run."""
-    from asia.report._brief import brief_html
+    from asia.report.brief import brief_html
 
     return brief_html(directory)
 
@@ -107,7 +108,7 @@ def write_page(directory: Path) -> Path:
     not what they were, and InternalError, before anything is written, where a number of the page is
     not what the ledger says.
     """
-    from asia.report._page import write_page
+    from asia.report.page.page import write_page
 
     return write_page(directory)
 
@@ -116,7 +117,7 @@ def write_bundle(runs: Path, directory: Path) -> PublishedRuns:
     """A static site of the runs below `runs` into `directory`, to publish: `index.html` and a page
     for each run. Runs whose data or artifacts are not what they were are left out, and named.
     Raises UserError where there is no run."""
-    from asia.report._page import write_bundle
+    from asia.report.page.page import write_bundle
 
     return write_bundle(runs, directory)
 
@@ -125,7 +126,7 @@ def write_figures(run_directory: Path, directory: Path) -> tuple[Path, ...]:
     """The pictures of a run for a paper, into `directory`, each as PDF, SVG and PNG: as wide as a
     column (3.5 inches) where the picture has one column of panels, else as a page with two columns
     (7.16 inches). Returns the paths written. Raises UserError as `write_report`."""
-    from asia.report._paper.figures import write_figures
+    from asia.report.paper.figures import write_figures
 
     return write_figures(run_directory, directory)
 
@@ -134,7 +135,7 @@ def write_tables(run_directory: Path, directory: Path) -> tuple[Path, ...]:
     """LaTeX tables of a run into `directory`: `experiments.tex`, `winner.tex`, and `test.tex` once
     the test was opened. Returns the paths written. Raises UserError when `run_directory` is not a
     run."""
-    from asia.report._paper.tables import write_tables
+    from asia.report.paper.text import write_tables
 
     return write_tables(run_directory, directory)
 
@@ -148,7 +149,7 @@ def methods_paragraph(directory: Path) -> str:
     Raises:
         UserError: the directory is not a run.
     """
-    from asia.report._paper.methods import methods_paragraph
+    from asia.report.paper.text import methods_paragraph
 
     return methods_paragraph(directory)
 
@@ -163,7 +164,7 @@ def draw_problem(
     failed: as in `write_report`. Returns the paths written. Raises UserError when the records do
     not make folds.
     """
-    from asia.report._write import write_problem
+    from asia.report.files import write_problem
 
     return write_problem(problem, directory, failed)
 
@@ -171,8 +172,8 @@ def draw_problem(
 def draw_all_boards(boards: Sequence[Board], title: str, directory: Path) -> tuple[Path, ...]:
     """Published results of benchmarks with ours among them, `directory/boards.png` and `.pdf`; none
     where no board has a published result. Returns the paths written."""
-    from asia.report._pictures.boards import draw_boards
-    from asia.report._write import save
+    from asia.report.files import save
+    from asia.report.pictures.leaderboard import draw_boards
 
     shown = [board for board in boards if board.entries]
     if not shown:
@@ -183,7 +184,7 @@ def draw_all_boards(boards: Sequence[Board], title: str, directory: Path) -> tup
 def draw_cases(cases: SimulatedCases) -> dict[str, bytes]:
     """Two pictures as PNG: `simulation`, each fold's model on the cases, and `residuals`, along the
     output, with their own past and with the inputs."""
-    from asia.report._write import as_png
+    from asia.report.files import as_png
 
     return as_png(cases)
 
@@ -193,6 +194,6 @@ def draw_bench(pictures: BenchPictures, directory: Path) -> tuple[Path, ...]:
 
     Returns the paths written. Raises UserError when a run named in `pictures` is not what it was.
     """
-    from asia.report._bench import write_bench
+    from asia.report.pictures.bench import write_bench
 
     return write_bench(pictures, directory)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 
-from asia.ledger import Event, Exchanged
+from asia.ledger.events import Event, Exchanged
 
 
 @dataclass

@@ -10,7 +10,7 @@ from asia.agents import Agent, AgentView, Effort, Facts, Proposal, Trial
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.candidate import source_digest
 from asia.data import Signal, Trajectory
-from asia.ledger import Diagnostics
+from asia.judge.scoring.residuals import Diagnostics
 from asia.problem import ParameterRange, Physics
 
 CLEAN = Diagnostics(0.1, 0.0, 0.1, 0.05, 1.0, 1.0, 1.0, 0.05)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from asia.agents import Agent, AgentView, BayesAgent, ExpertAgent, Proposal, RandomAgent, Running
-from asia.agents.controls.bayes import _as_asked, _study  # pyright: ignore[reportPrivateUsage]
-from asia.agents.library.table import families
-from asia.agents.llm.search import Task, search_text, task_of
+from asia.agents.bayes import _as_asked, _study  # pyright: ignore[reportPrivateUsage]
+from asia.agents.library.registry import families
+from asia.agents.llm.prompt import Task, search_text, task_of
 from asia.candidate import source_digest
 
 from .searches import simulation, view

@@ -8,7 +8,7 @@ import pytest
 from asia.agents import ExpertAgent, Facts, Proposal, Trial
 from asia.agents.expert import agent
 from asia.agents.expert.allocation import Allocation
-from asia.agents.library.table import families, family
+from asia.agents.library.registry import families, family
 
 from .searches import by_luck, recipe_of, search, simulation, trial, view, windows
 

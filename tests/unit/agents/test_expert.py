@@ -7,17 +7,15 @@ import pytest
 
 from asia.agents import AgentStoppedError, AgentView, ExpertAgent, Facts, Proposal, Trial
 from asia.agents.expert import agent
-from asia.agents.expert.course import COURSE_MOVES
+from asia.agents.expert.diagnosis import COURSE_MOVES
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.titles import plain_title, title_of
 from asia.agents.library.cards import neural_ss
 from asia.agents.library.cost import Timing
-from asia.agents.library.evidence import overfit, plateau_share
 from asia.agents.library.move import Situation
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.records.levels import noise_of_periods
-from asia.agents.library.records.switching import Switching
-from asia.agents.library.table import families, family
+from asia.agents.library.records import Switching, noise_of_periods, overfit, plateau_share
+from asia.agents.library.registry import families, family
 from asia.data import Trajectory
 from tests.unit.agents.records.test_relation import closed_loop, facts, lagged
 from tests.unit.agents.searches import (

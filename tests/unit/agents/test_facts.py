@@ -6,8 +6,8 @@ from asia.agents import Effort
 from asia.agents.library.traits import traits
 from asia.problem import Physics
 from asia.problem.load import load_problem
-from asia.protocol import FoldRule, Group, ProtocolRule
-from asia.search import problem_facts
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
+from asia.search.agent_views import problem_facts
 from tests.unit.agents.searches import simulation, windows
 
 

@@ -8,14 +8,19 @@ from dataclasses import replace
 import pytest
 
 from asia.agents import AgentView, LlmAgent, LlmSettings, Trial
-from asia.agents.library.table import families
-from asia.agents.llm.anonymous import anonymous
+from asia.agents.library.registry import families
 from asia.agents.llm.client import Answer
-from asia.agents.llm.problem import problem_text
-from asia.agents.llm.search import Task, search_text, task_of
-from asia.agents.llm.text import fenced, quoted
+from asia.agents.llm.prompt import (
+    Task,
+    anonymous,
+    fenced,
+    problem_text,
+    quoted,
+    search_text,
+    task_of,
+)
 from asia.data import Signal
-from asia.ledger import error_line
+from asia.ledger.exports import error_line
 from asia.problem import Prior
 from asia.testing import check_agent
 

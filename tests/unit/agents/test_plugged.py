@@ -18,12 +18,12 @@ from asia.agents import (
     recorded_agent,
 )
 from asia.agents.expert.moves import all_moves
-from asia.agents.library.table import all_cards, all_families, families
-from asia.agents.llm.problem import library
+from asia.agents.library.registry import all_cards, all_families, families
+from asia.agents.llm.prompt import library
 from asia.candidate import check_source
 from asia.errors import UserError
 from asia.testing import check_agent
-from asia.testing._family import check_recipe
+from asia.testing.family import check_recipe
 from tests.unit.agents.searches import recipe_of, search, simulation
 
 MODEL = """
@@ -37,7 +37,9 @@ def build(config, context): ...
 def train(model, trajectories, context, method): ...
 """
 CARD = """
-from asia.agents.library import Card, Family, Move, Recipe, Space, Span
+from asia.agents.library.card import Card; from asia.agents.library.family import Family; from
+asia.agents.library.move import Move; from asia.agents.library.recipe import Recipe; from
+asia.agents.library.space import Space, Span
 
 def start(facts):
     return Recipe("static_gain", (("gain", 1.0),), "LeastSquares", (("ridge", None),))
@@ -190,6 +192,6 @@ def test_an_external_proposer_is_not_asked_again() -> None:
 
 
 def test_an_agent_without_a_control_is_built_in() -> None:
-    from asia.ledger._control import FREE
+    from asia.ledger.run import FREE
 
     assert set(FREE) <= set(AGENTS)

@@ -3,7 +3,7 @@
 import pytest
 
 from asia.agents import RandomAgent, make_agent
-from asia.agents.library.table import families
+from asia.agents.library.registry import families
 from asia.errors import UserError
 from tests.unit.agents.searches import recipe_of, search, simulation, view, windows
 

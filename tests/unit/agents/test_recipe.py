@@ -3,9 +3,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.agents.library.recipe import Recipe, read_recipe
-from asia.agents.library.table import all_families
+from asia.agents.library.registry import all_families
 from asia.candidate import check_source, source_digest
-from asia.evaluation import LINEAR
+from asia.judge.evaluation.references import LINEAR
 
 METHODS = ["Adam", "LBFGS", "LevenbergMarquardt", "LeastSquares", "MultipleShooting", "Anything"]
 

@@ -11,15 +11,22 @@ import pytest
 
 import asia
 from asia.agents import ExpertAgent, Facts
-from asia.agents.controls.paper import paper_families
-from asia.agents.controls.random import _drawn
 from asia.agents.library.protocol import under_protocol
-from asia.agents.library.table import all_families
-from asia.agents.llm.problem import EXAMPLE
-from asia.candidate import check_source, executed_source, source_digest
-from asia.candidate._lint import MOST_ALIKE, MOST_CODE, MOST_LITERALS, MOST_NAMES, content
+from asia.agents.library.registry import all_families
+from asia.agents.llm.prompt import EXAMPLE
+from asia.agents.random import _drawn, paper_families
+from asia.candidate import (
+    MOST_ALIKE,
+    MOST_CODE,
+    MOST_LITERALS,
+    MOST_NAMES,
+    check_source,
+    content,
+    executed_source,
+    source_digest,
+)
 from asia.errors import CandidateError, Reason
-from asia.evaluation import LINEAR
+from asia.judge.evaluation.references import LINEAR
 from tests.unit.agents.searches import body, search, simulation, windows
 
 FIT = "def fit(trajectories, context):\n    return TABLE\n"

@@ -1,6 +1,6 @@
 import pytest
 
-from asia.agents.library import read_recipe
+from asia.agents.library.recipe import read_recipe
 from asia.candidate import check_source, executed_source, imported_libraries, source_digest
 from asia.errors import CandidateError, Reason
 

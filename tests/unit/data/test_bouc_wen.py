@@ -7,7 +7,8 @@ import pytest
 
 from asia.data import Signal
 from asia.data.sources import Channels
-from asia.data.sources.simulated import Simulated, bouc_wen
+from asia.data.sources.simulated import bouc_wen
+from asia.data.sources.simulated.source import Simulated
 from asia.testing import check_source
 
 CHANNELS = Channels((Signal("force"),), (Signal("displacement"),), 1 / 750)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.data import Trajectory
-from asia.data._copies import samples_outside, shared_samples
+from asia.data.relations import samples_outside, shared_samples
 
 
 def brute(test: list[Trajectory], train: list[Trajectory]) -> int:

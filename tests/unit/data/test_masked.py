@@ -11,10 +11,11 @@ from asia.data import Array, Trajectory, data_digest
 from asia.data.intake.records import take_in
 from asia.data.intake.sheet import Wanted
 from asia.errors import UserError
-from asia.problem.load import init_problem, load_problem
-from asia.problem.new.text import record_csv
-from asia.protocol import FoldRule, OutputGroup, ProtocolRule, find_metric, make_folds, whole
-from asia.scoring import fit_index, mee_table, score_fold, score_test, without_gaps
+from asia.judge.scoring.outcome import fit_index, mee_table, score_fold, score_test, without_gaps
+from asia.problem.create import init_problem, record_csv
+from asia.problem.load import load_problem
+from asia.problem.metrics import find_metric
+from asia.problem.protocol import FoldRule, OutputGroup, ProtocolRule, make_folds, whole
 
 NAN = float("nan")
 

@@ -14,11 +14,10 @@ from scipy.io import loadmat
 
 from asia.data import Signal, Trajectory
 from asia.data.sources import Channels, Subset
-from asia.data.sources.official import LAYOUTS, OfficialBenchmark
-from asia.data.sources.official.files import PublishedFile
+from asia.data.sources.official import LAYOUTS, OfficialBenchmark, PublishedFile
 from asia.errors import UserError
 from asia.problem.load import load_problem
-from asia.protocol import make_folds
+from asia.problem.protocol import make_folds
 from asia.testing import check_source
 from tests.official_data import WRITERS
 
@@ -194,7 +193,7 @@ def test_a_download_is_kept_only_with_its_digest(
 ) -> None:
     import hashlib
 
-    from asia.data.sources.official.files import check_files
+    from asia.data.sources.official import check_files
 
     served = tmp_path / "served.npy"
     served.write_bytes(b"numbers")

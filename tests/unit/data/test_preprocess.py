@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 
 from asia.data import Signal, Trajectory, data_digest
-from asia.data._delay import find_delay
-from asia.data._preprocess import Preprocess
+from asia.data.preprocess import Preprocess
+from asia.data.relations import find_delay
 from asia.errors import UserError
-from asia.ledger import Run
-from asia.problem._problem import Problem
-from asia.problem.load import Preparation, init_problem, load_lock, load_problem, lock_text
-from asia.protocol import Case
-from asia.seal._test import open_test, seal
-from asia.search import _simulate
+from asia.ledger.run import Run
+from asia.problem.create import Preparation, init_problem
+from asia.problem.load import load_lock, load_problem
+from asia.problem.lock import lock_text
+from asia.problem.problem import Problem
+from asia.problem.protocol import Case
+from asia.problem.seal import open_test, seal
+from asia.search import simulation
 
 U, Y = (Signal("u", "V"),), (Signal("y", "m"),)
 
@@ -86,7 +88,7 @@ def test_model_inputs_and_outputs(made: Path) -> None:
     start = 3 + 2 * past
     run = type("Named", (), {"name": "run"})()
     assert not isinstance(run, Run)
-    block = _simulate._block(run, problem, raw.u[:start], raw.y[3:start], raw.u[start:])
+    block = simulation._block(run, problem, raw.u[:start], raw.y[3:start], raw.u[start:])
     case: Case = block.case
     count = len(test) - past
     assert np.array_equal(case.past_u, test.u[:past])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asia.data import Trajectory
-from asia.data._transport import Transport, find_transport
+from asia.data.relations import Transport, find_transport
 from tests.unit.models.systems.transport import belt
 
 

@@ -13,8 +13,8 @@ import pytest
 
 from asia.data import Signal, Trajectory, sources
 from asia.problem import Budget
-from asia.problem.physics.expressions import FUNCTIONS
-from asia.protocol import ProtocolRule
+from asia.problem.physics import FUNCTIONS
+from asia.problem.protocol import ProtocolRule
 from asia.testing import check_source
 
 ROOT = Path(__file__).parents[3]

@@ -46,7 +46,7 @@ PRINTED = install_lines("src/**/*.py")
 
 def test_pages_and_messages_name_extras_that_exist() -> None:
     named = {extra for words in (*DOCUMENTED, *PRINTED) for extra in extras_of(words)}
-    assert named - {"{extra}"} <= set(EXTRAS)  # asia.data.intake.extras names the extra of a file
+    assert named - {"{extra}"} <= set(EXTRAS)  # asia.data.intake.formats names the extra of a file
 
 
 def test_extras_are_installed_from_the_clone_in_quotes() -> None:

@@ -9,10 +9,12 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
-from asia.data._transport import Transport
-from asia.export import ExportModel, Ready, TrainingWindow
-from asia.lowering import LoweredModel, unpack
+from asia.data.relations import Transport
+from asia.export.model import ExportModel, TrainingWindow
+from asia.export.pipeline import Ready
+from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered_bytes
+from asia.lowering.wire import unpack
 from asia.models import (
     autoregressive,
     cascaded_ltc,
@@ -27,13 +29,12 @@ from asia.models import (
     subnet,
     transformer,
 )
-from asia.models._data.encoder import affine
-from asia.models._data.lags import FreeRun, History, Lags, OutputRange
-from asia.models._data.scaling import Scaling
 from asia.models._linear.system import LinearSystem
-from asia.models._one_step.free_model import FreeRunModel
-from asia.models._one_step.polynomial import Polynomial, all_terms
-from asia.models._state_space.fitted import FittedStateSpace
+from asia.models._numerics.encoder import affine
+from asia.models._numerics.lags import FreeRun, History, Lags, OutputRange
+from asia.models._numerics.records import Scaling
+from asia.models._one_step import FreeRunModel, Polynomial, all_terms
+from asia.models._state_space.model import FittedStateSpace
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.gp_narx import GaussianPredictor, OutputProcess
 

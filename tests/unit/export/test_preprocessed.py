@@ -11,11 +11,11 @@ import pytest
 
 import asia
 from asia.data import Array
-from asia.data._preprocess import Preprocess
+from asia.data.preprocess import Preprocess
 from asia.errors import UserError
-from asia.export._preprocessed import kept_delays, measured, measured_window
-from asia.lowering import simulate
-from tests.unit.cli.conftest import command_line
+from asia.export.pipeline import kept_delays, measured, measured_window
+from asia.lowering.evaluation import simulate
+from tests.unit.interfaces.cli.conftest import command_line
 
 from .models import CONTEXT, MODELS, PAST, ready
 

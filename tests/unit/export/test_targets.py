@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from asia.errors import UserError
-from asia.export import TARGETS, Ready, write
-from asia.export._composed import weighted_mean
+from asia.export.pipeline import Ready, weighted_mean, write
+from asia.export.registry import TARGETS
 from asia.export.targets.c import FLAGS, c_compiler
-from asia.lowering import Builder, LoweredModel, simulate
+from asia.lowering.evaluation import simulate
+from asia.lowering.program import Builder, LoweredModel
 
 from .models import MODELS, NU, NY, lowered_model, ready
 

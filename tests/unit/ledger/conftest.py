@@ -5,9 +5,11 @@ from pathlib import Path
 import pytest
 
 from asia.errors import Reason
-from asia.ledger import (
-    Chain,
-    Diagnostics,
+from asia.judge.scoring.outcome import Failure, FoldScore, Score
+from asia.judge.scoring.residuals import Diagnostics
+from asia.ledger.artifacts import Store
+from asia.ledger.chain import Chain
+from asia.ledger.events import (
     Evaluated,
     Event,
     FoldEvidence,
@@ -16,9 +18,7 @@ from asia.ledger import (
     Started,
     Steered,
     Stopped,
-    Store,
 )
-from asia.scoring import Failure, FoldScore, Score
 
 
 def score(value: float) -> Score:

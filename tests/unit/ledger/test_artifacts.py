@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from asia.errors import UserError
-from asia.ledger import Store
-from asia.ledger._artifacts import Artifacts
+from asia.ledger.artifacts import Artifacts, Store
 
 
 @pytest.fixture(params=[4, 512], ids=["shared", "here"])
@@ -14,7 +13,7 @@ def kept(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> list[Path]:
     """Thirty files, the last of them of more than one read."""
-    monkeypatch.setattr("asia.ledger._artifacts._BATCH", request.param)
+    monkeypatch.setattr("asia.ledger.artifacts._BATCH", request.param)
     store = Store(tmp_path / "artifacts")
     names = [store.put(bytes([n]) * (300_000 if n == 29 else n)) for n in range(30)]
     return [tmp_path / "artifacts" / name for name in names]

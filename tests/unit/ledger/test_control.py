@@ -5,7 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from asia.ledger import Chain, Control, Stopped, Store, control, control_words
+from asia.ledger.artifacts import Store
+from asia.ledger.chain import Chain
+from asia.ledger.events import Stopped
+from asia.ledger.run import Control, control, control_text
 
 from .conftest import evaluated, proposed, score, started
 
@@ -36,7 +39,7 @@ def test_the_same_seed_counts_and_no_more_than_the_same_experiments(tmp_path: Pa
     expert(tmp_path, 1, [0.5, 0.4, 0.3])
     found = control(tmp_path / "paid", PAID, 2)
     assert found == Control("expert-1", 0.4, 2)
-    assert "the same 2 experiments: V=0.4000 (expert-1)" in control_words(found, PAID)
+    assert "the same 2 experiments: V=0.4000 (expert-1)" in control_text(found, PAID)
 
 
 @pytest.mark.parametrize(("reason", "counts"), [("budget", True), (None, False)])

@@ -7,31 +7,25 @@ import pytest
 
 from asia.data import Signal
 from asia.errors import Reason
-from asia.evaluation import FoldFindings, StepErrors
-from asia.ledger import (
-    Diagnostics,
-    Evaluated,
-    Experiment,
-    FoldEvidence,
-    Retest,
+from asia.judge.evaluation.results import FoldFindings, StepErrors
+from asia.judge.scoring.outcome import Failure, FoldScore, Score
+from asia.judge.scoring.residuals import Diagnostics, PartKind, SignedResidual
+from asia.ledger.artifacts import Store
+from asia.ledger.events import Evaluated, FoldEvidence, Retest
+from asia.ledger.evidence import (
+    ParameterSpread,
     RunSettings,
-    SearchView,
-    Store,
     evidence_lines,
     evidence_of,
     findings_of,
+    last_lines,
     noise_of_repeats,
-    published,
-    put_findings,
-    replay,
-)
-from asia.ledger.evidence.agreement import (
-    ParameterSpread,
+    parameter_lines,
     parameter_spreads,
+    put_findings,
     shared_residuals,
 )
-from asia.ledger.evidence.words import last_lines, parameter_lines
-from asia.scoring import Failure, FoldScore, PartKind, Score, SignedResidual
+from asia.ledger.view import Experiment, SearchView, published, replay
 
 from .conftest import proposed, started
 

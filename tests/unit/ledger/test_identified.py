@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
-from asia.ledger import (
+from asia.ledger.artifacts import Store
+from asia.ledger.evidence import (
     EstimatedModel,
     EstimatedParameter,
     IdentifiedModel,
     IdentifiedParameter,
-    Store,
-    beside_folds,
     get_estimates,
     identified_lines,
     identified_object,
     put_estimates,
+    with_fold_values,
 )
 
 INF = float("inf")
@@ -124,6 +124,9 @@ def test_the_widest_source_decides_the_interval_to_quote() -> None:
 
 
 def test_the_jackknife_measures_the_fold_models_around_the_fitted_value() -> None:
-    rows = beside_folds(EstimatedModel((fitted(),), ((1.0,),), ()), [{"k": 0.4}, {"k": 0.8}])
+    rows = with_fold_values(EstimatedModel((fitted(),), ((1.0,),), ()), [{"k": 0.4}, {"k": 0.8}])
     assert rows[0].fold_error == pytest.approx(math.sqrt(0.5 * (0.1**2 + 0.3**2)))
-    assert beside_folds(EstimatedModel((fitted(),), ((1.0,),), ()), [{"k": 0.4}, {}])[0].folds == ()
+    assert (
+        with_fold_values(EstimatedModel((fitted(),), ((1.0,),), ()), [{"k": 0.4}, {}])[0].folds
+        == ()
+    )

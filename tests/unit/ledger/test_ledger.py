@@ -6,22 +6,14 @@ import numpy as np
 import pytest
 
 from asia.errors import UserError
-from asia.ledger import (
-    Chain,
-    Retest,
-    Store,
-    Unsealed,
-    describe_result,
-    find_run,
-    journal,
-    open_run,
-    results_table,
-    verify,
-)
-from asia.ledger import TestedModel as Record
-from asia.ledger._chain import read_lines
-from asia.ledger._events import Started, adapter
-from asia.search._run import check_same_search
+from asia.ledger.artifacts import Store
+from asia.ledger.chain import Chain, read_lines
+from asia.ledger.events import Retest, Started, Unsealed, adapter
+from asia.ledger.events import TestedModel as Record
+from asia.ledger.exports import describe_result, journal, results_table
+from asia.ledger.run import find_run, open_run
+from asia.ledger.verification import verify
+from asia.search.run import check_same_search
 
 from .conftest import evaluated, finished_run, proposed, score, started
 

@@ -12,23 +12,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from asia.errors import UserError
-from asia.ledger import (
-    Chain,
-    Diagnostics,
-    Evaluated,
-    Event,
-    FoldEvidence,
-    Follower,
-    Steered,
-    Stopped,
-    Store,
-    brief,
-    open_run,
-    read_lines,
-    verify,
-)
-from asia.ledger._lines import BEGIN, LINE_LIMIT, decode, encode
-from asia.scoring import FoldScore, Score
+from asia.judge.scoring.outcome import FoldScore, Score
+from asia.judge.scoring.residuals import Diagnostics
+from asia.ledger.artifacts import Store
+from asia.ledger.chain import BEGIN, LINE_LIMIT, Chain, Follower, decode, encode, read_lines
+from asia.ledger.events import Evaluated, Event, FoldEvidence, Steered, Stopped
+from asia.ledger.index import brief
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
 
 from .conftest import evaluated, finished_run, proposed, score, started
 

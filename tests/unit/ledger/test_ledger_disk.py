@@ -12,18 +12,15 @@ from pathlib import Path
 import pytest
 
 from asia.errors import UserError
-from asia.ledger import (
-    Chain,
-    Steered,
-    Stopped,
-    Store,
-    _disk,
-    _lines,
-    brief,
-    open_run,
-    verify,
-    write_exports,
-)
+from asia.ledger import chain as _disk
+from asia.ledger import chain as _lines
+from asia.ledger.artifacts import Store
+from asia.ledger.chain import Chain
+from asia.ledger.events import Steered, Stopped
+from asia.ledger.exports import write_exports
+from asia.ledger.index import brief
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
 
 
 @contextmanager

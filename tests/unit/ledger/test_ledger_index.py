@@ -6,8 +6,12 @@ from pathlib import Path
 import pytest
 
 from asia.errors import UserError
-from asia.ledger import Chain, Event, Store, _index, brief, open_run, refresh
-from asia.ledger._index import NAME
+from asia.ledger import index as _index
+from asia.ledger.artifacts import Store
+from asia.ledger.chain import Chain
+from asia.ledger.events import Event
+from asia.ledger.index import NAME, brief, refresh
+from asia.ledger.run import open_run
 
 from .conftest import evaluated, proposed, score, started
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from asia.errors import UserError
-from asia.ledger import Chain, in_use
+from asia.ledger.chain import Chain, in_use
 
 HOLD = """
 import sys
 from pathlib import Path
-from asia.ledger import Chain
+from asia.ledger.chain import Chain
 with Chain(Path(sys.argv[1])):
     print("holds", flush=True)
     sys.stdin.read()

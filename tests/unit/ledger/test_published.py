@@ -5,9 +5,10 @@ from dataclasses import replace
 import pytest
 
 from asia.errors import Reason
-from asia.ledger import Evaluated, Event, Proposed, SearchView, Started, beats, published, replay
-from asia.scoring import Failure, FoldScore, Score
-from asia.search.deciding.rules import decide
+from asia.judge.scoring.outcome import Failure, FoldScore, Score
+from asia.ledger.events import Evaluated, Event, Proposed, Started
+from asia.ledger.view import SearchView, beats, published, replay
+from asia.search.rules import decide
 
 STARTED = Started(
     "r", "p", "a", 0, 9, None, ("y",), "0", "0", None, "process", (), {}, ladder=0.1

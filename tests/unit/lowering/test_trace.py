@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from asia.lowering import LoweredModel, simulate, unpack
+from asia.lowering.evaluation import simulate
+from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered, lowered_bytes
+from asia.lowering.wire import unpack
 
 
 @pytest.fixture(autouse=True)

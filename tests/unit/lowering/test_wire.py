@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asia.lowering import Builder, FormatError, LoweredModel, ShapeError, pack, simulate, unpack
-from asia.lowering.wire import MAGIC, REFUSED, pack_refusal, unpack_for
+from asia.lowering.evaluation import simulate
+from asia.lowering.program import Builder, LoweredModel, ShapeError
+from asia.lowering.wire import MAGIC, REFUSED, FormatError, pack, pack_refusal, unpack, unpack_for
 
 
 def first_order() -> LoweredModel:

@@ -12,10 +12,11 @@ from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.models import neural_ss, recurrent
-from asia.models._data.records import batch
-from asia.models._data.turns import SignalTurns, TurnedData
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._networks.training import HoldoutSplit, _split
-from asia.models.methods import LBFGS, Adam, LevenbergMarquardt
+from asia.models._numerics.records import batch
+from asia.models._numerics.symmetry import SignalTransformations, TransformedRecords
+from asia.models.methods import LBFGS, Adam
 
 ARMS = {"u1": "u2", "u2": "u1", "y1": "y2", "y2": "y1"}
 ODD = {"u1": "-u1", "u2": "-u2", "y1": "-y1", "y2": "-y2"}
@@ -96,7 +97,9 @@ def test_what_was_never_seen_is_learned_from_its_mirror_image() -> None:
 
 def test_turned_copies_are_held_out_with_their_records() -> None:
     known = context(arms=ARMS)
-    data = TurnedData.of([arms(40 + 5 * i, i) for i in range(5)], SignalTurns.of(known))
+    data = TransformedRecords.of(
+        [arms(40 + 5 * i, i) for i in range(5)], SignalTransformations.of(known)
+    )
     found = _split(data.every, known, 0.4, data.copies)
     assert isinstance(found, HoldoutSplit)
     assert sorted(found.held_out.lengths + found.fitted.lengths) == sorted(found.full.lengths)
@@ -106,8 +109,8 @@ def test_turned_copies_are_held_out_with_their_records() -> None:
 
 def test_turning_goes_with_z_scores() -> None:
     known = context(arms=ARMS, odd=ODD)
-    turns, records = SignalTurns.of(known), [arms(40, 0, 0.7)]
-    data = TurnedData.of(records, turns)
+    turns, records = SignalTransformations.of(known), [arms(40, 0, 0.7)]
+    data = TransformedRecords.of(records, turns)
     physical = [data.scaling.outputs(t.y) for t in turns.turned(records)]
     for z, expected in zip(data.every, physical, strict=True):
         np.testing.assert_allclose(z.y, expected, atol=1e-12)
@@ -116,7 +119,7 @@ def test_turning_goes_with_z_scores() -> None:
 
 def test_symmetries_of_other_names_are_not_those_of_signals() -> None:
     known = context(odd=ODD, turn={"y1": "y2", "y2": "-y1", "torque": "-torque"})
-    assert len(SignalTurns.of(known)) == 2
+    assert len(SignalTransformations.of(known)) == 2
     with pytest.raises(UserError, match=r"no \[symmetry\] of the problem"):
         recurrent.train(
             recurrent.build(SMALL, context()), [arms(60, 0)], context(), Adam(symmetry=True)

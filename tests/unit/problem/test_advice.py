@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from asia.data import Array, Signal, Trajectory
-from asia.problem._problem import Problem
-from asia.problem.advice.data import data_doubts, delay_lines, input_delays
+from asia.problem.check import data_doubts, delay_lines, input_delays
 from asia.problem.load import load_problem
+from asia.problem.problem import Problem
 
 SAMPLES = 1000
 

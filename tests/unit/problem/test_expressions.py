@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from asia.errors import UserError
 from asia.models._equations.ode import functions
-from asia.problem.physics.expressions import FUNCTIONS, NAMED_NUMBERS, parse_expression
+from asia.problem.physics import FUNCTIONS, NAMED_NUMBERS, parse_expression
 
 PLAIN = {"sqrt": math.sqrt, "exp": math.exp, "min": min, "max": max, "abs": abs, "sin": math.sin}
 

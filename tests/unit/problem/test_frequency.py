@@ -10,7 +10,7 @@ import pytest
 
 from asia.data import Array
 from asia.errors import UserError
-from asia.problem.frequency import response_lines
+from asia.problem.check import response_lines
 from asia.problem.load import load_problem
 
 N = 256

@@ -12,11 +12,11 @@ import pytest
 import asia
 from asia.data import Signal, data_digest
 from asia.errors import UserError
-from asia.ledger import verify
+from asia.ledger.verification import verify
 from asia.problem import Budget, ParameterRange, Physics, Prior
-from asia.problem.load import Problem
-from asia.protocol import FoldRule, ProtocolRule
-from asia.seal._test import open_test
+from asia.problem.problem import Problem
+from asia.problem.protocol import FoldRule, ProtocolRule
+from asia.problem.seal import open_test
 from tests.unit.search.toy import arx
 
 
@@ -178,7 +178,7 @@ def test_invalid_problems_are_refused(
 def test_a_search_on_arrays_resumes_verifies_and_unseals(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("asia.evaluation._rungs.LINEAR", arx(2))
+    monkeypatch.setattr("asia.judge.evaluation.references.LINEAR", arx(2))
     runs = tmp_path / "runs"
     for experiments in (1, 2):
         problem = make(tmp_path / "mine", baseline=arx(1), protocol={"past_inputs": 3})

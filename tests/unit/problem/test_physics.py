@@ -11,7 +11,7 @@ import pytest
 from asia.errors import UserError
 from asia.models._equations.ode import equations
 from asia.problem import Bounds, Correction, ParameterRange, Physics, Prior
-from asia.problem.physics.check import check_physics, definition_order
+from asia.problem.physics import check_physics, definition_order
 
 TANKS = Physics(
     states=("x1", "x2"),

@@ -9,10 +9,10 @@ import pytest
 
 from asia.data import Signal, Trajectory
 from asia.problem import Correction, Prior
-from asia.problem._check import check_problem
-from asia.problem._problem import Problem, Seal
+from asia.problem.check import check_problem
 from asia.problem.load import load_problem
-from asia.protocol import Group, make_folds
+from asia.problem.problem import Problem, Seal
+from asia.problem.protocol import Group, make_folds
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ import pytest
 
 from asia.data.sources.files import RecordFiles
 from asia.errors import UserError
+from asia.problem.create import init_problem
 from asia.problem.load import load_problem
-from asia.problem.new.init import init_problem
-from asia.seal._test import open_test
+from asia.problem.seal import open_test
 
 Record = Callable[[int, int], str]
 

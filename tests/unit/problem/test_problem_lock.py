@@ -9,14 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asia.data import Trajectory
-from asia.data._digest import data_digest
+from asia.data.trajectory import data_digest
 from asia.errors import UserError
 from asia.problem import Budget
-from asia.problem._digest import protocol_digest
-from asia.problem._problem import Problem, Seal
-from asia.problem._toml import toml_text
-from asia.problem.load import load_lock, load_problem, lock_differences, lock_text
-from asia.protocol import FoldRule, ProtocolRule
+from asia.problem.load import load_lock, load_problem
+from asia.problem.lock import lock_differences, lock_text, protocol_digest
+from asia.problem.problem import Problem, Seal
+from asia.problem.protocol import FoldRule, ProtocolRule
+from asia.problem.toml import toml_text
 
 Write = Callable[..., Path]
 

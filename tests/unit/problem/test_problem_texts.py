@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from asia.errors import UserError
-from asia.problem._problem import Seal
-from asia.problem.load import load_lock, load_problem, lock_differences, lock_text
+from asia.problem.load import load_lock, load_problem
+from asia.problem.lock import lock_differences, lock_text
+from asia.problem.problem import Seal
 
 Write = Callable[..., Path]
 SEAL = Seal("0" * 64)

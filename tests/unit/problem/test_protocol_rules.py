@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 
 from asia.errors import UserError
-from asia.problem._digest import protocol_digest
-from asia.problem._problem import Seal
-from asia.problem.load import check_problem, load_lock, load_problem, lock_differences, lock_text
-from asia.protocol import FoldRule, Group, OutputGroup
+from asia.problem.check import check_problem
+from asia.problem.load import load_lock, load_problem
+from asia.problem.lock import lock_differences, lock_text, protocol_digest
+from asia.problem.problem import Seal
+from asia.problem.protocol import FoldRule, Group, OutputGroup
 
 Record = Callable[[int, int], str]
 

@@ -12,11 +12,14 @@ import numpy as np
 from asia.data import Array, Signal, Trajectory
 from asia.data.sources import Source
 from asia.data.sources.official import OfficialBenchmark
-from asia.data.sources.simulated import Simulated
+from asia.data.sources.simulated.source import Simulated
 from asia.errors import Reason
-from asia.evaluation import FoldFindings
-from asia.ledger import (
-    Chain,
+from asia.judge.evaluation.results import FoldFindings
+from asia.judge.scoring.outcome import Failure, combine, score_fold, score_test
+from asia.judge.scoring.residuals import Diagnostics
+from asia.ledger.artifacts import Store
+from asia.ledger.chain import Chain
+from asia.ledger.events import (
     Evaluated,
     FoldEvidence,
     GuardLooked,
@@ -25,15 +28,13 @@ from asia.ledger import (
     RungScored,
     Started,
     Stopped,
-    Store,
     TestedModel,
     Unsealed,
-    put_findings,
 )
+from asia.ledger.evidence import put_findings
 from asia.problem import Budget
-from asia.problem._problem import Problem, TestSource
-from asia.protocol import Fold, ProtocolRule, TestRule, make_folds
-from asia.scoring import Diagnostics, Failure, combine, score_fold, score_test
+from asia.problem.problem import Problem, TestSource
+from asia.problem.protocol import Fold, ProtocolRule, TestRule, make_folds
 
 Outcomes = Sequence[tuple[str, float | None]]
 

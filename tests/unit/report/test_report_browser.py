@@ -11,8 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from asia.ledger import open_run
-from asia.problem.load import Seal, load_problem, lock_text
+from asia.ledger.run import open_run
+from asia.problem.load import load_problem
+from asia.problem.lock import lock_text
+from asia.problem.problem import Seal
 from asia.report import write_page
 
 from .made_up import write_run

@@ -4,8 +4,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from asia.data import Signal
-from asia.report._pictures.residuals import draw_correlations
-from asia.scoring import cross_correlation, independent_band, white_band
+from asia.judge.scoring.residuals import cross_correlation, independent_band, white_band
+from asia.report.pictures.evidence import draw_correlations
 
 
 def coloured(rng: np.random.Generator, samples: int) -> np.ndarray:

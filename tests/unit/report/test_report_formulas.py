@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from asia.problem.physics.expressions import parse_expression
-from asia.report._page.formulas import formula, symbol
+from asia.problem.physics import parse_expression
+from asia.report.page.html import formula, symbol
 
 
 def words(text: str) -> str:

@@ -5,11 +5,14 @@ from typing import Any, cast
 
 import pytest
 
-from asia import ledger, protocol, scoring
-from asia.bench.suite import SUITE
-from asia.problem.load import Problem, builtin_problems
+from asia import ledger
+from asia.assurance.bench.suite import SUITE
+from asia.judge import scoring
+from asia.problem import protocol
+from asia.problem.load import builtin_problems
+from asia.problem.problem import Problem
 from asia.report import Entry, OfficialFigure, leaderboard, official_figures
-from asia.report._board import ordinal, standings, submission_line
+from asia.report.published import ordinal, standings, submission_line
 
 FIGURES = {
     "cascaded_tanks": 1,

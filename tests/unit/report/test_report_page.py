@@ -16,18 +16,19 @@ import pytest
 from asia import ledger
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.errors import InternalError
-from asia.ledger import Chain, Run, open_run
-from asia.problem.load import Seal, load_problem, lock_text
+from asia.judge.scoring.checks.check import Verdict
+from asia.judge.scoring.confirmation import Attribution, ExpectedError, Interval
+from asia.ledger.chain import Chain
+from asia.ledger.run import Run, open_run
+from asia.problem.load import load_problem
+from asia.problem.lock import lock_text
+from asia.problem.problem import Seal
 from asia.report import write_bundle, write_page
-from asia.report._page import LIMIT, page_of
-from asia.report._page.audit import audit
-from asia.report._page.code import python
-from asia.report._page.html import Html, fixed, join, said, table, tag
-from asia.report._page.section import Section
-from asia.report._page.subject import Subject
-from asia.report._pictures.evidence.ablation import draw_ablation
-from asia.scoring import Attribution, ExpectedError, Interval
-from asia.scoring.dossier import Verdict
+from asia.report.page.code import python
+from asia.report.page.html import Html, fixed, join, said, table, tag
+from asia.report.page.page import LIMIT, audit, page_of
+from asia.report.page.subject import Section, Subject
+from asia.report.pictures.evidence import draw_ablation
 
 from .made_up import Outcomes, write_run
 
@@ -174,7 +175,7 @@ def test_nothing_is_written_where_the_check_fails(
     def failing(page: str, directory: Path, events: int) -> int:
         raise InternalError("report: a number")
 
-    monkeypatch.setattr("asia.report._page.page.audit", failing)
+    monkeypatch.setattr("asia.report.page.page.audit", failing)
     with pytest.raises(InternalError):
         write_page(run.directory)
     assert not (run.directory / "report" / "report.html").exists()

@@ -10,11 +10,16 @@ import pytest
 from matplotlib.image import imread
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
-from asia.ledger import Chain, Refitted, open_run, put_estimates
-from asia.problem.load import Seal, load_problem, lock_text
+from asia.ledger.chain import Chain
+from asia.ledger.events import Refitted
+from asia.ledger.evidence import put_estimates
+from asia.ledger.run import open_run
+from asia.problem.load import load_problem
+from asia.problem.lock import lock_text
+from asia.problem.problem import Seal
 from asia.report import methods_paragraph, write_figures, write_tables
-from asia.report._paper.figures import COLUMN, PAGE
-from asia.report._paper.tables import latex
+from asia.report.paper.figures import COLUMN, PAGE
+from asia.report.paper.text import latex
 
 from .made_up import write_run
 

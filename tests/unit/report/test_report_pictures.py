@@ -20,14 +20,16 @@ from matplotlib.transforms import Bbox
 
 from asia.data import Signal
 from asia.errors import UserError
-from asia.ledger import open_run
-from asia.problem.load import Seal, load_problem, lock_text
+from asia.judge.scoring.checks.check import Check, CheckCurve, Verdict
+from asia.ledger.run import open_run
+from asia.problem.load import load_problem
+from asia.problem.lock import lock_text
+from asia.problem.problem import Seal
 from asia.report import draw_problem, write_report
-from asia.report._drawing.style import drawing, plain
-from asia.report._pictures.checked.data import draw_data
-from asia.report._pictures.dossier import draw_dossier
-from asia.report._write import pictures, save
-from asia.scoring.dossier import Check, CheckCurve, Verdict
+from asia.report.drawing.style import drawing, plain
+from asia.report.files import pictures, save
+from asia.report.pictures.check import draw_data
+from asia.report.pictures.evidence import draw_validation
 
 from .made_up import BENCHMARK, Outcomes, Shape, make_problem, write_run
 
@@ -188,7 +190,7 @@ def test_legends_of_a_validation_report_cover_nothing() -> None:
         )
     ]  # fmt: skip
     with drawing():
-        figure = draw_dossier(checks, "pass 5, doubt 0, fail 0")
+        figure = draw_validation(checks, "pass 5, doubt 0, fail 0")
         assert_readable(figure)
     assert [axes.get_legend() is not None for axes in figure.axes[:5]] == [
         True, True, True, False, True,
@@ -310,7 +312,7 @@ def test_importing_the_package_loads_no_matplotlib_and_drawing_no_pyplot(tmp_pat
     script = (
         "import sys, asia.report\n"
         "assert 'matplotlib' not in sys.modules\n"
-        "import asia.report._write\n"
+        "import asia.report.files\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", script], check=True, cwd=tmp_path)

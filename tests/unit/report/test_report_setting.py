@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from asia.ledger import Run, open_run
-from asia.problem.load import Problem
-from asia.protocol import EarlyStopping
-from asia.report._drawing.style import drawing
-from asia.report._write import pictures
+from asia.ledger.run import Run, open_run
+from asia.problem.problem import Problem
+from asia.problem.protocol import EarlyStopping
+from asia.report.drawing.style import drawing
+from asia.report.files import pictures
 
 from .made_up import Shape, make_problem, write_run
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asia.report._drawing.tags import Box, Tag, place
+from asia.report.drawing.places import Box, Tag, place
 
 FRAME = Box(0.0, 0.0, 800.0, 400.0)
 

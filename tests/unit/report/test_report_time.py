@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asia.report._drawing.time import Stretch, TimeUnit, last_sample, lay_out, time_unit
+from asia.report.drawing.places import Stretch, TimeUnit, last_sample, lay_out, time_unit
 
 SECONDS = TimeUnit("s", 1.0)
 

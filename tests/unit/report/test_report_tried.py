@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from asia.data import Signal
 from asia.report import SimulatedCase, SimulatedCases, draw_cases
-from asia.report._drawing.style import drawing
-from asia.report._pictures.tried import draw_tried, draw_tried_residuals
+from asia.report.drawing.style import drawing
+from asia.report.pictures.evidence import draw_tried, draw_tried_residuals
 
 from .test_report_pictures import assert_readable
 

@@ -11,10 +11,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from asia.data import Signal
-from asia.ledger import open_run
-from asia.problem.load import Problem, Seal, load_problem, lock_text
-from asia.protocol import FoldRule, Group, OutputGroup
-from asia.protocol import TestRule as SealedRule
+from asia.judge.scoring.outcome import mee_table
+from asia.judge.scoring.residuals import cross_correlation
+from asia.ledger.run import open_run
+from asia.problem.load import load_problem
+from asia.problem.lock import lock_text
+from asia.problem.problem import Problem, Seal
+from asia.problem.protocol import FoldRule, Group, OutputGroup
+from asia.problem.protocol import TestRule as SealedRule
 from asia.report import (
     ArmCurves,
     ArmsPicture,
@@ -25,14 +29,12 @@ from asia.report import (
     draw_bench,
     leaderboard,
 )
-from asia.report._drawing.style import drawing
-from asia.report._pictures.checked.data import draw_data
-from asia.report._pictures.comparison import draw_arms
-from asia.report._pictures.growth import ErrorCurve, Growth, Marks, draw_growth
-from asia.report._pictures.standing import draw_standing
-from asia.report._pictures.windows import telling
-from asia.report._write import pictures
-from asia.scoring import cross_correlation, mee_table
+from asia.report.drawing.style import drawing
+from asia.report.files import pictures
+from asia.report.pictures.check import draw_data
+from asia.report.pictures.leaderboard import draw_standing
+from asia.report.pictures.progress import draw_arms
+from asia.report.pictures.simulation import ErrorCurve, Growth, Marks, draw_growth, telling
 
 from .made_up import Shape, make_problem, write_run
 from .test_report_pictures import FIVE, assert_readable, visible_texts
@@ -113,8 +115,8 @@ def test_the_horizon_is_drawn_from_the_recorded_simulations(tmp_path: Path) -> N
     assert titles == ["p", "R"]
     assert first.get_ylabel() == "Distance [m/s]"
     assert second.get_ylabel().startswith("Angle")
-    from asia.protocol import make_folds
-    from asia.report._artifacts import fold_outputs
+    from asia.problem.protocol import make_folds
+    from asia.report.simulated import fold_outputs
 
     fold = make_folds(problem.train, problem.protocol)[0]
     best = run.view.best

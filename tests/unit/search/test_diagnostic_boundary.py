@@ -7,20 +7,21 @@ from pathlib import Path
 
 import pytest
 
-from asia.cli import main
+from asia.analysis.validation import validate
 from asia.errors import CandidateError, InternalError, Reason
-from asia.evaluation import _findings
-from asia.ledger import Run, error_of, open_run
+from asia.interfaces.cli import main
+from asia.judge.evaluation import findings
+from asia.ledger.run import Run, error_of, open_run
 from asia.problem.load import load_problem
-from asia.report import _write, write_page, write_report
-from asia.report._page.sections import progress
-from asia.search import _loop, prepare, search, validate
-from asia.search.final import ending
+from asia.report import files, write_page, write_report
+from asia.report.page.sections import experiments
+from asia.search import final, loop
+from asia.search.run import prepare, search
 
 from .toy import Scripted, arx, write_problem
 
-DOSSIER = import_module("asia.search.dossier.validate")
-REGISTRY = import_module("asia.scoring.dossier.registry")
+DOSSIER = import_module("asia.analysis.validation")
+REGISTRY = import_module("asia.judge.scoring.checks.registry")
 IN_A_FOLD = {
     "residual analysis": "diagnose",
     "signed residuals": "signed_residuals",
@@ -42,7 +43,7 @@ IN_A_DOSSIER = {
     "frequency response": "check_frequency_response",
     "poles and static gain": "check_responses",
     "held-out error": "check_overfit",
-    "steps ahead": "check_ahead",
+    "steps ahead": "check_steps_ahead",
     "region of validity": "check_region",
 }
 
@@ -77,10 +78,10 @@ def asia(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
 def test_every_step_fails_and_the_search_ends_well(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for module, names in ((_findings, IN_A_FOLD), (ending, AT_THE_END)):
+    for module, names in ((findings, IN_A_FOLD), (final, AT_THE_END)):
         for function in names.values():
             monkeypatch.setattr(module, function, fail)
-    monkeypatch.setattr(_loop, "write_exports", fail)
+    monkeypatch.setattr(loop, "write_exports", fail)
     run = searched(tmp_path)
     view = run.view
     assert view.complete
@@ -112,7 +113,7 @@ def test_every_step_fails_and_the_search_ends_well(
         name: line(name) for name in IN_A_DOSSIER
     }
 
-    monkeypatch.setattr(_write, "draw_residuals", fail)
+    monkeypatch.setattr(files, "draw_residuals", fail)
     failed: list[str] = []
     paths = write_report(run.directory, failed=failed)
     assert failed == [line("picture residuals")]
@@ -124,7 +125,7 @@ def test_every_step_fails_and_the_search_ends_well(
 
 def test_a_failing_section_shows_its_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = searched(tmp_path)
-    monkeypatch.setattr(progress, "progress_figure", fail)
+    monkeypatch.setattr(experiments, "progress_figure", fail)
     assert "check section" in write_page(run.directory).read_text()
 
 
@@ -138,7 +139,7 @@ def test_a_score_that_raises_ends_the_search_and_status_says_so(
     def broken(*arguments: object, **options: object) -> None:
         raise error
 
-    monkeypatch.setattr(_findings, "score_fold", broken)
+    monkeypatch.setattr(findings, "score_fold", broken)
     with pytest.raises(type(error), match=str(error)):
         searched(tmp_path)
     monkeypatch.undo()
@@ -153,7 +154,7 @@ def test_a_score_that_raises_ends_the_search_and_status_says_so(
 
 
 def test_errors_raised_on_purpose_pass(monkeypatch: pytest.MonkeyPatch) -> None:
-    from asia._boundary import diagnostic
+    from asia._diagnostic import diagnostic
 
     failed: list[str] = []
     for error in (CandidateError(Reason.NOT_FINITE), InternalError("a bug")):

@@ -9,24 +9,27 @@ import numpy as np
 import pytest
 
 from asia.agents import AgentView, Proposal
-from asia.agents.llm.problem import problem_text
-from asia.agents.llm.search import search_text, task_of
-from asia.cli._try import result_lines
-from asia.drive import RunDesk
-from asia.drive._program import program
-from asia.drive._workspace import write_views
+from asia.agents.llm.prompt import problem_text, search_text, task_of
+from asia.assurance.redteam import arena
+from asia.assurance.redteam.attacks import probing
 from asia.errors import Reason, UserError
-from asia.evaluation import Evaluation, Evaluator, Suspicion, SuspicionKind
-from asia.evaluation import _evaluator as evaluator_module
-from asia.ledger import SearchView, open_run
-from asia.mcp._answers import source_answer
-from asia.problem.load import load_lock, load_problem, protocol_digest
-from asia.redteam import _score_only_search
-from asia.redteam.attacks import probing
-from asia.scoring import Failure, Score
-from asia.search import prepare, search, with_early_stopping
-from asia.search.deciding.judging import Judged
-from asia.search.deciding.rules import decide
+from asia.interfaces.cli.try_ import result_lines
+from asia.interfaces.mcp.answers import source_answer
+from asia.interfaces.workspace.program import program
+from asia.interfaces.workspace.server import RunDesk
+from asia.interfaces.workspace.workspace import write_views
+from asia.judge.evaluation import evaluator as evaluator_module
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.relations import Suspicion, SuspicionKind
+from asia.judge.evaluation.results import Evaluation
+from asia.judge.scoring.outcome import Failure, Score
+from asia.ledger.run import open_run
+from asia.ledger.view import SearchView
+from asia.problem.load import load_lock, load_problem
+from asia.problem.lock import protocol_digest
+from asia.search.loop import Judged
+from asia.search.rules import decide
+from asia.search.run import prepare, search, with_early_stopping
 
 from .toy import Scripted, arx, write_problem
 
@@ -179,8 +182,8 @@ def judged_as_without_the_ladder(
 @pytest.mark.parametrize(
     ("spoil", "part", "otherwise"),
     [
-        (_score_only_search.forgetful, "judge", judged_as_without_the_ladder),
-        (_score_only_search.one_start(0.35), "published", lambda view: view),
+        (arena.forgetful, "judge", judged_as_without_the_ladder),
+        (arena.one_start(0.35), "published", lambda view: view),
     ],
 )
 def test_spoilt_candidates_tell_nothing(
@@ -192,7 +195,7 @@ def test_spoilt_candidates_tell_nothing(
     ladder = probing.Ladder(spoil)
     start = probing.exact(np.zeros_like(probing.hidden_error()))
     assert probing.exact(probing.bisect(ladder.ask, ladder.doubt)) == start
-    monkeypatch.setattr(_score_only_search, part, otherwise)
+    monkeypatch.setattr(arena, part, otherwise)
     leaking = probing.Ladder(spoil)
     assert probing.exact(probing.bisect(leaking.ask, leaking.doubt)) < 0.85 * start
 

@@ -9,14 +9,18 @@ import numpy as np
 import pytest
 
 from asia.agents import AgentView
-from asia.drive import make_workspace
-from asia.drive._detached import SearchRequest
 from asia.errors import UserError
-from asia.ledger import SearchView, open_run, verify
-from asia.problem.load import Problem, load_problem
-from asia.sandbox.worker.channel import Channel
-from asia.scoring import Score
-from asia.search import agent_view, prepare, problem_facts, search
+from asia.interfaces.workspace.process import SearchRequest
+from asia.interfaces.workspace.workspace import make_workspace
+from asia.judge.sandbox.worker.process import Channel
+from asia.judge.scoring.outcome import Score
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
+from asia.ledger.view import SearchView
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
+from asia.search.agent_views import agent_view, problem_facts
+from asia.search.run import prepare, search
 
 from .toy import Scripted, arx, write_problem
 

@@ -14,12 +14,14 @@ import pytest
 
 import asia
 from asia.agents import LlmAgent, LlmSettings
-from asia.agents.llm.problem import EXAMPLE
+from asia.agents.llm.prompt import EXAMPLE
 from asia.errors import UserError
-from asia.ledger import Evaluated, Exchanged, Run, verify
-from asia.search import Replayed, replay_run
+from asia.ledger.events import Evaluated, Exchanged
+from asia.ledger.run import Run
+from asia.ledger.verification import verify
+from asia.search.replay import Replayed, replay_run
 from tests.unit.agents.fake_llm import PROMPT_TOKENS, REPLY_TOKENS, FakeServer, Told, fake_llm, said
-from tests.unit.cli.conftest import command_line
+from tests.unit.interfaces.cli.conftest import command_line
 
 from .toy import arx, write_problem
 
@@ -251,7 +253,7 @@ def test_an_interrupted_search_replays_as_far_as_it_went(
     searched: Searched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runs, _ = cut(searched, tmp_path / "runs", 10)
-    monkeypatch.setattr("asia.search._replay.judge", unjudged(searched))
+    monkeypatch.setattr("asia.search.replay.judge", unjudged(searched))
     report = replay_run(runs / searched.run.name, lambda item: None)
     assert report.agrees
     assert [item.name for item in report.items if item.proposal == "same"] == [
@@ -263,8 +265,8 @@ def test_a_replay_finds_what_was_changed(
     searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Other words in a prompt are told, and the exit code is 1."""
-    monkeypatch.setattr("asia.agents.llm.search._MEANING", "something else")
-    monkeypatch.setattr("asia.search._replay.judge", unjudged(searched))
+    monkeypatch.setattr("asia.agents.llm.prompt._MEANING", "something else")
+    monkeypatch.setattr("asia.search.replay.judge", unjudged(searched))
     done = command_line("verify", "--replay", searched.run.directory)
     assert done.code == 1
     lines = done.out.splitlines()
@@ -278,7 +280,7 @@ def test_a_replay_finds_what_was_changed(
 def test_from_scratch_says_how_far_apart(
     searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("asia.search._replay.judge", unjudged(searched, factor=1 + 1e-9))
+    monkeypatch.setattr("asia.search.replay.judge", unjudged(searched, factor=1 + 1e-9))
     done = command_line("verify", "--replay", searched.run.directory, "--from-scratch", "--json")
     assert done.code == 0, done.out
     *items, end = [json.loads(line) for line in done.out.splitlines()]
@@ -294,9 +296,9 @@ def unjudged(searched: Searched, factor: float = 1.0) -> Any:
 
     def judge(evaluator: Any, source: str, view: Any, over: float | None = None) -> Any:
         del evaluator, over
-        from asia.evaluation import Evaluation
-        from asia.scoring import Score
-        from asia.search.deciding.judging import Judged
+        from asia.judge.evaluation.results import Evaluation
+        from asia.judge.scoring.outcome import Score
+        from asia.search.loop import Judged
 
         number = view.pending.number
         result = searched.run.view.experiment(number).result

@@ -16,35 +16,29 @@ from starlette.testclient import TestClient
 import asia
 from asia import SystemIdentifier
 from asia.agents.expert.agent import ExpertAgent
-from asia.agents.llm.problem import problem_text
-from asia.cli._output.experiment import describe, wide_console
-from asia.drive._workspace import write_folder
-from asia.evaluation import LINEAR
-from asia.export import export
-from asia.ledger import Run, open_run
-from asia.problem.load import check_problem, load_problem
+from asia.agents.llm.prompt import problem_text
+from asia.analysis.ablation import ablate
+from asia.analysis.confirmation import confirm
+from asia.analysis.validation import validate
+from asia.export.pipeline import export
+from asia.interfaces.cli.results import describe, wide_console
+from asia.interfaces.view.app import TokenOnly, make_app
+from asia.interfaces.view.followed import RunFolder
+from asia.interfaces.view.streams import Streams
+from asia.interfaces.workspace.tools import WorkspaceTools, draw, tables
+from asia.interfaces.workspace.workspace import write_folder
+from asia.judge.evaluation.references import LINEAR
+from asia.judge.scoring.checks.check import Verdict
+from asia.judge.scoring.outcome import Score
+from asia.ledger.run import Run, open_run
+from asia.problem.check import check_problem
+from asia.problem.load import load_problem
+from asia.problem.seal import seal
 from asia.report import draw_cases, draw_problem, write_figures, write_page, write_report
-from asia.scoring import Score
-from asia.scoring.dossier import Verdict
-from asia.seal._test import seal
-from asia.search import (
-    ablate,
-    agent_view,
-    confirm,
-    dry_run,
-    prepare,
-    problem_facts,
-    search,
-    simulated_excerpts,
-    validate,
-)
-from asia.tools import WorkspaceTools
-from asia.tools._pictures import draw
-from asia.tools._tables import tables
-from asia.view._access import TokenOnly
-from asia.view._app import make_app
-from asia.view._followed import RunFolder
-from asia.view._streams import Streams
+from asia.search.agent_views import agent_view, problem_facts
+from asia.search.dry_runs import dry_run
+from asia.search.run import prepare, search
+from asia.search.simulation import simulated_excerpts
 
 from .toy import Scripted, arx, write_problem
 

@@ -10,7 +10,7 @@ import pytest
 import asia
 from asia.agents import AGENTS
 from asia.errors import UserError
-from asia.search import Replayed, replay_run
+from asia.search.replay import Replayed, replay_run
 
 from .toy import CRASH, NOISE, Scripted, arx, write_problem
 

@@ -11,13 +11,19 @@ import numpy as np
 import pytest
 
 from asia.agents import Agent
-from asia.cli._output.words import again_words
 from asia.errors import Reason, UserError
-from asia.evaluation import LINEAR
-from asia.ledger import Evaluated, SearchView, Use, in_use, open_run, verify
+from asia.interfaces.cli.text import again_words
+from asia.judge.evaluation.references import LINEAR
+from asia.judge.scoring.outcome import Failure
+from asia.ledger.chain import in_use
+from asia.ledger.events import Evaluated, Use
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
+from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
-from asia.scoring import Failure
-from asia.search import prepare, search, simulate, unseal
+from asia.search.run import prepare, search
+from asia.search.simulation import simulate
+from asia.search.unsealing import unseal
 
 from .toy import CRASH, NOISE, Scripted, arx, write_problem
 
@@ -44,7 +50,7 @@ def whole_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished search of 4 experiments beside its problem, the real linear rung included."""
     root = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("asia.evaluation._rungs.LINEAR", LINEAR)
+        patch.setattr("asia.judge.evaluation.references.LINEAR", LINEAR)
         go(write_problem(root / "toy"), root / "runs")
     return root
 

@@ -10,10 +10,14 @@ from pathlib import Path
 import pytest
 
 from asia.errors import Reason
-from asia.ledger import Chain, Evaluated, Proposed, Store, journal, open_run
+from asia.judge.scoring.outcome import Failure
+from asia.ledger.artifacts import Store
+from asia.ledger.chain import Chain
+from asia.ledger.events import Evaluated, Proposed
+from asia.ledger.exports import journal
+from asia.ledger.run import open_run
 from asia.problem.load import load_problem
-from asia.scoring import Failure
-from asia.search import prepare, search
+from asia.search.run import prepare, search
 from tests.unit.ledger.conftest import finished_run
 
 from .toy import CRASH, Scripted, arx, write_problem
@@ -22,9 +26,9 @@ FULL = """
 import json, subprocess, sys
 from pathlib import Path
 from asia.errors import UserError
-from asia.evaluation import _rungs
-from asia.ledger import verify
-from asia.search import prepare, search
+from asia.judge.evaluation import references
+from asia.ledger.verification import verify
+from asia.search.run import prepare, search
 from asia.problem.load import load_problem
 from tests.unit.search.test_search_faults import AGENT, told
 from tests.unit.search.toy import arx
@@ -49,7 +53,7 @@ print(json.dumps([said, records, told(view), rows, hidden]))
 """
 READ_ONLY = """
 import subprocess, sys
-from asia.cli import main
+from asia.interfaces.cli import main
 runs = sys.argv[1]
 subprocess.run(["mount", "--bind", runs, runs], check=True)
 subprocess.run(["mount", "-o", "remount,bind,ro", runs], check=True)
@@ -87,7 +91,7 @@ def in_a_mount_namespace(script: str, *arguments: object) -> subprocess.Complete
 
 @pytest.fixture
 def problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr("asia.evaluation._rungs.LINEAR", arx(2))
+    monkeypatch.setattr("asia.judge.evaluation.references.LINEAR", arx(2))
     return write_problem(tmp_path / "toy")
 
 

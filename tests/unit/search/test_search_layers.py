@@ -6,9 +6,11 @@ from pathlib import Path
 import pytest
 
 from asia.errors import UserError
+from asia.judge.sandbox import level
+from asia.judge.sandbox.availability import probe
+from asia.judge.sandbox.types import Isolation
 from asia.problem.load import load_problem
-from asia.sandbox import Isolation, _level, probe
-from asia.search import prepare, search
+from asia.search.run import prepare, search
 
 from .toy import Scripted, arx, write_problem
 
@@ -28,7 +30,7 @@ def test_a_run_that_would_go_on_with_fewer_layers_is_refused(
         return len(view.finished)
 
     assert go(1) == 1
-    monkeypatch.setattr(_level, "missing_layers", lambda: {"landlock": "taken away"})
+    monkeypatch.setattr(level, "missing_layers", lambda: {"landlock": "taken away"})
     with pytest.raises(
         UserError, match=r"a layer .* not available \(landlock\): continue it where it started"
     ):

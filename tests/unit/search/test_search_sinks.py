@@ -6,8 +6,9 @@ import pytest
 
 import asia
 from asia.errors import UserError
-from asia.ledger import Evaluated, Event, SearchView, Stopped
-from asia.search._sinks import Sinks, find_sink, open_sinks
+from asia.ledger.events import Evaluated, Event, Stopped
+from asia.ledger.view import SearchView
+from asia.search.sinks import Sinks, find_sink, open_sinks
 from asia.testing import check_sink
 from tests.unit.made_up_parts import installed
 from tests.unit.search.toy import Scripted, arx, write_problem

@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.ledger import TestedModel as Record
-from asia.ledger import open_run, verify
+from asia.ledger.events import TestedModel as Record
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
 from asia.problem.load import load_problem
-from asia.search import prepare, search, simulate, unseal
-from tests.unit.cli.conftest import command_line
+from asia.search.run import prepare, search
+from asia.search.simulation import simulate
+from asia.search.unsealing import unseal
+from tests.unit.interfaces.cli.conftest import command_line
 
 from .toy import Scripted
 

@@ -9,9 +9,11 @@ import pytest
 
 from asia.agents import AgentView, Proposal
 from asia.errors import UserError
-from asia.ledger import SearchView, open_run
+from asia.ledger.run import open_run
+from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
-from asia.search import Steering, prepare, search
+from asia.search.run import prepare, search
+from asia.search.steering import Steering
 
 from .toy import arx, write_problem
 

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 
 from asia.errors import Reason
-from asia.evaluation import _evaluator as evaluator_module
-from asia.evaluation import _workers as workers_module
-from asia.ledger import SearchView, open_run, verify
+from asia.judge.evaluation import evaluator as evaluator_module
+from asia.judge.evaluation import workers as workers_module
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
+from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
-from asia.protocol import make_folds
-from asia.search import prepare, replay_run, search
-from asia.search._run import make_evaluator
+from asia.problem.protocol import make_folds
+from asia.search.replay import replay_run
+from asia.search.run import make_evaluator, prepare, search
 
 from .toy import ARX, Scripted, arx, write_problem
 

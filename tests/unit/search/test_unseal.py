@@ -8,13 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from asia.drive.command import CommandRules
 from asia.errors import UserError
-from asia.ledger import Started, Unsealed, Unsealing, open_run, read_lines, verify
-from asia.problem.load import init_problem, load_problem
-from asia.sandbox import Isolation, probe
-from asia.search import needs_consent, prepare, search, unseal
-from asia.search._secrecy import check_hidden_from_agent, check_run_is_hidden
+from asia.interfaces.coding_agents.session import CommandRules
+from asia.judge.sandbox.availability import probe
+from asia.judge.sandbox.types import Isolation
+from asia.ledger.chain import read_lines
+from asia.ledger.events import Started, Unsealed, Unsealing
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
+from asia.problem.create import init_problem
+from asia.problem.load import load_problem
+from asia.search.run import check_hidden_from_agent, check_run_is_hidden, prepare, search
+from asia.search.unsealing import needs_consent, unseal
 
 from .toy import Scripted, arx, write_problem
 
@@ -122,7 +127,7 @@ def test_a_kill_while_the_test_is_open_loses_nothing_and_opens_it_once(problem: 
 @pytest.mark.slow
 def test_no_test_value_lies_in_a_run_before_it_is_opened(problem: Path) -> None:
     directory = go(problem)
-    from asia.seal._test import open_test
+    from asia.problem.seal import open_test
 
     (record,) = open_test(load_problem(problem))
     shown = record.y[40:43].tobytes(), repr(float(record.y[40, 0])).encode()
@@ -188,8 +193,8 @@ def test_no_mount_shows_an_agent_the_test_or_its_key(tmp_path: Path, problem: Pa
 
 
 def test_rules_of_a_command_agent_are_checked_for_it(tmp_path: Path) -> None:
-    from asia.drive.command import run_command
-    from tests.unit.drive.commands import fake
+    from asia.interfaces.coding_agents.session import run_command
+    from tests.unit.interfaces.workspace.commands import fake
 
     toy = write_problem(tmp_path / "toy")
     ready = prepare(load_problem(toy), "claude", seed=0, runs=tmp_path / "elsewhere" / "runs")

@@ -12,11 +12,14 @@ import pytest
 
 import asia
 from asia.errors import UserError
-from asia.ledger import Started, journal, open_run, read_lines, results_table, verify
-from asia.ledger._events import adapter
+from asia.ledger.chain import read_lines
+from asia.ledger.events import Started, adapter
+from asia.ledger.exports import journal, results_table
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
 from asia.problem.load import load_problem
-from asia.search import prepare, with_early_stopping
-from asia.search import search as search_on
+from asia.search.run import prepare, with_early_stopping
+from asia.search.run import search as search_on
 
 from .toy import Scripted, arx, write_problem
 

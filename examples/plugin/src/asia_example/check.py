@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from asia.scoring.dossier import Check, ValidationData, Verdict
+from asia.judge.scoring.checks.check import Check, Verdict
+from asia.judge.scoring.checks.registry import ValidationData
 
 _LARGEST = 0.1
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from asia.ledger import open_run
+from asia.ledger.run import open_run
 
 
 def taps(run: Annotated[Path, typer.Argument(help="Folder of a run.")]) -> None:

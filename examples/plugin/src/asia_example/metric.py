@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asia.data import Array
-from asia.protocol import Metric
+from asia.problem.metrics import Metric
 
 
 def percentile_95(y: Array, y_hat: Array) -> Array:

@@ -8,8 +8,11 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from asia.export import Answers, ExportModel, Printed, TrainingWindow
-from asia.lowering import LoweredModel, pack, simulate, unpack
+from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.target import Answers
+from asia.lowering.evaluation import simulate
+from asia.lowering.program import LoweredModel
+from asia.lowering.wire import pack, unpack
 
 _FILE = "program.json"
 

@@ -11,20 +11,23 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
-from asia.agents._driving import AgentStoppedError
-from asia.agents._view import AgentView, Proposal, Running, Trial
 from asia.agents.expert.allocation import Allocation
-from asia.agents.expert.course import beats_nothing, keeps_course, why_nothing_helps
-from asia.agents.expert.ending import reason_to_end
+from asia.agents.expert.diagnosis import (
+    beats_nothing,
+    keeps_course,
+    reason_to_end,
+    why_nothing_helps,
+)
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import Wish, avoided, read_notes, wished_moves, wished_start
 from asia.agents.expert.titles import plain_title, title_of
-from asia.agents.library.evidence import overfit
 from asia.agents.library.family import Family
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.protocol import is_new, under_protocol
 from asia.agents.library.recipe import Recipe, read_recipe
-from asia.agents.library.table import families, family
+from asia.agents.library.records import overfit
+from asia.agents.library.registry import families, family
+from asia.agents.view import AgentStoppedError, AgentView, Proposal, Running, Trial
 
 SURE = 0.9
 BEHIND = 0.5

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from asia.agents._view import AgentView, Running, Trial
 from asia.agents.library.recipe import read_recipe
-from asia.agents.library.table import family
+from asia.agents.library.registry import family
+from asia.agents.view import AgentView, Running, Trial
 
 FAMILIES = 3
 """Families that get a trial and a refinement before any family gets more."""

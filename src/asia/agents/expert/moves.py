@@ -1,21 +1,16 @@
-"""Moves of the expert: change, condition, hypothesis and expected effect.
-
-One row a move, in a table for each kind of model. To extend the expert, add a row: the condition
-reads training-side evidence, the change makes a new recipe, the texts are recorded before the
-outcome is known.
-"""
+"""Moves of the expert, and their titles."""
 
 from __future__ import annotations
 
 from functools import cache
 
-from asia.agents.expert.course import COURSE_MOVES
+from asia.agents.expert.diagnosis import COURSE_MOVES
 from asia.agents.expert.network_moves import NETWORK_MOVES
 from asia.agents.expert.tune import TUNED, may_tune, tuned
-from asia.agents.library.evidence import coloured
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.table import card_moves
+from asia.agents.library.records import coloured
+from asia.agents.library.registry import card_moves
 
 _LATE = 0.25
 # A long fit may halve the error of a short one, hardly more.

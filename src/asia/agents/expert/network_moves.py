@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from asia.agents.library.evidence import input_left, overfit
 from asia.agents.library.methods import (
     GRADIENT,
     LARGE_BATCH,
@@ -19,6 +18,7 @@ from asia.agents.library.methods import (
 )
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
+from asia.agents.library.records import input_left, overfit
 from asia.agents.library.traits import traits
 
 _SIZES = ("hidden", "width", "units", "states", "slow")

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
-from asia.agents._view import AgentView
 from asia.agents.library.family import Family
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.table import all_families, family
+from asia.agents.library.registry import all_families, family
+from asia.agents.view import AgentView
 
 Effect = Literal["family", "saturation", "friction", "delay"]
 

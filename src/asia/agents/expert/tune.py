@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from optuna import Study
     from optuna.distributions import BaseDistribution
 
-    from asia.agents._view import Trial
     from asia.agents.library.move import Situation
+    from asia.agents.view import Trial
 
 TUNED = "numbers tuned"
 

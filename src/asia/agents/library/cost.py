@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from asia.agents._view import Facts
 from asia.agents.library.recipe import Recipe
+from asia.agents.view import Facts
 
 SampleCost = Literal["light", "medium", "heavy"]
 Stage = Literal["trial", "full"]

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from asia.agents._view import Facts
 from asia.agents.library.cost import Timing, fit_seconds
 from asia.agents.library.recipe import MODELS, Arguments, Recipe
 from asia.agents.library.space import Space
 from asia.agents.library.traits import Trait, traits
+from asia.agents.view import Facts
 
 Kind = Literal["equations", "classical", "network"]
 # Reduction of a family's aptness by an adverse trait.

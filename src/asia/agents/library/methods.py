@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from asia.agents._view import Facts
 from asia.agents.library.cost import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
-from asia.agents.library.evidence import coloured
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
-from asia.agents.library.records.integrators import integrating
+from asia.agents.library.records import coloured, integrating
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import traits
+from asia.agents.view import Facts
 
 LM = "LevenbergMarquardt"
 GRADIENT = ("Adam", "LBFGS", "MultipleShooting")

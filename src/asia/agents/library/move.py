@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from asia.agents._view import AgentView, Facts, Trial
 from asia.agents.library.family import Family
 from asia.agents.library.recipe import Recipe
+from asia.agents.view import AgentView, Facts, Trial
 
 
 @dataclass(frozen=True)

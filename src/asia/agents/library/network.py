@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from asia.agents._view import Facts
 from asia.agents.library.cost import SampleCost, Stage, Timing
 from asia.agents.library.family import Family
 from asia.agents.library.methods import adam, by_lbfgs, by_multiple_shooting, network_space
 from asia.agents.library.recipe import MODELS, Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space
 from asia.agents.library.traits import Trait
+from asia.agents.view import Facts
 
 STEP_BY_STEP = (by_lbfgs, by_multiple_shooting)
 """Methods for networks that step through time: multiple shooting can set their state."""

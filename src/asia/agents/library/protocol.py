@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from asia.agents._view import AgentView, Facts
 from asia.agents.library.family import Family
 from asia.agents.library.methods import GRADIENT
 from asia.agents.library.recipe import Recipe, read_recipe
+from asia.agents.view import AgentView, Facts
 
 # The paper's early stopping: a check every 25 updates, 20 without improvement.
 _EVERY, _PATIENCE = 25, 20

@@ -1,5 +1,4 @@
-"""Search space of a recipe: ranges of numbers and lists of choices, for random draws and for
-tuning."""
+"""Search space of recipes, and recipes under a protocol."""
 
 from __future__ import annotations
 

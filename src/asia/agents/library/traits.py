@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from asia.agents._view import Facts
-from asia.agents.library.records.integrators import integrating
+from asia.agents.library.records import integrating
+from asia.agents.view import Facts
 from asia.problem.symmetry import of_signals
 
 Trait = Literal[

@@ -5,14 +5,19 @@ from __future__ import annotations
 import importlib.util
 from typing import TYPE_CHECKING
 
-from asia.agents._driving import Journal
-from asia.agents._view import AgentView, Proposal
-from asia.agents.llm.anonymous import anonymous
-from asia.agents.llm.problem import problem_text
+from asia.agents.llm.prompt import (
+    NO_CANDIDATE,
+    Task,
+    anonymous,
+    bounded,
+    problem_text,
+    quoted,
+    search_text,
+    task_of,
+)
 from asia.agents.llm.reply import MalformedReplyError, Reply, read_reply
-from asia.agents.llm.search import NO_CANDIDATE, Task, search_text, task_of
 from asia.agents.llm.settings import LlmSettings
-from asia.agents.llm.text import bounded, quoted
+from asia.agents.view import AgentView, Journal, Proposal
 from asia.errors import InternalError, UserError
 
 if TYPE_CHECKING:

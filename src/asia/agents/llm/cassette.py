@@ -13,8 +13,8 @@ from typing import Any
 
 import httpx2
 
-from asia.agents._driving import DivergedError, Journal
-from asia.ledger import Exchanged, Usage
+from asia.agents.view import DivergedError, Journal
+from asia.ledger.events import Exchanged, Usage
 
 _LEAST_SECRET = 8
 _NEVER_SENT = ("ConnectError", "ConnectTimeout", "PoolTimeout", "UnsupportedProtocol", "ProxyError")

@@ -14,11 +14,11 @@ import httpx2
 import openai
 
 from asia._text import one_line
-from asia.agents._driving import AgentStoppedError, InterruptedWaitError, Journal
 from asia.agents.llm.cassette import Cassette, may_have_cost
 from asia.agents.llm.settings import LlmSettings
+from asia.agents.view import AgentStoppedError, InterruptedWaitError, Journal
 from asia.errors import UserError
-from asia.ledger import Usage
+from asia.ledger.events import Usage
 
 Message = dict[str, str]
 

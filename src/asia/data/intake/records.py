@@ -1,7 +1,8 @@
-"""Conversion of laboratory files to records, with notes on the changes."""
+"""Records from files, and a survey of the channels that files hold."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,21 +11,183 @@ from typing import Literal
 
 import numpy as np
 
-from asia._nearest import suggestion
-from asia.data._trajectory import Array, Trajectory, unique_names
-from asia.data.intake.formats.table import read_sheets
-from asia.data.intake.grid import (
+from asia._text import suggestion
+from asia.data.intake.formats import FORMATS, file_format, read_sheets
+from asia.data.intake.sheet import (
+    Column,
+    FileTable,
+    Wanted,
+    find_channels,
+    find_column,
+    require_column,
+    split_unit,
+)
+from asia.data.intake.text import to_numbers
+from asia.data.intake.time import (
+    JITTER,
     Clock,
+    Rows,
     between,
     clock,
     held,
     places,
     runs,
+    seconds,
     segments,
+    time_column,
 )
-from asia.data.intake.part import SheetPart, expanded, parts, units
-from asia.data.intake.sheet import Sheet, Wanted
+from asia.data.trajectory import Array, Trajectory, unique_names
 from asia.errors import UserError
+
+# The wanted channels of a sheet as numbers, one part an experiment.
+
+
+@dataclass(frozen=True)
+class TablePart:
+    """u (T, nu) and y (T, ny), NaN where a value is missing; stamps (T,) in s, None without."""
+
+    name: str
+    u: Array
+    y: Array
+    timestamps: Array | None
+    sampling_time: float | None
+    where: str
+    first_line: int
+    is_file: bool = False
+    """Whether it is the one record of its file."""
+
+
+def expanded(sheet: FileTable, wanted: Wanted) -> Wanted:
+    """Replace the name of a matrix by its columns."""
+
+    def columns(names: Sequence[str]) -> tuple[str, ...]:
+        found = [(n, find_channels(sheet.columns, n)) for n in names]
+        return tuple(c for n, many in found for c in (many if len(many) > 1 else (n,)))
+
+    inputs, outputs = columns(wanted.inputs), columns(wanted.outputs)
+    return replace(wanted, inputs=inputs, outputs=outputs)
+
+
+def parts(sheet: FileTable, wanted: Wanted) -> list[TablePart]:
+    """Raise UserError where a column is missing or holds no numbers."""
+    for name in wanted.names:
+        require_column(sheet, name)
+    own = [require_column(sheet, n).seconds for n in (*wanted.inputs, *wanted.outputs)]
+    whole = _one_clock(sheet, wanted) if any(s is None for s in own) else _merged(sheet, wanted)
+    if wanted.experiment is None:
+        return [whole]
+    every = [_label(c) for c in require_column(sheet, wanted.experiment).cells]
+    return [
+        replace(
+            whole,
+            name=label,
+            u=whole.u[rows],
+            y=whole.y[rows],
+            timestamps=None if whole.timestamps is None else whole.timestamps[rows],
+            where=f"{whole.where}, experiment {label}",
+        )
+        for label, rows in _experiments(every)
+    ]
+
+
+def units(sheet: FileTable, names: Sequence[str]) -> dict[str, str]:
+    """Units that the file gives."""
+    found = {n: find_column(list(sheet.columns), n) for n in names}
+    return {n: sheet.columns[c].unit for n, c in found.items() if c and sheet.columns[c].unit}
+
+
+def _numbers(sheet: FileTable, names: Sequence[str]) -> list[Array]:
+    return [
+        to_numbers(require_column(sheet, n).cells, f"{sheet.where}, column '{n}'", sheet.first_line)
+        for n in names
+    ]
+
+
+def _one_clock(sheet: FileTable, wanted: Wanted) -> TablePart:
+    lengths = {n: len(require_column(sheet, n).cells) for n in (*wanted.inputs, *wanted.outputs)}
+    if len(set(lengths.values())) > 1:
+        many = ", ".join(f"{n} {count}" for n, count in lengths.items())
+        raise UserError(f"{sheet.where}: channels of unequal lengths and without times ({many})")
+    u = np.stack(_numbers(sheet, wanted.inputs), axis=1)
+    y = np.stack(_numbers(sheet, wanted.outputs), axis=1)
+    time = time_column(sheet, wanted)
+    timestamps = None if time is None else seconds(sheet, time, wanted)
+    part = TablePart(
+        sheet.name, u, y, timestamps, sheet.sampling_time, sheet.where, sheet.first_line
+    )
+    if timestamps is None or np.isfinite(timestamps).all():
+        return part
+    rows = np.isfinite(timestamps)
+    return replace(part, u=u[rows], y=y[rows], timestamps=timestamps[rows])
+
+
+def _merged(sheet: FileTable, wanted: Wanted) -> TablePart:
+    """Channels with times of their own on those of the fastest: inputs held, outputs where they
+    were measured."""
+    names = (*wanted.inputs, *wanted.outputs)
+    values = dict(zip(names, _numbers(sheet, names), strict=True))
+    times = {n: require_column(sheet, n).seconds for n in names}
+    axes = {n: t for n, t in times.items() if t is not None and len(t)}
+    for name in names:
+        if name not in axes:
+            raise UserError(f"{sheet.where}: channel '{name}' has no samples")
+    steps = {n: float(np.median(np.diff(t))) if len(t) > 1 else np.inf for n, t in axes.items()}
+    quick = min(steps.values())
+    # Inputs are held between stamps, outputs are not: an output's stamps serve best.
+    leader = next(n for n in (*wanted.outputs, *wanted.inputs) if steps[n] <= quick * 1.01)
+    first = max(float(axes[n][0]) for n in wanted.inputs)
+    ends = [float(axes[n][-1]) + (steps[n] if n in wanted.inputs else 0.0) for n in axes]
+    base = axes[leader]
+    base = base[(base >= first - 1e-9) & (base <= min(ends) + 1e-9)]
+    step = float(np.median(np.diff(base))) if len(base) > 1 else 1.0
+    u = [held(axes[n], values[n][:, None], base)[:, 0] for n in wanted.inputs]
+    y = [_placed(axes[n], values[n], base, step) for n in wanted.outputs]
+    timestamps = np.round(base - base[0], 9) if len(base) else base
+    return TablePart(
+        sheet.name,
+        np.stack(u, axis=1),
+        np.stack(y, axis=1),
+        timestamps,
+        sheet.sampling_time,
+        sheet.where,
+        1,
+    )
+
+
+def _placed(timestamps: Array, values: Array, at: Array, step: float) -> Array:
+    """Place values at their measured times, NaN at all others."""
+    if not len(at):
+        return np.zeros(0)
+    near = np.clip(np.searchsorted(timestamps, at), 1, max(len(timestamps) - 1, 1))
+    near -= (at - timestamps[near - 1]) < (timestamps[np.minimum(near, len(timestamps) - 1)] - at)
+    near = np.clip(near, 0, len(timestamps) - 1)
+    return np.where(np.abs(timestamps[near] - at) <= JITTER * step, values[near], np.nan)
+
+
+def labels(column: Column) -> list[str]:
+    """Names of the experiments in a column, in the order in which they come up."""
+    return [name for name in dict.fromkeys(map(_label, column.cells)) if name]
+
+
+def _label(cell: object) -> str:
+    if isinstance(cell, float | np.floating) and float(cell).is_integer():
+        return str(int(cell))
+    text = "" if cell is None else str(cell).strip()
+    return "".join(c if c.isprintable() else "_" for c in text)
+
+
+def _experiments(every: Sequence[str]) -> list[tuple[str, Rows]]:
+    """Labels in the order in which they come up, and their rows. Rows without one are left out."""
+    values = np.array(every, dtype=object)
+    return [
+        (name, np.flatnonzero(values == name).astype(np.int64))
+        for name in dict.fromkeys(every)
+        if name
+    ]
+
+
+# Conversion of laboratory files to records, with notes on the changes.
+
 
 Use = Literal["train", "test", "split"]
 """Training records, test records, and records whose last part becomes a test."""
@@ -62,7 +225,7 @@ class _Timed:
         clock: None where the file has no usable time stamps
     """
 
-    part: SheetPart
+    part: TablePart
     clock: Clock | None
 
 
@@ -87,7 +250,7 @@ def take_in(
     Raises:
         UserError: for files that cannot be read as records
     """
-    found: list[SheetPart] = []
+    found: list[TablePart] = []
     found_units: dict[str, str] = {}
     asked: Wanted | None = None
     stems = Counter(path.stem for path in paths)
@@ -125,7 +288,7 @@ def take_in(
     return replace(made, units=found_units, inputs=asked.inputs, outputs=asked.outputs)
 
 
-def _check_values(found: Sequence[SheetPart], wanted: Wanted, where: str) -> None:
+def _check_values(found: Sequence[TablePart], wanted: Wanted, where: str) -> None:
     """Raise UserError for a channel that has no value in any row, and for outputs that are measured
     only where inputs are not."""
     if not any(len(part.u) for part in found):
@@ -148,7 +311,7 @@ def _check_values(found: Sequence[SheetPart], wanted: Wanted, where: str) -> Non
 
 
 def make_records(
-    found: Sequence[SheetPart],
+    found: Sequence[TablePart],
     use: Use,
     sampling_time: float | None = None,
     least: int = 1,
@@ -174,14 +337,14 @@ def make_records(
     return Intake(records, notes=tuple(notes))
 
 
-def as_written(sheet: Sheet, wanted: Wanted, sampling_time: float) -> Trajectory:
+def as_written(sheet: FileTable, wanted: Wanted, sampling_time: float) -> Trajectory:
     """The record whose samples are the rows of a sheet, whatever its time stamps: of files that
     ASIA wrote and of benchmarks. Raises UserError."""
     part = parts(sheet, replace(wanted, time="none", experiment=None))[0]
     return Trajectory(part.u, part.y, sampling_time, sheet.name)
 
 
-def _oldest_first(part: SheetPart, notes: list[str]) -> SheetPart:
+def _oldest_first(part: TablePart, notes: list[str]) -> TablePart:
     """Return the part in increasing time; reverse it where time decreases from row to row."""
     if (
         part.timestamps is None
@@ -194,7 +357,7 @@ def _oldest_first(part: SheetPart, notes: list[str]) -> SheetPart:
     return replace(part, u=part.u[back], y=part.y[back], timestamps=part.timestamps[back])
 
 
-def _stretches(part: SheetPart, ignore: str, notes: list[str]) -> list[_Timed]:
+def _stretches(part: TablePart, ignore: str, notes: list[str]) -> list[_Timed]:
     if part.timestamps is None:
         return [_Timed(part, None)]
     found = runs(part.timestamps, part.where, part.first_line, ignore)
@@ -204,13 +367,13 @@ def _stretches(part: SheetPart, ignore: str, notes: list[str]) -> list[_Timed]:
     return [_Timed(cut, clock(_timestamps(cut))) for cut in (_cut(part, rows) for rows in found)]
 
 
-def _cut(part: SheetPart, rows: slice) -> SheetPart:
+def _cut(part: TablePart, rows: slice) -> TablePart:
     timestamps = None if part.timestamps is None else part.timestamps[rows]
     line = part.first_line + rows.start
     return replace(part, u=part.u[rows], y=part.y[rows], timestamps=timestamps, first_line=line)
 
 
-def _timestamps(part: SheetPart) -> Array:
+def _timestamps(part: TablePart) -> Array:
     return np.zeros(0) if part.timestamps is None else part.timestamps
 
 
@@ -261,7 +424,7 @@ def _pieces(
     ]
 
 
-def _on_grid(one: _Timed, step: float, use: Use, notes: list[str], ignore: str) -> list[SheetPart]:
+def _on_grid(one: _Timed, step: float, use: Use, notes: list[str], ignore: str) -> list[TablePart]:
     """Resample a part to the sampling time `step`, and cut it at its gaps."""
     part = one.part
     own = _own_step(one) or step
@@ -288,8 +451,8 @@ def _on_grid(one: _Timed, step: float, use: Use, notes: list[str], ignore: str) 
 
 
 def _other_rate(
-    whole: Sequence[SheetPart], own: float, step: float, use: Use, notes: list[str], ignore: str
-) -> list[SheetPart]:
+    whole: Sequence[TablePart], own: float, step: float, use: Use, notes: list[str], ignore: str
+) -> list[TablePart]:
     ratio = step / own
     where = whole[0].where
     if abs(ratio - round(ratio)) < _SAME * ratio and ratio > 1:
@@ -299,25 +462,25 @@ def _other_rate(
             "averaged in between"
         )
         return [_decimated(part, count) for part in whole if len(part.u) >= count]
-    made: list[SheetPart] = []
+    made: list[TablePart] = []
     for part in whole:
         timestamps = np.arange(len(part.u), dtype=np.float64) * own
-        timed = SheetPart(part.name, part.u, part.y, timestamps, own, part.where, part.first_line)
+        timed = TablePart(part.name, part.u, part.y, timestamps, own, part.where, part.first_line)
         made += _resampled(timed, Clock(own, 0.0), step, use, notes, ignore)
     return made
 
 
-def _decimated(part: SheetPart, count: int) -> SheetPart:
+def _decimated(part: TablePart, count: int) -> TablePart:
     rows = len(part.u) // count
     u = part.u[: rows * count].reshape(rows, count, -1).mean(axis=1)
-    return SheetPart(
+    return TablePart(
         part.name, u, part.y[: rows * count : count], None, None, part.where, part.first_line
     )
 
 
 def _resampled(
-    part: SheetPart, found: Clock, step: float, use: Use, notes: list[str], ignore: str
-) -> list[SheetPart]:
+    part: TablePart, found: Clock, step: float, use: Use, notes: list[str], ignore: str
+) -> list[TablePart]:
     if found.jitter > _DRIFT:
         low, high = np.quantile(np.diff(_timestamps(part)), (0.01, 0.99))
         reason = f"the sampling time varies from {low:.3g} s to {high:.3g} s"
@@ -342,16 +505,16 @@ def _resampled(
     breaks = (np.flatnonzero(np.diff(timestamps) > _GAP * max(found.step, step)) + 1).tolist()
     if breaks:
         notes.append(f"{part.where}: {_many(len(breaks), 'gap')} in time")
-    made: list[SheetPart] = []
+    made: list[TablePart] = []
     for a, b in zip([0, *breaks], [*breaks, len(timestamps)], strict=True):
         own = timestamps[a:b]
         at = own[0] + step * np.arange(int((own[-1] - own[0]) / step + 1e-9) + 1)
         u, y = held(own, part.u[a:b], at), between(own, part.y[a:b], at)
-        made.append(SheetPart(part.name, u, y, None, None, part.where, part.first_line + a))
+        made.append(TablePart(part.name, u, y, None, None, part.where, part.first_line + a))
     return made
 
 
-def _without_missing(part: SheetPart) -> list[SheetPart]:
+def _without_missing(part: TablePart) -> list[TablePart]:
     """Cut a part to the segments in which every input was measured; outputs may be missing, but not
     all of them at either end."""
     rows = np.flatnonzero(np.isfinite(part.u).all(axis=1)).astype(np.int64)
@@ -361,7 +524,7 @@ def _without_missing(part: SheetPart) -> list[SheetPart]:
     return [one for rows in spans for one in _measured_segment(_cut(part, rows))]
 
 
-def _measured_segment(part: SheetPart) -> list[SheetPart]:
+def _measured_segment(part: TablePart) -> list[TablePart]:
     """Cut the part to the samples between the first and the last with measured outputs.
 
     Samples with all outputs measured are the limits where there are any. Returns [] where an output
@@ -376,7 +539,7 @@ def _measured_segment(part: SheetPart) -> list[SheetPart]:
 
 
 def _note_missing(
-    where: str, found: Sequence[SheetPart], cuts: Sequence[SheetPart], notes: list[str]
+    where: str, found: Sequence[TablePart], cuts: Sequence[TablePart], notes: list[str]
 ) -> None:
     """One line for each kind of missing value in a record."""
     good = [np.isfinite(part.u).all(axis=1) for part in found]
@@ -396,3 +559,119 @@ def _note_missing(
 
 def _many(count: int, what: str) -> str:
     return f"{count} {what}" + ("s" if count != 1 else "")
+
+
+# Survey of the files of a folder before inputs and outputs are chosen.
+
+
+_INPUT = re.compile(r"(u|in|input)[ _.]?\d*")
+_OUTPUT = re.compile(r"(y|out|output)[ _.]?\d*")
+_MOST_FILES = 50
+
+
+@dataclass(frozen=True)
+class FileColumns:
+    """Columns of a file, with a guess at inputs and outputs."""
+
+    names: tuple[str, ...]
+    """All but that of the sample times, without their units."""
+    time: str | None
+    """The column with the sample times."""
+    timed: bool
+    """Whether the file contains its sampling time."""
+    unusable: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Columns that cannot be an output, and why."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Likely inputs by their names; where names give no hint, all but the outputs."""
+        return self._named(_INPUT) or tuple(n for n in self._usable if n not in self.outputs)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Likely outputs by their names; where names give no hint, those that are no inputs, or the
+        last one."""
+        found = self._named(_OUTPUT)
+        if not found and self._named(_INPUT):
+            found = tuple(n for n in self._usable if n not in self._named(_INPUT))
+        return found or self._usable[-1:]
+
+    @property
+    def _usable(self) -> tuple[str, ...]:
+        return tuple(n for n in self.names if n not in self.unusable)
+
+    def _named(self, pattern: re.Pattern[str]) -> tuple[str, ...]:
+        return tuple(n for n in self._usable if pattern.fullmatch(n.casefold()))
+
+
+def survey(path: Path, wanted: Wanted) -> FileColumns:
+    """The columns of a file with records. Raises UserError."""
+    fmt = file_format(path)
+    sheets = fmt.read(path, wanted)
+    if any(not len(c.cells) for s in sheets for c in s.columns.values()):
+        # Some formats read only the columns that are asked for.
+        every = tuple(dict.fromkeys(n for s in sheets for n in s.columns))
+        sheets = fmt.read(path, replace(wanted, inputs=every, outputs=()))
+    whole = FileTable(
+        path.stem, {n: c for s in sheets for n, c in s.columns.items()}, where=str(path)
+    )
+    time = time_column(whole, wanted)
+    experiment = wanted.experiment and find_column(list(whole.columns), wanted.experiment)
+    left = [n for n in whole.columns if n and n not in (time, experiment)]
+    if len(left) < 2:
+        raise UserError(
+            f"{path} has {len(left)} columns beside the time: an input and an output are needed"
+        )
+    timed = time is not None or any(
+        s.sampling_time is not None or any(c.seconds is not None for c in s.columns.values())
+        for s in sheets
+    )
+    reasons = {split_unit(n)[0]: _why_unusable(n, sheets) for n in left}
+    unusable = {name: reason for name, reason in reasons.items() if reason}
+    return FileColumns(tuple(split_unit(n)[0] for n in left), time, timed, unusable)
+
+
+def _why_unusable(name: str, sheets: Sequence[FileTable]) -> str:
+    """Return the reason why a column cannot be an output; "" where it can."""
+    columns = [s.columns[name] for s in sheets if name in s.columns]
+    try:
+        values = np.concatenate([to_numbers(c.cells, name, 1) for c in columns])
+    except UserError:
+        return "holds no numbers"
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return "holds no values"
+    return f"is {values[0]:g} in every sample" if (values == values[0]).all() else ""
+
+
+def experiments_in(paths: Sequence[Path], wanted: Wanted) -> tuple[str, ...]:
+    """Names of the experiments in files, where one file has several. Raises UserError."""
+    found: list[str] = []
+    for path in paths:
+        sheets = file_format(path).read(path, wanted)
+        if wanted.experiment is None:
+            found += [s.name for s in sheets] if len(sheets) > 1 else []
+            continue
+        for sheet in sheets:
+            found += labels(require_column(sheet, wanted.experiment))
+    return tuple(dict.fromkeys(found))
+
+
+def record_files(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Files in a folder that may hold records, in the order of their names: for training, and those
+    whose names say that they are for a test. Empty where there are too many to be meant."""
+    suffixes = {s for fmt in FORMATS for s in fmt.suffixes if s != "/"}
+    found = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in suffixes)
+    if len(found) > _MOST_FILES:
+        return [], []
+    tests = [p for p in found if "test" in p.stem.casefold()]
+    return [p for p in found if p not in tests], tests
+
+
+def split_names(text: str, known: Sequence[str] = ()) -> list[str]:
+    """Split an answer into names of columns or files: a known name, or several between commas, or
+    else between blanks."""
+    if text.strip() in known:
+        return [text.strip()]
+    parts = text.split(",") if "," in text else text.split()
+    return [part.strip() for part in parts if part.strip()]

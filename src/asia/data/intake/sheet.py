@@ -1,4 +1,4 @@
-"""Table of a file before it becomes a record: named columns of numbers, texts or dates."""
+"""Contents of a file before it becomes a record: named columns, or trees of named arrays."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from asia._nearest import suggestion
-from asia.data._trajectory import Array
+from asia._text import suggestion
+from asia.data.trajectory import Array
 from asia.errors import UserError
 
 Cells = NDArray[Any]
@@ -35,7 +35,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class FileTable:
     """Columns of equal length, unless they have times of their own."""
 
     name: str
@@ -81,7 +81,7 @@ class FileFormat(ABC):
     """File name suffixes, in lower case; "/" is a folder."""
 
     @abstractmethod
-    def read(self, path: Path, wanted: Wanted) -> tuple[Sheet, ...]:
+    def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
         """Read the tables that have the wanted columns.
 
         Where none has, return one with the existing columns, so that the message can name them.
@@ -124,7 +124,7 @@ def find_channels(columns: Mapping[str, Column], name: str) -> tuple[str, ...]:
     return tuple(n for n, c in columns.items() if c.matrix and c.matrix == name)
 
 
-def require_column(sheet: Sheet, name: str) -> Column:
+def require_column(sheet: FileTable, name: str) -> Column:
     """Return the column of this name.
 
     Raises:

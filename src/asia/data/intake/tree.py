@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from asia.data.intake.sheet import Cells, Column, Sheet, Wanted, find_channels
+from asia.data.intake.sheet import Cells, Column, FileTable, Wanted, find_channels
 
 _STEPS = ("ts", "dt", "sampling_time", "sample_time", "samplingtime", "fs", "sampling_rate")
 _RATES = ("fs", "sampling_rate")
@@ -16,7 +16,7 @@ _RATES = ("fs", "sampling_rate")
 
 def tree_sheets(
     name: str, where: str, tree: Mapping[str, Any], wanted: Wanted
-) -> tuple[Sheet, ...]:
+) -> tuple[FileTable, ...]:
     """The folders of the tree that hold all wanted channels, one sheet each; the whole tree where
     none does.
 
@@ -30,7 +30,7 @@ def tree_sheets(
     return tuple(found) or (_sheet(name, where, tree),)
 
 
-def _search(name: str, where: str, tree: Mapping[str, Any], wanted: Wanted) -> Iterator[Sheet]:
+def _search(name: str, where: str, tree: Mapping[str, Any], wanted: Wanted) -> Iterator[FileTable]:
     sheet = _sheet(name, where, tree)
     if all(find_channels(sheet.columns, n) for n in wanted.names):
         yield sheet
@@ -47,7 +47,7 @@ def _is_many(node: object) -> bool:
     return isinstance(node, list) and bool(node) and all(isinstance(n, Mapping) for n in node)
 
 
-def _sheet(name: str, where: str, tree: Mapping[str, Any]) -> Sheet:
+def _sheet(name: str, where: str, tree: Mapping[str, Any]) -> FileTable:
     leaves = dict(_leaves(tree, ""))
     short = Counter(path.rpartition(".")[2] for path in leaves)
     columns: dict[str, Column] = {}
@@ -65,7 +65,7 @@ def _sheet(name: str, where: str, tree: Mapping[str, Any]) -> Sheet:
     lengths = Counter(len(c.cells) for c in columns.values())
     longest = max(lengths, key=lambda n: (lengths[n], n), default=0)
     kept = {k: c for k, c in columns.items() if len(c.cells) == longest}
-    return Sheet(name, kept, step if step is not None and step > 0 else None, where)
+    return FileTable(name, kept, step if step is not None and step > 0 else None, where)
 
 
 def _leaves(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Cells]]:

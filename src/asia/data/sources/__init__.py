@@ -7,18 +7,24 @@ file. `SOURCES` has ASIA's own by name; an installed package adds one as an entr
 the conformance suite of sources. Where training records are chosen by name, derive from `DataSet`.
 """
 
+from asia.data.sources.registry import (
+    SOURCES,
+    checked_class,
+    data_source,
+    source_class,
+    test_source,
+)
 from asia.data.sources.source import (
     Channels,
     DataSet,
     DataTable,
     FileName,
-    Outline,
     SealedEntry,
     Source,
     SourceData,
     Subset,
+    TestSummary,
 )
-from asia.data.sources.table import SOURCES, checked_class, data_source, source_class, test_source
 
 __all__ = [
     "SOURCES",
@@ -26,11 +32,11 @@ __all__ = [
     "DataSet",
     "DataTable",
     "FileName",
-    "Outline",
     "SealedEntry",
     "Source",
     "SourceData",
     "Subset",
+    "TestSummary",
     "checked_class",
     "data_source",
     "source_class",

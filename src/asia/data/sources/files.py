@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from asia.data._trajectory import unique_names
 from asia.data.intake.records import Intake, Use, take_in
 from asia.data.intake.sheet import Wanted
 from asia.data.sources.source import (
@@ -19,6 +18,7 @@ from asia.data.sources.source import (
     not_counted,
     refuse_seed,
 )
+from asia.data.trajectory import unique_names
 from asia.errors import UserError
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from asia.data.intake.formats.text import Text
 from asia.data.intake.records import as_written
 from asia.data.intake.sheet import Wanted
+from asia.data.intake.text import Text
 from asia.data.sources.source import Channels, DataSet, SourceData, Subset
 from asia.errors import UserError
 

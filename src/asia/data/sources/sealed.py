@@ -6,19 +6,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from asia.data._store import PlainFile, SealHead, find_key, key_folder, open_store, read_seal
-from asia.data._trajectory import Trajectory, unique_names
-from asia.data.intake.formats.text import Text
 from asia.data.intake.records import as_written
 from asia.data.intake.sheet import Wanted
-from asia.data.sources.source import (
-    Channels,
-    DataTable,
-    Outline,
-    Source,
-    SourceData,
-    Subset,
-)
+from asia.data.intake.text import Text
+from asia.data.sources.source import Channels, DataTable, Source, SourceData, Subset, TestSummary
+from asia.data.store import PlainFile, SealHead, find_key, key_folder, open_store, read_seal
+from asia.data.trajectory import Trajectory, unique_names
 from asia.errors import UserError
 
 
@@ -64,7 +57,7 @@ class SealedStore(Source):
         """Implement `Source.to_toml`."""
         return {"sealed": {"file": str(self.path), "sha256": self.sha256}}
 
-    def outline(self, channels: Channels) -> Outline:
+    def outline(self, channels: Channels) -> TestSummary:
         """Return the outline from the public header, without the key."""
         head = self._head()
         inputs, outputs = channels.names
@@ -78,7 +71,7 @@ class SealedStore(Source):
                     f"{self.path} was sealed with {what} {there}, and the problem has {now}: put "
                     f"{what} back in problem.toml"
                 )
-        return Outline(
+        return TestSummary(
             sha256=head.sha256,
             names=unique_names([Path(file.name).stem for file in head.files]),
             lengths=tuple(file.samples for file in head.files),

@@ -11,10 +11,9 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field
 
-from asia._nearest import suggestion
-from asia.data._magnitudes import check_magnitudes, check_ranges
-from asia.data._trajectory import Array, Signal, Trajectory
+from asia._text import suggestion
 from asia.data.intake.sheet import Wanted
+from asia.data.trajectory import Array, Signal, Trajectory, check_magnitudes, check_ranges
 from asia.errors import UserError
 
 Subset = Literal["train", "test", "guard"]
@@ -55,7 +54,7 @@ class SourceData:
 
 
 @dataclass(frozen=True)
-class Outline:
+class TestSummary:
     """Public facts about test records before they are opened."""
 
     sha256: str
@@ -212,7 +211,7 @@ class Source(ABC):
                 )
         return found
 
-    def outline(self, channels: Channels) -> Outline | None:
+    def outline(self, channels: Channels) -> TestSummary | None:
         """Return the public facts about the test; None where its records must be read to know them.
 
         Raises:

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from asia.export._model import ExportModel, Printed, TrainingWindow
-from asia.export._target import Answers
-from asia.export.targets.c_places import kept_axes, source_places
-from asia.lowering import Node, Program, Shape
+from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.target import Answers
+from asia.export.targets.c import kept_axes, source_places
+from asia.lowering.program import Node, Program, Shape
 
 _SCRIPT = '''"""initial(past_u, past_y, u) -> x, step(x, u) -> (x at the next sample, y), CasADi:
 past_u is n_past_u by nu, past_y n_past_y by ny, all else are columns."""

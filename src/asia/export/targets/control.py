@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from asia.data import Array
-from asia.export._model import ExportModel, Printed, TrainingWindow
-from asia.export._target import Answers
+from asia.data.trajectory import Array
+from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.target import Answers
 from asia.export.targets.numpy import NumpyTarget
-from asia.lowering import LoweredModel, evaluate
+from asia.lowering.evaluation import evaluate
+from asia.lowering.program import LoweredModel
 
 _SCRIPT = '''"""system: the model for python-control; start(past_u, past_y, u): its state."""
 

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from asia.errors import InternalError
-from asia.export._model import ExportModel, Printed, TrainingWindow
-from asia.export._target import Answers
-from asia.export.targets.c_places import kept_axes, source_places
-from asia.lowering import Node, Program, Shape
+from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.target import Answers
+from asia.export.targets.c import kept_axes, source_places
+from asia.lowering.program import Node, Program, Shape
 
 _INFIX = {"add": "+", "sub": "-", "mul": ".*", "div": "./", "pow": ".^"}
 _COMPARED = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "~="}

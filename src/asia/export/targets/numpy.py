@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from asia.data import Array
-from asia.export._model import ExportModel, Printed, TrainingWindow
-from asia.export._target import Answers
-from asia.lowering import Node, Program
+from asia.data.trajectory import Array
+from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.target import Answers
+from asia.lowering.program import Node, Program
 
 _SYMBOLS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "matmul": "@"}
 _COMPARED = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}

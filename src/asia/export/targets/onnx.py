@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from asia.errors import UserError
-from asia.export._model import ExportModel, Printed, TrainingWindow
-from asia.export._target import Answers
-from asia.export.targets.c_places import source_places
-from asia.lowering import LoweredModel, Node, Program, Shape
+from asia.export.model import ExportModel, Printed, TrainingWindow
+from asia.export.target import Answers
+from asia.export.targets.c import source_places
+from asia.lowering.program import LoweredModel, Node, Program, Shape
 
 _OPSET, _IR = 17, 9
 _NAMES = {

@@ -1,4 +1,4 @@
-"""Settings and structure of a grey-box, and layout of the coordinates that training searches."""
+"""Grey-box settings: what is added to the equations, and the coordinates that training searches."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Literal, get_args
 
-from asia.models._equations.added.numbers import NO_NUMBERS, LearnedNumbers
-from asia.models._equations.added.priors import NO_PRIORS, ParameterPriors
+from asia.models._equations.additions import NO_NUMBERS, NO_PRIORS, LearnedNumbers, ParameterPriors
 from asia.models._equations.ode import Equations
-from asia.problem.physics.expressions import Name
+from asia.problem.physics import Name
 
 Initial = Literal["measured", "estimated"]
 Sensor = Literal["power", "spline"]
@@ -181,7 +180,7 @@ class GreyBoxStructure:
     """Simulations start at the last measured outputs."""
     learned: LearnedNumbers = NO_NUMBERS
     """Numbers of the additions that are written into the equations."""
-    person_states: int | None = None
+    problem_states: int | None = None
     """Number of states of the problem file's equations, which come first; None is all."""
     priors: ParameterPriors = NO_PRIORS
     """Prior knowledge of the parameters."""
@@ -215,7 +214,7 @@ class GreyBoxStructure:
     @property
     def nx_own(self) -> int:
         """Number of states of the problem file's equations."""
-        return self.nx if self.person_states is None else self.person_states
+        return self.nx if self.problem_states is None else self.problem_states
 
     @property
     def nu(self) -> int:

@@ -1,4 +1,4 @@
-"""Fit of a grey-box to records: screening, multi-start, then the additions."""
+"""Fit of a grey-box: screening, starts, noise rounds, additions."""
 
 from __future__ import annotations
 
@@ -7,27 +7,90 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asia.data import Array
+from asia.data.trajectory import Array
+from asia.errors import UserError
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.noise_rounds import NoiseRounds
-from asia.models._equations.past_window import window_prior
 from asia.models._equations.simulate import Scales, WindowPrior
 from asia.models._equations.simulation_error import SimulationError
 from asia.models._equations.starts import (
-    RecordPieces,
+    RecordSegments,
     SegmentSimulator,
     Starts,
     add_network,
     augment,
     initial_states,
     screen,
+    window_prior,
 )
 from asia.models._least_squares import TRIALS, LevenbergMarquardt, Minimum, minimise
-from asia.models._noise.estimate import NOISE_ROUNDS
-from asia.models._noise.whitening import ResidualNoise
+from asia.models._noise.model import (
+    LEAST_DEVIATION,
+    NOISE_ROUNDS,
+    ErrorWeighting,
+    NoiseChoice,
+    ResidualNoise,
+    estimate_noise,
+    settled,
+)
 
 if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator
+
+
+# Estimates of the noise model between the fits of a grey-box.
+
+
+class NoiseRounds:
+    """Last estimate of the noise of the outputs; None where the method is least squares.
+
+    Raises:
+        UserError: if the configuration has a robust loss of its own.
+    """
+
+    def __init__(
+        self,
+        structure: GreyBoxStructure,
+        segments: RecordSegments,
+        simulate: SegmentSimulator,
+        method: LevenbergMarquardt,
+    ) -> None:
+        self._structure, self._segments, self._simulate = structure, segments, simulate
+        self._choice = NoiseChoice.of(method)
+        self.noise: ResidualNoise | None = None
+        self.weighting: ErrorWeighting | None = None
+        if self._choice is not None and structure.config.robust is not None:
+            raise UserError(
+                "greybox.Config: robust is a threshold on simulation errors, and the method weighs "
+                "innovations; leave robust out and give LevenbergMarquardt's huber"
+            )
+
+    def estimate(self, starts: Starts, found: Minimum) -> bool:
+        """Estimate the noise from the residuals of the best fit.
+
+        Returns:
+            False where nothing is estimated or the estimate has settled.
+        """
+        if self._choice is None or not np.isfinite(found.cost).any():
+            return False
+        structure, segments, best = self._structure, self._segments, int(np.argmin(found.cost))
+        z, scales = found.theta[best, : structure.layout.size], starts.scales.of_rows(best)
+        x0 = initial_states(structure, starts, found, best)
+        y = self._simulate(z[None], scales.for_rows(), x0[None])[0][0]
+        mask, floor = segments.counts, np.full(structure.ny, LEAST_DEVIATION)
+        if structure.measured:
+            # The first error is zero, since the simulation starts at the first measurement.
+            mask = mask * (np.arange(mask.shape[1]) > 0)
+        time = structure.sampling_time
+        residual = (y - segments.y) / scales.y_scale
+        noise = estimate_noise(residual, mask, time, self._choice, floor)
+        if settled(self.noise, noise):
+            return False
+        self.noise = noise
+        self.weighting = ErrorWeighting.of(noise, time, mask, self._choice.huber)
+        return True
+
+
+# Fit of a grey-box to records: screening, multi-start, then the additions.
 
 
 @dataclass(frozen=True)
@@ -52,7 +115,7 @@ class FittedEquations:
 
 
 def fit(
-    structure: GreyBoxStructure, segments: RecordPieces, method: LevenbergMarquardt, seed: int
+    structure: GreyBoxStructure, segments: RecordSegments, method: LevenbergMarquardt, seed: int
 ) -> FittedEquations:
     """Best of `method.starts` fits, in up to three stages.
 
@@ -95,7 +158,10 @@ def fit(
 
 
 def refit(
-    structure: GreyBoxStructure, segments: RecordPieces, starts: Starts, method: LevenbergMarquardt
+    structure: GreyBoxStructure,
+    segments: RecordSegments,
+    starts: Starts,
+    method: LevenbergMarquardt,
 ) -> FittedEquations:
     """Fit all coordinates from one starting point."""
     from asia.models._equations.programs import CompiledSimulator
@@ -114,7 +180,7 @@ class _Stages:
     """Fits of one model, from all starting points at once."""
 
     structure: GreyBoxStructure
-    segments: RecordPieces
+    segments: RecordSegments
     method: LevenbergMarquardt
     simulate: CompiledSimulator
     noise: NoiseRounds
@@ -145,7 +211,7 @@ class _Stages:
 
 def _finish(
     structure: GreyBoxStructure,
-    segments: RecordPieces,
+    segments: RecordSegments,
     simulate: SegmentSimulator,
     starts: Starts,
     found: Minimum,

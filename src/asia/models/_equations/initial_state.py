@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from asia.data import Array
+from asia.data.trajectory import Array
 from asia.models._arrays import AnyArray, namespace
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import (
@@ -19,12 +19,7 @@ from asia.models._equations.simulate import (
     sample_by_sample,
     simulate,
 )
-from asia.models._least_squares import (
-    LevenbergMarquardt,
-    NormalEquations,
-    minimise,
-    traced_minimum,
-)
+from asia.models._least_squares import LevenbergMarquardt, NormalEquations, minimise, traced_minimum
 
 _METHOD = LevenbergMarquardt(iterations=12, damping=1e-3, tolerance=1e-10)
 # Step of fourth-order differences, in units of the initial state's deviation.

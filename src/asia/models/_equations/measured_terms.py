@@ -17,13 +17,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from asia.data import Array
+from asia.data.trajectory import Array
 from asia.models._arrays import Packing, packed
 from asia.models._config import Progress
-from asia.models._data.windows import HorizonWindows
-from asia.models._equations.measured_cell import MeasuredCell
+from asia.models._equations.measured import MeasuredCell
 from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
 from asia.models._networks.structure import Params, rollout
+from asia.models._numerics.records import HorizonWindows
 
 Judge = Callable[[Params], float]
 

@@ -12,9 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from asia.models._arrays import AnyArray, namespace, rows, sigmoid, softplus
-from asia.problem import Physics
-from asia.problem.physics.check import check_physics, definition_order
-from asia.problem.physics.expressions import (
+from asia.problem.physics import (
     Binary,
     Call,
     Expression,
@@ -22,6 +20,9 @@ from asia.problem.physics.expressions import (
     Negative,
     Node,
     Number,
+    Physics,
+    check_physics,
+    definition_order,
     parse_expression,
 )
 

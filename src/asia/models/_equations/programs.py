@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from asia.data import Array
+from asia.data.trajectory import Array
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales, delayed, effects, outputs, simulate_states
 

@@ -1,8 +1,4 @@
-"""Simulation of an augmented grey-box, written once for NumPy and JAX.
-
-Arrays hold the channel first and then R rows (fits, or points that are tried) and S segments
-(records, windows or cases): z (size, R), x (nx, R, S), u (nu, S). A dimension of 1 is broadcast.
-"""
+"""Simulation of a grey-box, for NumPy and JAX."""
 
 from __future__ import annotations
 

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asia.data import Array
-from asia.models._data.cuts import Indices
+from asia.data.trajectory import Array
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import physical_parameters
-from asia.models._equations.starts import RecordPieces, Starts
+from asia.models._equations.starts import RecordSegments, Starts
 from asia.models._least_squares import NormalEquations
-from asia.models._noise.weighting import ErrorWeighting
-from asia.models._noise.whitening import huber_root
+from asia.models._noise.model import ErrorWeighting, huber_root
+from asia.models._numerics.records import Indices
 
 if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator
@@ -42,7 +41,7 @@ class SimulationError:
     def __init__(
         self,
         structure: GreyBoxStructure,
-        segments: RecordPieces,
+        segments: RecordSegments,
         starts: Starts,
         active: Array,
         simulate: CompiledSimulator,

@@ -1,4 +1,4 @@
-"""Starting points of the fit of a grey-box: records cut to segments, draws, screening, scales."""
+"""Starts of the fit of a grey-box, and initial states from past windows."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.data import Array, Trajectory
-from asia.models._data.cuts import side_by_side, spread
-from asia.models._data.records import measured_samples
+from asia.data.trajectory import Array, Trajectory
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.simulate import Scales
+from asia.models._equations.simulate import Scales, WindowPrior
 from asia.models._least_squares import Minimum
+from asia.models._numerics.records import measured_samples, rows, side_by_side, spread
+
+# Starting points of the fit of a grey-box: records cut to segments, draws, screening, scales.
+
 
 # Coordinates at which an addition has no effect: a limit far above any state, a fraction of zero.
 _NO_LIMIT = 20.0
@@ -31,7 +33,7 @@ _OPEN = 1e100
 _RUNAWAY = 1e6
 
 
-class RecordPieces(NamedTuple):
+class RecordSegments(NamedTuple):
     """Training records, or windows of them, side by side."""
 
     u: Array
@@ -76,7 +78,7 @@ class SegmentSimulator(Protocol):
 
 def cut_segments(
     structure: GreyBoxStructure, trajectories: Sequence[Trajectory], horizon: int | None
-) -> RecordPieces:
+) -> RecordSegments:
     """Cut the records to segments.
 
     They are whole records, or, with a horizon, windows spread over them: past and horizon, or where
@@ -95,7 +97,7 @@ def cut_segments(
         # Hold the first known input, as in simulation, where the last past input is unknown.
         u[:, 0] = u[:, 1]
     counts = side_by_side([measured_samples(t) for t in cuts])
-    return RecordPieces(u, side_by_side([t.y for t in cuts], "edge"), mask, counts)
+    return RecordSegments(u, side_by_side([t.y for t in cuts], "edge"), mask, counts)
 
 
 def _most_windows(structure: GreyBoxStructure, length: int) -> int:
@@ -113,7 +115,7 @@ def initial_states(structure: GreyBoxStructure, starts: Starts, found: Minimum, 
     return starts.x_guess[i] + shift * starts.scales.x_scale[:, i]
 
 
-def _first_guess(structure: GreyBoxStructure, segments: RecordPieces) -> Array:
+def _first_guess(structure: GreyBoxStructure, segments: RecordSegments) -> Array:
     """Initial states (S, nx): the first measurement, else the middle of the bounds, else 0."""
     low, high = np.array(structure.low), np.array(structure.high)
     closed = np.isfinite(low) & np.isfinite(high)
@@ -124,7 +126,7 @@ def _first_guess(structure: GreyBoxStructure, segments: RecordPieces) -> Array:
     return guess
 
 
-def _base_scales(structure: GreyBoxStructure, segments: RecordPieces) -> Scales:
+def _base_scales(structure: GreyBoxStructure, segments: RecordSegments) -> Scales:
     """Scales before any state is known."""
     nx, inside = structure.nx, segments.mask > 0
 
@@ -159,7 +161,7 @@ def _neutral(structure: GreyBoxStructure) -> Array:
     return z
 
 
-def _draws(structure: GreyBoxStructure, segments: RecordPieces, count: int) -> int:
+def _draws(structure: GreyBoxStructure, segments: RecordSegments, count: int) -> int:
     """Number of points drawn to choose `count` starts from: as many as memory allows, at most 16
     times."""
     values = segments.mask.size * structure.config.substeps * structure.nx * count
@@ -168,7 +170,7 @@ def _draws(structure: GreyBoxStructure, segments: RecordPieces, count: int) -> i
 
 def screen(
     structure: GreyBoxStructure,
-    segments: RecordPieces,
+    segments: RecordSegments,
     simulate: SegmentSimulator,
     count: int,
     rng: np.random.Generator,
@@ -192,7 +194,7 @@ def screen(
     return Starts(z, np.zeros_like(guess), guess, scales).chosen(order[:count])
 
 
-def _ranking(segments: RecordPieces, scales: Scales, outputs: Array) -> NDArray[np.intp]:
+def _ranking(segments: RecordSegments, scales: Scales, outputs: Array) -> NDArray[np.intp]:
     """Order of the starts from the smallest simulation error to the greatest."""
     with np.errstate(over="ignore", invalid="ignore"):
         error = (outputs - segments.y) / scales.y_scale[:, 0]
@@ -200,7 +202,7 @@ def _ranking(segments: RecordPieces, scales: Scales, outputs: Array) -> NDArray[
     return np.argsort(cost, kind="stable")
 
 
-def _spread(states: Array, segments: RecordPieces) -> tuple[Array, Array]:
+def _spread(states: Array, segments: RecordSegments) -> tuple[Array, Array]:
     """Mean and standard deviation (P, nx) of simulated states (P, S, T, nx)."""
     inside = states[:, segments.mask > 0]
     deviation = inside.std(axis=1)
@@ -213,7 +215,7 @@ def _spread(states: Array, segments: RecordPieces) -> tuple[Array, Array]:
 
 def augment(
     structure: GreyBoxStructure,
-    segments: RecordPieces,
+    segments: RecordSegments,
     simulate: SegmentSimulator,
     starts: Starts,
     found: Minimum,
@@ -261,7 +263,7 @@ def add_network(
 
 def _state_scales(
     structure: GreyBoxStructure,
-    segments: RecordPieces,
+    segments: RecordSegments,
     simulate: SegmentSimulator,
     z: Array,
     x0: Array,
@@ -278,4 +280,63 @@ def _state_scales(
         x_scale=scale.T,
         x_max=states[:, inside].max(axis=1).T,
         rate=np.maximum(rate, 1e-9 * scale / structure.sampling_time).T,
+    )
+
+
+# Range of the states, and map from a past window to the state, both learned in training.
+
+
+def window_prior(
+    structure: GreyBoxStructure,
+    segments: RecordSegments,
+    scales: Scales,
+    x: Array,
+    y_deviation: Array,
+) -> WindowPrior:
+    """Ridge regression of the simulated state, `n_fit` samples before the first simulated one, on
+    the past window's samples."""
+    n_past, inside = structure.n_past, segments.mask > 0
+    width = 1 + structure.n_past_u * structure.nu + structure.n_past_y * structure.ny
+    y_center = segments.y[inside].mean(axis=0)
+    spread = np.maximum(x[inside].std(axis=0), 1e-6 * scales.x_scale)
+    prior = WindowPrior(np.zeros((structure.nx, width)), spread, y_center, y_deviation)
+    windows = [
+        _windows(structure, u[live], y[live], states[live])
+        for u, y, states, live in zip(segments.u, segments.y, x, inside, strict=True)
+        if live.sum() > n_past
+    ]
+    mean = x[inside].mean(axis=0)
+    if not windows:
+        return prior._replace(mean=np.hstack([mean[:, None], prior.mean[:, 1:]]))
+    past_u, past_y, start = (np.concatenate(part) for part in zip(*windows, strict=True))
+    phi = np.column_stack(
+        [
+            np.ones(len(start)),
+            ((past_u - scales.u_center) / scales.u_scale).reshape(len(start), -1),
+            ((past_y - y_center) / scales.y_scale).reshape(len(start), -1),
+        ]
+    )
+    target = start - mean
+    normal = phi.T @ phi + np.eye(width)
+    weights = np.linalg.solve(normal, phi.T @ target).T
+    error = np.sqrt(((target - phi @ weights.T) ** 2).mean(axis=0))
+    weights[:, 0] += mean
+    return prior._replace(mean=weights, x_deviation=np.maximum(error, 1e-3 * spread))
+
+
+def _windows(
+    structure: GreyBoxStructure, u: Array, y: Array, x: Array
+) -> tuple[Array, Array, Array]:
+    """Cut every past window of one record: past_u (W, n_past_u, nu), past_y (W, n_past_y, ny), and
+    the state `n_fit` samples before its end (W, nx)."""
+    n_past = structure.n_past
+    first = np.arange(len(u) - n_past)
+
+    def cut(values: Array, length: int) -> Array:
+        return values[rows(first + n_past - length, length)]
+
+    return (
+        cut(u, structure.n_past_u),
+        cut(y, structure.n_past_y),
+        x[first + n_past - structure.n_fit],
     )

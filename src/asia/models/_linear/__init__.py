@@ -1,1 +1,1 @@
-"""Linear state-space systems: start, fit, choice."""
+"""Linear state-space systems: response, starts, fits."""

@@ -1,26 +1,19 @@
-"""Simulation-error fit of a linear state-space system: start, refinement, choice of order."""
+"""Fit of a linear state-space system: subspace start, refinement, order, levels."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
+from itertools import pairwise
 
 import numpy as np
 
-from asia.candidate import Context
-from asia.data import Array
+from asia.candidate import Context, ParameterEstimate, ParameterEstimates
+from asia.data.trajectory import Array, Trajectory
+from asia.models import uncertainty
+from asia.models._arrays import AnyArray, namespace
 from asia.models._config import Progress
-from asia.models._data.cuts import side_by_side
-from asia.models._data.encoder import BlockedRidge, Encoder
-from asia.models._data.records import (
-    ScaledData,
-    contiguous_splits,
-    past_length,
-    window_rows,
-    windows,
-)
-from asia.models._data.window_encoder import window_encoder
 from asia.models._least_squares import (
     SEQUENTIAL,
     LevenbergMarquardt,
@@ -28,14 +21,262 @@ from asia.models._least_squares import (
     damped_step,
     minimise,
 )
-from asia.models._linear.integrators import free_entries, integrating_starts
-from asia.models._linear.long import LongResponse
-from asia.models._linear.response import DrivenRecords, Response
-from asia.models._linear.subspace import spread_poles, starts
+from asia.models._linear.response import DrivenRecords, LongResponse, Response
 from asia.models._linear.system import LinearSystem
-from asia.models._noise.choice import NoiseChoice
-from asia.models._noise.estimate import LEAST_DEVIATION, NOISE_ROUNDS, estimate_noise, settled
-from asia.models._noise.weighting import ErrorWeighting
+from asia.models._noise.model import (
+    LEAST_DEVIATION,
+    NOISE_ROUNDS,
+    ErrorWeighting,
+    NoiseChoice,
+    estimate_noise,
+    settled,
+)
+from asia.models._numerics.encoder import BlockedRidge, Encoder, window_encoder
+from asia.models._numerics.records import (
+    ScaledData,
+    ScaledTrajectory,
+    Scaling,
+    contiguous_splits,
+    past_length,
+    refuse_gaps,
+    side_by_side,
+    window_rows,
+    windows,
+)
+
+# Starts for a linear state-space fit: (A, C) from subspace and realisation methods.
+#
+# Only A and C are taken: given these the simulated output is linear in B, D, the offset and the
+# initial states, which are then found by least squares on the simulation error itself. Sources:
+# Van Overschee and De Moor, Subspace Identification for Linear Systems, 1996 (oblique projection);
+# Juang and Pappa, J. Guidance 8(5), 1985 (realisation from Markov parameters).
+
+
+# Columns of the Hankel matrices in memory at a time.
+_CHUNK = 8192
+
+
+@dataclass(frozen=True)
+class Observability:
+    """Left factor of a Hankel-like matrix: its first n columns give a start of order n."""
+
+    factor: Array
+    """(blocks * ny, m), columns scaled by the roots of the singular values."""
+    ny: int
+    """Number of outputs."""
+
+    def start(self, order: int) -> tuple[Array, Array] | None:
+        """Start (A, C) of the order, A made stable; None where the factor has too few columns."""
+        pair = self.shifted(order)
+        return None if pair is None else (stabilised(pair[0]), pair[1])
+
+    def shifted(self, order: int) -> tuple[Array, Array] | None:
+        """Start (A, C) of the order by the shift, A perhaps unstable."""
+        if order > self.factor.shape[1] or order > self.factor.shape[0] - self.ny:
+            return None
+        gamma = self.factor[:, :order]
+        a = np.linalg.lstsq(gamma[: -self.ny], gamma[self.ny :], rcond=None)[0]
+        return np.asarray(a, np.float64), gamma[: self.ny]
+
+
+def starts(records: ScaledData, max_order: int) -> list[Observability]:
+    """Observability factors that serve every order up to `max_order`, from least to most prone to
+    noise.
+
+    There are fewer where the records are too short for a method.
+    """
+    found: list[Observability] = []
+    for horizon in (max_order + 2, 2 * max_order + 5):
+        factor = _oblique_projection(records, horizon)
+        if factor is not None:
+            found.append(factor)
+    factor = _realisation(records, max_order)
+    if factor is not None:
+        found.append(factor)
+    return found
+
+
+def spread_poles(order: int, ny: int) -> tuple[Array, Array]:
+    """Start (A, C) with real poles, time constants log-spaced from 1 to 100 samples; it never
+    fails."""
+    time_constants = np.logspace(0.0, 2.0, order) if order > 1 else np.array([10.0])
+    return np.diag(np.exp(-1.0 / time_constants)), np.ones((ny, order))
+
+
+def stabilised(a: Array, limit: float = 0.995) -> Array:
+    """Mirror poles outside the unit circle inside, and keep all within `limit`."""
+    poles, vectors = np.linalg.eig(a)
+    modulus = np.abs(poles)
+    if modulus.max(initial=0.0) <= limit:
+        return a
+    inside = np.where(modulus > 1, 1 / np.maximum(modulus, 1e-12), modulus)
+    moved = poles / np.maximum(modulus, 1e-12) * np.minimum(inside, limit)
+    result = (vectors * moved) @ np.linalg.pinv(vectors)
+    result = np.ascontiguousarray(result.real)
+    radius = np.abs(np.linalg.eigvals(result)).max()
+    return result if radius <= 1.0 else result * (limit / radius)
+
+
+def _hankel(values: Array, first: int, blocks: int, columns: int) -> Array:
+    rows = [values[first + i : first + i + columns].T for i in range(blocks)]
+    return np.concatenate(rows)
+
+
+def _oblique_projection(records: ScaledData, horizon: int) -> Observability | None:
+    """Observability by oblique projection, computed from the products of the Hankel matrices, which
+    are small for any number of samples."""
+    nu, ny = records[0].u.shape[1], records[0].y.shape[1]
+    past, future_u = horizon * (nu + ny), horizon * nu
+    columns = [len(r) - 2 * horizon for r in records]
+    if sum(max(count, 0) for count in columns) < 2 * (past + future_u):
+        return None
+    gram = np.zeros((2 * past, 2 * past))
+    for r, count in zip(records, columns, strict=True):
+        for first in range(0, count, _CHUNK):
+            size = min(_CHUNK, count - first)
+            rows = [
+                _hankel(values, first + ahead, horizon, size)
+                for ahead in (0, horizon)
+                for values in (r.u, r.y)
+            ]
+            part = np.concatenate(rows)
+            gram += part @ part.T
+    known = past + future_u
+    regressors = gram[:known, :known]
+    ridge = 1e-8 * np.trace(regressors) / known * np.eye(known)
+    gain = np.linalg.solve(regressors + ridge, gram[:known, known:]).T[:, :past]
+    # MOESP weighting: the part of the projection that future inputs cannot explain.
+    inputs, cross = gram[past:known, past:known], gram[past:known, :past]
+    unexplained = gram[:past, :past] - cross.T @ np.linalg.pinv(inputs, hermitian=True) @ cross
+    return _factor(gain @ unexplained @ gain.T, ny)
+
+
+def _factor(product: Array, ny: int) -> Observability:
+    """Factor the product of a Hankel-like matrix and its transpose."""
+    left, singular, _ = np.linalg.svd(product)
+    keep = singular > 1e-14 * singular[0]
+    return Observability(left[:, keep] * singular[keep] ** 0.25, ny)
+
+
+def _realisation(records: ScaledData, max_order: int) -> Observability | None:
+    ny, nu = records[0].y.shape[1], records[0].u.shape[1]
+    total = sum(len(r) for r in records)
+    lags = min(2 * max_order + 10, total // (4 * (nu + ny)), min(len(r) for r in records) // 2)
+    if lags < 2:
+        return None
+    many = lags * (nu + ny) + nu
+    gram, moment = np.zeros((many, many)), np.zeros((many, ny))
+    for r in records:
+        for first in range(lags, len(r), _CHUNK):
+            k = np.arange(first, min(first + _CHUNK, len(r)))
+            back = k[:, None] - np.arange(1, lags + 1)
+            lagged = [r.y[back].reshape(len(k), -1), r.u[back].reshape(len(k), -1), r.u[k]]
+            regressors = np.concatenate(lagged, 1)
+            gram += regressors.T @ regressors
+            moment += regressors.T @ r.y[k]
+    gram += 1e-6 * sum(max(len(r) - lags, 0) for r in records) * np.eye(many)
+    theta = np.linalg.solve(gram, moment)
+    return _from_arx(np.asarray(theta, np.float64), lags, nu, ny, max_order)
+
+
+def _from_arx(theta: Array, lags: int, nu: int, ny: int, max_order: int) -> Observability | None:
+    blocks = 2 * max_order + 5
+    past_y = theta[: lags * ny].reshape(lags, ny, ny)
+    past_u = theta[lags * ny : lags * (ny + nu)].reshape(lags, nu, ny)
+    markov = np.zeros((2 * blocks, ny, nu))
+    markov[0] = theta[lags * (ny + nu) :].T
+    for k in range(1, 2 * blocks):
+        if k <= lags:
+            markov[k] = past_u[k - 1].T
+        for i in range(1, min(k, lags) + 1):
+            markov[k] += past_y[i - 1].T @ markov[k - i]
+    if not np.isfinite(markov).all() or np.abs(markov).max() > 1e6:
+        return None
+    hankel = np.block([[markov[1 + i + j] for j in range(blocks - 1)] for i in range(blocks)])
+    return _factor(hankel @ hankel.T, ny)
+
+
+# Linear systems whose last states integrate: their poles are held at 1.
+#
+# A = [[A1, 0], [F, L]] with L lower triangular and ones on its diagonal, so that each of the last
+# states integrates those before it. A start is found from differences of the outputs.
+
+
+def free_entries(order: int, integrators: int) -> Array:
+    """Mask of A (order, order): 1 where an entry is searched, 0 where it is held."""
+    free, m = np.ones((order, order)), order - integrators
+    free[:m, m:] = 0.0
+    free[m:, m:] = np.tril(np.ones((integrators, integrators)), -1)
+    return free
+
+
+def held_entries(order: int, integrators: int) -> Array:
+    """Values of the held entries of A (order, order), zero elsewhere."""
+    return np.diag(np.r_[np.zeros(order - integrators), np.ones(integrators)])
+
+
+def integrating_starts(
+    records: ScaledData, order: int, integrators: int
+) -> list[tuple[Array, Array] | None]:
+    """Pairs (A, C) of the order, from differences of the outputs that change least from sample to
+    sample.
+
+    Raises:
+        ValueError: if the order is less than the number of integrators.
+    """
+    if order < integrators:
+        raise ValueError(f"{integrators} integrators need an order of at least {integrators}")
+    times = _integrations(records, integrators)
+    ny, m = len(times), order - integrators
+    if m == 0:
+        return [_extended(np.zeros((0, 0)), np.zeros((ny, 0)), times)]
+    differences = [np.array(r.y) for r in records]
+    for output, count in enumerate(times):
+        for y in differences:
+            for _ in range(count):
+                y[:-1, output] = np.diff(y[:, output])
+                y[-1, output] = y[-2, output]
+    size = np.concatenate(differences).std(axis=0)
+    size = np.where(size > 0, size, 1.0)
+    steps = [replace(r, y=y / size) for r, y in zip(records, differences, strict=True)]
+    pairs = [s.start(m) for s in starts(steps, max(m, 4))]
+    found = [_extended(a, c * size[:, None], times) for a, c in (p for p in pairs if p is not None)]
+    return [*found, _extended(*spread_poles(m, ny), times)]
+
+
+def _integrations(records: ScaledData, integrators: int) -> list[int]:
+    """Number of integrations of each output: the slowest first, and again from the slowest."""
+    y = [r.y for r in records]
+    steps = np.concatenate([np.diff(v, axis=0) for v in y]).std(axis=0)
+    slowest = np.argsort(steps / np.maximum(np.concatenate(y).std(axis=0), 1e-12), kind="stable")
+    times = [0] * len(slowest)
+    for k in range(integrators):
+        times[int(slowest[k % len(slowest)])] += 1
+    return times
+
+
+def _extended(a: Array, c: Array, times: list[int]) -> tuple[Array, Array]:
+    """Append integrators to the outputs of a system (a, c) for differences."""
+    m, k, ny = len(a), sum(times), len(c)
+    whole, seen, place = np.zeros((m + k, m + k)), np.zeros((ny, m + k)), m
+    whole[:m, :m] = a
+    for output, count in enumerate(times):
+        if count == 0:
+            seen[output, :m] = c[output]
+            continue
+        for number in range(count):
+            whole[place, place] = 1.0
+            if number == 0:
+                whole[place, :m] = c[output]
+            else:
+                whole[place, place - 1] = 1.0
+            place += 1
+        seen[output, place - 1] = 1.0
+    return whole, seen
+
+
+# Simulation-error fit of a linear state-space system: start, refinement, choice of order.
+
 
 # Largest modulus of a pole: beyond it the system grows without bound on a longer record.
 _LARGEST_RADIUS = 1.0 - 1e-9
@@ -250,7 +491,7 @@ def refine(
     prior = refinement.initial_ridge * start.error if np.isfinite(start.error) else 0.0
     driven, held = DrivenRecords(records, weightings), refinement.integrators
     free = free_entries(start.system.order, held).ravel()
-    s, steps = start.system, count()
+    s, steps = start.system, itertools.count()
     arrays = [s.a, s.b, s.c, s.d, s.offset, start.x0]
     shapes, ends = [p.shape for p in arrays], np.cumsum([p.size for p in arrays])[:-1]
     theta0 = np.concatenate([p.ravel() for p in arrays])
@@ -297,3 +538,232 @@ def refine(
     )
     found = response(minimise(cost, linearise, theta0[None], method, SEQUENTIAL).theta[0])
     return LinearFit(found.system, found.x0, found.error)
+
+
+# Levels of excitation: groups of records, and weights of a simulation between their levels.
+
+
+# Least ratio of the input sizes of two levels.
+_APART = 1.2
+
+
+def groups_by_level(inputs: Sequence[Array]) -> list[list[int]]:
+    """Numbers of the records whose inputs (T, nu) are alike in size, the smallest level first."""
+    sizes = np.array([level_of(u) for u in inputs])
+    order = np.argsort(sizes, kind="stable")
+    found = [[int(order[0])]]
+    for before, number in pairwise(order):
+        if sizes[number] > _APART * sizes[before]:
+            found.append([])
+        found[-1].append(int(number))
+    return [sorted(group) for group in found]
+
+
+def level_of(u: Array) -> float:
+    """Root mean square of inputs (..., nu) over all of them."""
+    return float(np.sqrt((u**2).mean()))
+
+
+def running_levels(past_u: Array, u: Array, memory: int) -> Array:
+    """The level (B, H) at each sample, of up to `memory` inputs (B, .., nu) up to it."""
+    power = np.concatenate([past_u, u], axis=1)
+    power = (power**2).mean(axis=2)
+    sums = np.cumsum(np.pad(power, ((0, 0), (1, 0))), axis=1)
+    last = np.arange(past_u.shape[1] + 1, sums.shape[1])
+    first = np.maximum(last - memory, 0)
+    return np.sqrt(np.maximum(sums[:, last] - sums[:, first], 0.0) / (last - first))
+
+
+def shares(levels: Array, at: AnyArray) -> AnyArray:
+    """Weights (..., L) of systems by linear interpolation between the two levels around each level
+    `at`; the outermost level beyond. NumPy or JAX.
+
+    Args:
+        levels: levels (L,), rising.
+        at: levels of the simulation (...).
+    """
+    xp, weights = namespace(at), list[AnyArray]()
+    for place, level in enumerate(levels):
+        weight = xp.ones_like(at)
+        if place > 0:
+            low = levels[place - 1]
+            weight = xp.minimum(weight, (at - low) / (level - low))
+        if place + 1 < len(levels):
+            high = levels[place + 1]
+            weight = xp.minimum(weight, (high - at) / (high - level))
+        weights.append(xp.maximum(weight, 0.0))
+    return xp.stack(weights, axis=-1)
+
+
+def interpolated(levels: Array, each: Array, past: Array, future: Array, memory: int) -> Array:
+    """Interpolate outputs between those of the levels.
+
+    Args:
+        levels: levels (L,), rising.
+        each: outputs of each level (L, B, H, ny).
+        past: scaled past inputs (B, n_past_u, nu).
+        future: scaled inputs (B, H, nu).
+        memory: number of inputs that the running level covers.
+
+    Returns:
+        (B, H, ny).
+    """
+    return np.einsum("bhl,lbho->bho", shares(levels, running_levels(past, future, memory)), each)
+
+
+# Estimates of the static gains and time constants of a linear model, with their uncertainty.
+
+
+# Greatest number of matrix entries: those of a larger model are no quantities of interest to users.
+_MOST_ENTRIES = 150
+# Greatest distance from the minimum in standard errors: a fit further away minimises another cost.
+_NEAR = 0.5
+
+# Least number of samples for a simulation by convolution.
+_LONG = 65_536
+_MOST_GAINS = 20
+_MOST_TIME_CONSTANTS = 6
+
+
+@dataclass(frozen=True)
+class ScaledRecord:
+    """Record in z-scores, the inputs delayed."""
+
+    u: Array
+    """(T, nu)."""
+    y: Array
+    """(T, ny)."""
+
+
+def delayed_records(
+    trajectories: Sequence[Trajectory], scaling: Scaling, delay: int
+) -> list[ScaledRecord]:
+    """Scale and delay records, without the samples whose delayed input was not measured.
+
+    Raises:
+        ValueError: if outputs were not measured.
+    """
+    refuse_gaps(trajectories)
+    return [
+        ScaledRecord(scaling.inputs(t.u)[: len(t) - delay], scaling.outputs(t.y)[delay:])
+        for t in trajectories
+    ]
+
+
+def system_estimates(
+    system: LinearSystem,
+    records: Sequence[ScaledRecord],
+    report: Callable[[LinearSystem], Sequence[ParameterEstimate]],
+) -> ParameterEstimates:
+    """Estimate the uncertainty of quantities of a system, whatever the coordinates of its states.
+
+    Args:
+        system: fitted system.
+        records: records of the fit; the initial state of each is fitted with the system.
+        report: computes the quantities from a system.
+
+    Raises:
+        ValueError: for a system of too many numbers, and if the simulation error of the records has
+            no minimum at the system.
+    """
+    theta, shapes = _packed(system)
+    if len(theta) > _MOST_ENTRIES:
+        raise ValueError(f"{len(theta)} numbers: too many for standard errors; use a lower order")
+    responses = [_free_response(system, len(record.u)) for record in records]
+    starts = [
+        _start(system, record, response)
+        for record, response in zip(records, responses, strict=True)
+    ]
+
+    def residuals(theta: Array) -> list[Array]:
+        other = _unpacked(theta, shapes)
+        return [_errors(other, record, x0) for record, x0 in zip(records, starts, strict=True)]
+
+    found, slopes = uncertainty.jacobians_of(residuals, theta)
+    covariance = uncertainty.sandwich(found, slopes, nuisance=responses)
+    _check_minimum(covariance, found, slopes, responses)
+    return uncertainty.estimates(covariance, lambda x: report(_unpacked(x, shapes)), theta)
+
+
+def _errors(system: LinearSystem, record: ScaledRecord, x0: Array) -> Array:
+    """Simulated minus measured outputs (T, ny)."""
+    samples = len(record.u)
+    if samples <= _LONG:
+        return system.simulate(x0[None], record.u[None])[1][0] - record.y
+    every = np.broadcast_to(np.float64(1.0), samples)
+    scaled = ScaledTrajectory(record.u, record.y, every, record.u, every)
+    return -LongResponse([scaled], float(record.y.size), system, x0[None]).misfit(0)
+
+
+def _check_minimum(
+    covariance: uncertainty.Covariance,
+    residuals: Sequence[Array],
+    slopes: Sequence[Array],
+    nuisance: Sequence[Array],
+) -> None:
+    step = -covariance.information @ uncertainty.gradient(residuals, slopes, nuisance)
+    errors = np.sqrt(np.maximum(np.diagonal(covariance.matrix), 0.0))
+    if np.any(np.abs(step) > _NEAR * errors + 1e-12):
+        raise ValueError("the fit is no minimum of the simulation error of these records")
+
+
+def _packed(system: LinearSystem) -> tuple[Array, list[tuple[int, ...]]]:
+    parts = [system.a, system.b, system.c, system.d, system.offset]
+    return np.concatenate([part.ravel() for part in parts]), [part.shape for part in parts]
+
+
+def _unpacked(theta: Array, shapes: Sequence[tuple[int, ...]]) -> LinearSystem:
+    ends = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
+    parts = [
+        theta[a:b].reshape(shape) for (a, b), shape in zip(pairwise(ends), shapes, strict=True)
+    ]
+    return LinearSystem(*parts)
+
+
+def _free_response(system: LinearSystem, samples: int) -> Array:
+    """Outputs (T, ny, n) to each initial state of length 1."""
+    plain = LinearSystem(
+        system.a, system.b, system.c, system.d, np.zeros_like(system.offset)
+    )  # fmt: skip
+    rest = np.zeros((system.order, samples, system.b.shape[1]))
+    return plain.simulate(np.eye(system.order), rest)[1].transpose(1, 2, 0)
+
+
+def _start(system: LinearSystem, record: ScaledRecord, response: Array) -> Array:
+    """Initial state with the least simulation error."""
+    forced = system.simulate(np.zeros((1, system.order)), record.u[None])[1][0]
+    flat = response.reshape(-1, system.order)
+    return np.linalg.lstsq(flat, (record.y - forced).ravel())[0]
+
+
+def invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
+    """Static gains in physical units and slowest time constants in samples, by name."""
+    gain = system.gain * scaling.y_std[:, None] / scaling.u_std
+    found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
+    found = found if len(found) <= _MOST_GAINS else {}
+    slowest = system.time_constants[:_MOST_TIME_CONSTANTS]
+    return found | {f"time constant {k} [samples]": float(t) for k, t in enumerate(slowest, 1)}
+
+
+# Input offset at which a system with free integrators is at rest.
+
+
+_ITERATIONS = 20
+
+
+def drift_shift(records: ScaledData, order: int, integrators: int) -> Array:
+    """Offset (nu,) to add to the inputs so that the integrators are at rest at zero.
+
+    It is found by a fit with a constant as a further input; of several offsets it is the smallest.
+    """
+    known = [
+        replace(r, u=np.hstack([r.u, np.ones((len(r), 1))]), measured_u=r.measured_u)
+        for r in records
+    ]
+    refinement = Refinement(iterations=_ITERATIONS, integrators=integrators)
+    s = fit(known, max(order, integrators + 1), refinement).system
+    m = s.order - integrators
+    steady = np.linalg.solve(np.eye(m) - s.a[:m, :m], s.b[:m])
+    rates = s.a[m:, :m] @ steady + s.b[m:]
+    # Only the first state of a chain drifts; the others integrate it.
+    return np.asarray(np.linalg.lstsq(rates[:, :-1], rates[:, -1], rcond=1e-3)[0], np.float64)

@@ -1,1 +1,1 @@
-"""Common parts of the network families: simulation, training methods, layers."""
+"""Networks: structures, simulation, training methods."""

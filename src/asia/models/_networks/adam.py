@@ -11,7 +11,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from asia.models._arrays import AnyArray, Packing, packed
-from asia.models._data.chunks import (
+from asia.models._networks.monitor import Monitor, marks
+from asia.models._networks.objective import (
+    AdamNumbers,
+    AdamProgram,
+    NoiseWeighting,
+    all_finite,
+    check_structure,
+    either,
+    forward,
+    objective,
+    started,
+)
+from asia.models._networks.structure import Cell, NetworkStructure, Params, Penalised
+from asia.models._numerics.records import PaddedBatch
+from asia.models._numerics.segments import (
     Places,
     Simulations,
     gently,
@@ -21,11 +35,6 @@ from asia.models._data.chunks import (
     tracks,
     whole,
 )
-from asia.models._data.records import PaddedBatch
-from asia.models._networks.monitor import Monitor, marks
-from asia.models._networks.objective import NoiseWeighting, check_structure, forward, objective
-from asia.models._networks.program import AdamNumbers, AdamProgram, all_finite, either, started
-from asia.models._networks.structure import Cell, NetworkStructure, Params, Penalised
 from asia.models.methods import Adam
 
 

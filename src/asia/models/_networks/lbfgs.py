@@ -15,13 +15,12 @@ import numpy as np
 from scipy.optimize import minimize
 
 from asia.models._arrays import Packing, packed
-from asia.models._data.chunks import Simulations, laid, whole
-from asia.models._data.records import PaddedBatch
 from asia.models._networks.adam import joined, merged, split
 from asia.models._networks.monitor import Monitor, marks
-from asia.models._networks.objective import NoiseWeighting, objective
-from asia.models._networks.program import Number
+from asia.models._networks.objective import NoiseWeighting, Number, objective
 from asia.models._networks.structure import NetworkStructure, Params, rollout
+from asia.models._numerics.records import PaddedBatch
+from asia.models._numerics.segments import Simulations, laid, whole
 from asia.models.methods import LBFGS, Loss
 
 

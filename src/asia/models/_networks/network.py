@@ -1,32 +1,97 @@
-"""Model of a network family: a structure, its parameters and the scaling of its signals."""
+"""Model of a network family: settings and simulation."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array, Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace
-from asia.models._data.chunks import laid, whole
-from asia.models._data.records import ScaledData, batch, check, window
-from asia.models._data.scaling import Scaling
-from asia.models._data.turns import SignalTurns, TurnedData
-from asia.models._networks.simulation import features_of, outputs_of
 from asia.models._networks.structure import (
     Cell,
+    FeatureMap,
+    Features,
+    NetworkConfig,
     NetworkStructure,
     OneSample,
     Params,
     Restartable,
     SequenceMap,
+    Simulate,
+    linear_output,
+    rollout,
+    trace,
 )
+from asia.models._numerics.records import ScaledData, Scaling, batch, check, window
+from asia.models._numerics.segments import laid, whole
+from asia.models._numerics.symmetry import SignalTransformations, TransformedRecords
 from asia.models._steps import mean
 from asia.models.methods import NetworkMethod
+
+# Simulation of a network with given parameters: in NumPy, or in JAX where that is worth it.
+#
+# JAX compiles anew for each length and each number of windows. Measured in fresh processes of one
+# thread, in seconds of processor time; those of JAX include its import (0.35) and compilation:
+#
+# | network | windows x samples | NumPy | JAX | |---|---|---|---| | GRU, 32 units | 1 x 1 000 |
+# 0.01 | 0.8 | | LSTM, 2 x 256 units | 1 x 3 000 | 0.5 | 1.2 | | LSTM, 64 units | 4 000 x 50 | 0.2
+# | 1.1 | | LSTM, 256 units | 4 000 x 50 | 1.6 | 2.4 | | convolutions, 16 channels | 4 000 x 50 |
+# 0.4 | 1.5 | | Transformer, 32 channels | 256 x 50 | 0.2 | 1.2 | | Transformer, 32 channels | 4
+# 000 x 50 | 3.1 | 2.9 | | GRU, 32 units | 1 x 100 000 | 1.3 | 0.8 | | cascaded LTC, 2 x 16 states
+# | 1 x 100 000 | 2.8 | 1.0 |
+#
+# Width and windows are no reason for JAX, steps in time are: each costs NumPy 10 to 30 us. One
+# simulation is worth its compilation from about 70 000 steps on; the switch lies higher, because
+# checks ask a model for many lengths. It depends only on shapes, so that a request has the same
+# answer in every process.
+
+
+_MOST_STEPS = 200_000
+# Windows of a cell, and samples of a structure that computes all of them at once, in NumPy at a
+# time: few enough for their arrays to stay in the processor's cache.
+_ROWS, _SAMPLES = 256, 2048
+
+
+def outputs_of(cell: NetworkStructure, params: Params, window: AnyArray, u: AnyArray) -> AnyArray:
+    """Outputs (B, T, ny) of a network, all z-scored NumPy arrays of one precision: window (B, d)
+    and u (B, T, nu)."""
+    return _simulated(rollout, cell, params, window, u)
+
+
+def features_of(cell: Cell | FeatureMap, params: Params, window: AnyArray, u: AnyArray) -> AnyArray:
+    """Features (B, T, hidden) that the outputs are read from."""
+    return _simulated(trace, cell, params, window, u)
+
+
+def is_compiled(windows: int, samples: int) -> bool:
+    """Return whether a simulation of so many windows of so many samples is left to JAX."""
+    return -(-windows // _ROWS) * samples > _MOST_STEPS
+
+
+def _simulated(
+    simulate: Simulate, cell: NetworkStructure, params: Params, window: AnyArray, u: AnyArray
+) -> AnyArray:
+    count, samples = u.shape[:2]
+    if is_compiled(count, samples):
+        from asia.models._networks.compiled import compiled
+
+        return compiled(simulate, cell, params, window, u)
+    rows = _ROWS
+    if isinstance(cell, FeatureMap | SequenceMap):
+        rows = max(1, _SAMPLES // max(samples, 1))
+    starts = range(0, max(count, 1), rows)
+    with np.errstate(all="ignore"):
+        parts = [simulate(cell, params, window[i : i + rows], u[i : i + rows]) for i in starts]
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+# Model of a network family: a structure, its parameters and the scaling of its signals.
+
 
 Prepare = Callable[[Params, ScaledData, Scaling], Params]
 """Function that makes the initial parameters from z-scored records: for example a linear fit."""
@@ -44,7 +109,7 @@ class NetworkModel:
     """Scaling from physical units to z-scores; None before training."""
     others: tuple[Params, ...] = ()
     """Parameters of further members, whose simulations are averaged with that of `params`."""
-    turns: SignalTurns | None = None
+    turns: SignalTransformations | None = None
     """Symmetries over which simulations are averaged; None: none."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
@@ -145,7 +210,9 @@ def train_network(
     from asia.models._networks.training import fit  # imports JAX, which a simulation must not
 
     check(trajectories, context)
-    data = TurnedData.of(trajectories, SignalTurns.of(context) if method.symmetry else None)
+    data = TransformedRecords.of(
+        trajectories, SignalTransformations.of(context) if method.symmetry else None
+    )
     every, scaling, turns = data.every, data.scaling, data.turns
     cell = model.cell
     if method.members > 1 and not isinstance(cell, Restartable):
@@ -206,3 +273,121 @@ def with_output_layer(
     ridge[-1, -1] = 1e-6
     solution = np.linalg.solve(x.T @ x + ridge, x.T @ y[weight > 0]).astype(np.float32)
     return {**params, "out_w": solution[:-1], "out_b": solution[-1]}
+
+
+# Families whose model is one network: settings, a structure, `build`, `train`.
+#
+# @dataclass(frozen=True) class Config: ...
+#
+# @dataclass(frozen=True) class KoopmanMap(Driven[Config]): ...
+#
+# build, train = network_family(Config, KoopmanMap)
+
+
+C = TypeVar("C", bound=NetworkConfig)
+Own = TypeVar("Own", bound=NetworkConfig, contravariant=True)
+
+
+@dataclass(frozen=True)
+class Driven(Generic[C]):
+    """Structure that reads its inputs through `drive`, and its outputs by a linear layer."""
+
+    config: C
+    """Settings of the family."""
+    drive: Features = field(default=Features(), kw_only=True)
+    """The inputs and the functions of them."""
+
+    @classmethod
+    def of(cls, config: C, context: Context) -> Any:
+        """Structure for a problem.
+
+        Raises:
+            UserError: if settings and problem do not go together.
+        """
+        del context
+        return cls(config, drive=Features(config.features))
+
+    def parameters(self, context: Context) -> Params:
+        """Untrained parameters drawn from `context.seed`."""
+        raise NotImplementedError
+
+    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
+        """Output (..., ny), linear in the features (..., hidden) and in u (..., nu)."""
+        return linear_output(params, features, u)
+
+    def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
+        """Function that makes the parameters from which training starts.
+
+        Returns:
+            None to solve the output layer of the untrained parameters by ridge regression.
+
+        Raises:
+            UserError: for records that it cannot start from.
+        """
+        del trajectories, context
+        return None
+
+
+class Build(Protocol[Own]):
+    """Type of a family's `build`."""
+
+    def __call__(self, config: Own, context: Context) -> NetworkModel:
+        """Build an untrained network."""
+        ...
+
+
+class Train(Protocol):
+    """Type of a family's `train`."""
+
+    def __call__(
+        self,
+        model: NetworkModel,
+        trajectories: Sequence[Trajectory],
+        context: Context,
+        method: NetworkMethod,
+    ) -> NetworkModel:
+        """Fit the network."""
+        ...
+
+
+def network_family(config: type[C], structure: type[Driven[C]]) -> tuple[Build[C], Train]:
+    """Make `build` and `train` of the family with these settings and this structure."""
+    kind, name = config, config.__module__.rpartition(".")[2]
+
+    def build(config: C, context: Context) -> NetworkModel:
+        """Build an untrained network initialised from `context.seed`.
+
+        Raises:
+            UserError: if the settings are of another family or do not go with the problem.
+        """
+        if not isinstance(config, kind):
+            raise UserError(f"{name}.build: expected {name}.Config, not {type(config).__name__}")
+        cell = structure.of(config, context)
+        return NetworkModel(cell, cell.parameters(context))
+
+    def train(
+        model: NetworkModel,
+        trajectories: Sequence[Trajectory],
+        context: Context,
+        method: NetworkMethod,
+    ) -> NetworkModel:
+        """Fit the network to the simulation error.
+
+        Raises:
+            UserError: for records too short or mis-shaped.
+        """
+        check(trajectories, context)
+        cell = model.cell
+        if not isinstance(cell, structure):
+            raise UserError(f"{name}.train: expected a model that {name}.build has made")
+        start = cell.start(trajectories, context)
+        seen = trajectories
+        if method.symmetry:
+            seen = SignalTransformations.of(context).turned(trajectories)
+        cell = replace(cell, drive=cell.drive.fitted(seen))
+        return train_network(replace(model, cell=cell), trajectories, context, method, start)
+
+    for function in (build, train):
+        # Attribute the function to the family's module, for readers and for pickles by reference.
+        function.__module__, function.__qualname__ = config.__module__, function.__name__
+    return build, train

@@ -13,20 +13,21 @@ from numpy.typing import NDArray
 
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, Packing, packed
-from asia.models._data.chunks import Simulations, laid
-from asia.models._data.records import PaddedBatch
 from asia.models._networks.adam import joined, merged, split
 from asia.models._networks.monitor import Monitor, marks
-from asia.models._networks.objective import objective, scan
-from asia.models._networks.program import (
+from asia.models._networks.objective import (
     AdamNumbers,
     AdamProgram,
     Number,
     all_finite,
     either,
+    objective,
+    scan,
     started,
 )
 from asia.models._networks.structure import Cell, NetworkStructure, Params, SequenceMap
+from asia.models._numerics.records import PaddedBatch
+from asia.models._numerics.segments import Simulations, laid
 from asia.models.methods import MultipleShooting
 
 _MEMORY = 0.98

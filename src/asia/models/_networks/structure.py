@@ -1,28 +1,38 @@
-"""Structures of networks, and their simulation.
-
-A family writes a structure, a frozen dataclass, as one of
-
-- `Cell`: initial, step, output; the samples are scanned (RNN, LSTM, state space);
-- `FeatureMap`: features, output; all samples at once (convolution, attention, parallel scan);
-- `SequenceMap`: sequence; outputs at once, no output layer to start by regression.
-
-and adds, where it has them, `feed` (`OutputFeedback`: teacher forcing) and `parameters`
-(`Restartable`: fits from several seeds). `params["fixed"]` may hold a mapping of constants, such
-as the scaling that an equation in physical units needs: no method changes them.
-
-A structure is written once, for JAX arrays in training and NumPy arrays in simulation: it computes
-by operators, by methods of arrays, and by what `asia.models._arrays` has for both. NumPy must stay
-in float32: no NumPy number or array of float64 may meet the arrays.
-"""
+"""Structures of networks: layers and input features."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from asia.candidate import Context
-from asia.models._arrays import AnyArray, scan
+from asia.data.trajectory import Array, Trajectory
+from asia.errors import UserError
+from asia.models._arrays import AnyArray, complex_number, namespace, scan, sigmoid, split
+from asia.models._config import owner
+from asia.models._numerics.records import Scaling
+
+# Structures of networks, and their simulation.
+#
+# A family writes a structure, a frozen dataclass, as one of
+#
+# - `Cell`: initial, step, output; the samples are scanned (RNN, LSTM, state space); -
+# `FeatureMap`: features, output; all samples at once (convolution, attention, parallel scan); -
+# `SequenceMap`: sequence; outputs at once, no output layer to start by regression.
+#
+# and adds, where it has them, `feed` (`OutputFeedback`: teacher forcing) and `parameters`
+# (`Restartable`: fits from several seeds). `params["fixed"]` may hold a mapping of constants, such
+# as the scaling that an equation in physical units needs: no method changes them.
+#
+# A structure is written once, for JAX arrays in training and NumPy arrays in simulation: it
+# computes by operators, by methods of arrays, and by what `asia.models._arrays` has for both.
+# NumPy must stay in float32: no NumPy number or array of float64 may meet the arrays.
+
 
 Params = Mapping[str, Any]
 """Arrays by name: weights, and trees of weights of inner layers."""
@@ -151,3 +161,223 @@ def trace(cell: Cell | FeatureMap, params: Any, window: AnyArray, u: AnyArray) -
     start = cell.initial(params, window)
     step = partial(cell.step, params)
     return scan(step, start, u.swapaxes(0, 1))[1].swapaxes(0, 1)
+
+
+# Common parts of networks: initial weights, dense stacks, output layer, gates, linear systems.
+
+
+Float32 = NDArray[np.float32]
+
+# A pole nearer to the unit circle is rounded onto it.
+_SLOWEST_RATE = 1e-6
+
+
+def dense(rng: np.random.Generator, inputs: int, outputs: int, gain: float = 1.0) -> Float32:
+    """Weights (inputs, outputs) with variance gain^2 / inputs (LeCun)."""
+    scale = gain / np.sqrt(max(inputs, 1))
+    return (scale * rng.standard_normal((inputs, outputs))).astype(np.float32)
+
+
+def uniform(rng: np.random.Generator, shape: tuple[int, ...], fan_in: int) -> Float32:
+    """Numbers within 1 / sqrt(fan_in) of zero."""
+    bound = 1.0 / np.sqrt(max(fan_in, 1))
+    return rng.uniform(-bound, bound, shape).astype(np.float32)
+
+
+def zeros(*shape: int) -> Float32:
+    """Zeros of float32."""
+    return np.zeros(shape, np.float32)
+
+
+def linear_output(params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
+    """Output layer out_w (hidden + nu, ny), out_b (ny,)."""
+    read = namespace(features, u).concatenate([features, u], axis=-1)
+    return read @ params["out_w"] + params["out_b"]
+
+
+def mlp_params(
+    rng: np.random.Generator, sizes: Sequence[int], last_gain: float = 1.0
+) -> list[dict[str, Float32]]:
+    """Weights and biases of a stack of dense layers, sizes from input to output."""
+    gains = [1.0] * (len(sizes) - 2) + [last_gain]
+    return [
+        {"w": dense(rng, a, b, gain), "b": zeros(b)}
+        for a, b, gain in zip(sizes[:-1], sizes[1:], gains, strict=True)
+    ]
+
+
+def mlp(layers: Sequence[Mapping[str, Any]], x: AnyArray) -> AnyArray:
+    """Apply dense layers (..., sizes[0]) -> (..., sizes[-1]); tanh between layers, none after
+    the last."""
+    xp = namespace(x)
+    for layer in layers[:-1]:
+        x = xp.tanh(x @ layer["w"] + layer["b"])
+    return x @ layers[-1]["w"] + layers[-1]["b"]
+
+
+def normalised(x: AnyArray, gain: AnyArray) -> AnyArray:
+    """Scale each sample to unit root mean square over its channels, times gain (channels,).
+
+    Source: Zhang and Sennrich, NeurIPS 2019 (RMSNorm).
+    """
+    return gain * x / namespace(x).sqrt((x * x).mean(axis=-1, keepdims=True) + 1e-6)
+
+
+def gated(x: AnyArray, w: AnyArray, b: AnyArray) -> AnyArray:
+    """Gated linear unit, w (channels, 2 * out): Dauphin et al., ICML 2017."""
+    value, gate = split(x @ w + b, 2)
+    return value * sigmoid(gate)
+
+
+def decaying(start: AnyArray, log_tau: AnyArray, samples: int) -> AnyArray:
+    """Decay start (B, n) -> (B, samples, n): start * exp(-(k + 1) / tau), tau (n,) in samples."""
+    xp, time = namespace(start, log_tau), np.arange(1, samples + 1, dtype=start.dtype)
+    return start[:, None] * xp.exp(-time[:, None] * xp.exp(-log_tau))
+
+
+def log_spaced(first: float, last: float, count: int) -> Float32:
+    """Logarithms of `count` time constants spread from first to last."""
+    return np.linspace(np.log(first), np.log(last), count).astype(np.float32)
+
+
+def poles(log_rate: AnyArray, angle: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Poles exp(-rate + i angle), and input gains for states of unit variance.
+
+    The poles lie inside the unit circle whatever the parameters; white noise of unit variance gives
+    states of unit variance, however slow the pole.
+    """
+    xp = namespace(log_rate, angle)
+    rate = xp.exp(log_rate) + _SLOWEST_RATE
+    return xp.exp(complex_number(-rate, angle)), xp.sqrt(-xp.expm1(-2 * rate))
+
+
+def rotated_pole(
+    pole: AnyArray, real: AnyArray, imaginary: AnyArray, drive: tuple[AnyArray, AnyArray]
+) -> tuple[AnyArray, AnyArray]:
+    """Advance `diagonal_states` by one sample in real numbers: real and imaginary parts."""
+    a, b = pole.real, pole.imag
+    return a * real - b * imaginary + drive[0], a * imaginary + b * real + drive[1]
+
+
+def diagonal_states(pole: AnyArray, drive: AnyArray, start: AnyArray) -> AnyArray:
+    """Solve x[k] = pole x[k-1] + drive[k], x[-1] = start.
+
+    Args:
+        pole: (n,), complex.
+        drive: (B, T, n), complex.
+        start: (B, n), complex.
+
+    Returns:
+        (B, T, n).
+    """
+    # An associative scan is no faster on a processor and takes eight times as long to compile.
+
+    def step(x: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray]:
+        x = pole * x + v
+        return x, x
+
+    return scan(step, start, drive.swapaxes(0, 1))[1].swapaxes(0, 1)
+
+
+# Elementwise functions of the physical inputs, offered to a network in addition to the inputs.
+#
+# A thrust goes with the square of a motor speed: a network that is given the square need not learn
+# it. The functions act on the input in physical units, because a z-score has lost its zero.
+
+
+def _signed_root(u: AnyArray) -> AnyArray:
+    # The slope of the square root has no bound at zero, where an input often rests.
+    return u / namespace(u).sqrt(abs(u) + 1e-3)
+
+
+class NetworkConfig(Protocol):
+    """Settings of a family whose network reads functions of the inputs."""
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """Names of these functions."""
+        ...
+
+
+FUNCTIONS: dict[str, Callable[[AnyArray], AnyArray]] = {
+    "square": lambda u: u * u,
+    "cube": lambda u: u * u * u,
+    "abs": abs,
+    "sqrt": _signed_root,
+}
+
+
+def check_features(settings: NetworkConfig) -> None:
+    """Check that `settings.features` names known functions.
+
+    Raises:
+        UserError: if it does not.
+    """
+    for name in settings.features:
+        if name not in FUNCTIONS:
+            known = ", ".join(FUNCTIONS)
+            raise UserError(
+                f"{owner(settings)}: feature '{name}' is unknown, expected some of {known}"
+            )
+
+
+def drive_size(names: Sequence[str], nu: int) -> int:
+    """Number of channels that drive a cell with these features."""
+    return nu * (1 + len(names))
+
+
+@dataclass(frozen=True)
+class Features:
+    """Map from z-scored inputs to those inputs and standardised functions of the physical ones.
+
+    Each physical input is in units of its own root mean square. Hashable, so that a structure may
+    hold
+    it; before `fitted` only one without functions can be called.
+    """
+
+    names: tuple[str, ...] = ()
+    """Functions, of `FUNCTIONS`."""
+    offset: tuple[float, ...] = ()
+    """Mean of each input in units of its root mean square."""
+    gain: tuple[float, ...] = ()
+    """Standard deviation of each input in units of its root mean square."""
+    centre: tuple[float, ...] = ()
+    """Mean over the training data of each function of each input."""
+    spread: tuple[float, ...] = ()
+    """Standard deviation over the training data of each function of each input."""
+
+    def fitted(self, trajectories: Sequence[Trajectory]) -> Features:
+        """Standardise the functions on these records."""
+        if not self.names:
+            return self
+        scaling = Scaling.of(trajectories)
+        u = np.concatenate([t.u for t in trajectories])
+        size = np.sqrt((u**2).mean(axis=0))
+        size = np.where(size > 0, size, 1.0)
+        raw = _applied(self.names, u / size)
+        spread = raw.std(axis=0)
+        spread = np.where(spread > 1e-6, spread, 1.0)
+        return Features(
+            self.names,
+            _floats(scaling.u_mean / size),
+            _floats(scaling.u_std / size),
+            _floats(raw.mean(axis=0)),
+            _floats(spread),
+        )
+
+    def __call__(self, u: AnyArray) -> AnyArray:
+        """Map (..., nu) z-scores -> (..., nu * (1 + functions))."""
+        if not self.names:
+            return u
+        numbers = (self.gain, self.offset, self.centre, self.spread)
+        gain, offset, centre, spread = (np.asarray(v, u.dtype) for v in numbers)
+        extra = (_applied(self.names, u * gain + offset) - centre) / spread
+        return namespace(u).concatenate([u, extra], axis=-1)
+
+
+def _applied(names: Sequence[str], u: AnyArray) -> AnyArray:
+    return namespace(u).concatenate([FUNCTIONS[name](u) for name in names], axis=-1)
+
+
+def _floats(values: Array) -> tuple[float, ...]:
+    return tuple(float(v) for v in values)

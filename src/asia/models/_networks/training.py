@@ -1,4 +1,4 @@
-"""Fit of a network's parameters: held-out samples, stop rule, training method."""
+"""Training of networks: objective, programs, method."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ import numpy as np
 
 from asia.candidate import Context, Model
 from asia.models._config import Progress
-from asia.models._data.chunks import laid, whole
-from asia.models._data.records import (
+from asia.models._networks import adam, lbfgs, shooting
+from asia.models._networks.monitor import Monitor, Scorer
+from asia.models._networks.objective import NoiseWeighting, error_of
+from asia.models._networks.structure import NetworkStructure, Params, rollout
+from asia.models._noise.model import LEAST_DEVIATION, NoiseChoice, estimate_noise
+from asia.models._numerics.records import (
     PaddedBatch,
     ScaledData,
     batch,
@@ -22,12 +26,7 @@ from asia.models._data.records import (
     holdout_records,
     reweighted,
 )
-from asia.models._networks import adam, lbfgs, shooting
-from asia.models._networks.monitor import Monitor, Scorer
-from asia.models._networks.objective import NoiseWeighting, error_of
-from asia.models._networks.structure import NetworkStructure, Params, rollout
-from asia.models._noise.choice import NoiseChoice
-from asia.models._noise.estimate import LEAST_DEVIATION, estimate_noise
+from asia.models._numerics.segments import laid, whole
 from asia.models.methods import LBFGS, Adam, NetworkMethod
 
 _error = jax.jit(error_of, static_argnums=(0, 1))

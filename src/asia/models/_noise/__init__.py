@@ -1,1 +1,1 @@
-"""Noise model of the residual of a simulation, and its use in a fit."""
+"""Noise models of residuals."""

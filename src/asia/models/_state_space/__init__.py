@@ -1,1 +1,1 @@
-"""Neural state-space and block-oriented structures."""
+"""Neural state-space and block-oriented models."""

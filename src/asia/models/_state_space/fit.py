@@ -12,23 +12,21 @@ import jax
 import numpy as np
 
 from asia.candidate import Context
-from asia.data import Array
+from asia.data.trajectory import Array
 from asia.models._arrays import Packing, packed
 from asia.models._config import Progress
-from asia.models._data.cuts import side_by_side
-from asia.models._data.encoder import Encoder
-from asia.models._data.records import ScaledData, past_length
-from asia.models._data.window_encoder import window_encoder
 from asia.models._least_squares import LevenbergMarquardt, minimise
-from asia.models._noise.choice import NoiseChoice
-from asia.models._noise.estimate import LEAST_DEVIATION, NOISE_ROUNDS, estimate_noise, settled
-from asia.models._noise.weighting import ErrorWeighting
-from asia.models._state_space.programs import (
-    CompiledEquations,
-    StateSamples,
-    Watch,
-    chunked,
+from asia.models._noise.model import (
+    LEAST_DEVIATION,
+    NOISE_ROUNDS,
+    ErrorWeighting,
+    NoiseChoice,
+    estimate_noise,
+    settled,
 )
+from asia.models._numerics.encoder import Encoder, window_encoder
+from asia.models._numerics.records import ScaledData, past_length, side_by_side
+from asia.models._state_space.programs import CompiledEquations, StateSamples, Watch, chunked
 from asia.models._state_space.structure import StateSpaceStructure
 
 

@@ -1,10 +1,4 @@
-"""Equations of the neural state-space models, for NumPy and JAX arrays alike.
-
-x[k+1] = A x + B v + f,  w = C x + D v + offset + g,  v = u + s(u),  y = w + r(w), where the
-functions that a structure leaves out are zero, and those it has end in a layer that starts at
-zero, so that the model starts as the linear one. Elements of friction and of play have states of
-their own after x.
-"""
+"""Equations of neural state-space models, with friction and play elements."""
 
 from __future__ import annotations
 
@@ -17,16 +11,82 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.data import Array
-from asia.models._arrays import AnyArray, bounded, namespace, scan
-from asia.models._linear.integrators import free_entries, held_entries
+from asia.data.trajectory import Array
+from asia.models._arrays import AnyArray, bounded, namespace, relu, scan
+from asia.models._linear.fit import free_entries, held_entries
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.windows import WindowLags, WindowPredictor
-from asia.models._state_space.elements import lost, resisted
+
+# Elements of dry friction and of play in a discrete state-space model, for NumPy and JAX.
+#
+# An element of friction resists the motion of a learned direction of the state and is solved
+# implicitly, so that the state can stand still. With the next state x' that there would be without
+# it, q = w' x' + b and gain g, its force is F = sat((z + k q) / (1 + k w' g)), its next state is
+# F, and x' - g F follows. A stiff one (k large) is Coulomb friction, a soft one an elastoplastic
+# spring; several together make hysteresis of any shape. An element of play follows a direction of
+# state and input within a width; what is not followed acts on state and output. Sources: Iwan, J.
+# Applied Mechanics 33(4), 1966; Visintin, Differential Models of Hysteresis, Springer 1994.
+
+
+Coefficients = Mapping[str, Any]
+
+# Limit on the exponents of learned ratios, which keeps them finite.
+_LARGEST = 8.0
+
+
+def resisted(
+    p: Coefficients, now: AnyArray, z: AnyArray, free: AnyArray
+) -> tuple[AnyArray, AnyArray]:
+    """Solve the friction of one sample.
+
+    Args:
+        p: coefficients.
+        now: states (..., n).
+        z: forces (..., m).
+        free: next state without friction (..., n).
+
+    Returns:
+        The next state with friction, and the forces in it.
+    """
+    xp = namespace(free)
+    stiffness = xp.exp(bounded(p["stiff"], -_LARGEST, _LARGEST))
+    uneven = xp.exp(bounded(p["uneven"], -_LARGEST, _LARGEST))
+    speed = (now @ p["w"] + p["b"]) * xp.exp(bounded(p["narrow"], -_LARGEST, _LARGEST))
+    level = 1.0 + p["extra"] * xp.exp(-(speed**2))
+    level = xp.maximum(level, 0.05)
+    yielding = 1.0 + stiffness * relu((p["w"] * p["g"].T).sum(axis=0))
+    force = (z + stiffness * (free @ p["w"] + p["b"])) / yielding
+    force = bounded(force, -level / uneven, level * uneven)
+    return free - force @ p["g"], force
+
+
+def lost(p: Coefficients, x: AnyArray, v: AnyArray, behind: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Solve the play of one sample.
+
+    Args:
+        p: coefficients.
+        x: states (..., n).
+        v: inputs (..., nu).
+        behind: followers (..., m) before the sample.
+
+    Returns:
+        The motion that the play takes, and the followers after the sample.
+    """
+    signal = x @ p["w"] + v @ p["wu"]
+    after = bounded(behind, signal - 1.0, signal + 1.0)
+    return signal - after, after
+
+
+# Equations of the neural state-space models, for NumPy and JAX arrays alike.
+#
+# x[k+1] = A x + B v + f, w = C x + D v + offset + g, v = u + s(u), y = w + r(w), where the
+# functions that a structure leaves out are zero, and those it has end in a layer that starts at
+# zero, so that the model starts as the linear one. Elements of friction and of play have states of
+# their own after x.
+
 
 Nonlinearity = Literal["state", "input", "output", "both", "none"]
 Basis = Literal["tanh", "polynomial"]
-Coefficients = Mapping[str, Any]
 
 # Limit on the unit-size signals of monomials, so that a simulation that leaves the training range
 # grows linearly at most.

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from asia.agents import ExpertAgent, Facts
-from asia.agents.library.records.levels import periodic, several_levels
-from asia.agents.library.table import family
+from asia.agents.library.records import periodic, several_levels
+from asia.agents.library.registry import family
 from asia.data import Trajectory
 from tests.unit.agents.searches import simulation, trial, view
 

@@ -7,8 +7,7 @@ import pytest
 from scipy import signal
 
 from asia.data import Array, Trajectory
-from asia.data.frequency.periods import find_period
-from asia.data.frequency.response import FrequencyResponse, frequency_response
+from asia.data.frequency import FrequencyResponse, find_period, frequency_response
 
 N = 1024
 BEFORE, AFTER = signal.butter(2, 0.3), signal.butter(1, 0.4)

@@ -17,13 +17,12 @@ import pytest
 import scipy.io
 
 from asia.data import Signal, Trajectory, data_digest
-from asia.data._arrays import read_arrays
+from asia.data.arrays import read_arrays
 from asia.data.intake.sheet import Wanted
 from asia.errors import UserError
-from asia.problem._load import read_records
-from asia.problem.load import init_problem, load_problem
-from asia.problem.new.text import record_csv
-from asia.seal._test import open_test
+from asia.problem.create import init_problem, record_csv
+from asia.problem.load import load_problem, read_records
+from asia.problem.seal import open_test
 
 COUNT, STEP = 150, 0.1
 Write = Callable[[Path, Trajectory], None]

@@ -65,7 +65,7 @@ def test_round_trip(
     ],
 )
 def test_layouts(tmp_path: Path, text: str, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("asia.data.intake.formats.text._BLOCK", block)
+    monkeypatch.setattr("asia.data.intake.text._BLOCK", block)
     got = read(tmp_path / "a.csv", text)
     assert got.tolist() == [[1.5, 2.0], [3.0, 4.25]]
 

@@ -13,8 +13,8 @@ import pytest
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import greybox
-from asia.models._equations.added.extend import extended
 from asia.models._equations.config import GreyBoxStructure, Sensor
+from asia.models._equations.extension import extended
 from asia.models._equations.simulate import Scales, simulate
 from asia.models._equations.starts import cut_segments
 from asia.models._least_squares import LevenbergMarquardt

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.agents.library.table import family
+from asia.agents.library.registry import family
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.errors import UserError
 from asia.models import compartments, linear
-from asia.models.methods import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from tests.unit.models.systems.equations import context_for
 
 DT = 2.0

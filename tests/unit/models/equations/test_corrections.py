@@ -12,13 +12,12 @@ from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.models import physics_net
-from asia.models._data.records import window
-from asia.models._data.scaling import Scaling
-from asia.models._equations.measured_cell import MeasuredCell
-from asia.models._equations.measured_sizes import measured_sizes
+from asia.models._equations.measured import MeasuredCell, measured_sizes
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._networks import compiled
 from asia.models._networks.structure import rollout
-from asia.models.methods import Adam, LevenbergMarquardt
+from asia.models._numerics.records import Scaling, window
+from asia.models.methods import Adam
 from asia.problem import Correction, ParameterRange, Physics, Prior
 
 HORIZON, TS, PUSH = 20, 0.05, 3.0

@@ -10,10 +10,10 @@ import pytest
 from asia.candidate import ParameterEstimates
 from asia.data import Trajectory
 from asia.models import greybox
-from asia.models._equations.identified.printed import text
+from asia.models._equations.identified import text
 from asia.models._least_squares import LevenbergMarquardt
 from asia.problem import Bounds, ParameterRange, Physics
-from asia.problem.physics.expressions import parse_expression
+from asia.problem.physics import parse_expression
 from tests.unit.models.systems.equations import context_for, held_steps, simulated
 
 METHOD = LevenbergMarquardt(iterations=25, starts=2)

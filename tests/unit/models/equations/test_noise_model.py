@@ -10,7 +10,7 @@ import pytest
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import greybox, hybrid
-from asia.models.methods import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from tests.unit.models.noise.drawn import slow_disturbance
 from tests.unit.models.systems.equations import (
     DUFFING,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from asia.models._equations.ode import Equations, equations, runge_kutta
 from asia.problem import ParameterRange, Physics
-from asia.problem.physics.expressions import parse_expression
+from asia.problem.physics import parse_expression
 
 NAMES = ("a", "b", "k", "g", "twice")
 

@@ -10,8 +10,9 @@ from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.errors import UserError
 from asia.models import physics_net
-from asia.models._equations.measured_cell import MeasuredCell
-from asia.models.methods import Adam, LevenbergMarquardt
+from asia.models._equations.measured import MeasuredCell
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models.methods import Adam
 from asia.problem import Bounds, ParameterRange, Physics
 
 HORIZON, TS, PULL, DRAG = 20, 0.05, 3.0, 0.8

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.agents.library.records.integrators import integrating
-from asia.agents.library.table import family
+from asia.agents.library.records import integrating
+from asia.agents.library.registry import family
 from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import linear, neural_ss
-from asia.models._linear.integrators import free_entries
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models._linear.fit import free_entries
 from asia.models._linear.system import LinearSystem
 from asia.models._state_space.structure import StateSpaceStructure
-from asia.models.methods import LevenbergMarquardt
 from tests.unit.agents.searches import simulation
 from tests.unit.models.systems.equations import context_for, duffing_record
 from tests.unit.models.systems.friction import record, sliding

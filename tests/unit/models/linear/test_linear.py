@@ -12,20 +12,19 @@ import pytest
 from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import linear
-from asia.models._data.encoder import BlockedRidge, fit_encoder
-from asia.models._data.records import ScaledTrajectory, scaled
-from asia.models._data.scaling import Scaling
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import (
     Refinement,
     encoder_of,
     refine,
     solve_linear_part,
+    spread_poles,
     unseen_error,
 )
 from asia.models._linear.response import DrivenRecords
-from asia.models._linear.subspace import spread_poles
 from asia.models._linear.system import LinearSystem
+from asia.models._numerics.encoder import BlockedRidge, fit_encoder
+from asia.models._numerics.records import ScaledTrajectory, Scaling, scaled
 from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two
 
 

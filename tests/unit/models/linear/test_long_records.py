@@ -11,15 +11,15 @@ import pytest
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.models import linear
-from asia.models._data import window_encoder
-from asia.models._data.records import ScaledTrajectory
-from asia.models._linear import estimates, long
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models._linear import fit as estimates
+from asia.models._linear import response
 from asia.models._linear import system as linear_system
-from asia.models._linear.long import LongResponse
-from asia.models._linear.response import DrivenRecords
+from asia.models._linear.response import DrivenRecords, LongResponse
 from asia.models._linear.system import LinearSystem
-from asia.models._noise import process
-from asia.models.methods import LevenbergMarquardt
+from asia.models._noise import model as process
+from asia.models._numerics import encoder
+from asia.models._numerics.records import ScaledTrajectory
 
 
 def measured(samples: int, seed: int = 0) -> Trajectory:
@@ -42,8 +42,8 @@ def context(past: int = 8) -> Context:
 
 @pytest.fixture
 def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(long, "_SHORTEST", 64)
-    monkeypatch.setattr(long, "_LONGEST", 64)
+    monkeypatch.setattr(response, "_SHORTEST", 64)
+    monkeypatch.setattr(response, "_LONGEST", 64)
 
 
 @pytest.mark.usefixtures("short_blocks")
@@ -76,8 +76,8 @@ def test_blocks_give_the_normal_equations_of_whole_records(poles: bool) -> None:
 def test_a_long_record_has_the_same_fit_block_by_block(monkeypatch: pytest.MonkeyPatch) -> None:
     data, models = measured(700), list[linear.LinearStateSpace]()
     for limit in (10**9, 0):
-        monkeypatch.setattr(long, "_LONG", limit)
-        monkeypatch.setattr(window_encoder, "_LONG", limit)
+        monkeypatch.setattr(response, "_LONG", limit)
+        monkeypatch.setattr(encoder, "_LONG", limit)
         model = linear.build(linear.Config(order=2), context())
         models.append(linear.train(model, [data], context(), LevenbergMarquardt(iterations=8)))
     u, y = data.u[None], data.y[None]
@@ -104,10 +104,10 @@ def test_the_encoder_is_the_same_block_by_block(
         if len(states[i]) > 70:
             yield states[i][70:]
 
-    known = window_encoder.window_encoder(records, states_of, context(), hidden, 1)
-    monkeypatch.setattr(window_encoder, "_LONG", 0)
-    monkeypatch.setattr(window_encoder, "_BLOCK", 16)
-    found = window_encoder.window_encoder(records, states_of, context(), hidden, 1)
+    known = encoder.window_encoder(records, states_of, context(), hidden, 1)
+    monkeypatch.setattr(encoder, "_LONG", 0)
+    monkeypatch.setattr(encoder, "_BLOCK", 16)
+    found = encoder.window_encoder(records, states_of, context(), hidden, 1)
     for one, other in zip(vars(known).values(), vars(found).values(), strict=True):
         np.testing.assert_allclose(other, one, atol=1e-10)
 

@@ -11,13 +11,11 @@ from numpy.testing import assert_allclose
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.models import linear
-from asia.models._data.records import scaled
-from asia.models._data.scaling import Scaling
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.response import DrivenRecords
 from asia.models._linear.system import LinearSystem
-from asia.models._noise.weighting import ErrorWeighting
-from asia.models._noise.whitening import ResidualNoise
-from asia.models.methods import LevenbergMarquardt
+from asia.models._noise.model import ErrorWeighting, ResidualNoise
+from asia.models._numerics.records import Scaling, scaled
 from tests.unit.models.noise.drawn import slow_disturbance
 
 POLE, GAIN, SAMPLES = 0.95, 0.05, 800

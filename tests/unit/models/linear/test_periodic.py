@@ -10,19 +10,20 @@ import pytest
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.models import linear
-from asia.models._data.records import scaled
-from asia.models._data.scaling import Scaling
-from asia.models._linear.levels import groups_by_level, running_levels, shares
-from asia.models._linear.periodic.least_squares import (
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models._linear.fit import groups_by_level, running_levels, shares
+from asia.models._linear.periodic import (
     error,
+    in_blocks,
+    lines_of,
+    observability,
     refined,
+    resolvent,
+    steady_records,
     with_inputs,
 )
-from asia.models._linear.periodic.lines import lines_of, steady_records
-from asia.models._linear.periodic.modes import in_blocks, resolvent
-from asia.models._linear.periodic.subspace import observability
 from asia.models._linear.system import LinearSystem
-from asia.models.methods import LevenbergMarquardt
+from asia.models._numerics.records import Scaling, scaled
 
 PERIOD, CHANNELS = 512, 3
 SIGNALS = [tuple(Signal(f"{name}{k}", "V") for k in range(CHANNELS)) for name in "uy"]

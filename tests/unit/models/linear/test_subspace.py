@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asia.models._data.records import ScaledTrajectory
-from asia.models._linear.fit import solve_linear_part
-from asia.models._linear.subspace import spread_poles, stabilised, starts
+from asia.models._linear.fit import solve_linear_part, spread_poles, stabilised, starts
+from asia.models._numerics.records import ScaledTrajectory
 from tests.unit.models.systems.black_box import A, filtered
 
 

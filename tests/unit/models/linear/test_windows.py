@@ -10,9 +10,7 @@ import pytest
 from asia.candidate import Context, Model
 from asia.data import Array, Signal, Trajectory
 from asia.models import linear, neural_ss
-from asia.models._data.records import scaled
-from asia.models._data.scaling import Scaling
-from asia.models._data.windows import HorizonWindows, cut_windows, stretches
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.windows import (
     WindowLags,
     WindowPredictor,
@@ -22,8 +20,9 @@ from asia.models._linear.windows import (
     one_step,
     refined,
 )
+from asia.models._numerics.records import HorizonWindows, Scaling, cut_windows, scaled, stretches
 from asia.models._state_space.structure import StateSpaceStructure
-from asia.models.methods import Adam, LevenbergMarquardt
+from asia.models.methods import Adam
 
 HORIZON = 12
 

@@ -12,14 +12,20 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import ltc
-from asia.models._data.chunks import laid, tracks
-from asia.models._data.records import PaddedBatch, batch, holdout_masks, reweighted, scaled
-from asia.models._data.scaling import Scaling
 from asia.models._networks import training
 from asia.models._networks.network import NetworkModel, as_built, train_network
 from asia.models._networks.objective import objective
 from asia.models._networks.structure import Params, rollout
 from asia.models._networks.training import FitTask, HoldoutSplit
+from asia.models._numerics.records import (
+    PaddedBatch,
+    Scaling,
+    batch,
+    holdout_masks,
+    reweighted,
+    scaled,
+)
+from asia.models._numerics.segments import laid, tracks
 from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import Case, case, filtered
 from tests.unit.models.systems.networks import (

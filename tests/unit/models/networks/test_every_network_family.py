@@ -25,7 +25,7 @@ from asia.models import (
 )
 from asia.models._networks import compiled as compiled_module
 from asia.models._networks.compiled import compiled
-from asia.models._networks.simulation import features_of, is_compiled
+from asia.models._networks.network import features_of, is_compiled
 from asia.models._networks.structure import Restartable, rollout, trace
 from asia.models.methods import Adam
 

@@ -9,8 +9,8 @@ import pytest
 from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import lru
-from asia.models._data.scaling import Scaling
-from asia.models._networks.features import FUNCTIONS, Features, drive_size
+from asia.models._networks.structure import FUNCTIONS, Features, drive_size
+from asia.models._numerics.records import Scaling
 
 
 def record(seed: int = 0) -> Trajectory:

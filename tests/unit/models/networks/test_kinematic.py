@@ -14,7 +14,7 @@ from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.models import kinematic
-from asia.models._equations.rates import Rate, find_rates, read_by_equations
+from asia.models._equations.measured import Rate, find_rates, read_by_equations
 from asia.models._networks.network import NetworkModel
 from asia.models._networks.structure import OutputFeedback, Restartable
 from asia.models.kinematic import _read

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from asia.models import koopman
-from asia.models._networks.layers import mlp
+from asia.models._networks.structure import mlp
 from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import case, wiener
 

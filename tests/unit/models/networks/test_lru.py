@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from asia.models import lru
-from asia.models._networks.layers import diagonal_states, poles
+from asia.models._networks.structure import diagonal_states, poles
 from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import case, wiener
 

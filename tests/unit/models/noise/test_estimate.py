@@ -7,10 +7,8 @@ import pytest
 
 from asia.data import Array
 from asia.errors import UserError
-from asia.models._noise.choice import NoiseChoice
-from asia.models._noise.estimate import estimate_noise, settled
-from asia.models._noise.whitening import ResidualNoise
-from asia.models.methods import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models._noise.model import NoiseChoice, ResidualNoise, estimate_noise, settled
 from tests.unit.models.noise.drawn import slow_disturbance
 
 DT = 2.0

@@ -14,7 +14,7 @@ from asia.data import Signal, Trajectory
 from asia.errors import UserError
 from asia.models import recurrent
 from asia.models._networks.objective import NoiseWeighting, objective
-from asia.models._noise.whitening import ResidualNoise, innovation_filter, innovations
+from asia.models._noise.model import ResidualNoise, innovation_filter, innovations
 from asia.models.methods import LBFGS, Adam, MultipleShooting, NetworkMethod
 from tests.unit.models.noise.drawn import slow_disturbance
 

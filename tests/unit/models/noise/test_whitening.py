@@ -8,8 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from asia.data import Array
-from asia.models._noise.weighting import ErrorWeighting
-from asia.models._noise.whitening import ResidualNoise, innovation_filter, innovations
+from asia.models._noise.model import ErrorWeighting, ResidualNoise, innovation_filter, innovations
 
 DT, SAMPLES = 0.5, 90
 NOISE = ResidualNoise(np.array([8.0, 3.0]), np.array([0.15, 0.4]), np.array([0.02, 0.3]))

@@ -10,7 +10,8 @@ import pytest
 from asia.data import Array, Trajectory
 from asia.errors import UserError
 from asia.models import linear, narx
-from asia.models.methods import LeastSquares, LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models.methods import LeastSquares
 from tests.unit.models.systems.black_box import case, filtered
 from tests.unit.models.systems.fitting import (
     against_holding,

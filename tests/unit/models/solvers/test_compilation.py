@@ -12,8 +12,9 @@ import pytest
 
 from asia.candidate import Context
 from asia.models import neural_ss, recurrent
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._networks.network import train_network
-from asia.models.methods import LBFGS, Adam, LevenbergMarquardt, MultipleShooting, NetworkMethod
+from asia.models.methods import LBFGS, Adam, MultipleShooting, NetworkMethod
 from tests.unit.models.systems.networks import context, records
 
 COMPILED = "/jax/core/compile/backend_compile_duration"

@@ -8,14 +8,13 @@ import pytest
 from asia.data import Array
 from asia.errors import UserError
 from asia.models import block_oriented, linear
-from asia.models._data.records import scaled
-from asia.models._data.scaling import Scaling
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import Refinement
-from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructure
-from asia.models._state_space.wiener_hammerstein_starts import (
+from asia.models._numerics.records import Scaling, scaled
+from asia.models._state_space.wiener_hammerstein import (
+    WienerHammersteinStructure,
     wiener_hammerstein_starts,
 )
-from asia.models.methods import LevenbergMarquardt
 from tests.unit.models.systems.black_box import case, filtered, two_by_two, wiener
 from tests.unit.models.systems.fitting import against_holding, fitted
 

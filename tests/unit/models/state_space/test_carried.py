@@ -9,7 +9,7 @@ from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.models import neural_ss
-from asia.models.methods import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
 from tests.unit.models.systems.transport import belt
 
 CONTEXT = Context((Signal("speed"), Signal("load")), (Signal("y"),), 1.0, 15, 15)

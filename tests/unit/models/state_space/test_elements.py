@@ -8,8 +8,9 @@ import pytest
 
 from asia.data import Trajectory
 from asia.models import neural_ss
-from asia.models._state_space.elements import lost, resisted
-from asia.models.methods import Adam, LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models._state_space.structure import lost, resisted
+from asia.models.methods import Adam
 from tests.unit.models.systems.equations import context_for
 from tests.unit.models.systems.friction import backlash, bristle, record, sticking, yielding
 

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from asia.data import Array
-from asia.models._data.records import ScaledTrajectory
-from asia.models._state_space import filters
-from asia.models._state_space.filters import FilterEquations, FilterRidge, TwoFilters
-from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructure
+from asia.models._numerics.records import ScaledTrajectory
+from asia.models._state_space import wiener_hammerstein
+from asia.models._state_space.wiener_hammerstein import (
+    FilterEquations,
+    FilterRidge,
+    TwoFilters,
+    WienerHammersteinStructure,
+)
 
 
 def model(records: int = 2) -> TwoFilters:
@@ -42,7 +46,7 @@ def gradient(equations: FilterEquations, theta: Array) -> Array:
 
 
 def test_derivatives_over_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(filters, "_CHUNK", 100)
+    monkeypatch.setattr(wiener_hammerstein, "_CHUNK", 100)
     p = model()
     theta = p.packed()
     pull = p.pull(FilterRidge(1e-3, 1e-2, 1e-1))
@@ -57,7 +61,7 @@ def test_chunks_sum_to_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     theta = p.packed()
     equations = FilterEquations(p, [record(400, 3)], np.zeros(len(theta)), theta)
     whole = equations.normal(theta[None])
-    monkeypatch.setattr(filters, "_CHUNK", 150)
+    monkeypatch.setattr(wiener_hammerstein, "_CHUNK", 150)
     parts = equations.normal(theta[None])
     assert parts.gram == pytest.approx(whole.gram, rel=1e-6, abs=1e-12)
 
@@ -68,7 +72,7 @@ def test_same_simulation_in_state_space() -> None:
     structure, params = p.state_space(template)
     assert (structure.order, structure.first, structure.hidden) == (5, 2, 3)
     y = structure.simulate(params, p.x0[1:], one.u[None])[1][0, :, 0]
-    assert y == pytest.approx(filters.simulated(p, one.u[:, 0], 1), abs=1e-12)
+    assert y == pytest.approx(wiener_hammerstein.simulated(p, one.u[:, 0], 1), abs=1e-12)
 
 
 def test_static_first_filter() -> None:

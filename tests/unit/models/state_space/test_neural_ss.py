@@ -11,8 +11,9 @@ import pytest
 
 from asia.errors import UserError
 from asia.models import linear, neural_ss
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._state_space.structure import StateSpaceStructure
-from asia.models.methods import Adam, LevenbergMarquardt
+from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two, wiener
 
 

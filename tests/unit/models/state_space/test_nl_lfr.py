@@ -8,12 +8,11 @@ import pytest
 from asia.data import Array
 from asia.errors import UserError
 from asia.models import linear, nl_lfr
-from asia.models._data.records import scaled
-from asia.models._data.scaling import Scaling
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import Refinement
-from asia.models._state_space.feedback.starts import feedback_starts
+from asia.models._numerics.records import Scaling, scaled
+from asia.models._state_space.feedback import feedback_starts
 from asia.models._state_space.structure import StateSpaceStructure
-from asia.models.methods import LevenbergMarquardt
 from tests.unit.models.systems.black_box import PAST, case, filtered, two_by_two, wiener
 from tests.unit.models.systems.fitting import against_holding, fitted
 

@@ -14,11 +14,10 @@ from asia.data import Signal, Trajectory
 from asia.errors import UserError
 from asia.models import arx, narx, neural_ss
 from asia.models._arrays import Packing, packed
-from asia.models._noise.weighting import ErrorWeighting
-from asia.models._noise.whitening import ResidualNoise
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models._noise.model import ErrorWeighting, ResidualNoise
 from asia.models._state_space import programs
 from asia.models._state_space.structure import StateSpaceStructure
-from asia.models.methods import LevenbergMarquardt
 from tests.unit.models.noise.drawn import slow_disturbance
 
 SAMPLES, PAST = 500, 4

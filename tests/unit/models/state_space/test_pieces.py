@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from asia.errors import UserError
 from asia.models import neural_ss
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.system import LinearSystem
-from asia.models._state_space.past_fit import PastFit, fitted_state
+from asia.models._state_space.model import PastFit, fitted_state
 from asia.models._state_space.structure import StateSpaceStructure
-from asia.models.methods import Adam, LevenbergMarquardt
+from asia.models.methods import Adam
 from tests.unit.models.systems.equations import context_for, duffing_record
 
 CONFIG = neural_ss.Config(order=2, channels=1, basis="polynomial")

@@ -10,13 +10,19 @@ import numpy as np
 import pytest
 
 from asia.errors import InternalError
-from asia.ledger import Chain, RecordedCheck, Run, Validated, open_run, put_curves, verify
-from asia.problem.load import Seal, load_problem, lock_text
-from asia.report._page import page_of
-from asia.report._page.html import Html
-from asia.report._page.section import Section
-from asia.report._page.sections import validation
-from asia.scoring.dossier import Check, CheckCurve, Verdict
+from asia.judge.scoring.checks.check import Check, CheckCurve, Verdict
+from asia.ledger.chain import Chain
+from asia.ledger.events import RecordedCheck, Validated
+from asia.ledger.evidence import put_curves
+from asia.ledger.run import Run, open_run
+from asia.ledger.verification import verify
+from asia.problem.load import load_problem
+from asia.problem.lock import lock_text
+from asia.problem.problem import Seal
+from asia.report.page.html import Html
+from asia.report.page.page import page_of
+from asia.report.page.sections import evidence
+from asia.report.page.subject import Section
 from tests.unit.report.made_up import write_run
 
 ATTACK = "<script>alert(1)</script>"
@@ -54,7 +60,7 @@ def dossier(directory: Path, record: str = "", digest: str = "") -> Validated:
 
 def changed_page(run: Run, change: tuple[str, str]) -> str:
     def write(subject: object) -> Html:
-        inner = validation.SECTION.write(subject)  # type: ignore[arg-type]
+        inner = evidence.VALIDATION.write(subject)  # type: ignore[arg-type]
         assert inner is not None
         assert change[0] in inner
         return Html(inner.replace(*change))
@@ -95,7 +101,7 @@ def test_a_newer_dossier_takes_the_place_of_the_older_one_of_its_record(director
 
 
 def test_a_long_curve_keeps_its_extremes(directory: Path) -> None:
-    from asia.ledger import get_curves
+    from asia.ledger.evidence import get_curves
 
     event = dossier(directory)
     inputs, spectrum = get_curves(open_run(directory).store, event.curves)

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 import asia
+from asia.analysis.ablation import ablate, crossed, without_change
 from asia.errors import UserError
-from asia.ledger import AblationFit, open_run, verify
-from asia.scoring import attribute
-from asia.search import ablate
-from asia.search.ablation.splitting import crossed, without_change
-from tests.unit.cli.conftest import command_line
+from asia.judge.scoring.confirmation import attribute
+from asia.ledger.events import AblationFit
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
+from tests.unit.interfaces.cli.conftest import command_line
 from tests.unit.search.toy import Scripted, write_problem
 
 SOURCE = """
@@ -162,7 +163,7 @@ def test_a_crossing_takes_what_each_side_needs() -> None:
 
 
 def test_a_setting_is_taken_back_where_the_winner_still_has_it() -> None:
-    from asia.evaluation import LINEAR
+    from asia.judge.evaluation.references import LINEAR
 
     after = LINEAR.replace("order=None", "order=3")
     winner = after.replace("iterations=30", "iterations=60")

@@ -9,11 +9,15 @@ import pytest
 
 from asia.agents import Agent, RelayAgent, legs_of, make_agent, make_runner
 from asia.errors import CandidateError, Reason
-from asia.evaluation import Evaluation, Evaluator
-from asia.ledger import Evaluated, Proposed, SearchView, open_run
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.results import Evaluation
+from asia.judge.scoring.outcome import Score
+from asia.ledger.events import Evaluated, Proposed
+from asia.ledger.run import open_run
+from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
-from asia.scoring import Score
-from asia.search import prepare, replay_run, search
+from asia.search.replay import replay_run
+from asia.search.run import prepare, search
 from tests.unit.search.toy import arx, write_problem
 
 

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from asia.ledger import Store, journal, open_run
+from asia.ledger.artifacts import Store
+from asia.ledger.exports import journal
+from asia.ledger.run import open_run
 from asia.problem.load import load_problem
-from asia.search import agent_view, problem_facts
-from asia.search._agent_view import KnownTrials
+from asia.search.agent_views import KnownTrials, agent_view, problem_facts
 
 GOLDEN = Path(__file__).parents[3] / "golden/0.1.0"
 

@@ -10,13 +10,18 @@ import pytest
 
 from asia.agents import AgentView, Proposal
 from asia.errors import UserError
-from asia.evaluation import Evaluation, Evaluator
-from asia.executor import LocalExecutor
-from asia.ledger import Event, Experiment, Landed, Proposed, SearchView, open_run, verify
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.results import Evaluation
+from asia.judge.executors import LocalExecutor
+from asia.ledger.events import Event, Landed, Proposed
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
+from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_problem
-from asia.search import Prepared, prepare, replay_run, search
-from asia.search._steering import Steering
-from asia.search.ahead.flights import Flights
+from asia.search.pending import PendingFits
+from asia.search.replay import replay_run
+from asia.search.run import Prepared, prepare, search
+from asia.search.steering import Steering
 from tests.unit.search.toy import CRASH, arx, write_problem
 
 SOURCES = (arx(2), CRASH, arx(3), arx(2) + "# a twin\n", arx(3).replace("1, float", "2, float"))
@@ -169,14 +174,14 @@ def test_a_killed_search_loses_nothing_and_repeats_nothing(
         if isinstance(event, Landed):
             landed.release()
 
-    def cut_off(flights: Flights, experiment: Experiment) -> None:
+    def cut_off(flights: PendingFits, experiment: Experiment) -> None:
         assert experiment.number == 1
         assert landed.acquire(timeout=60.0)
         assert landed.acquire(timeout=60.0)
         raise KilledError
 
     with monkeypatch.context() as patch:
-        patch.setattr(Flights, "take", cut_off)
+        patch.setattr(PendingFits, "take", cut_off)
         with pytest.raises(KilledError):
             go(problem, tmp_path / "runs", 3, sources, told)
     directory = tmp_path / "runs" / "toy-scripted-s0"

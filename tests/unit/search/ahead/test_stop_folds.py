@@ -11,16 +11,21 @@ from hypothesis import strategies as st
 
 from asia.agents import AgentView, Proposal
 from asia.errors import Reason, UserError
-from asia.evaluation import Evaluator
-from asia.evaluation._results import FoldEnd
-from asia.evaluation.work.pruning import FoldPruner
-from asia.executor import make_executor
-from asia.ledger import Experiment, SearchView, folds_ended, folds_passed_over, open_run, verify
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.pruning import FoldPruner
+from asia.judge.evaluation.results import FoldEnd
+from asia.judge.executors import make_executor
+from asia.judge.scoring.outcome import Failure
+from asia.ledger.evidence import cancelled_folds, pruned_folds
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
+from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_problem
-from asia.protocol import find_metric, make_folds
-from asia.scoring import Failure
-from asia.search import prepare, replay_run, search
-from tests.unit.cli.conftest import command_line
+from asia.problem.metrics import find_metric
+from asia.problem.protocol import make_folds
+from asia.search.replay import replay_run
+from asia.search.run import prepare, search
+from tests.unit.interfaces.cli.conftest import command_line
 from tests.unit.search.toy import arx, write_problem
 
 FAR = """
@@ -110,8 +115,8 @@ def test_only_the_folds_of_one_far_behind_are_left_out(
     assert far.failure.reason is Reason.BEHIND
     assert far.result is not None
     assert far.result.status == "discard"
-    assert folds_passed_over(view) == (1,)
-    assert folds_passed_over(whole) == ()
+    assert pruned_folds(view) == (1,)
+    assert pruned_folds(whole) == ()
     verify(directory)
     assert replay_run(directory, lambda item: None).agrees
 
@@ -156,7 +161,7 @@ def test_refused_for_a_metric_without_a_bound(
     changed: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     other = replace(find_metric("rmse"), **changed)
-    monkeypatch.setattr("asia.search.ahead.check.find_metric", lambda name: other)
+    monkeypatch.setattr("asia.search.pending.find_metric", lambda name: other)
     problem = load_problem(write_problem(tmp_path / "toy"))
     with pytest.raises(UserError, match="no bound"):
         prepare(problem, "listed", seed=0, runs=tmp_path / "runs", stop_folds=True)
@@ -212,7 +217,7 @@ def test_a_fold_that_runs_is_ended_and_said(parallel: int, tmp_path: Path) -> No
     assert result is not None
     assert result.status == "discard"
     assert result.seconds < 40.0
-    assert (result.ended_folds, folds_ended(view)) == (1, 1)
+    assert (result.ended_folds, cancelled_folds(view)) == (1, 1)
     done = command_line("status", ready.directory.name, "--runs", tmp_path / "runs")
     assert "1 passed over, 1 of them ended while they ran, in 1 experiments" in done.out
     verify(ready.directory)

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from asia.evaluation import Evaluator
-from asia.evaluation._workers import WorkerRunner
-from asia.executor import Executor, LocalExecutor, SequentialExecutor
-from asia.sandbox import Isolation, Limits
-from asia.search.deciding.retesting import retest_fits
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.workers import WorkerRunner
+from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
+from asia.judge.sandbox.types import Isolation, Limits
+from asia.search.loop import retest_fits
 
 SECONDS = 20.0
 
@@ -30,7 +30,7 @@ class Runner(WorkerRunner):
 
     @property
     def may_fit_ahead(self) -> bool:
-        return not self.one_by_one
+        return not self.is_sequential
 
     def fit(self, number: int) -> Any:
         return self._run([partial(self._fold, number, fold) for fold in self.folds])

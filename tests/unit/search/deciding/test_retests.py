@@ -12,23 +12,15 @@ import pytest
 
 import asia
 from asia.errors import Reason
-from asia.evaluation import Evaluation, Evaluator, FoldResult
-from asia.ledger import (
-    Evaluated,
-    Event,
-    Experiment,
-    Proposed,
-    Retest,
-    SearchView,
-    Started,
-    floor_to_beat,
-    floor_words,
-    method_words,
-    replay,
-)
-from asia.scoring import Failure, Score, least_significant_difference
-from asia.search import replay_run
-from asia.search.deciding.judging import Judged, judge
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.scoring.confirmation import least_significant_difference
+from asia.judge.scoring.outcome import Failure, Score
+from asia.ledger.events import Evaluated, Event, Proposed, Retest, Started
+from asia.ledger.evidence import floor_words, method_note, significance_threshold
+from asia.ledger.view import Experiment, SearchView, replay
+from asia.search.loop import Judged, judge
+from asia.search.replay import replay_run
 from tests.unit.search.toy import Scripted, arx, write_problem
 
 DIGEST = "0" * 64
@@ -53,7 +45,7 @@ def fit(trajectories, context):
 class Fits(Evaluator):
     """V of the fits of one candidate, one after the other."""
 
-    one_by_one, may_fit_ahead = True, False
+    is_sequential, may_fit_ahead = True, False
 
     def __init__(self, *outcomes: float | Failure) -> None:
         self.outcomes, self.starts = outcomes, list[int]()
@@ -157,12 +149,12 @@ def test_the_floor_is_students_interval() -> None:
 
 
 def test_the_floor_is_told_once_it_is_known() -> None:
-    assert floor_to_beat(a_search(2, *NOISY)) == pytest.approx(
+    assert significance_threshold(a_search(2, *NOISY)) == pytest.approx(
         least_significant_difference(NOISY, NOISY)
     )
     assert floor_words(a_search(2, *NOISY)).endswith("below 1.0000, the mean of #01 over 3 seeds")
     assert floor_words(a_search(2, 1.0, 1.0)) == "0: #01 does not depend on the seed"
-    assert floor_to_beat(a_search(0, 1.0)) is None
+    assert significance_threshold(a_search(0, 1.0)) is None
 
 
 @pytest.mark.long
@@ -210,7 +202,7 @@ def test_the_fit_with_the_lowest_v_is_the_best_whatever_is_said_of_its_method(
     assert after.best.number == (2 if lowest else 1)
     assert after.incumbent is not None
     assert after.incumbent.number == (2 if status == "keep" else 1)
-    assert bool(method_words(after)) == (after.best.number != after.incumbent.number)
+    assert bool(method_note(after)) == (after.best.number != after.incumbent.number)
 
 
 def test_a_method_that_is_kept_does_not_replace_a_better_fit() -> None:

@@ -8,12 +8,16 @@ from pathlib import Path
 
 import pytest
 
+from asia.analysis.confirmation import confirm
 from asia.errors import UserError
-from asia.evaluation import derive_seed
-from asia.ledger import Chain, Confirmed, Repeated, open_run, verify
+from asia.judge.evaluation.results import derive_seed
+from asia.judge.scoring.outcome import Failure, Score
+from asia.ledger.chain import Chain
+from asia.ledger.events import Confirmed, Repeated
+from asia.ledger.run import open_run
+from asia.ledger.verification import verify
 from asia.problem.load import load_problem
-from asia.scoring import Failure, Score
-from asia.search import confirm, prepare, search
+from asia.search.run import prepare, search
 from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
 
 # The weights of an ARX fit, moved by luck of a size that depends on the candidate.

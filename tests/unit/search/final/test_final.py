@@ -13,13 +13,18 @@ import pytest
 from asia import ledger
 from asia.data import Array
 from asia.errors import CandidateError, Reason, UserError
-from asia.evaluation import derive_seed
-from asia.ledger import Refitted, SearchView, model_to_use, open_run, verify
+from asia.judge.evaluation.results import derive_seed
+from asia.judge.sandbox.types import Isolation
+from asia.ledger.events import Refitted
+from asia.ledger.run import model_to_use, open_run
+from asia.ledger.verification import verify
+from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
-from asia.sandbox import Isolation
-from asia.search import prepare, search, simulate, unseal
-from asia.search.final.refit import cause_of, none_words
-from tests.unit.cli.conftest import command_line
+from asia.search.final import cause_of, none_words
+from asia.search.run import prepare, search
+from asia.search.simulation import simulate
+from asia.search.unsealing import unseal
+from tests.unit.interfaces.cli.conftest import command_line
 from tests.unit.search.toy import Scripted, arx, write_problem
 
 # The whole record of the toy; a fold trains on half of it.

@@ -8,8 +8,8 @@ import pytest
 import asia
 from asia import ledger
 from asia.data import Array
-from asia.ledger import Run
-from asia.problem.load import Preparation, init_problem
+from asia.ledger.run import Run
+from asia.problem.create import Preparation, init_problem
 from asia.report import write_report
 
 DELAY, STEP = 3, 0.1

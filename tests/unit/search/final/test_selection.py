@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asia.data import Array
-from asia.search.final.selection import (
+from asia.search.final import (
     MOST_CANDIDATES,
     MOST_MEMBERS,
     HeldOutPart,

@@ -8,9 +8,10 @@ import pytest
 
 import asia
 from asia.errors import UserError
-from asia.ledger import Run, verify
-from asia.search import replay_run
-from tests.unit.cli.conftest import command_line
+from asia.ledger.run import Run
+from asia.ledger.verification import verify
+from asia.search.replay import replay_run
+from tests.unit.interfaces.cli.conftest import command_line
 from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
 
 RUNS = Path(os.environ.get("ASIA_DATA_DIR", "")) / "runs"

@@ -28,11 +28,16 @@ from asia.agents import (
     recorded_agents,
 )
 from asia.errors import CandidateError, Reason, UserError
-from asia.evaluation import Evaluation, Evaluator
-from asia.ledger import HandedOver, Proposed, Run, SearchView, hand_over_words, verify
-from asia.scoring import Score
-from asia.search import replay_run
-from asia.search.deciding.judging import Judged
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.results import Evaluation
+from asia.judge.scoring.outcome import Score
+from asia.ledger.events import HandedOver, Proposed
+from asia.ledger.exports import hand_over_text
+from asia.ledger.run import Run
+from asia.ledger.verification import verify
+from asia.ledger.view import SearchView
+from asia.search.loop import Judged
+from asia.search.replay import replay_run
 from tests.unit.agents.fake_llm import FakeServer, fake_llm, said
 from tests.unit.search.toy import Scripted, arx, write_problem
 
@@ -67,8 +72,8 @@ def judged() -> Iterator[pytest.MonkeyPatch]:
         raise CandidateError(Reason.CRASH, "made up")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("asia.search._loop.judge", judge)
-        patch.setattr("asia.search._replay.judge", judge)
+        patch.setattr("asia.search.loop.judge", judge)
+        patch.setattr("asia.search.replay.judge", judge)
         patch.setattr(Evaluator, "refit", refit)
         patch.setenv("MADE_UP_KEY", KEY)
         yield patch
@@ -268,7 +273,7 @@ def test_each_leg_has_its_own_cap(tmp_path: Path, judged: pytest.MonkeyPatch) ->
     assert (len(run.view.experiments), run.view.stopped.reason) == (8, "cost")
     detail = run.view.handed_over[0].detail
     assert detail.startswith("0.4000 USD are spent")
-    assert f"({detail})" in hand_over_words(run.view.handed_over[0])
+    assert f"({detail})" in hand_over_text(run.view.handed_over[0])
 
 
 def test_legs_that_do_not_fit_are_refused_before_anything_is_written(tmp_path: Path) -> None:

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from asia.ledger import HandedOver, open_run
-from asia.search import replay_run
-from tests.unit.cli.conftest import command_line
+from asia.ledger.events import HandedOver
+from asia.ledger.run import open_run
+from asia.search.replay import replay_run
+from tests.unit.interfaces.cli.conftest import command_line
 from tests.unit.search.toy import write_problem
 
 PROGRAM = """

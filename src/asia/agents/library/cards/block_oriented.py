@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
+from asia.agents.library.equation_moves import less_ridge, more_ridge, much_more_ridge
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
-from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import traits
+from asia.agents.view import Facts
 
 _STRUCTURES = ("hammerstein", "wiener", "hammerstein_wiener", "wiener_hammerstein")
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
-from asia.agents.library.evidence import coloured, curved, fails_on_top, plateau_share
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
+from asia.agents.library.records import coloured, curved, fails_on_top, plateau_share
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.view import Facts
 
 _STANDS_STILL, _MOST_STORAGES = 0.02, 4
 

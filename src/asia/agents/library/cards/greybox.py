@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
-from asia.agents.library.evidence import (
+from asia.agents.library.equation_moves import (
+    WRITTEN_IN,
+    less_ridge,
+    more_ridge,
+    names_of,
+    output_offsets,
+)
+from asia.agents.library.family import Family
+from asia.agents.library.methods import LM
+from asia.agents.library.move import Move, Situation
+from asia.agents.library.recipe import Recipe
+from asia.agents.library.records import (
     biased,
     coloured,
     fails_on_top,
@@ -13,13 +23,8 @@ from asia.agents.library.evidence import (
     overfit,
     plateau_share,
 )
-from asia.agents.library.family import Family
-from asia.agents.library.methods import LM
-from asia.agents.library.move import Move, Situation
-from asia.agents.library.recipe import Recipe
-from asia.agents.library.ridge import less_ridge, more_ridge
 from asia.agents.library.space import OneOf, Parameter, Space, Span
-from asia.agents.library.written_in import WRITTEN_IN, names_of, output_offsets
+from asia.agents.view import Facts
 
 
 def _state_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:

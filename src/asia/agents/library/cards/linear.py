@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
@@ -17,8 +16,9 @@ from asia.agents.library.methods import (
 )
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.records.levels import periodic, several_levels
+from asia.agents.library.records import periodic, several_levels
 from asia.agents.library.space import OneOf, Space
+from asia.agents.view import Facts
 
 # Share of the error for which another state is taken.
 _FINER = 0.005

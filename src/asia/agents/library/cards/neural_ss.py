@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
-from asia.agents.library.evidence import coloured, curved, overfit
+from asia.agents.library.equation_moves import less_ridge, more_ridge, much_more_ridge
 from asia.agents.library.family import Family
 from asia.agents.library.methods import (
     LM,
@@ -18,10 +17,9 @@ from asia.agents.library.methods import (
 )
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.records.switching import Cause, switching
-from asia.agents.library.records.transport import transport
-from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
+from asia.agents.library.records import Cause, coloured, curved, overfit, switching, transport
 from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.view import Facts
 
 
 def _neural_ss(facts: Facts) -> Recipe:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
-from asia.agents.library.evidence import coloured
+from asia.agents.library.equation_moves import less_ridge, more_ridge, much_more_ridge
 from asia.agents.library.family import Family
 from asia.agents.library.methods import (
     LM,
@@ -17,8 +16,9 @@ from asia.agents.library.methods import (
 )
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.ridge import less_ridge, more_ridge, much_more_ridge
+from asia.agents.library.records import coloured
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.view import Facts
 
 _MOST_CHANNELS, _MOST_UNITS = 4, 30
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
-from asia.agents.library.evidence import by_overfit, curved, plateau_share
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move
 from asia.agents.library.recipe import Recipe
+from asia.agents.library.records import by_overfit, curved, plateau_share
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.view import Facts
 
 _STANDS_STILL = 0.02
 

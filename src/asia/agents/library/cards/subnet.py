@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from asia.agents._view import Facts
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.methods import integrator_moves, integrator_setting
 from asia.agents.library.network import STEP_BY_STEP, NetworkStart, network_family
 from asia.agents.library.space import OneOf, Parameter
+from asia.agents.view import Facts
 
 
 def _start(facts: Facts) -> NetworkStart:

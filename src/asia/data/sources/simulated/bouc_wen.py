@@ -8,9 +8,9 @@ from math import pi
 
 import numpy as np
 
-from asia.data._trajectory import Array
 from asia.data.sources.simulated.record import Simulation
 from asia.data.sources.source import Subset
+from asia.data.trajectory import Array
 
 SAMPLING_TIME = 1.0 / 750.0
 NOISE_STD = 8e-6

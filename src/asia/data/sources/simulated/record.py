@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from asia.data._trajectory import Array
+from asia.data.trajectory import Array
 
 
 @dataclass(frozen=True)

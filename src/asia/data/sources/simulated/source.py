@@ -1,4 +1,4 @@
-"""The source of simulated records."""
+"""Simulated records: the source and its record type."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from asia._nearest import nearest
-from asia.data._trajectory import Trajectory
+from asia._text import nearest
 from asia.data.sources.simulated import bouc_wen, two_tanks
 from asia.data.sources.simulated.record import Simulation
 from asia.data.sources.source import Channels, DataTable, Source, SourceData, Subset
+from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 
 

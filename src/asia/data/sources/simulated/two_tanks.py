@@ -7,9 +7,9 @@ from math import sqrt
 
 import numpy as np
 
-from asia.data._trajectory import Array
 from asia.data.sources.simulated.record import Simulation
 from asia.data.sources.source import Subset
+from asia.data.trajectory import Array
 
 SAMPLING_TIME = 4.0
 SAMPLES = 1024

@@ -1,1 +1,0 @@
-"""Agents that the others are compared with."""

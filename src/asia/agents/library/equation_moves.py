@@ -1,0 +1,422 @@
+"""Moves on the equations of a grey-box and on ridge weights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from asia.agents.library.methods import LM
+from asia.agents.library.move import Move, Situation
+from asia.agents.library.recipe import Recipe
+from asia.agents.library.records import (
+    Cause,
+    biased,
+    by_overfit,
+    coloured,
+    curved,
+    fails_on_top,
+    folds_disagree,
+    input_left,
+    overfit,
+    switching,
+)
+from asia.agents.view import Facts
+from asia.problem.physics import parse_expression
+
+# Moves that add terms to the equations of a grey-box, or change the weight of its residual.
+
+
+# Of the output's deviation: a training error below it is near what a disturbance may explain.
+_NEAR = 0.15
+
+
+def names_of(at: Situation, setting: str) -> tuple[str, ...]:
+    """Return the names in a setting."""
+    value = at.recipe.get(setting)
+    return tuple(str(name) for name in value) if isinstance(value, tuple) else ()
+
+
+def output_offsets(facts: Facts) -> tuple[str, ...]:
+    """Outputs that are not states by name, whose offsets would be confused."""
+    states = facts.physics.states if facts.physics else ()
+    return tuple(s.name for s in facts.outputs if s.name not in states)
+
+
+def _noise_weight(at: Situation) -> float:
+    """Return the weight where the equations explain nearly all: before that the residual contains
+    missing dynamics."""
+    if at.recipe.get("noise_model") == "slow" or at.recipe.method != LM:
+        return 0.0
+    if at.facts.horizon is not None:
+        return 0.2
+    near = (at.trial.train_error or 1.0) < _NEAR
+    return (0.93 if near else 0.3) if coloured(at.trial) else 0.1
+
+
+def _with_noise(at: Situation) -> Recipe:
+    """Apply the noise model of the residual; priors then need less weight."""
+    recipe = at.recipe.without("robust").trained(noise_model="slow", huber=3.0)
+    return recipe.times("ridge", 0.1, 1e-3)
+
+
+def _sensor_weight(at: Situation) -> float:
+    if at.recipe.get("sensor") or at.facts.horizon is not None:
+        return 0.0
+    if curved(at.trial) or fails_on_top(at.trial):
+        return 0.91
+    return 0.65 if biased(at.trial) or coloured(at.trial) else 0.2
+
+
+def _free_sensor_weight(at: Situation) -> float:
+    return 0.7 * (at.recipe.get("sensor") == "power")
+
+
+def _kept_offsets(at: Situation) -> dict[str, tuple[str, ...]]:
+    """Return the offsets except those of outputs, which represent a sensor's zero."""
+    kept = tuple(name for name in names_of(at, "offset") if name not in output_offsets(at.facts))
+    return {"offset": kept} if kept else {}
+
+
+def _width(at: Situation) -> float:
+    return at.recipe.number("smooth_width", 0.05)
+
+
+def _read_by_others(at: Situation) -> tuple[str, ...]:
+    """Return the states that occur in the equation of another state."""
+    physics = at.facts.physics
+    if physics is None:
+        return ()
+    texts = {state: parse_expression(text, state).names for state, text in physics.dynamics.items()}
+    return tuple(
+        name
+        for name in physics.states
+        if any(name in names for state, names in texts.items() if state != name)
+    )
+
+
+def _next(at: Situation, setting: str, names: tuple[str, ...]) -> str:
+    """The first name that the setting does not hold, "" where it holds all."""
+    return next((name for name in names if name not in names_of(at, setting)), "")
+
+
+def _with(at: Situation, setting: str, names: tuple[str, ...]) -> Recipe:
+    more = _next(at, setting, names)
+    return at.recipe.configured(**{setting: (*names_of(at, setting), more)})
+
+
+def _inputs(at: Situation) -> tuple[str, ...]:
+    return tuple(signal.name for signal in at.facts.inputs)
+
+
+def _lag_weight(at: Situation, names: tuple[str, ...], late: float, else_: float) -> float:
+    if at.facts.horizon is not None or not _next(at, "lag", names):
+        return 0.0
+    return (late if input_left(at.trial) else else_) * (0.5 if names_of(at, "lag") else 1.0)
+
+
+def _smooth_weight(at: Situation, names: tuple[str, ...], weight: float) -> float:
+    """Return the weight after all known terms of the system are included."""
+    if at.facts.horizon is not None or not _next(at, "smooth", names):
+        return 0.0
+    return weight * (1.0 if coloured(at.trial) else 0.5) * (0.6 if names_of(at, "smooth") else 1.0)
+
+
+def velocities(at: Situation) -> tuple[str, ...]:
+    """States that are the rate of change of another or, where there are none, those that outputs
+    show."""
+    physics = at.facts.physics
+    if physics is None:
+        return ()
+    named = [text.strip() for text in physics.dynamics.values()]
+    rates = tuple(state for state in physics.states if state in named)
+    shown = [physics.observation.get(s.name, s.name).strip() for s in at.facts.outputs]
+    return rates or tuple(state for state in physics.states if state in shown)
+
+
+def _switching_weight(at: Situation, setting: str, causes: tuple[Cause, ...]) -> float:
+    """Near certain where the records show it."""
+    found = switching(at.facts)
+    if not found.found or found.cause not in causes or at.recipe.get(setting):
+        return 0.0
+    return 0.92 if coloured(at.trial) else 0.6
+
+
+def _turning_input(at: Situation) -> str:
+    return at.facts.inputs[switching(at.facts).signal].name
+
+
+def _presliding_weight(at: Situation) -> float:
+    tried = at.recipe.get("friction") and not at.recipe.get("presliding")
+    return 0.7 * bool(tried) * (switching(at.facts).cause == "displacement")
+
+
+def _finer(at: Situation) -> Recipe:
+    """Sharp forces need short steps."""
+    return at.recipe.configured(substeps=4 * round(at.recipe.number("substeps", 2)))
+
+
+def _finer_weight(at: Situation) -> float:
+    sharp = at.recipe.get("friction") or at.recipe.get("hysteresis") or at.recipe.get("play")
+    return 0.65 * bool(sharp) * (at.recipe.number("substeps", 2) < 8)
+
+
+def _terms_weight(at: Situation) -> float:
+    """Return the weight after the terms that the records show."""
+    if at.recipe.get("discover") or at.recipe.get("residual") or at.recipe.method != LM:
+        return 0.0
+    return 0.74 if coloured(at.trial) else 0.15
+
+
+def _last_state(at: Situation) -> tuple[str, ...]:
+    return at.states[::-1]
+
+
+def _addition(
+    name: str,
+    setting: str,
+    names: Callable[[Situation], tuple[str, ...]],
+    weight: Callable[[Situation], float],
+    hypothesis: str,
+    expected: str,
+) -> Move:
+    """The next of the names goes into the setting."""
+    return Move(
+        name=name,
+        weight=weight,
+        change=lambda c: _with(c, setting, names(c)),
+        state=lambda c: _next(c, setting, names(c)),
+        hypothesis=hypothesis,
+        expected=expected,
+    )
+
+
+# Settings that mean nothing without another.
+_WITH = {"friction": ("presliding",)}
+
+
+def _removal(setting: str, what: str) -> Move:
+    """An addition that the folds disagree about, or that the error does not miss, is taken away."""
+
+    def weight(at: Situation) -> float:
+        if not at.recipe.get(setting):
+            return 0.0
+        return 0.55 if folds_disagree(at.trial) > 1.5 else 0.4 if overfit(at.trial) > 1.5 else 0.3
+
+    return Move(
+        name=f"without {what}",
+        weight=weight,
+        change=lambda c: c.recipe.without(setting, *_WITH.get(setting, ())),
+        hypothesis=(
+            "The added term may overfit its fold: V does not rise without it if the effect is "
+            "not real, or if a later addition is the true one."
+        ),
+        expected="The same training error or a little more, and a lower V.",
+    )
+
+
+_SWITCHING: tuple[Move, ...] = (
+    Move(
+        name="dry friction on {state}",
+        weight=lambda c: (
+            _switching_weight(c, "friction", ("velocity", "displacement")) * bool(velocities(c))
+        ),
+        change=lambda c: c.recipe.configured(friction=velocities(c)),
+        state=lambda c: ", ".join(velocities(c)),
+        hypothesis=(
+            "The residual of a one-step model has the sign of a velocity: dry friction, with "
+            "different levels in the two directions and more of it at rest (Stribeck)."
+        ),
+        expected="A far lower error where the system sticks or reverses, on every fold.",
+    ),
+    Move(
+        name="friction with presliding on {state}",
+        weight=_presliding_weight,
+        change=lambda c: c.recipe.configured(presliding=True),
+        state=lambda c: ", ".join(velocities(c)),
+        hypothesis=(
+            "The records depend on the last reversal of the motion: friction yields a little "
+            "before it slides (LuGre)."
+        ),
+        expected="Lower error after each reversal of the motion.",
+    ),
+    Move(
+        name="hysteresis on {state}",
+        weight=lambda c: (
+            0.97 * _switching_weight(c, "hysteresis", ("displacement",)) * bool(velocities(c))
+        ),
+        change=lambda c: c.recipe.without("friction", "presliding").configured(
+            hysteresis=velocities(c)
+        ),
+        state=lambda c: ", ".join(velocities(c)),
+        hypothesis=(
+            "The residual of a one-step model depends on the last reversal of the motion: a "
+            "restoring force with hysteresis (Bouc-Wen)."
+        ),
+        expected="A far lower error over whole loops, on every fold.",
+    ),
+    Move(
+        name="play behind {state}",
+        weight=lambda c: _switching_weight(c, "play", ("input",)),
+        change=lambda c: c.recipe.configured(play=(_turning_input(c),)),
+        state=lambda c: _turning_input(c),
+        hypothesis=(
+            "The residual of a one-step model depends on the last reversal of the input: "
+            "backlash between the actuator and its load."
+        ),
+        expected="Lower error after each reversal of the input, on every fold.",
+    ),
+    Move(
+        name="shorter steps of the integrator",
+        weight=_finer_weight,
+        change=_finer,
+        hypothesis=(
+            "A switching force is smoothed to the step of the integrator: shorter steps allow a"
+            " sharper switch."
+        ),
+        expected="Lower error where the system sticks; the fit takes longer.",
+    ),
+)
+
+WRITTEN_IN: tuple[Move, ...] = (
+    *_SWITCHING,
+    Move(
+        name="terms that the equations lack",
+        weight=_terms_weight,
+        change=lambda c: c.recipe.configured(discover=c.states),
+        hypothesis=(
+            "The equations lack a term: a product of states and inputs, found from the "
+            "sensitivity of the simulation error."
+        ),
+        expected="A far lower error on every fold, and the same terms in all folds.",
+    ),
+    Move(
+        name="slow disturbance",
+        weight=_noise_weight,
+        change=_with_noise,
+        hypothesis=(
+            "The residual is slow: least squares treats it as many independent errors, which "
+            "biases the parameters. A model of a slow disturbance plus white noise avoids this "
+            "bias."
+        ),
+        expected="A higher training error, similar parameters in all folds, and a lower V.",
+    ),
+    Move(
+        name="bent sensor",
+        weight=_sensor_weight,
+        change=lambda c: c.recipe.without("offset").configured(sensor="power", **_kept_offsets(c)),
+        hypothesis=(
+            "The measured output is an increasing curve of the modelled one: errors at low and "
+            "high outputs have the same sign."
+        ),
+        expected="Parameters nearer to their priors, and a lower V on every fold.",
+    ),
+    Move(
+        name="sensor of any shape",
+        weight=_free_sensor_weight,
+        change=lambda c: c.recipe.configured(sensor="spline"),
+        hypothesis="A bent sensor helped; a power law may not be its curve.",
+        expected="Lower error where the power law was off, on every fold.",
+    ),
+    _addition(
+        "{state} acts late",
+        "lag",
+        _read_by_others,
+        lambda c: _lag_weight(c, _read_by_others(c), 0.8, 0.62),
+        "The effect of one state on the next is delayed: the record reverses later than the "
+        "simulation.",
+        "Lower error at turning points; the input explains less of the residual.",
+    ),
+    _addition(
+        "{state} follows its command late",
+        "lag",
+        _inputs,
+        lambda c: _lag_weight(c, _inputs(c), 0.6, 0.35),
+        "An actuator follows its command with a lag of its own.",
+        "The input no longer explains the residual.",
+    ),
+    _addition(
+        "smooth correction of {state}",
+        "smooth",
+        _last_state,
+        lambda c: _smooth_weight(c, _last_state(c), 0.64),
+        "The law of a state is nearly right: a smooth factor, kept near 1 by its prior, corrects "
+        "it.",
+        "Lower error at the levels where the law is wrong.",
+    ),
+    _addition(
+        "smooth correction of {state}, an input",
+        "smooth",
+        _inputs,
+        lambda c: _smooth_weight(c, _inputs(c), 0.45),
+        "An actuator is slightly nonlinear: a smooth factor models its curve.",
+        "Lower error at the commands where the linear model is wrong.",
+    ),
+    Move(
+        name="wider smooth corrections",
+        weight=lambda c: 0.6 * bool(names_of(c, "smooth")) * (_width(c) < 0.3),
+        change=lambda c: c.recipe.configured(smooth_width=float(f"{3.0 * _width(c):.2g}")),
+        hypothesis="Smooth corrections helped, and their prior may be too strong.",
+        expected="Lower training error, V follows.",
+    ),
+    _removal("linear", "the linear term"),
+    _removal("residual", "the network"),
+    _removal("offset", "offsets"),
+    _removal("lag", "lags"),
+    _removal("smooth", "smooth corrections"),
+    _removal("input_delay", "the delay"),
+    _removal("sensor", "the bent sensor"),
+    _removal("friction", "dry friction"),
+    _removal("hysteresis", "hysteresis"),
+    _removal("play", "the play"),
+    _removal("discover", "the terms that were found"),
+)
+
+
+# Moves on the ridge that holds a model's weights near zero.
+
+
+Scaled = Callable[[Situation, float], Recipe]
+
+
+def scaled_ridge(at: Situation, factor: float) -> Recipe:
+    """The setting `ridge` times a factor."""
+    return at.recipe.times("ridge", factor, 1e-5)
+
+
+def more_ridge(what: str = "weights", scaled: Scaled = scaled_ridge) -> Move:
+    """Make the move that multiplies the ridge by ten.
+
+    Args:
+        what: the regularised part of the model
+    """
+    return Move(
+        name="more ridge",
+        weight=lambda c: by_overfit(c.trial, 0.75, 0.45, 0.1),
+        change=lambda c: scaled(c, 10.0),
+        hypothesis=f"V is well above the training error: the {what} follow their own fold.",
+        expected="A slightly higher training error and a lower V.",
+    )
+
+
+def much_more_ridge() -> Move:
+    """Thirty times the ridge."""
+    return Move(
+        name="much more ridge",
+        weight=lambda c: by_overfit(c.trial, 0.85, 0.5, 0.1),
+        change=lambda c: scaled_ridge(c, 30.0),
+        hypothesis=(
+            "V is well above the training error: the nonlinear weights overfit their fold, or "
+            "diverge outside it."
+        ),
+        expected="A higher training error and a lower V.",
+    )
+
+
+def less_ridge(scaled: Scaled = scaled_ridge) -> Move:
+    """A tenth of the ridge."""
+    return Move(
+        name="less ridge",
+        weight=lambda c: 0.5 if overfit(c.trial) < 1.3 else 0.15,
+        change=lambda c: scaled(c, 0.1),
+        hypothesis="V is near the training error: the priors are too strong.",
+        expected="Lower training error, V follows.",
+    )

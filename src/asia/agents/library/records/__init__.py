@@ -1,1 +1,0 @@
-"""Analysis of the training records before any model is fitted."""

@@ -1,0 +1,106 @@
+"""All model families that the agents know, those of other packages too."""
+
+from __future__ import annotations
+
+import pkgutil
+from functools import cache
+from importlib import import_module
+from typing import cast
+
+from asia._plugins import Part, parts_of
+from asia.agents.library import cards
+from asia.agents.library.card import Card
+from asia.agents.library.family import Family
+from asia.agents.library.move import Move
+from asia.agents.library.recipe import MODELS
+from asia.agents.view import Facts
+from asia.errors import UserError
+
+GROUP = "asia.families"
+
+
+@cache
+def built_in_cards() -> tuple[Card, ...]:
+    """The cards of `asia.models`, by file name."""
+    names = sorted(module.name for module in pkgutil.iter_modules(cards.__path__))
+    return tuple(cast("Card", import_module(f"{cards.__name__}.{n}").CARD) for n in names)
+
+
+@cache
+def all_cards() -> tuple[Card, ...]:
+    """The built-in cards, then those of other packages.
+
+    Raises:
+        UserError: for a part that is no card, or brings a family with a name that is taken
+    """
+    found = list(built_in_cards())
+    owners = {row.name: "ASIA" for card in found for row in card.families}
+    for part in parts_of(GROUP):
+        card = _card(part.load(), part)
+        found.append(card)
+        for row in card.families:
+            where = f"package {part.package}, family '{row.name}'"
+            if row.name in owners:
+                raise UserError(
+                    f"{where}: {owners[row.name]} has a family of this name; rename it or "
+                    "uninstall the package"
+                )
+            if row.package == MODELS:
+                raise UserError(
+                    f"{where}: its card says that candidates import it from {MODELS}; set `package`"
+                )
+            owners[row.name] = f"package {part.package}"
+    return tuple(found)
+
+
+@cache
+def all_families() -> tuple[Family, ...]:
+    """Every row, in the order of rows that are equally apt.
+
+    Raises:
+        UserError: as `all_cards`
+    """
+    rows = [row for card in all_cards() for row in card.families]
+    return tuple(sorted(rows, key=lambda row: row.place))
+
+
+def families(facts: Facts) -> tuple[Family, ...]:
+    """The rows that suit a problem, the most apt first.
+
+    Raises:
+        UserError: as `all_cards`
+    """
+    rows = [row for row in all_families() if row.suits(facts)]
+    return tuple(sorted(rows, key=lambda row: -row.aptness(facts)))
+
+
+def family(name: str) -> Family | None:
+    """A row by name.
+
+    Raises:
+        UserError: as `all_cards`
+    """
+    return next((row for row in all_families() if row.name == name), None)
+
+
+def card_moves() -> tuple[Move, ...]:
+    """The moves of all cards.
+
+    Raises:
+        UserError: as `all_cards`
+    """
+    return tuple(move for card in all_cards() for move in card.own_moves())
+
+
+def _card(part: object, source: Part) -> Card:
+    """Make a card from a part of a package: a card, a family, or several families."""
+    if isinstance(part, Card):
+        return part
+    rows = part if isinstance(part, tuple) else (part,)
+    families = tuple(row for row in cast("tuple[object, ...]", rows) if isinstance(row, Family))
+    if not families or len(families) != len(cast("tuple[object, ...]", rows)):
+        raise UserError(
+            f"{source.name} of package {source.package}: {source.target} is no Card, no Family and "
+            "no tuple of families (asia.agents.library)"
+        )
+    return Card(families)

@@ -1,0 +1,211 @@
+"""The agents by name: built in, brought by another package, or a class in a file."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from typing import cast
+
+from asia._plugins import load_target, parts_of
+from asia.agents.bayes import BayesAgent
+from asia.agents.expert.agent import ExpertAgent
+from asia.agents.llm.agent import LlmAgent
+from asia.agents.llm.settings import LlmSettings
+from asia.agents.random import SPACES, RandomAgent
+from asia.agents.relay import LegPlan, RelayAgent, Runner, is_relay, read_relay
+from asia.agents.view import Agent, settings_of
+from asia.errors import UserError
+from asia.ledger.events import Leg, Started
+
+GROUP = "asia.agents"
+_CLASS = "class"
+
+
+@dataclass(frozen=True)
+class AgentRow:
+    """Facts about an agent, known by its name alone."""
+
+    name: str
+    """Name on the command line and in the ledger."""
+    help: str
+    """Description in one line."""
+    make: Callable[[], Agent] | None = None
+    """Factory; None where an agent needs more than its name: a server, or a submitter."""
+    packages: tuple[str, ...] = ()
+    """Packages whose versions its proposals depend on."""
+
+    reads_notes: bool = True
+    """Whether notes of `asia steer` change its proposals."""
+
+    @property
+    def free(self) -> bool:
+        """Whether it needs no key, no language model and no submitter."""
+        return self.make is not None
+
+
+AGENT_ROWS: tuple[AgentRow, ...] = (
+    AgentRow("expert", "rules of an experienced engineer, without a language model", ExpertAgent),
+    AgentRow("random", "draws from the model library", RandomAgent, reads_notes=False),
+    AgentRow(
+        "random-paper",
+        "draws from the paper's space",
+        partial(RandomAgent, "paper"),
+        reads_notes=False,
+    ),
+    AgentRow(
+        "bayes",
+        "estimates where the library is best (Parzen estimator)",
+        BayesAgent,
+        reads_notes=False,
+    ),
+    AgentRow("llm", "a language model behind a server", packages=("openai", "httpx2")),
+    AgentRow("workspace", "candidates that are submitted from a folder"),
+    AgentRow("mcp", "candidates that a client of the server submits"),
+)
+AGENTS: dict[str, Callable[[], Agent]] = {r.name: r.make for r in AGENT_ROWS if r.make is not None}
+RESERVED = frozenset(row.name for row in AGENT_ROWS)
+"""Names that no other agent may have."""
+
+
+@dataclass(frozen=True)
+class NamedAgent:
+    """Agent with its record for the ledger besides its name."""
+
+    agent: Agent
+    """The agent."""
+    settings: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Settings, and the class of an agent that is not built in."""
+
+
+def choose_agent(name: str, space: str | None = None) -> NamedAgent:
+    """Make an agent by name.
+
+    A name is that of a built-in agent, one that a package registers, or `module:Class`, where the
+    current folder is searched first. A class is called without arguments. Several names, as in
+    `expert*5+bayes`, form a relay.
+
+    Args:
+        space: search space of `random`, one of `SPACES`
+
+    Raises:
+        UserError: for an unknown name or space, a space for an agent that does not use one, and
+            a class that cannot be imported or is no agent
+    """
+    if space is not None and name != "random":
+        raise UserError(
+            f"--space {space}: only the agent 'random' draws from a space, not '{name}'"
+        )
+    if space is not None and space not in SPACES:
+        raise UserError(f"--space {space}: expected one of {', '.join(SPACES)}")
+    full = name if space in (None, "library") else f"{name}-{space}"
+    if name == "llm":
+        raise UserError(
+            "the agent llm needs a model: asia run --agent llm --model NAME, or "
+            "LlmAgent(LlmSettings(model=...))"
+        )
+    if full in AGENTS:
+        return NamedAgent(AGENTS[full]())
+    brought = {part.name: part for part in parts_of(GROUP)}
+    if name in brought and name not in RESERVED:
+        return _called(brought[name].target)
+    if plans := asked_relay(name):
+        return NamedAgent(RelayAgent([_runner(p.agent, p.experiments) for p in plans]))
+    if ":" in name:
+        return _called(name)
+    known = ", ".join((*AGENTS, *sorted(brought.keys() - RESERVED)))
+    raise UserError(f"no agent '{name}'; there is: {known}, or module:Class for one of your own")
+
+
+def asked_relay(text: str) -> tuple[LegPlan, ...]:
+    """The legs of a relay, as in `expert*8,bayes` or `expert*8+bayes`; () for one agent.
+
+    Raises:
+        UserError: for legs that make no sense
+    """
+    brought = {part.name for part in parts_of(GROUP)}
+    return read_relay(text) if is_relay(text) and text not in brought else ()
+
+
+def _runner(name: str, experiments: int | None) -> Runner:
+    chosen = choose_agent(name)
+    return Runner(chosen.agent, Leg(chosen.agent.name, experiments, dict(chosen.settings)))
+
+
+def make_agent(name: str, space: str | None = None) -> Agent:
+    """The agent of `choose_agent`."""
+    return choose_agent(name, space).agent
+
+
+def recorded_agent(name: str, settings: Mapping[str, str]) -> Agent | None:
+    """Return the agent of a ledger for a resumed search; None for an external proposer.
+
+    A language model answers from the ledger.
+
+    Raises:
+        UserError: when the class of the agent cannot be imported now
+    """
+    if name == "llm":
+        return LlmAgent(LlmSettings.from_record(settings), network=False)
+    if _CLASS in settings and name not in RESERVED:
+        return _called(settings[_CLASS]).agent
+    make = AGENTS.get(name)
+    return make() if make is not None else None
+
+
+def recorded_agents(started: Started) -> tuple[Agent | None, ...]:
+    """Return the recorded agents of every leg of a relay, as `recorded_agent`; the one agent of any
+    other search."""
+    if not started.legs:
+        return (recorded_agent(started.agent, started.agent_settings),)
+    return tuple(recorded_agent(leg.agent, leg.settings) for leg in started.legs)
+
+
+def reads_notes(started: Started) -> bool:
+    """Return whether any agent of the search reads notes; one that is not built in sees them."""
+    deaf = {row.name for row in AGENT_ROWS if not row.reads_notes}
+    names = [leg.agent for leg in started.legs] or [started.agent]
+    return not deaf.issuperset(names)
+
+
+def packages_of(name: str) -> tuple[str, ...]:
+    """Packages that the proposals of the agent with this name depend on."""
+    return next((row.packages for row in AGENT_ROWS if row.name == name), ())
+
+
+def _called(target: str) -> NamedAgent:
+    what = f"--agent {target}"
+    with _current_folder_first():
+        make = load_target(target, what)
+        if not callable(make):
+            raise UserError(f"{what}: expected a class that is called without arguments")
+        try:
+            agent: object = make()
+        # Code of another package: whatever it raises is its failure, not ours.
+        except Exception as error:
+            raise UserError(
+                f"{what}: calling it without arguments failed: {type(error).__name__}: {error}"
+            ) from error
+    name = getattr(agent, "name", None)
+    if not isinstance(name, str) or not callable(getattr(agent, "propose", None)):
+        raise UserError(f"{what}: not an agent: expected a `name` and a method `propose(view)`")
+    if name in RESERVED or not re.fullmatch(r"\w[\w.+-]*", name):
+        raise UserError(
+            f"{what}: its name is '{name}': expected letters, digits and . _ + -, and none of "
+            f"{', '.join(sorted(RESERVED))}"
+        )
+    return NamedAgent(cast("Agent", agent), {**settings_of(agent), _CLASS: target})
+
+
+@contextmanager
+def _current_folder_first() -> Generator[None]:
+    here = os.getcwd()
+    sys.path.insert(0, here)
+    try:
+        yield
+    finally:
+        sys.path.remove(here)

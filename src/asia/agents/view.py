@@ -1,0 +1,384 @@
+"""View of a search for agents, and the proposals that they return."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, runtime_checkable
+
+from asia.data.trajectory import Signal, Trajectory
+from asia.errors import UserError
+from asia.judge.scoring.residuals import Diagnostics
+from asia.ledger.events import Event, Exchanged, Phase, Status, StopReason
+from asia.problem.metrics import TrainingLoss, find_metric
+from asia.problem.physics import Physics
+from asia.problem.protocol import EarlyStopping
+from asia.problem.symmetry import Symmetry
+
+# View of a search for agents, and their proposals.
+#
+# There is no measured time, no validation residual and no test: an agent decides from V per fold,
+# status, the candidates' logs and training-side residual analysis. It may look at all training
+# records, as a user would.
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Budget of the search: total experiments, and seconds for the fit of a fold."""
+
+    experiments: int = 15
+    fit_seconds: float = 120.0
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Public facts about the problem.
+
+    `records` are the training trajectories; in cross-validation each contains the held-out outputs
+    of some fold.
+
+    Attributes:
+        past_inputs, past_outputs: samples in the past window
+        horizon: samples of one window, None where whole records are simulated
+        notes, strategies: notes from the literature and suggested strategies, in the user's
+            words
+        groups: names of the records held out together, one tuple a fold, () where folds are cut
+            inside the records
+        early_stopping: `validation` lets a fit ask for its score on the held-out part
+        ladder: the share of V by which a new best must be better to be reported, None where
+            every V is reported
+        symmetry: changes of the signals that leave the system's laws as they are
+    """
+
+    description: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    sampling_time: float
+    records: tuple[Trajectory, ...] = field(repr=False)
+    past_inputs: int
+    past_outputs: int
+    physics: Physics | None = None
+    horizon: int | None = None
+    metric: str = "rmse"
+    early_stopping: EarlyStopping = "inner"
+    folds: int = 2
+    groups: tuple[tuple[str, ...], ...] = ()
+    budget: Effort = Effort()
+    notes: str = ""
+    strategies: str = ""
+    ladder: float | None = None
+    symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
+
+    @property
+    def past(self) -> int:
+        """Samples before the first simulated one."""
+        return max(self.past_inputs, self.past_outputs)
+
+    @property
+    def loss(self) -> TrainingLoss:
+        """The training loss that goes with the metric."""
+        return find_metric(self.metric).loss
+
+    @property
+    def samples(self) -> int:
+        """Training samples in all records."""
+        return sum(len(r) for r in self.records)
+
+    @property
+    def fit_samples(self) -> int:
+        """Training samples of one fold, about."""
+        return round(self.samples * (1.0 - 1.0 / self.folds))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Evaluated experiment.
+
+    Attributes:
+        value, folds: V and V per fold; None and () when there is no score. With the Ladder
+            `folds` is () and `value` the last reported V, a new best where the status is `keep`
+        failure: description of the failure and its remedy
+        error: message of the candidate itself: data, not to be trusted
+        evidence: further findings as lines of text, for the best and the last trial; () for the
+            others
+        agent: the proposing agent, "" where the asked agent proposed all
+        lowest: with retests, whether its own fit was the best so far
+    """
+
+    number: int
+    parent: int | None
+    phase: Phase
+    family: str
+    title: str
+    hypothesis: str
+    expected: str
+    source: str = field(repr=False)
+    status: Status
+    value: float | None
+    folds: tuple[float, ...]
+    failure: str | None
+    diagnostics: tuple[Diagnostics, ...]
+    curves: tuple[tuple[tuple[float, float], ...], ...] = field(default=(), repr=False)
+    error: str = field(default="", repr=False)
+    evidence: tuple[str, ...] = field(default=(), repr=False)
+    agent: str = ""
+    lowest: bool = False
+
+    @property
+    def improved(self) -> bool:
+        """Whether it was the best so far, by significance or by its own fit."""
+        return self.status == "keep" or self.lowest
+
+    @property
+    def train_error(self) -> float | None:
+        """Mean over folds of the normalised training error."""
+        if not self.diagnostics:
+            return None
+        return sum(d.train_error for d in self.diagnostics) / len(self.diagnostics)
+
+
+@dataclass(frozen=True)
+class Running:
+    """An experiment that was proposed and has no result yet, as a `Trial` names its parts."""
+
+    number: int
+    parent: int | None
+    family: str
+    title: str
+    hypothesis: str
+    expected: str
+    source: str = field(repr=False)
+    agent: str = ""
+
+
+@dataclass(frozen=True)
+class AgentView:
+    """Read-only view of the search.
+
+    `is_known(source)` returns whether a candidate with the same normalised source was tried.
+
+    Attributes:
+        notes: messages of the user during the search, oldest first
+        linear, mean: V of the best linear model and of the mean of the training outputs, None
+            where unknown
+        remaining: experiments left to the asked agent
+        leg: its place in a relay, 1-based, 0 where there is no relay
+        running: pending experiments, oldest first; () unless several are proposed ahead of
+            their results
+    """
+
+    facts: Facts
+    seed: int
+    phase: Literal["explore", "refine"]
+    trials: tuple[Trial, ...]
+    remaining: int
+    is_known: Callable[[str], bool] = field(repr=False)
+    notes: tuple[str, ...] = ()
+    linear: float | None = None
+    leg: int = 0
+    mean: float | None = None
+    running: tuple[Running, ...] = ()
+
+    @property
+    def proposed(self) -> tuple[Trial | Running, ...]:
+        """All that was proposed so far, in order."""
+        return (*self.trials, *self.running)
+
+    @property
+    def experiments(self) -> int:
+        """Total budget of the asked agent, including all experiments before its leg."""
+        return len(self.proposed) + self.remaining
+
+    @property
+    def ranked(self) -> tuple[Trial, ...]:
+        """Scored trials, best first."""
+        scored = [(t.value, t.number, t) for t in self.trials if t.value is not None]
+        return tuple(t for _, _, t in sorted(scored, key=lambda item: item[:2]))
+
+    @property
+    def best(self) -> Trial | None:
+        """The incumbent."""
+        return self.ranked[0] if self.ranked else None
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Candidate with its rationale.
+
+    Attributes:
+        expected: predicted effect, recorded before the evaluation
+        parent: the experiment it was derived from
+        ticket: name of a submission
+        remark: message for the user about the search, "" for none
+    """
+
+    source: str
+    family: str
+    title: str
+    hypothesis: str
+    expected: str
+    parent: int | None = None
+    ticket: str = ""
+    remark: str = ""
+
+
+class Agent(Protocol):
+    """Proposes candidates. Must be a function of the view, and of its journal where it keeps one,
+    so that a search resumes."""
+
+    @property
+    def name(self) -> str:
+        """Short name, part of the run's name."""
+        ...
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        """The next candidate, or None when there is nothing left to try."""
+        ...
+
+
+# Interface between the search and agents that wait, ask a language model or run as a command.
+
+
+class InterruptedWaitError(Exception):
+    """Error of an agent that waits, when the search has another task first; the agent is called
+    again."""
+
+
+class AgentStoppedError(Exception):
+    """Raised by an agent that ends the search, with the reason that the ledger will give."""
+
+    def __init__(self, reason: StopReason, detail: str = "") -> None:
+        super().__init__(detail or reason)
+        self.reason: StopReason = reason
+        self.detail = detail
+
+
+class DivergedError(UserError):
+    """Error in a replay: the agent requests something that the record does not hold."""
+
+
+class Journal(Protocol):
+    """Journal of an attached agent: written from any thread, read again after a restart."""
+
+    @property
+    def exchanges(self) -> tuple[Exchanged, ...]:
+        """All requests made so far, those of earlier sittings too."""
+        ...
+
+    @property
+    def experiments(self) -> int:
+        """Candidates proposed so far."""
+        ...
+
+    def record(self, event: Event) -> None:
+        """Append an event to the ledger; on return it is on the disk."""
+        ...
+
+    def put(self, data: bytes) -> str:
+        """Keep bytes; their name."""
+        ...
+
+    def get(self, name: str) -> bytes:
+        """Bytes kept earlier."""
+        ...
+
+    def interrupted(self) -> bool:
+        """Return whether the user has a note, a pause or a stop for the search."""
+        ...
+
+
+@runtime_checkable
+class ProposesAhead(Protocol):
+    """Agent that can propose before earlier proposals have their results: it reads `view.running`,
+    and proposes no candidate listed there."""
+
+    proposes_ahead: bool
+    """Whether it does."""
+
+
+def proposes_ahead(agent: object) -> bool:
+    """Return whether an agent may be asked while others of its proposals run."""
+    return isinstance(agent, ProposesAhead) and agent.proposes_ahead
+
+
+@runtime_checkable
+class Configured(Protocol):
+    """Agent whose settings shape its proposals."""
+
+    def recorded(self) -> dict[str, str]:
+        """The settings for the ledger, without secrets."""
+        ...
+
+
+def settings_of(agent: object) -> dict[str, str]:
+    """Return an agent's settings for the ledger; empty for an agent without settings."""
+    return agent.recorded() if isinstance(agent, Configured) else {}
+
+
+@runtime_checkable
+class Closing(Protocol):
+    """An agent that has something to end when the search is over."""
+
+    def stopped(self, reason: StopReason) -> None:
+        """The search has stopped. Called once, before the winner is fitted on all data."""
+        ...
+
+    def leaving(self) -> None:
+        """Called last, after an error or an interrupt too; the journal still takes events."""
+        ...
+
+
+@runtime_checkable
+class Attached(Protocol):
+    """An agent that keeps a journal."""
+
+    def attach(self, journal: Journal) -> None:
+        """Called once, before the first proposal."""
+        ...
+
+
+# Agent for submitted candidates: from a user in a shell, a coding agent, or a client of a server.
+
+
+_POLL = 0.1
+
+
+class SubmittedAgent:
+    """Agent that proposes the submissions of `take`, and waits while there are none.
+
+    Args:
+        waiting: called while there is no submission, with the seconds waited so far; it may
+            raise AgentStoppedError to end the search, or any other exception to interrupt it
+    """
+
+    def __init__(
+        self,
+        name: str,
+        take: Callable[[], Proposal | None],
+        waiting: Callable[[float], None] = lambda seconds: None,
+    ) -> None:
+        self._name, self._take, self._waiting = name, take, waiting
+        self._journal: Journal | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the submitter."""
+        return self._name
+
+    def attach(self, journal: Journal) -> None:
+        """Register to be woken when the user has a note or a request."""
+        self._journal = journal
+
+    def propose(self, view: AgentView) -> Proposal:
+        """The next one brought."""
+        del view
+        start = time.monotonic()
+        while True:
+            proposal = self._take()
+            if proposal is not None:
+                return proposal
+            if self._journal is not None and self._journal.interrupted():
+                raise InterruptedWaitError
+            self._waiting(time.monotonic() - start)
+            time.sleep(_POLL)

@@ -1,0 +1,1 @@
+"""Analysis of a finished model: validation, confirmation, ablation."""

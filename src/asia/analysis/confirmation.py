@@ -1,0 +1,305 @@
+"""Confirmation: the top candidates fitted again from other seeds, and ranked."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from asia.data.trajectory import Array
+from asia.errors import UserError
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.results import derive_seed, same_simulations
+from asia.judge.scoring.confirmation import (
+    ExpectedError,
+    Interval,
+    RepeatedFits,
+    block_values,
+    corrected_level,
+    expected_error,
+    expected_of_ensemble,
+    noise_of_seeds,
+    paired_difference,
+    value_interval,
+)
+from asia.judge.scoring.outcome import Score
+from asia.ledger.artifacts import Store, without_artifacts
+from asia.ledger.chain import Chain
+from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair, Repeated
+from asia.ledger.verification import check_lock
+from asia.ledger.view import Experiment, SearchView
+from asia.problem.load import load_lock
+from asia.problem.protocol import Fold
+from asia.search.run import LOCK, make_evaluator
+
+# Statistics of repeated fits for a confirmation: ranks, differences, expected error.
+
+
+LEVEL: Final = 0.95
+EXPECTED_LEVEL: Final = 0.9
+
+
+@dataclass(frozen=True)
+class TriedCandidate:
+    """A candidate with a score."""
+
+    experiment: int
+    """1-based."""
+    first: RepeatedFits
+    """The fit of the search."""
+    repeats: tuple[Repeated, ...] = ()
+    """Fits from other seeds; () of a candidate that was not repeated."""
+
+    @property
+    def deterministic(self) -> bool:
+        """Return whether fits do not depend on the seed."""
+        return any(repeat.same for repeat in self.repeats)
+
+    @property
+    def fits(self) -> RepeatedFits | None:
+        """Fits that judge the candidate: those without influence on its choice, or the first if all
+        are equal; None if all repeats failed.
+        """
+        if self.deterministic:
+            return self.first
+        sound = [(r.outcome, r.blocks) for r in self.repeats if isinstance(r.outcome, Score)]
+        if not sound:
+            return None
+        values = np.array([[fold.value for fold in score.folds] for score, _ in sound])
+        return RepeatedFits(values, even_blocks([blocks for _, blocks in sound]))
+
+
+def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int) -> Confirmed:
+    """Rank the first `top` candidates by their repeats.
+
+    Differences hold simultaneously over as many comparisons as a choice among all candidates makes,
+    or over the pairs if these are more.
+    """
+    assert view.best is not None
+    repeated = tried[:top]
+    known = {c.experiment: c.fits for c in repeated}
+    judged = {number: fits for number, fits in known.items() if fits is not None}
+    order = sorted(judged, key=lambda number: (judged[number].value, number))
+    count = max(len(tried) - 1, len(order) * (len(order) - 1) // 2)
+    level = corrected_level(LEVEL, count)
+    pairs = tuple(
+        ConfirmedPair(a, b, paired_difference(judged[b], judged[a], level))
+        for a, b in combinations(order, 2)
+    )
+    by_number = {candidate.experiment: candidate for candidate in repeated}
+    winner = next(c.first for c in tried if c.experiment == view.best.number)
+    blocks = even_blocks([_rows(candidate.first.blocks[0]) for candidate in tried])
+    seed = derive_seed(view.started.seed, "confirm")
+    # The expected error is that of the fit that is handed over, including the effect of its seed.
+    expected = expected_error(winner, blocks, EXPECTED_LEVEL, seed)
+    return Confirmed(
+        winner=view.best.number,
+        seeds=seeds,
+        tried=len(tried),
+        level=LEVEL,
+        candidates=tuple(_ranked(by_number[n], judged[n], pairs, len(order)) for n in order),
+        pairs=pairs,
+        noise=_noise(repeated),
+        expected=expected,
+        expected_level=EXPECTED_LEVEL,
+        ensemble=_of_ensemble(view, expected),
+        failed=tuple(number for number, fits in known.items() if fits is None),
+        after_unsealing=view.unsealing is not None,
+    )
+
+
+def _of_ensemble(view: SearchView, expected: ExpectedError) -> Interval | None:
+    """Return the expected error of the ensemble; None if the search did not compare its fold models
+    on the training records.
+    """
+    check = None if view.refitted is None else view.refitted.check
+    if check is None or check.ensemble_error is None:
+        return None
+    errors = [error for error in check.fold_errors if error is not None]
+    if len(errors) < len(check.fold_errors):
+        return None
+    return expected_of_ensemble(expected, errors, check.ensemble_error)
+
+
+def even_blocks(each: Sequence[Sequence[Sequence[float]]]) -> Array:
+    """Block values (fits, folds, blocks). Where a fold is so short that it has fewer blocks than
+    another, all have as many as that."""
+    fewest = min(len(fold) for one in each for fold in one)
+    return np.array([[fold[:fewest] for fold in one] for one in each])
+
+
+def _rows(blocks: Array) -> list[list[float]]:
+    return blocks.tolist()
+
+
+def _noise(repeated: Sequence[TriedCandidate]) -> float | None:
+    """Over candidates whose fits depend on the seed; 0 where none does."""
+    found = [c.fits for c in repeated if not c.deterministic]
+    random = [fits for fits in found if fits is not None]
+    return noise_of_seeds(random) if random else 0.0
+
+
+def _ranked(
+    candidate: TriedCandidate, fits: RepeatedFits, pairs: Sequence[ConfirmedPair], count: int
+) -> ConfirmedCandidate:
+    number, deterministic = candidate.experiment, candidate.deterministic
+    failed = sum(not isinstance(r.outcome, Score) for r in candidate.repeats)
+    return ConfirmedCandidate(
+        experiment=number,
+        first=candidate.first.value,
+        value=value_interval(fits, LEVEL),
+        spread=0.0 if deterministic else fits.spread,
+        repeats=len(candidate.repeats) - failed,
+        failed=failed,
+        deterministic=deterministic,
+        best_rank=1 + sum(pair.apart for pair in pairs if pair.second == number),
+        worst_rank=count - sum(pair.apart for pair in pairs if pair.first == number),
+    )
+
+
+# Fit the top candidates of a finished search again from other seeds, and say what that shows.
+#
+# It reads training records alone. A search that was opened may be confirmed too, for a paper needs
+# the seeds whether the test was opened or not; the event says that it came after.
+
+
+OnRepeat = Callable[[Repeated, int, int], None]
+
+
+def confirm(
+    directory: Path, on_repeat: OnRepeat, *, top: int = 3, seeds: int = 5
+) -> tuple[Confirmed, bool]:
+    """Repeat the fits of the `top` candidates with the lowest V, and rank them; True where the
+    ledger had no such result yet.
+
+    Each repeat is an event of the ledger: one that is there is not fitted again, whether the
+    command was killed or asks for more seeds now. on_repeat: called after each fit with its event,
+    the number of fits that are done, and that of all there may be.
+
+    Raises UserError when the search is not finished, is with ladder feedback, has no candidate with
+    a score, or came without its artifacts.
+    """
+    with Chain(directory / "ledger.jsonl") as chain:
+        view = chain.view
+        check_repeatable(directory, view, "a confirmation")
+        chosen = scored(view)
+        store = Store(directory / "artifacts")
+        problem = load_lock(directory / LOCK)
+        evaluator = make_evaluator(problem, view)
+        metric = problem.protocol.metric
+        work = _Confirmation(chain, store, evaluator, metric, seeds, on_repeat)
+        top = min(top, len(chosen))
+        work.repeat_all(chosen[:top])
+        tried = [work.tried(experiment) for experiment in chosen]
+        found = rank(chain.view, tried, top, seeds)
+        if chain.view.confirmed == found:
+            return found, False
+        chain.append(found)
+        return found, True
+
+
+def scored(view: SearchView) -> list[Experiment]:
+    """The candidates with a score and a source of their own, the lowest V first."""
+    found = [
+        (e.score.value, e.number, e)
+        for e in view.finished
+        if e.score is not None and e.result is not None and e.result.duplicate_of is None
+    ]
+    return [e for _, _, e in sorted(found, key=lambda one: one[:2])]
+
+
+def check_repeatable(directory: Path, view: SearchView, what: str) -> None:
+    """Raises UserError unless candidates of a finished search can be fitted again; what: for."""
+    check_lock(directory, view.started)
+    run = view.started.run
+    if view.started.ladder is not None:
+        raise UserError(
+            f"run '{run}' has ladder feedback, which hides the exact V: {what} would print "
+            "it, so use guard records or the sealed test to tell its candidates apart"
+        )
+    if not view.complete:
+        raise UserError(f"run '{run}' is not finished: {what} comes after a search")
+    if view.best is None:
+        raise UserError(f"run '{run}' has no candidate with a score, so nothing to fit again")
+    if not Store(directory / "artifacts").kept:
+        raise UserError(without_artifacts(directory))
+
+
+@dataclass(frozen=True)
+class _Confirmation:
+    """A confirmation under way."""
+
+    chain: Chain
+    store: Store
+    evaluator: Evaluator
+    metric: str
+    seeds: int
+    on_repeat: OnRepeat
+
+    def repeat_all(self, chosen: list[Experiment]) -> None:
+        """Fit all seeds of each candidate in sequence."""
+        total, done = len(chosen) * self.seeds, 0
+        with self.evaluator.ready_workers():
+            for experiment in chosen:
+                for repeat in range(1, self.seeds + 1):
+                    event = self._observed(experiment.number, repeat)
+                    done += 1
+                    if event is None:
+                        event = self._repeat(experiment, repeat)
+                        self.chain.append(event)
+                        self.on_repeat(event, done, total)
+                    if event.same:
+                        # One repeat shows it: the others would be the same.
+                        done += self.seeds - repeat
+                        break
+
+    def _observed(self, experiment: int, repeat: int) -> Repeated | None:
+        for event in self.chain.view.repeats:
+            if (event.experiment, event.repeat) == (experiment, repeat):
+                return event
+        return None
+
+    def _repeat(self, experiment: Experiment, repeat: int) -> Repeated:
+        begin = time.monotonic()
+        found = self.evaluator.evaluate(self.store.text(experiment.proposed.source), repeat)
+        seconds = time.monotonic() - begin
+        if not isinstance(found.outcome, Score):
+            return Repeated(experiment.number, repeat, found.outcome, seconds=seconds)
+        blocks = tuple(
+            self._blocks(fold, result.y_hat)
+            for fold, result in zip(self.evaluator.folds, found.folds, strict=True)
+        )
+        same = same_simulations(self._simulations(experiment), found.y_hats)
+        return Repeated(experiment.number, repeat, found.outcome, blocks, same, seconds)
+
+    def _simulations(self, experiment: Experiment) -> list[tuple[Array, ...]]:
+        """Return the simulations of each fold's held-out blocks from the search."""
+        assert experiment.result is not None
+        return [
+            self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.validation])
+            for kept, fold in zip(experiment.result.folds, self.evaluator.folds, strict=True)
+        ]
+
+    def _blocks(self, fold: Fold, y_hat: tuple[Array, ...]) -> tuple[float, ...]:
+        y = [block.y for block in fold.validation]
+        return tuple(block_values(y, y_hat, fold.scale, self.metric).tolist())
+
+    def tried(self, experiment: Experiment) -> TriedCandidate:
+        """The first fit of a candidate and all that was repeated of it."""
+        assert experiment.score is not None
+        pairs = zip(self.evaluator.folds, self._simulations(experiment), strict=True)
+        blocks = tuple(self._blocks(fold, y_hat) for fold, y_hat in pairs)
+        repeats = tuple(
+            r
+            for r in self.chain.view.repeats
+            if r.experiment == experiment.number and r.repeat <= self.seeds
+        )
+        values = np.array([[fold.value for fold in experiment.score.folds]])
+        return TriedCandidate(
+            experiment.number, RepeatedFits(values, even_blocks([blocks])), repeats
+        )

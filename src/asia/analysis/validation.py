@@ -1,0 +1,467 @@
+"""Validation of the model of a run: probes in the sandbox, checks, record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from asia._diagnostic import diagnostic
+from asia._text import one_line
+from asia.data.intake.sheet import Wanted
+from asia.data.trajectory import Array, Trajectory, data_digest, filled
+from asia.errors import CandidateError, UserError
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.scoring.checks.check import Check, Verdict, most_serious, summary
+from asia.judge.scoring.checks.errors import (
+    check_bands,
+    check_overfit,
+    check_region,
+    check_steps_ahead,
+    no_bands,
+    no_steps_ahead,
+)
+from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
+from asia.judge.scoring.checks.registry import ValidationData, validation_checks
+from asia.judge.scoring.checks.response import HORIZONS, SMALL, LinearResponse, impulse_response
+from asia.ledger.artifacts import Store, without_artifacts
+from asia.ledger.chain import Chain
+from asia.ledger.events import RecordedCheck, Use, Validated
+from asia.ledger.evidence import findings_of, identified, put_curves
+from asia.ledger.run import Run, model_to_use, open_run
+from asia.ledger.view import Experiment, SearchView
+from asia.problem.check import responses
+from asia.problem.load import load_lock, read_records
+from asia.problem.problem import Problem
+from asia.problem.protocol import Block, Case, whole
+from asia.search.run import LOCK, make_evaluator
+from asia.search.simulation import (
+    BAND_LEVEL,
+    BandBasis,
+    FinalMember,
+    band_basis,
+    final_members,
+    models_behind,
+    simulate_members,
+)
+
+# Probes of a model beyond its held-out samples: small steps, a long run, later starts.
+
+
+Simulator = Callable[[Sequence[Block]], Sequence[Array]]
+
+_POINTS = {"low inputs": 0.25, "middle inputs": 0.5, "high inputs": 0.75}
+_SETTLING, _MOST_INPUTS, _LONGEST = 300, 4, 2000
+_STARTS, _AHEAD = 24, 50
+
+
+@dataclass(frozen=True)
+class ProbeRange:
+    """Ranges and records of the training data for probes."""
+
+    records: tuple[Trajectory, ...]
+    """All training records."""
+    past_inputs: int
+    """Samples of a past window."""
+    past_outputs: int
+    """Samples of a past window."""
+
+    def block(self, u: Array, y: Array | None = None) -> Block:
+        """Inputs (past + H, nu) as a block that starts from the mean output, or from y (past,
+        ny)."""
+        past = max(self.past_inputs, self.past_outputs)
+        ny = self.records[0].y.shape[1]
+        mean = np.concatenate([r.y for r in self.records]).mean(axis=0)
+        past_y = (
+            np.tile(mean, (self.past_outputs, 1)) if y is None else y[past - self.past_outputs :]
+        )
+        case = Case("", u[past - self.past_inputs : past], past_y, u[past:])
+        # All of one record: a request then holds one block, whatever its length.
+        return Block(case, np.zeros((len(u) - past, ny)), 0, 0)
+
+
+def linear_responses(
+    given: ProbeRange, names: Sequence[str], simulate: Simulator
+) -> tuple[LinearResponse, ...]:
+    """Small steps up and down of each input, after the inputs were held at an operating point;
+    () where the model has no finite answer."""
+    inputs = np.concatenate([r.u for r in given.records])
+    deviation, past = inputs.std(axis=0), max(given.past_inputs, given.past_outputs)
+    asked = [
+        (point, number)
+        for point in _POINTS
+        for number in range(min(len(names), _MOST_INPUTS))
+        if deviation[number] > 0.0
+    ]
+    blocks: list[Block] = []
+    for point, number in asked:
+        held = np.tile(np.quantile(inputs, _POINTS[point], axis=0), (past + 2 * _SETTLING, 1))
+        for sign in (1.0, -1.0):
+            moved = held.copy()
+            moved[past + _SETTLING :, number] += sign * SMALL * deviation[number]
+            blocks.append(given.block(moved))
+    try:
+        found = simulate(blocks)
+    except CandidateError:
+        return ()
+    answers: list[LinearResponse] = []
+    for place, (point, number) in enumerate(asked):
+        up, down = (found[2 * place + k][_SETTLING:] for k in (0, 1))
+        impulse = impulse_response(up, down, SMALL * float(deviation[number]))
+        answers.append(LinearResponse(point, names[number], impulse))
+    return tuple(answers)
+
+
+def long_run(given: ProbeRange, horizon: int | None, simulate: Simulator) -> Array | None:
+    """Ten horizons (n, ny) with the inputs of the longest record again and again; None where the
+    model has no finite answer."""
+    record = max(given.records, key=len)
+    past = max(given.past_inputs, given.past_outputs)
+    length = HORIZONS * min(_LONGEST, horizon or len(record))
+    u = np.tile(record.u[past:], (-(-length // (len(record) - past)), 1))[:length]
+    block = given.block(np.concatenate([record.u[:past], u]), record.y[:past])
+    try:
+        return simulate([block])[0]
+    except CandidateError:
+        return None
+
+
+def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
+    """Short blocks inside long ones, which begin from measured samples; [] where there is no past
+    window, or no room."""
+    past = max(given.past_inputs, given.past_outputs)
+    long = [b for b in blocks if len(b.y) >= 2 * past + 2 * _AHEAD]
+    if past == 0 or not long:
+        return []
+    each = max(1, _STARTS // len(long))
+    found: list[Block] = []
+    for block in long:
+        y = filled(block.y)
+        for at in np.linspace(past, len(block.y) - _AHEAD, each).astype(int).tolist():
+            case = replace(
+                block.case,
+                past_u=block.case.u[at - given.past_inputs : at],
+                past_y=y[at - given.past_outputs : at],
+                u=block.case.u[at : at + _AHEAD],
+            )
+            ahead = block.y[at : at + _AHEAD]
+            if not np.isnan(ahead).all(axis=0).any():
+                found.append(Block(case, ahead, 0, block.start + at))
+    return found
+
+
+# Keep a dossier in the ledger of a finished search.
+
+
+# A line of the ledger has room for all checks of a dossier.
+_LONGEST_CURVE = 2000
+
+
+def record_validation(
+    directory: Path,
+    model: Use,
+    records: Sequence[Trajectory],
+    name: str,
+    checks: Sequence[Check],
+) -> bool:
+    """Append what the checks say of the winner and its model to use; False where the ledger says so
+    already. Raises UserError when another process holds the ledger."""
+    store = Store(directory / "artifacts")
+    curves = put_curves(store, checks)
+    with Chain(directory / "ledger.jsonl") as chain:
+        event = _event(chain.view, model, records, name, checks, curves)
+        if event in chain.view.validated:
+            return False
+        chain.append(event)
+        return True
+
+
+def _event(
+    view: SearchView,
+    model: Use,
+    records: Sequence[Trajectory],
+    name: str,
+    checks: Sequence[Check],
+    curves: str,
+) -> Validated:
+    assert view.best is not None
+    worst = most_serious(tuple(checks))
+    counts = [sum(c.verdict is v for c in checks) for v in Verdict]
+    numbers = dict(zip(Verdict, counts, strict=True))
+    return Validated(
+        experiment=view.best.number,
+        model=model,
+        record=name,
+        record_digest=data_digest(records) if records else "",
+        checks=tuple(
+            RecordedCheck(
+                one.name,
+                one.verdict,
+                one_line(one.sentence, _LONGEST_CURVE),
+                "" if one.cause is None else str(one.cause),
+                round(one.weight, 4),
+            )
+            for one in checks
+        ),
+        curves=curves,
+        passed=numbers[Verdict.PASS],
+        doubtful=numbers[Verdict.DOUBT],
+        failed=numbers[Verdict.FAIL],
+        worst="" if worst is None else worst.name,
+        after_unsealing=view.unsealing is not None,
+    )
+
+
+# Make the dossier of a run: held-out simulations from the ledger, further answers in the sandbox.
+#
+# It uses training records alone, and a record that the user brings. The sealed test stays closed.
+
+
+@dataclass(frozen=True)
+class ValidationReport:
+    """Validation report: all checks of the model to use."""
+
+    run: str
+    """The run."""
+    experiment: int
+    """Its winner, 1-based."""
+    model: Use
+    """Final model that simulated the small steps and the long run."""
+    record: str | None
+    """The new record that was simulated; None for the held-out samples of the folds."""
+    checks: tuple[Check, ...]
+    """Checks in reading order."""
+    recorded: bool
+    """True if the ledger, and so the report, has it; not before the search is finished."""
+
+    @property
+    def summary(self) -> str:
+        """Counts, and the sentence of the check that matters most."""
+        return summary(self.checks)
+
+
+def validate(
+    directory: Path,
+    record: Path | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+    reading: Wanted | None = None,
+) -> ValidationReport:
+    """Validate the model to use of a run.
+
+    Without a record, residuals are those of the fold models on their held-out samples. With one,
+    the model to use simulates it from its first past window. The validation of a finished search is
+    recorded in its ledger.
+
+    Args:
+        directory: run directory.
+        record: new record; a file of several experiments is validated on all of them.
+        progress: called with a description of the current step.
+        reading: options for the record, in place of those of the problem.
+
+    Raises:
+        UserError: the run has no scored model, hides its scores, or came without its artifacts, or
+            the record cannot be read.
+        CandidateError: the model cannot simulate the record.
+    """
+    run = open_run(directory)
+    chosen = model_to_use(run.view)
+    if chosen is None or run.view.best is None:
+        raise UserError(f"run '{run.name}' has no scored model, so nothing to validate")
+    if run.view.started.ladder is not None:
+        raise UserError(
+            f"run '{run.name}' has ladder feedback, which hides the exact scores that a dossier "
+            "prints: validate a run without it"
+        )
+    if not Store(directory / "artifacts").kept:
+        raise UserError(without_artifacts(directory))
+    problem = load_lock(directory / LOCK)
+    evaluator = make_evaluator(problem, run.view)
+    work = _Validation(run, problem, evaluator, run.view.best, chosen.model, progress)
+    new = () if record is None else read_records(problem, record, reading)
+    checks = work.on(new) if new else work.held_out()
+    name = "" if record is None else record.name
+    recorded = run.view.complete
+    if recorded:
+        record_validation(directory, chosen.model, new, name, checks)
+    return ValidationReport(
+        run.name, run.view.best.number, chosen.model, name or None, checks, recorded
+    )
+
+
+def _made(name: str, make: Callable[[], Check | tuple[Check, ...]]) -> tuple[Check, ...]:
+    """The checks, or one that says why they failed."""
+    failed: list[str] = []
+    with diagnostic(name, failed):
+        found = make()
+        return found if isinstance(found, tuple) else (found,)
+    return (Check(name, Verdict.ABSENT, failed[0]),)
+
+
+@dataclass(frozen=True)
+class _Validation:
+    """A dossier under way."""
+
+    run: Run
+    problem: Problem
+    evaluator: Evaluator
+    best: Experiment
+    use: Use
+    progress: Callable[[str], None]
+
+    def held_out(self) -> tuple[Check, ...]:
+        """The dossier on what the folds held out."""
+        basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
+        pairs = [
+            (block, y_hat)
+            for fold, simulated in zip(self.evaluator.folds, basis.simulated, strict=True)
+            for block, y_hat in zip(fold.validation, simulated, strict=True)
+        ]
+        blocks = tuple(
+            SimulatedBlock(b.case.u, b.y, y_hat, b.record, b.start) for b, y_hat in pairs
+        )
+        found = self._simulations(blocks)
+        windows = self.evaluator.horizon is not None
+        return (
+            *self._of_residuals(found),
+            *_made("held-out error", lambda: self._overfit(found)),
+            *_made("steps ahead", lambda: self._of_windows(pairs) if windows else self._ahead()),
+            *_made("region of validity", lambda: check_region(found, basis.region)),
+        )
+
+    def _overfit(self, found: SimulatedBlocks) -> tuple[Check, ...]:
+        """Check for overfitting; () for an older ledger."""
+        errors = findings_of(self.run.store, self.best, bounded=False)
+        if not errors:
+            return ()
+        train = [float(np.mean(f.train_errors)) for f in errors]
+        held = [float(np.mean(f.errors)) for f in errors]
+        named = identified(self.run)
+        apart = () if named is None else named.disagreeing
+        return (check_overfit(train, held, found, apart),)
+
+    def on(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
+        """The dossier on new records."""
+        blocks = whole(records, self.problem.protocol)
+        if not blocks:
+            raise UserError(
+                f"record '{records[0].name}' is too short: it holds no case to simulate"
+            )
+        y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
+        pairs = list(zip(blocks, y_hat, strict=True))
+        found = self._simulations(
+            tuple(SimulatedBlock(b.case.u, b.y, y, b.record, b.start) for b, y in pairs)
+        )
+        windows = self.evaluator.horizon is not None
+        basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
+        return (
+            *self._of_residuals(found),
+            *(_made("steps ahead", lambda: self._of_windows(pairs)) if windows else ()),
+            *_made("region of validity", lambda: check_region(found, basis.region)),
+            *_made("output bands", lambda: self._bands(basis, blocks, y_hat)),
+        )
+
+    def _bands(self, basis: BandBasis, blocks: Sequence[Block], y_hat: Sequence[Array]) -> Check:
+        """Check the coverage of a new record by the output bands."""
+        behind = models_behind(self.run.view, self.use)
+        self.progress("output bands")
+        try:
+            each = simulate_members(self.evaluator, self.run, behind, blocks)
+        except CandidateError:
+            return no_bands("a fold model does not simulate this record")
+        held, known = 0.0, 0
+        for block, folds, mean in zip(blocks, each, y_hat, strict=True):
+            bands, _ = basis.around(block.case, folds, mean, BAND_LEVEL)
+            inside = (bands.lower <= block.y) & (block.y <= bands.upper)
+            held, known = held + inside.sum(axis=0), known + (~np.isnan(block.y)).sum(axis=0)
+        outputs = [s.name for s in self.problem.outputs]
+        return check_bands(held / np.maximum(known, 1), outputs, BAND_LEVEL)
+
+    def _simulations(self, blocks: tuple[SimulatedBlock, ...]) -> SimulatedBlocks:
+        inputs = tuple(s.name for s in self.problem.inputs)
+        outputs = tuple(s.name for s in self.problem.outputs)
+        return SimulatedBlocks(blocks, inputs, outputs, self.problem.sampling_time)
+
+    def _of_residuals(self, found: SimulatedBlocks) -> tuple[Check, ...]:
+        """Return the checks of the registry."""
+        simulator = self._simulator(final_members(self.run.view, self.use))
+        given = self._range
+        self.progress("responses to small steps")
+        failed: list[str] = []
+        linear: tuple[LinearResponse, ...] = ()
+        with diagnostic("small steps", failed):
+            linear = linear_responses(given, found.inputs, simulator)
+
+        def noise() -> list[float | None]:
+            return [None if r is None else r.levels.noise for r in responses(self.problem)]
+
+        y = np.concatenate([r.y for r in self.evaluator.records])
+        data = ValidationData(
+            simulations=found,
+            linear_responses=linear,
+            lowest=y.min(axis=0),
+            highest=y.max(axis=0),
+            noise=noise,
+            long_run=lambda: long_run(given, self.evaluator.horizon, simulator),
+        )
+        checks = [Check("small steps", Verdict.ABSENT, line) for line in failed]
+        for name, check in validation_checks().items():
+            self.progress(name)
+            checks += _made(name, partial(check, data))
+        return tuple(checks)
+
+    @property
+    def _range(self) -> ProbeRange:
+        rule = self.problem.protocol
+        return ProbeRange(self.evaluator.records, rule.past_inputs, rule.past_outputs)
+
+    def _of_windows(self, pairs: Sequence[tuple[Block, Array]]) -> Check:
+        """Check windows, each of which starts anew."""
+        past = self.problem.protocol.past_outputs
+        hold = np.stack([filled(b.y - b.case.past_y[-1]) for b, _ in pairs]) if past else None
+        errors = np.stack([filled(b.y - y_hat) for b, y_hat in pairs])
+        return check_steps_ahead(errors, hold, self.evaluator.scale)
+
+    def _ahead(self) -> Check:
+        """Each fold's model from starts within what it did not fit."""
+        if self.problem.protocol.past_outputs == 0:
+            return no_steps_ahead("the protocol has no past outputs from which a model could start")
+        self.progress("steps ahead, from many starts")
+        member = final_members(self.run.view, "ensemble")[0]
+        model_errors: list[Array] = []
+        hold_errors: list[Array] = []
+        for fold, name in zip(self.evaluator.folds, member.models, strict=True):
+            blocks = starts(self._range, fold.validation)
+            if not blocks:
+                continue
+            one = FinalMember(member.source, (name,))
+            try:
+                replies = self._simulator([one])(blocks)
+            except CandidateError:
+                continue
+            for block, reply in zip(blocks, replies, strict=True):
+                model_errors.append(filled(block.y - reply))
+                hold_errors.append(filled(block.y - block.case.past_y[-1]))
+        if not model_errors:
+            return no_steps_ahead(
+                "no held-out part is long enough for a start, or no simulation was finite"
+            )
+        scale = self.evaluator.scale
+        return check_steps_ahead(np.stack(model_errors), np.stack(hold_errors), scale)
+
+    def _simulator(self, members: Sequence[FinalMember]) -> Simulator:
+        """Simulations by a final model, in the sandbox."""
+
+        def simulate(blocks: Sequence[Block]) -> list[Array]:
+            total = [np.zeros_like(block.y) for block in blocks]
+            for member in members:
+                models = [self.run.store.get(one) for one in member.models]
+                source = self.run.store.text(member.source)
+                for replies in self.evaluator.simulate(source, models, blocks):
+                    for sum_, reply in zip(total, replies, strict=True):
+                        sum_ += member.weight / len(models) * reply
+            return total
+
+        return simulate

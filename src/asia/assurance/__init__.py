@@ -1,0 +1,1 @@
+"""Assurance: red team and benchmark comparisons."""

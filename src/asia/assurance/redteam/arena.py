@@ -1,0 +1,296 @@
+"""Arena: one cheating candidate against the real evaluator."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
+
+from asia.assurance.redteam.attacks.source import HONEST, fill_in
+from asia.assurance.redteam.evidence import Targets, conclude, said_steps, targets, worst_of
+from asia.assurance.redteam.problem import ProblemName, small_problem
+from asia.assurance.redteam.types import CandidateAttack, Finding, Observed, SuspicionFinding
+from asia.errors import Reason
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.relations import SuspicionKind
+from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
+from asia.judge.sandbox.availability import layers_in_force, open_worker
+from asia.judge.sandbox.types import Isolation, Layer, Limits
+from asia.judge.sandbox.worker.worker import Worker
+from asia.judge.scoring.outcome import Failure, Score
+from asia.ledger.events import Evaluated, Event, Proposed, Started
+from asia.ledger.view import published, replay
+from asia.search.loop import judge
+
+# Evaluation of one cheating candidate with the real evaluator, and detection of its traces.
+
+
+_HONEST_SECONDS = 60.0
+_HONEST_MB = 2048
+
+
+class _EvaluatorWithoutLayers(Evaluator):
+    """An evaluator whose workers lack some layers; for an outer sandbox only."""
+
+    without: Collection[Layer] = ()
+    """The layers that they lack."""
+
+    @contextmanager
+    def _worker(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
+        with open_worker(self.isolation, limits, without=self.without) as worker:
+            yield worker
+
+
+def attack_candidate(
+    attack: CandidateAttack,
+    level: Isolation,
+    without: Collection[Layer] = (),
+    executor: Executor | None = None,
+) -> Finding:
+    """Run all variants of an attack at one level; it succeeds if one of them does.
+
+    Layers may be left out in an outer sandbox only.
+
+    Args:
+        executor: executor of the folds; None for this process
+    """
+    layers = layers_in_force(level, without)
+    found = [
+        conclude(
+            attack,
+            name,
+            _observe(attack, name, level, without, executor=executor),
+            layers,
+            attack.success,
+        )
+        for name in attack.sources
+    ]
+    return worst_of(found, attack.number, str(level), tuple(str(layer) for layer in without))
+
+
+def attack_unchecked(
+    attack: CandidateAttack, level: Isolation, without: Collection[SuspicionKind]
+) -> Iterator[SuspicionFinding]:
+    """Each variant of an attack, with relations left out and with all; no layer is left out."""
+    layers = layers_in_force(level, ())
+    for name in attack.sources:
+        seen, checked = (_observe(attack, name, level, (), off) for off in (without, ()))
+        ended = conclude(attack, name, checked, layers, attack.success)
+        yield SuspicionFinding(
+            attack.number,
+            name,
+            str(level),
+            tuple(map(str, without)),
+            seen.honest,
+            seen.value,
+            attack.success(seen),
+            replace(ended, level=str(level)),
+        )
+
+
+@cache
+def honest_value(name: ProblemName, level: Isolation) -> float:
+    """V of the honest candidate on which all attacks are built."""
+    problem = small_problem(name)
+    evaluator = problem.evaluator(Evaluator, level, _HONEST_SECONDS, _HONEST_MB)
+    with targets(_HONEST_MB) as given:
+        outcome = evaluator.evaluate(fill_in(HONEST, given.source, problem)).outcome
+    if isinstance(outcome, Failure):
+        raise AssertionError(f"the honest candidate failed: {outcome}")
+    return outcome.value
+
+
+def _observe(
+    attack: CandidateAttack,
+    name: str,
+    level: Isolation,
+    without: Collection[Layer],
+    unchecked: Collection[SuspicionKind] = (),
+    executor: Executor | None = None,
+) -> Observed:
+    problem, honest = small_problem(attack.problem), honest_value(attack.problem, level)
+    kind = _EvaluatorWithoutLayers if without else Evaluator
+    evaluator = problem.evaluator(
+        kind,
+        level,
+        attack.limit,
+        attack.memory_mb,
+        attack.folds,
+        _places(name in attack.at_once, executor),
+        unchecked,
+    )
+    if isinstance(evaluator, _EvaluatorWithoutLayers):
+        evaluator.without = without
+    with targets(attack.memory_mb) as given:
+        begin = time.monotonic()
+        least = honest if attack.folds != 1 else 0.0
+        evaluation = _evaluate_as_searches_do(
+            evaluator, fill_in(attack.sources[name], given.source, problem), least
+        )
+        seconds = time.monotonic() - begin
+        return _observed(evaluation, given, honest, seconds, attack.limit)
+
+
+def _places(at_once: bool, executor: Executor | None) -> Executor:
+    """Both folds at the same time, or one after the other."""
+    if executor is None:
+        return LocalExecutor(2 if at_once else 1)
+    return executor if at_once else SequentialExecutor(executor)
+
+
+def _evaluate_as_searches_do(evaluator: Evaluator, source: str, least: float) -> Evaluation:
+    """Evaluate as a search does: a score below `least`, which would win, is checked."""
+    evaluation = evaluator.evaluate(source)
+    outcome = evaluation.outcome
+    if isinstance(outcome, Score) and outcome.value < least:
+        failure = evaluator.objection(source, evaluation.folds)
+        return Evaluation(failure or outcome, evaluation.folds, evaluation.output)
+    return evaluation
+
+
+def _observed(
+    evaluation: Evaluation, given: Targets, honest: float, seconds: float, limit: float
+) -> Observed:
+    outcome, output = evaluation.outcome, evaluation.output
+    failed = isinstance(outcome, Failure)
+    survivors = given.traces.survivors()
+    return Observed(
+        value=None if failed else outcome.value,
+        honest=honest,
+        reason=outcome.reason if failed else None,
+        detail=outcome.detail if failed else "",
+        output=output,
+        steps=said_steps(output),
+        seconds=seconds,
+        limit=limit,
+        overran=not failed or outcome.reason not in (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT),
+        ran=given.ran,
+        ledger=given.ledger_changed,
+        leaked=given.secret in output,
+        hurt=given.neighbour.hurt,
+        survivors=survivors,
+        strays=given.traces.strays(),
+    )
+
+
+# Early end of work in other threads.
+
+
+class Interruption:
+    """Flag that ends the run and its workers."""
+
+    def __init__(self) -> None:
+        self.begun = False
+        self._workers: set[Worker] = set()
+
+    def begin(self) -> None:
+        """End the workers that run, and those that start later."""
+        self.begun = True
+        for worker in list(self._workers):
+            worker.abort()
+
+    @contextmanager
+    def ends(self, worker: Worker) -> Generator[None]:
+        """While this is open, the worker is ended with the run."""
+        self._workers.add(worker)
+        try:
+            if self.begun:
+                worker.abort()
+            yield
+        finally:
+            self._workers.discard(worker)
+
+
+# Search whose candidates are nothing but scores.
+#
+# The rules of real searches decide which candidates are checked, kept and reported.
+
+
+HALVINGS = 15
+
+Spoil = Callable[[Score], Failure | None]
+
+
+class ScoreOnlySearch:
+    """A search with a Ladder of this step, or none."""
+
+    def __init__(self, ladder: float | None) -> None:
+        self._events: list[Event] = [_started(ladder)]
+
+    def submit(self, score: Score, spoil: Spoil | None = None) -> Evaluated:
+        """Submit a score and return the result that an agent would see.
+
+        Args:
+            spoil: the way in which the candidate breaks a relation
+        """
+        view, evaluator = replay(self._events), _Known(score, spoil)
+        number, judged = len(view.experiments) + 1, judge(evaluator, "", view)
+        name, status, outcome = str(number), judged.status, judged.evaluation.outcome
+        proposed = Proposed(number, None, "explore", "probe", name, "h", "e", name, name)
+        self._events += [proposed, Evaluated(number, status, outcome, (), None, 0.0)]
+        result = published(replay(self._events)).experiment(number).result
+        assert result is not None
+        return result
+
+
+def turn(doubt: Callable[[float], bool], most: float) -> float:
+    """Find the threshold of a verdict by bisection: the largest share in [0, most] that is
+    refused."""
+    low, high = 0.0, most
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if doubt(middle) else (low, middle)
+    return low
+
+
+def forgetful(score: Score) -> Failure | None:
+    """Return the failure of a model whose outputs differ when a case is repeated, at any score."""
+    del score
+    return Failure(Reason.SUSPECT, "replay: the same case simulated again gives another output", 1)
+
+
+def one_start(bound: float) -> Spoil:
+    """Return the failure of a model that is so bad from later starts that the check fails if its
+    own V is below `bound`."""
+    words = "restart: the simulation is far worse from a later start on the same record"
+    failure = Failure(Reason.RESTART, words, 1)
+    return lambda score: failure if score.value < bound else None
+
+
+class _Known(Evaluator):
+    """Gives a known score, and a known objection, without a worker."""
+
+    def __init__(self, score: Score, spoil: Spoil | None = None) -> None:
+        self._known, self._spoil = score, spoil
+
+    def evaluate(self, source: str, start: int = 0) -> Evaluation:
+        """The score, from whatever start."""
+        del start
+        return Evaluation(self._known)
+
+    def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+        """Return the objection that the candidate asks for."""
+        return None if self._spoil is None else self._spoil(self._known)
+
+
+def _started(ladder: float | None) -> Started:
+    digest = "0" * 64
+    return Started(
+        run="probe",
+        problem="probe",
+        agent="probe",
+        seed=0,
+        experiments=1000,
+        hours=None,
+        outputs=("y",),
+        lock_digest=digest,
+        protocol_digest=digest,
+        test_digest=None,
+        isolation="process",
+        isolation_notes=(),
+        environment={},
+        ladder=ladder,
+    )

@@ -1,0 +1,156 @@
+"""Extraction of held-out data from scores or verdicts: an agent submits a baseline plus one cosine
+at a time and solves for the hidden error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from asia.assurance.redteam.arena import (
+    HALVINGS,
+    ScoreOnlySearch,
+    Spoil,
+    forgetful,
+    one_start,
+    turn,
+)
+from asia.assurance.redteam.attacks.searches import Scene
+from asia.assurance.redteam.types import Barrier, SearchAttack, SearchAttackResult
+from asia.data.trajectory import Array
+from asia.judge.scoring.outcome import Failure, Score, combine, score_fold
+from asia.problem.schema import LADDER_STEP
+
+QUERIES = 200
+_SAMPLES, _ERROR, _SIZE = 2000, 0.3, 0.3
+_GAIN = 0.9
+_WORSE, _STEP = 0.25, 0.01
+
+Ask = Callable[[Array], float]
+Doubt = Callable[[Array], bool]
+
+
+def hidden_error() -> Array:
+    """Return the error of the baseline for an output of unit standard deviation: coloured, of
+    0.3."""
+    rng = np.random.default_rng(9)
+    error = np.zeros(_SAMPLES)
+    for k in range(1, _SAMPLES):
+        error[k] = 0.9 * error[k - 1] + rng.normal()
+    return _ERROR * error / np.sqrt(np.mean(error**2))
+
+
+def probe(ask: Ask) -> Array:
+    """Return the correction (T,) that scores reveal.
+
+    First the coefficient of each cosine is computed from its effect on V (for exact scores the
+    solution of a linear system), then improvements are kept.
+
+    Args:
+        ask: V of the baseline plus a correction, as the search reports it
+    """
+    waves = [_wave(k) for k in range((QUERIES - 5) // 2)]
+    base = ask(np.zeros(_SAMPLES)) ** 2
+    solved, greedy = np.zeros(_SAMPLES), np.zeros(_SAMPLES)
+    for wave in waves:
+        gap = ask(_SIZE * wave) ** 2 - base
+        if gap != 0:
+            solved += wave * (_SIZE**2 - gap) / (2 * _SIZE)
+    least = ask(solved)
+    for wave in waves:
+        reported = ask(greedy + 0.1 * wave)
+        if reported < least:
+            greedy, least = greedy + 0.1 * wave, reported
+    return min((solved, greedy, np.zeros(_SAMPLES)), key=ask)
+
+
+def bisect(ask: Ask, doubt: Doubt) -> Array:
+    """Return the correction (T,) that verdicts reveal.
+
+    The candidate to beat is a baseline made worse. The amount added to a better one is bisected to
+    the threshold of the verdict; there each cosine changes the verdict by its sign.
+
+    Args:
+        doubt: whether a candidate with that correction, which breaks a relation on purpose, is
+            refused
+    """
+    worse = _wave(_SAMPLES // 2)
+    ask(_WORSE * worse)
+    edge = turn(lambda share: doubt(share * worse), _WORSE) * worse
+    found = np.zeros(_SAMPLES)
+    for k in range(QUERIES - HALVINGS - 1):
+        found += _STEP * _wave(k) * (1 if doubt(edge + _STEP * _wave(k)) else -1)
+    return min((found, np.zeros(_SAMPLES)), key=exact)
+
+
+def exact(correction: Array) -> float:
+    """V in full."""
+    return _score(correction).value
+
+
+def _score(correction: Array) -> Score:
+    """Return the score of the baseline plus a correction, as the search scores with the Ladder."""
+    y, y_hat = hidden_error()[:, None], correction[:, None]
+    return combine([score_fold([y], [y_hat], np.ones(1), "rmse", in_parts=True)])
+
+
+class Ladder:
+    """A search with the Ladder.
+
+    Args:
+        spoil: how candidates break a relation in `doubt`
+    """
+
+    def __init__(self, spoil: Spoil | None = None) -> None:
+        self._search = ScoreOnlySearch(LADDER_STEP)
+        self._spoil = spoil
+
+    def ask(self, correction: Array) -> float:
+        """V as it is reported."""
+        reported = self._search.submit(_score(correction)).outcome
+        assert isinstance(reported, Score)
+        return reported.value
+
+    def doubt(self, correction: Array) -> bool:
+        """Return whether the candidate, which breaks a relation, is refused."""
+        return isinstance(self._search.submit(_score(correction), self._spoil).outcome, Failure)
+
+
+def _wave(k: int) -> Array:
+    times = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    return np.sqrt(2.0) * np.cos(np.pi * (k + 1) * times)
+
+
+def _with_ladder(scene: Scene) -> SearchAttackResult:
+    del scene
+    found = [probe(Ladder().ask)]
+    for spoil in (forgetful, one_start(_ERROR + 0.05)):
+        ladder = Ladder(spoil)
+        found.append(bisect(ladder.ask, ladder.doubt))
+    value = min(map(exact, found))
+    return SearchAttackResult(
+        value < _GAIN * _ERROR, (Barrier.FEEDBACK,), _words(value), flagged=False
+    )
+
+
+def _with_exact(folder: Path) -> bool:
+    del folder
+    return exact(probe(exact)) < _GAIN * _ERROR
+
+
+def _words(value: float) -> str:
+    return f"V {_ERROR:.3f} to {value:.3f} by {QUERIES} queries on a ladder of {LADDER_STEP:g}"
+
+
+PROBING = (
+    SearchAttack(
+        29,
+        "read the data out of scores",
+        "submits a baseline plus one cosine at a time and solves for the held-out error, by scores "
+        'and by verdicts on models spoilt on purpose (with feedback = "ladder")',
+        _with_ladder,
+        _with_exact,
+        (Barrier.FEEDBACK,),
+    ),
+)

@@ -1,0 +1,14 @@
+"""All attacks, in the order of their numbers."""
+
+from __future__ import annotations
+
+from asia.assurance.redteam.attacks.answers import RELATIONS
+from asia.assurance.redteam.attacks.probing import PROBING
+from asia.assurance.redteam.attacks.scores import SCORES
+from asia.assurance.redteam.attacks.searches import SEARCHES
+from asia.assurance.redteam.attacks.walls import WALLS
+from asia.assurance.redteam.types import Attack
+
+ATTACKS: tuple[Attack, ...] = tuple(
+    sorted((*SCORES, *WALLS, *SEARCHES, *PROBING, *RELATIONS), key=lambda attack: attack.number)
+)

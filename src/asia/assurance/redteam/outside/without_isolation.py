@@ -1,0 +1,173 @@
+"""Attacks with isolation off, inside an outer sandbox: do they really work?"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import NoReturn
+
+from asia.assurance.redteam.attacks.source import HONEST, fill_in
+from asia.assurance.redteam.evidence import (
+    Targets,
+    conclude,
+    has_score,
+    said_steps,
+    scores_better,
+    targets,
+    worst_of,
+)
+from asia.assurance.redteam.outside.naive_evaluator import load_leftovers, print_score
+from asia.assurance.redteam.problem import ProblemName, small_problem
+from asia.assurance.redteam.types import AttackVerdict, CandidateAttack, Finding, Mistake, Observed
+from asia.errors import Reason
+from asia.judge.sandbox.types import Layer
+
+OFF, CONTROL = "off", "control"
+_LONGEST_SECONDS = 15.0
+_PATIENCE_SECONDS = 2.0
+_SAID = re.compile(r"METRIC nrmse=(\S+)")
+_NO_LAYERS: tuple[Layer, ...] = ()
+
+
+def attack_without_isolation(attack: CandidateAttack) -> Finding:
+    """Return whether one variant at least succeeds. Runs the attack's code for real: to be called
+    inside an outer sandbox only."""
+    # Here an honest candidate has a score too: to have one is no success.
+    success = scores_better if attack.success is has_score else attack.success
+    found: list[Finding] = []
+    for name, source in attack.sources.items():
+        with targets(attack.memory_mb) as given:
+            seen = _observe(source, attack.problem, attack.mistake, given, attack.limit)
+            finding = conclude(attack, name, seen, _NO_LAYERS, success)
+            if finding.through and not success(seen):  # to leave something is not what it tries
+                finding = replace(finding, verdict=AttackVerdict.NO_GAIN)
+            found.append(finding)
+        if found[-1].through:
+            break
+    return worst_of(found, attack.number, OFF)
+
+
+def broken(attack: CandidateAttack) -> CandidateAttack:
+    """The same with a `fit` that only raises, as a control: it must not succeed."""
+    head = "def fit(trajectories, context):\n"
+    raising = head + '    raise RuntimeError("a control")\n'
+    return replace(attack, sources={n: s.replace(head, raising) for n, s in attack.sources.items()})
+
+
+@cache
+def _honest(name: ProblemName) -> float:
+    with targets(0) as given:
+        value = _observe(HONEST, name, None, given, _LONGEST_SECONDS, honest=0.0).value
+    assert value is not None
+    return value
+
+
+def _observe(
+    source: str,
+    name: ProblemName,
+    mistake: Mistake | None,
+    given: Targets,
+    limit: float,
+    honest: float | None = None,
+) -> Observed:
+    honest, problem = _honest(name) if honest is None else honest, small_problem(name)
+    source = fill_in(source, given.source, problem)
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        Path(folder, "candidate.py").write_text(source)
+        begin = time.monotonic()
+        patience = min(limit + _PATIENCE_SECONDS, _LONGEST_SECONDS)
+        ended = _run_forked(partial(print_score, source, problem, mistake), folder, patience)
+        seconds = time.monotonic() - begin
+        _run_forked(load_leftovers, folder, _LONGEST_SECONDS)
+    survivors = given.traces.survivors()
+    return Observed(
+        value=_printed_score(ended, mistake),
+        honest=honest,
+        reason=_believed_reason(ended, mistake),
+        detail=ended.errors,
+        output=ended.output,
+        steps=said_steps(ended.output),
+        seconds=seconds,
+        limit=limit,
+        overran=ended.code is None,
+        ran=given.ran,
+        ledger=given.ledger_changed,
+        leaked=given.secret in ended.output,
+        hurt=given.neighbour.hurt,
+        survivors=survivors,
+        strays=given.traces.strays(),
+    )
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """End of a process."""
+
+    code: int | None
+    """Exit code; None if it had to be killed."""
+    output: str
+    """Standard output."""
+    errors: str
+    """Standard error."""
+
+
+def _run_forked(job: Callable[[], None], folder: str, seconds: float) -> _Ended:
+    """Run a job in a forked process of its own; starting Python anew would take most of the
+    time."""
+    child = os.fork()
+    if child == 0:
+        _child(job, folder)
+    end, late = time.monotonic() + seconds, False
+    while (done := os.waitpid(child, os.WNOHANG))[0] == 0:
+        time.sleep(0.002)
+        if time.monotonic() > end and not late:
+            late = True
+            os.kill(child, signal.SIGKILL)
+    code = None if late else os.waitstatus_to_exitcode(done[1])
+    texts = (Path(folder, name).read_text(errors="replace") for name in (".out", ".err"))
+    return _Ended(code, *texts)
+
+
+def _child(job: Callable[[], None], folder: str) -> NoReturn:
+    status = 1
+    try:
+        os.chdir(folder)
+        for number, name in ((1, ".out"), (2, ".err")):
+            os.dup2(os.open(name, os.O_CREAT | os.O_TRUNC | os.O_WRONLY), number)
+        job()
+        status = 0
+    except SystemExit:
+        status = 0
+    except BaseException:  # noqa: BLE001 - whatever a candidate raises ends here
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        os._exit(status)
+
+
+def _believed_reason(ended: _Ended, mistake: Mistake | None) -> Reason | None:
+    """Return the reason of a failure, where the exit code alone decides."""
+    killed = ended.code in (128 + signal.SIGKILL, -signal.SIGKILL)
+    return Reason.MEMORY if killed and mistake is Mistake.BELIEVES_CODES else None
+
+
+def _printed_score(ended: _Ended, mistake: Mistake | None) -> float | None:
+    """The first score that was printed, if the evaluation came to its end; None without one."""
+    said = _SAID.search(ended.output)
+    if ended.code != 0:
+        return None
+    if said is None:
+        return 0.0 if mistake is Mistake.STARTS_AT_ZERO else None
+    try:
+        return float(said[1])
+    except ValueError:
+        return None

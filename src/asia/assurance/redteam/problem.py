@@ -1,0 +1,165 @@
+"""The small problems that attacks are tried on, made from a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Literal, TypeVar
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data.trajectory import Array, Signal, Trajectory
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.relations import SuspicionKind
+from asia.judge.executors import Executor, LocalExecutor
+from asia.judge.sandbox.types import Isolation
+from asia.problem.budget import Budget
+from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds
+
+E = TypeVar("E", bound=Evaluator)
+ProblemName = Literal["simulation", "windows", "weather", "machines", "pulses", "drift"]
+_INPUTS = (Signal("drive"), Signal("measured before"), Signal("sample"))
+_RECORDS = 10
+_DAYS = FoldRule(
+    "leave_one_group_out",
+    groups=tuple(
+        Group(day, tuple(f"machine {n}" for n in range(first, _RECORDS, 2)))
+        for first, day in enumerate(("first day", "second day"))
+    ),
+)
+_RULES = {
+    "simulation": ProtocolRule("simulation", FoldRule(count=2), 4, 4),
+    "windows": ProtocolRule("windows", FoldRule(count=2), 1, 1, horizon=8),
+    "weather": ProtocolRule("windows", FoldRule(count=2), 2, 2, horizon=10),
+    "machines": ProtocolRule("windows", FoldRule(count=2), 2, 2, horizon=10),
+    "pulses": ProtocolRule("windows", _DAYS, 2, 2, horizon=10),
+    "drift": ProtocolRule("simulation", FoldRule(count=4), 2, 2),
+}
+# Pole and gain of an honest model that leaves something to gain.
+_CRUDE = {
+    "simulation": (0.7, 0.28),
+    "windows": (0.93, 0.1),
+    "weather": (0.95, 0.1),
+    "machines": (0.95, 0.1),
+    "pulses": (0.95, 0.1),
+    "drift": (0.99, 0.1),
+}
+
+
+@dataclass(frozen=True)
+class SmallProblem:
+    """First-order lags, with three inputs: the drive; the output measured one sample before, as a
+    logger records a feedback signal, which shows the next output to a candidate that looks ahead;
+    the number of the sample.
+    """
+
+    records: tuple[Trajectory, ...]
+    """The training records."""
+    rule: ProtocolRule
+    """Protocol of the score."""
+    crude: tuple[float, float]
+    """Pole and gain of an honest model that leaves something to gain."""
+
+    @property
+    def record(self) -> Trajectory:
+        """The first of its records."""
+        return self.records[0]
+
+    @property
+    def context(self) -> Context:
+        """The context that candidates receive."""
+        rule = self.rule
+        past = rule.past_inputs, rule.past_outputs
+        return Context(_INPUTS, (Signal("level"),), 1.0, *past, rule.horizon, seed=7)
+
+    def evaluator(
+        self,
+        kind: type[E],
+        level: Isolation,
+        seconds: float,
+        memory_mb: int,
+        folds: int | None = None,
+        executor: Executor | None = None,
+        without: Collection[SuspicionKind] = (),
+    ) -> E:
+        """The real one, or one of its kind.
+
+        Args:
+            executor: where folds run; None for one after the other, here
+            without: relations that it does not check
+        """
+        return kind(
+            make_folds(self.records, self.rule)[:folds],
+            self.records,
+            self.context,
+            self.rule,
+            Budget(1, seconds, memory_mb),
+            level,
+            executor or LocalExecutor(1),
+            without=without,
+        )
+
+
+def small_problem(name: ProblemName) -> SmallProblem:
+    """The same numbers each time."""
+    records: dict[ProblemName, Callable[[], tuple[Trajectory, ...]]] = {
+        "simulation": lambda: (_saturating(slow=False),),
+        "windows": lambda: (_saturating(slow=True),),
+        "weather": lambda: _fleet(weather=0.1, own=0.0),
+        "machines": lambda: _fleet(weather=0.0, own=0.1),
+        "pulses": lambda: _fleet(weather=0.0, own=0.1, samples=12),
+        "drift": lambda: (_drifting(),),
+    }
+    return SmallProblem(records[name](), _RULES[name], _CRUDE[name])
+
+
+def _saturating(slow: bool) -> Trajectory:
+    """A record whose second half is driven harder and saturates."""
+    rng = np.random.default_rng(5)
+    pole, gain = (0.95, 0.05) if slow else (0.75, 0.25)
+    drive = np.repeat(rng.normal(size=12), 10)
+    drive[60:] *= 2
+    y = np.zeros(120)
+    for k in range(1, 120):
+        y[k] = pole * y[k - 1] + gain * 2 * np.tanh(drive[k - 1])
+    y += (0.002 if slow else 0.02) * rng.normal(size=120)
+    before = np.concatenate([[0.0], y[:-1]])
+    u = np.stack([drive, before, np.arange(120.0)], axis=1)
+    return Trajectory(u, y, 1.0, "record")
+
+
+def _fleet(weather: float, own: float, samples: int = 102) -> tuple[Trajectory, ...]:
+    """Records of like machines. A disturbance that turns once pushes all of them, as weather does,
+    and each has a push of its own. A window's past is too noisy to show either. No feedback signal
+    is recorded."""
+    rng = np.random.default_rng(8)
+    pole, gain = _CRUDE["weather"]
+    turning = np.where(np.arange(samples) < samples // 2 + 1, weather, -weather)
+    found: list[Trajectory] = []
+    for number in range(_RECORDS):
+        drive = np.repeat(rng.normal(size=17), 6)[:samples]
+        pushed = gain * drive + turning + own * (-1) ** number
+        y = _lag(pole, pushed, rng.normal()) + 0.1 * rng.normal(size=samples)
+        u = np.stack([drive, rng.normal(size=samples), np.arange(float(samples))], axis=1)
+        found.append(Trajectory(u, y, 1.0, f"machine {number}"))
+    return tuple(found)
+
+
+def _drifting() -> Trajectory:
+    """A record that wanders off from any simulation, and shows again where it went in the part
+    that trains after the held-out one. No feedback signal is recorded."""
+    rng = np.random.default_rng(4)
+    samples, pole, gain = 162, *_CRUDE["drift"]
+    drive = np.repeat(rng.normal(size=18), 9)
+    y = _lag(pole, gain * drive + 0.15 * rng.normal(size=samples), 0.0)
+    u = np.stack([drive, rng.normal(size=samples), np.arange(float(samples))], axis=1)
+    return Trajectory(u, y, 1.0, "record")
+
+
+def _lag(pole: float, pushed: Array, start: float) -> Array:
+    """The first-order lag's outputs, each pushed by the sample before."""
+    y = np.full(len(pushed), start)
+    for k in range(1, len(y)):
+        y[k] = pole * y[k - 1] + pushed[k - 1]
+    return y

@@ -1,1 +1,0 @@
-"""Options of the commands: what several commands share, and groups of options as dataclasses."""

@@ -1,0 +1,510 @@
+"""File formats: arrays (NumPy, MATLAB, HDF5), Arrow, Excel, data loggers, ROS bags, text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any, ClassVar
+from zipfile import BadZipFile
+
+import numpy as np
+
+from asia.data.intake.sheet import (
+    Cells,
+    Column,
+    FileFormat,
+    FileTable,
+    Wanted,
+    as_objects,
+    find_column,
+    split_unit,
+)
+from asia.data.intake.text import Text, number
+from asia.data.intake.time import time_column
+from asia.data.intake.tree import tree_sheets
+from asia.errors import UserError
+
+# Libraries that come with an extra.
+
+
+def need(module: str, path: Path, extra: str) -> Any:
+    """A library that comes with an extra.
+
+    Raises:
+        UserError: that says how to get it
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        raise UserError(
+            f"{path} needs the package {module.partition('.')[0]}: "
+            f"pip install '.[{extra}]' in a clone of ASIA"
+        ) from None
+
+
+# Files of named arrays: NumPy, MATLAB, HDF5.
+
+
+_EXPORT = "s = struct('y', z.y, 'u', z.u, 'Ts', z.Ts); save('{name}.mat', '-struct', 's', '-v7')"
+
+
+class NumpyFile(FileFormat):
+    """`.npz` and `.npy`."""
+
+    name = "NumPy"
+    suffixes: ClassVar[tuple[str, ...]] = (".npz", ".npy")
+
+    def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
+        """Implement `FileFormat.read`. Objects are not unpickled."""
+        try:
+            found: Any = np.load(path, allow_pickle=False)
+            tree = {path.stem: found} if isinstance(found, np.ndarray) else dict(found.items())
+        except (OSError, ValueError, EOFError, KeyError) as error:
+            raise UserError(f"{path} does not read as a NumPy file: {error}") from None
+        if set(tree) == {path.stem} and wanted.columns:
+            tree = _named(path, np.atleast_2d(tree[path.stem]), wanted)
+        return tree_sheets(path.stem, str(path), tree, wanted)
+
+
+def _named(path: Path, values: Any, wanted: Wanted) -> dict[str, Any]:
+    if values.shape[-1] != len(wanted.columns):
+        raise UserError(
+            f"{path} has {values.shape[-1]} columns, but --columns names {len(wanted.columns)}: "
+            "name every column, in the order of the file"
+        )
+    return {name: values[:, k] for k, name in enumerate(wanted.columns)}
+
+
+class Matlab(FileFormat):
+    """`.mat` of every version, with structs."""
+
+    name = "MATLAB"
+    suffixes: ClassVar[tuple[str, ...]] = (".mat",)
+
+    def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
+        """Implement `FileFormat.read`."""
+        from scipy.io import loadmat
+        from scipy.io.matlab import MatReadError
+
+        try:
+            found: dict[str, Any] = loadmat(path, simplify_cells=True)
+        except NotImplementedError:
+            return tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=True), wanted)
+        except (OSError, ValueError, TypeError, IndexError, MatReadError) as error:
+            raise UserError(f"{path} does not read as a MAT file: {error}") from None
+        tree = {k: v for k, v in found.items() if not k.startswith("__")}
+        sheets = tree_sheets(path.stem, str(path), tree, wanted)
+        opaque = "None" in found or "__function_workspace__" in found
+        if opaque and not any(sheet.columns for sheet in sheets):
+            raise _object(path, "None")
+        return sheets
+
+
+def _object(path: Path, name: str) -> UserError:
+    what = f"the MATLAB object '{name}'" if name != "None" else "a MATLAB object"
+    return UserError(
+        f"{path} holds {what}, such as iddata, which only MATLAB reads: export it there with "
+        + _EXPORT.format(name=path.stem + "_arrays")
+    )
+
+
+class Hdf5(FileFormat):
+    """`.h5` and its kin."""
+
+    name = "HDF5"
+    suffixes: ClassVar[tuple[str, ...]] = (".h5", ".hdf5", ".hdf", ".he5")
+
+    def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
+        """Implement `FileFormat.read`."""
+        return tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=False), wanted)
+
+
+def _hdf5_tree(path: Path, *, matlab: bool) -> dict[str, Any]:
+    h5py = need("h5py", path, "intake")
+    try:
+        with h5py.File(path, "r") as file:
+            return _folder(h5py, file, file, path, matlab=matlab)
+    except OSError as error:
+        raise UserError(f"{path} does not read as HDF5: {error}") from None
+
+
+def _folder(h5py: Any, file: Any, group: Any, path: Path, *, matlab: bool) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, node in group.items():
+        if key.startswith("#"):
+            continue
+        if "MATLAB_object_decode" in node.attrs:
+            raise _object(path, key)
+        if isinstance(node, h5py.Group):
+            inner = _folder(h5py, file, node, path, matlab=matlab)
+            found[key] = _unzipped(inner) if matlab else inner
+        else:
+            found[key] = _dataset(h5py, file, node, path, matlab=matlab)
+    return found
+
+
+def _dataset(h5py: Any, file: Any, node: Any, path: Path, *, matlab: bool) -> Any:
+    if node.dtype.names:
+        whole = node[()]
+        return {name: np.asarray(whole[name]) for name in node.dtype.names}
+    if node.dtype == h5py.ref_dtype:
+        inner = [file[one] for one in np.ravel(node[()])]
+        return [
+            _folder(h5py, file, one, path, matlab=matlab)
+            if isinstance(one, h5py.Group)
+            else _dataset(h5py, file, one, path, matlab=matlab)
+            for one in inner
+        ]
+    values = np.asarray(node[()])
+    if values.dtype.kind in "OS":
+        return np.array(
+            [v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in values.flat],
+            dtype=object,
+        )
+    # MATLAB stores columns first: its T x n arrays are n x T in the file.
+    return values.T if matlab else values
+
+
+def _unzipped(fields: Mapping[str, Any]) -> Any:
+    """A struct array, stored as one list a field, as one mapping an element."""
+    lists = [v for v in fields.values() if isinstance(v, list)]
+    if not lists or len(lists) < len(fields) or len({len(v) for v in lists}) != 1:
+        return fields
+    return [dict(zip(fields, row, strict=True)) for row in zip(*fields.values(), strict=True)]
+
+
+# Parquet, Arrow and Feather.
+
+
+_ROWS = 262_144
+
+
+class Arrow(FileFormat):
+    """Read batch by batch, and only the requested columns, to save memory."""
+
+    name = "Parquet and Arrow"
+    suffixes: ClassVar[tuple[str, ...]] = (".parquet", ".pq", ".arrow", ".feather", ".ipc")
+
+    def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
+        """Implement `FileFormat.read`."""
+        file = _open(path)
+        empty = {n: Column(np.zeros(0, _kind(t))) for n, t in file.types.items()}
+        names = {find_column(list(empty), n) for n in wanted.names}
+        names |= {n for n in empty if n.casefold() in ("date", "datum")} if wanted.names else set()
+        names.add(time_column(FileTable(path.stem, empty, where=str(path)), wanted))
+        kept = [n for n in empty if n in names]
+        if not wanted.names or not all(find_column(list(empty), n) for n in wanted.names):
+            return (FileTable(path.stem, empty, where=str(path)),)
+        columns = {n: Column(cells) for n, cells in _collect(file, kept, path, wanted).items()}
+        return (FileTable(path.stem, columns, where=str(path)),)
+
+
+class _Batches:
+    """A file of batches.
+
+    Args:
+        types: of Arrow, by column
+        rows: number of them
+    """
+
+    def __init__(self, types: Mapping[str, Any], rows: int, batches: Any) -> None:
+        self.types = types
+        self.rows = rows
+        self.batches = batches
+
+
+def _open(path: Path) -> _Batches:
+    pyarrow = need("pyarrow", path, "intake")
+    try:
+        if path.suffix.lower() in (".parquet", ".pq"):
+            parquet: Any = need("pyarrow.parquet", path, "intake")
+            file: Any = parquet.ParquetFile(path)
+            schema: Any = file.schema_arrow
+            types = dict(zip(schema.names, schema.types, strict=True))
+            return _Batches(
+                types,
+                file.metadata.num_rows,
+                lambda names: file.iter_batches(batch_size=_ROWS, columns=names),
+            )
+        dataset: Any = need("pyarrow.dataset", path, "intake")
+        opened: Any = dataset.dataset(path, format="feather")
+        types = dict(zip(opened.schema.names, opened.schema.types, strict=True))
+        return _Batches(
+            types,
+            opened.count_rows(),
+            lambda names: opened.to_batches(columns=names, batch_size=_ROWS, use_threads=False),
+        )
+    except (OSError, pyarrow.lib.ArrowException) as error:
+        raise UserError(f"{path} does not read as Parquet or Arrow: {error}") from None
+
+
+def _kind(kind: Any) -> str:
+    text = str(kind)
+    if text.startswith(("timestamp", "date")):
+        return "datetime64[ns]"
+    return "float64" if text.startswith(("int", "uint", "float", "double", "half")) else "object"
+
+
+def _collect(file: _Batches, names: list[str], path: Path, wanted: Wanted) -> dict[str, Cells]:
+    """The columns, filled batch by batch."""
+    kinds = {n: _kind(file.types[n]) for n in names}
+    found = {n: np.empty(file.rows, dtype=kinds[n]) for n in names}
+    done = 0
+    batches: Iterator[Any] = file.batches(names)
+    for batch in batches:
+        for name in names:
+            found[name][done : done + batch.num_rows] = _cells(batch.column(name), kinds[name])
+        done += batch.num_rows
+        if file.rows > _ROWS:
+            wanted.progress(f"{path.name}: {done / file.rows:.0%} of {file.rows} rows")
+    return found
+
+
+def _cells(array: Any, kind: str) -> Cells:
+    if kind == "object":
+        return as_objects(array.to_pylist())
+    values = np.asarray(array.to_numpy(zero_copy_only=False))
+    return values.astype(kind)
+
+
+# Excel.
+
+
+class Excel(FileFormat):
+    """Each worksheet that has the wanted columns is a record."""
+
+    name = "Excel"
+    suffixes: ClassVar[tuple[str, ...]] = (".xlsx", ".xlsm")
+
+    def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
+        """Implement `FileFormat.read`."""
+        openpyxl = need("openpyxl", path, "intake")
+        try:
+            book: Any = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        except (OSError, KeyError, ValueError, BadZipFile) as error:
+            raise UserError(f"{path} does not read as an Excel workbook: {error}") from None
+        many = len(book.worksheets) > 1
+        found: list[FileTable] = []
+        for page in book.worksheets:
+            rows = [row for row in page.iter_rows(values_only=True) if _filled(row)]
+            name = page.title if many else path.stem
+            where = f"{path}, worksheet {page.title}" if many else str(path)
+            sheet = _sheet(rows, name, where, wanted)
+            if sheet is not None:
+                found.append(sheet)
+        book.close()
+        if not found:
+            raise UserError(f"{path} is empty: expected a header row, then numbers")
+        full = [s for s in found if all(find_column(list(s.columns), n) for n in wanted.names)]
+        return tuple(full or found[:1])
+
+
+def _filled(row: tuple[Any, ...]) -> bool:
+    return any(cell is not None and str(cell).strip() for cell in row)
+
+
+def _is_head(row: tuple[Any, ...]) -> bool:
+    cells = [c for c in row if c is not None]
+    return all(isinstance(c, str) and number(c) is None for c in cells)
+
+
+def _sheet(rows: list[tuple[Any, ...]], name: str, where: str, wanted: Wanted) -> FileTable | None:
+    first = next((k for k, row in enumerate(rows) if not _is_head(row)), None)
+    if first is None:
+        return None
+    wide = max(len(row) for row in rows[first:])
+    units = [""] * wide
+    if wanted.columns:
+        labels = list(wanted.columns)
+        if len(labels) != wide:
+            raise UserError(f"{where} has {wide} columns, but --columns names {len(labels)}")
+    else:
+        heads = [_texts(row, wide) for row in rows[max(first - 2, 0) : first]]
+        if not heads:
+            raise UserError(
+                f"{where}: the first row holds numbers: add a header row with the column names, or "
+                "give --columns"
+            )
+        wished = set(wanted.names)
+        hits = [sum(split_unit(c)[0] in wished for c in row) for row in heads]
+        top = 0 if len(heads) == 1 or hits[0] >= max(hits[1], 1) else 1
+        labels = heads[top]
+        units = [u.strip("[]() ") for u in heads[top + 1]] if top + 1 < len(heads) else units
+    units = [u or split_unit(n)[1] for u, n in zip(units, labels, strict=True)]
+    padded = [(*row, *[None] * (wide - len(row))) for row in rows[first:]]
+    cells = zip(*padded, strict=True)
+    columns = {
+        n: Column(as_objects(c), u) for n, u, c in zip(labels, units, cells, strict=True) if n
+    }
+    return FileTable(name, columns, None, where, first + 1)
+
+
+def _texts(row: tuple[Any, ...], wide: int) -> list[str]:
+    texts = ["" if c is None else str(c).strip() for c in row[:wide]]
+    return texts + [""] * (wide - len(texts))
+
+
+# Data loggers: TDMS and MDF4. Channels may have times of their own.
+
+
+class Tdms(FileFormat):
+    """LabVIEW. Each group that has the wanted channels is a record."""
+
+    name = "TDMS"
+    suffixes: ClassVar[tuple[str, ...]] = (".tdms",)
+
+    def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
+        """Implement `FileFormat.read`."""
+        nptdms = need("nptdms", path, "loggers")
+        try:
+            file: Any = nptdms.TdmsFile.read(path)
+        except (OSError, ValueError, KeyError) as error:
+            raise UserError(f"{path} does not read as TDMS: {error}") from None
+        groups: list[FileTable] = []
+        for group in file.groups():
+            columns = {c.name: _tdms_column(c) for c in group.channels() if len(c)}
+            where = f"{path}, group {group.name}"
+            groups.append(FileTable(group.name, columns, where=where))
+        full = [s for s in groups if all(find_column(list(s.columns), n) for n in wanted.names)]
+        if len(full) > 1 and wanted.names:
+            return tuple(full)
+        every = {n: c for s in groups for n, c in s.columns.items()}
+        return (FileTable(path.stem, full[0].columns if full else every, where=str(path)),)
+
+
+def _tdms_column(channel: Any) -> Column:
+    unit = str(channel.properties.get("unit_string", ""))
+    timestamps = None
+    if "wf_increment" in channel.properties:
+        timestamps = np.asarray(channel.time_track(), dtype=np.float64)
+    return Column(np.asarray(channel[:]), unit, timestamps)
+
+
+class Mdf(FileFormat):
+    """MDF 3 and 4 of automotive loggers. Groups have rasters of their own."""
+
+    name = "MDF"
+    suffixes: ClassVar[tuple[str, ...]] = (".mf4", ".mdf", ".dat4")
+
+    def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
+        """Implement `FileFormat.read`."""
+        asammdf = need("asammdf", path, "loggers")
+        try:
+            file: Any = asammdf.MDF(path)
+        except (OSError, ValueError, asammdf.blocks.utils.MdfException) as error:
+            raise UserError(f"{path} does not read as MDF: {error}") from None
+        with file:
+            known = [n for n in file.channels_db if n not in ("time", "t")]
+            columns = {n: Column(np.zeros(0)) for n in known}
+            for name in {find_column(known, n) for n in wanted.names} - {None}:
+                place = file.channels_db[name]
+                if len(place) > 1:
+                    raise UserError(
+                        f"{path}: {len(place)} channels are named '{name}': export the one that "
+                        "you mean under a name of its own"
+                    )
+                signal = file.get(name, group=place[0][0], index=place[0][1])
+                columns[name] = Column(
+                    np.asarray(signal.samples),
+                    str(signal.unit or ""),
+                    np.asarray(signal.timestamps, dtype=np.float64),
+                )
+        return (FileTable(path.stem, columns, where=str(path)),)
+
+
+# Bags of ROS 1 and ROS 2.
+
+
+class Rosbag(FileFormat):
+    """A channel is `/topic/field`, or `/topic/field/2` in an array. Its times are those of the
+    messages' headers, where all have one, and of their receipt otherwise or with `--time
+    receipt`."""
+
+    name = "rosbag"
+    suffixes: ClassVar[tuple[str, ...]] = (".bag", ".db3", ".mcap", "/")
+
+    def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
+        """Implement `FileFormat.read`."""
+        highlevel: Any = need("rosbags.highlevel", path, "ros")
+        if path.is_dir() and not (path / "metadata.yaml").is_file():
+            raise UserError(f"{path} is a folder without a metadata.yaml: name a file or a bag")
+        place = path.parent if path.suffix in (".db3", ".mcap") else path
+        typesys: Any = need("rosbags.typesys", path, "ros")
+        store: Any = typesys.get_typestore(typesys.Stores.LATEST)
+        try:
+            with highlevel.AnyReader([place], default_typestore=store) as reader:
+                columns = _columns(reader, wanted)
+        except (OSError, highlevel.AnyReaderError) as error:
+            raise UserError(f"{path} does not read as a bag: {error}") from None
+        return (FileTable(path.stem, columns, where=str(path)),)
+
+
+def _columns(reader: Any, wanted: Wanted) -> dict[str, Column]:
+    values: dict[str, list[float]] = {}
+    stamps: dict[str, list[float]] = {}
+    topics = [c for c in reader.connections if _is_asked(c.topic, wanted)]
+    first = int(reader.start_time)
+    for connection, received, raw in reader.messages(connections=topics or reader.connections):
+        message = reader.deserialize(raw, connection.msgtype)
+        when = received if wanted.time == "receipt" else _stamp(message, received)
+        for name, value in _fields(message, connection.topic):
+            values.setdefault(name, []).append(value)
+            stamps.setdefault(name, []).append((when - first) * 1e-9)
+    return {
+        name: Column(np.array(found), "", np.round(np.array(stamps[name], dtype=np.float64), 9))
+        for name, found in values.items()
+    }
+
+
+def _is_asked(topic: str, wanted: Wanted) -> bool:
+    return any(name.startswith(topic) or find_column([topic], name) for name in wanted.names)
+
+
+def _stamp(message: Any, received: int) -> int:
+    header: Any = getattr(message, "header", None)
+    if header is None:
+        return received
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec) or received
+
+
+def _fields(value: Any, name: str) -> Iterator[tuple[str, float]]:
+    if isinstance(value, bool | int | float | np.number):
+        yield name, float(value)
+    elif isinstance(value, np.ndarray | list) and len(value) <= 64:
+        for k, one in enumerate(value):
+            yield from _fields(one, f"{name}/{k}")
+    else:
+        for key in getattr(value, "__dataclass_fields__", {}):
+            if key not in ("header", "__msgtype__"):
+                yield from _fields(getattr(value, key), f"{name}/{key}")
+
+
+# Table of file formats and the choice of the format for a file.
+
+
+FORMATS: tuple[type[FileFormat], ...] = (
+    Text, Matlab, Hdf5, Arrow, NumpyFile, Excel, Tdms, Mdf, Rosbag,
+)  # fmt: skip
+
+
+def file_format(path: Path) -> FileFormat:
+    """The format of a file, by the end of its name. Raises UserError."""
+    if not path.exists():
+        raise UserError(f"no such file: {path}")
+    suffix = "/" if path.is_dir() else path.suffix.lower()
+    found = next((f for f in FORMATS if suffix in f.suffixes), None)
+    if found is None:
+        known = ", ".join(s for f in FORMATS for s in f.suffixes if s != "/")
+        what = "a folder" if suffix == "/" else f"a file of the kind '{suffix}'"
+        raise UserError(f"{path} is {what}, which ASIA does not read: expected one of {known}")
+    return found()
+
+
+def read_sheets(path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
+    """Read the tables in a file.
+
+    Raises:
+        UserError: when the file cannot be read
+    """
+    return file_format(path).read(path, wanted)

@@ -1,0 +1,355 @@
+"""Relations between signals in records: delays, feedback, transport, integrals, copies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data.trajectory import Array, Trajectory
+
+# Test samples that duplicate training samples or lie outside the training input range.
+
+
+_RUN = 10
+
+
+def shared_samples(test: Sequence[Trajectory], train: Sequence[Trajectory]) -> int:
+    """Samples of the test records inside runs of ten that also occur in a training record."""
+    own = [_run_hashes(record) for record in test]
+    # Test records are the shorter ones: every training record is looked up in them, one by one.
+    wanted = (
+        np.sort(np.concatenate([hashes for hashes, _ in own])) if own else np.zeros(0, np.uint64)
+    )
+    if wanted.size == 0:
+        return 0
+    copied = np.zeros(0, np.uint64)
+    for record in train:
+        hashes = _run_hashes(record)[0]
+        copied = np.concatenate([copied, hashes[_is_in(hashes, wanted)]])
+    copied = np.sort(copied)
+    return sum(
+        _covered(len(record), _is_in(hashes, copied) & moves)
+        for record, (hashes, moves) in zip(test, own, strict=True)
+    )
+
+
+def samples_outside(test: Sequence[Trajectory], train: Sequence[Trajectory]) -> tuple[int, ...]:
+    """Count the test samples of each input that exceed the training range by more than a hundredth
+    of it."""
+    u = [record.u for record in train]
+    low = np.min([values.min(axis=0) for values in u], axis=0)
+    high = np.max([values.max(axis=0) for values in u], axis=0)
+    edge = 0.01 * (high - low)
+    outside = [((r.u < low - edge) | (r.u > high + edge)).sum(axis=0) for r in test]
+    return tuple(int(count) for count in np.sum(outside, axis=0))
+
+
+def _is_in(values: NDArray[np.uint64], ordered: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """Return which values occur in the sorted array `ordered`."""
+    if ordered.size == 0:
+        return np.zeros(values.shape, dtype=bool)
+    places = np.searchsorted(ordered, values)
+    places[places == ordered.size] = 0
+    return ordered[places] == values
+
+
+def _covered(samples: int, starts: NDArray[np.bool_]) -> int:
+    """Samples inside the runs that begin where `starts` is true."""
+    inside = np.zeros(samples, dtype=bool)
+    for start in np.flatnonzero(starts):
+        inside[start : start + _RUN] = True
+    return int(inside.sum())
+
+
+def _run_hashes(record: Trajectory) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
+    """A hash of each run of ten rows, and whether anything moves in it: two records at rest look
+    the same without being copies."""
+    rows = np.concatenate([record.u, record.y], axis=1)
+    bits = rows.view(np.uint64)
+    if len(rows) < _RUN:
+        return np.zeros(0, np.uint64), np.zeros(0, np.bool_)
+    odd = np.random.default_rng(0).integers(1, 2**63, size=(bits.shape[1] + 1,), dtype=np.uint64)
+    odd |= np.uint64(1)
+    row = ((bits ^ (bits >> np.uint64(32))) * odd[:-1]).sum(axis=1, dtype=np.uint64)
+    row ^= row >> np.uint64(29)
+    count = len(rows) - _RUN + 1
+    hashes = np.zeros(count, np.uint64)
+    changes = np.zeros(count, np.int64)
+    step = np.any(rows[1:] != rows[:-1], axis=1)
+    for k in range(_RUN):
+        hashes = hashes * odd[-1] + row[k : k + count]
+        if k < _RUN - 1:
+            changes += step[k : k + count]
+    return hashes, changes > 0
+
+
+# Delays between inputs and outputs, and feedback, by correlation.
+
+
+# Lags of the whitening filter, and the 99 % point of a normal distribution.
+_WHITENING, _BAND = 15, 2.576
+LONGEST_DELAY = 100
+"""Samples."""
+# Lags of feedback that are looked at; the 99 % point of the largest of so many correlations.
+_BACK, _LARGEST = 20, 3.48
+
+
+@dataclass(frozen=True)
+class FoundDelay:
+    """Delay from an input to an output.
+
+    Attributes:
+        lag: samples until the output responds, 0 for a direct feed-through; None where it never
+            leaves the band. correlation: (lags,) from 0 on; band: its 99 % band without any
+            effect.
+    """
+
+    lag: int | None
+    correlation: Array
+    band: float
+
+
+def find_delay(records: Sequence[Trajectory], channel: int, output: int) -> FoundDelay:
+    """The first of two neighbouring lags at which the prewhitened input and the output correlate
+    beyond the 99 % band (Box and Jenkins, Time Series Analysis, section 11.2); the band is widened
+    for the number of lags."""
+    longest = min(LONGEST_DELAY, min(len(r) for r in records) // 4)
+    weights = _whitening([r.u[:, channel] for r in records])
+    sums, energy_u, energy_y, count = np.zeros(longest + 1), 0.0, 0.0, 0
+    for r in records:
+        u = _filtered(r.u[:, channel] - r.u[:, channel].mean(), weights)
+        y = _filtered(r.y[:, output] - r.y[:, output].mean(), weights)
+        sums += [u[: len(u) - k] @ y[k:] for k in range(longest + 1)]
+        energy_u, energy_y, count = energy_u + u @ u, energy_y + y @ y, count + len(u)
+    correlation = sums / max(np.sqrt(energy_u * energy_y), 1e-300)
+    band = _BAND / np.sqrt(max(count, 1))
+    beyond = np.abs(correlation) > band * 1.35
+    strong = np.abs(correlation) > 2 * band
+    hits = np.flatnonzero(strong | (beyond & np.append(beyond[1:], False)))
+    return FoundDelay(int(hits[0]) if hits.size else None, correlation, band)
+
+
+def find_feedback(records: Sequence[Trajectory], channel: int, output: int) -> bool | None:
+    """Return whether the innovation of the input correlates with earlier outputs beyond the 99 %
+    band.
+
+    Without feedback the innovation is independent of past outputs (Ljung, System Identification,
+    2nd ed., section 13.4). None where the filter leaves an innovation that is not white, as for a
+    few sines: the band does not hold for it.
+    """
+    longest = min(_BACK, min(len(r) for r in records) // 4)
+    weights = _whitening([r.u[:, channel] for r in records])
+    back, own = np.zeros(longest), np.zeros(longest)
+    energy_u, energy_y, count = 0.0, 0.0, 0
+    for r in records:
+        u = _filtered(r.u[:, channel] - r.u[:, channel].mean(), weights)
+        y = _filtered(r.y[:, output] - r.y[:, output].mean(), weights)
+        lags = range(1, longest + 1)
+        back += [u[k:] @ y[: len(y) - k] for k in lags]
+        own += [u[k:] @ u[: len(u) - k] for k in lags]
+        energy_u, energy_y, count = energy_u + u @ u, energy_y + y @ y, count + len(u)
+    band = _LARGEST / np.sqrt(max(count, 1))
+    if energy_u <= 0 or energy_y <= 0 or np.abs(own).max() > band * energy_u:
+        return None
+    return bool(np.abs(back).max() > band * np.sqrt(energy_u * energy_y))
+
+
+def _whitening(signals: Sequence[Array]) -> Array:
+    """Coefficients of an autoregressive filter that makes the signals white, the leading 1
+    included."""
+    order = min(_WHITENING, min(len(s) for s in signals) // 8)
+    rows: list[Array] = []
+    targets: list[Array] = []
+    for signal in signals:
+        centred = signal - signal.mean()
+        lags = np.lib.stride_tricks.sliding_window_view(centred, order + 1)
+        rows.append(lags[:, :-1][:, ::-1])
+        targets.append(lags[:, -1])
+    weights = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=1e-8)[0]
+    return np.concatenate([[1.0], -weights])
+
+
+def _filtered(values: Array, weights: Array) -> Array:
+    return np.convolve(values, weights)[len(weights) - 1 : len(values)]
+
+
+# Relation between the increments of outputs and the integrals of others.
+
+
+# A rate integrates to its output but for noise, delay and a gain near one.
+LEAST_CORRELATION = 0.6
+LARGEST_GAIN = 1.5
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Correlation and least-squares gain (ny, ny) of each output's increment (rows) on the
+    integral of each output (columns)."""
+
+    correlation: Array
+    gain: Array
+
+
+def motion(records: Sequence[Trajectory], span: int) -> Motion:
+    """Compare increments with integrals over `span` samples in all records.
+
+    Integrals use Euler steps: the rate at a sample moves the output of the next sample.
+    """
+    moved, integrals = (np.concatenate(parts) for parts in zip(*_pairs(records, span), strict=True))
+    energy = np.maximum((moved**2).sum(axis=0), 1e-300)
+    effect = np.maximum((integrals**2).sum(axis=0), 1e-300)
+    products = moved.T @ integrals
+    return Motion(products / np.sqrt(energy[:, None] * effect), products / effect)
+
+
+def _pairs(records: Sequence[Trajectory], span: int) -> list[tuple[Array, Array]]:
+    found: list[tuple[Array, Array]] = []
+    for t in records:
+        total = np.cumsum(t.y * t.sampling_time, axis=0)
+        integral = total[span - 1 : -1] - np.pad(total, ((1, 0), (0, 0)))[: len(t) - span]
+        found.append((t.y[span:] - t.y[:-span], integral))
+    return found
+
+
+# Transport delays through a pipe or along a belt whose pace is an input.
+#
+# A signal that leaves at a time entered when the integral of the pace was smaller by the volume of
+# the pipe: integral of the pace from entry to now = volume (plug flow). A slow pace means a long
+# delay.
+
+
+# Least pace as a share of the volume per sample, so that the transport never stops.
+_LEAST_PACE = 1e-4
+# Lower limit of the pace in a simulation, as a share of the least one in the records.
+_SLOWEST = 0.5
+# Delays in samples at the mean pace between which volumes are compared, and how many.
+_LONGEST, _COMPARED = 30.0, 31
+# Lags of the one-step model, the most samples and the most columns for each sample.
+_LAGS, _MOST_SAMPLES, _MOST_COLUMNS = 2, 4000, 0.2
+
+
+@dataclass(frozen=True)
+class Transport:
+    """A pipe whose pace is an input."""
+
+    pace: int
+    """Number of that input, whose values are positive."""
+    volume: float
+    """Volume of the pipe: unit of the input times samples."""
+    slowest: float = 0.0
+    """Lower limit of the pace in a simulation, so that nothing stays in the pipe for longer than
+    `longest` samples."""
+
+    @property
+    def least_pace(self) -> float:
+        """Lower limit of the pace."""
+        return max(self.slowest, _LEAST_PACE * self.volume)
+
+    @property
+    def longest(self) -> int:
+        """Samples after which all has left the pipe, at every pace."""
+        return int(np.ceil(self.volume / self.least_pace))
+
+    def carried(self, u: Array) -> Array:
+        """Inputs u (T, nu), physical units, held between samples and backwards before the first ->
+        (T, nu + 1): the inputs as they leave the pipe, means over each sample, and the pace."""
+        pace = np.maximum(u[:, self.pace], self.least_pace)
+        before = int(np.ceil(self.volume / pace[0])) + 1
+        held = np.concatenate([np.repeat(u[:1], before, axis=0), u])
+        passed = _sums(np.concatenate([np.repeat(pace[:1], before), pace])[:, None])[:, 0]
+        time = np.arange(len(passed), dtype=float)
+        entry = np.interp(passed[before:] - self.volume, passed, time)
+        sums = _sums(held)
+        amounts = np.stack([np.interp(entry, time, s) for s in sums.T], axis=1)
+        leaving = np.diff(amounts, axis=0) / np.diff(entry)[:, None]
+        return np.hstack([leaving, u[:, self.pace, None]])
+
+
+class FoundTransport(NamedTuple):
+    """The volume that explains most."""
+
+    transport: Transport
+    """The pipe."""
+    delay: float
+    """Delay in samples at the mean pace."""
+    ratio: float
+    """Squared one-step error with it, over the least of all constant delays; infinite where the
+    records are too short to tell."""
+
+
+def find_transport(records: Sequence[Trajectory], pace: int) -> FoundTransport:
+    """Volume of the pipe by the error of a one-step model with products of its signals.
+
+    Raises:
+        ValueError: where the input takes values that are not positive
+    """
+    least = min(float(r.u[:, pace].min()) for r in records)
+    if least <= 0.0:
+        raise ValueError(f"input {pace} cannot be a pace: it has values that are not positive")
+    mean = float(np.concatenate([r.u[:, pace] for r in records]).mean())
+    delays = np.geomspace(1.0, _LONGEST, _COMPARED)
+    parts = _parts(records)
+    each = [
+        _one_step_error([Transport(pace, mean * d).carried(r.u) for r in parts], parts)
+        for d in delays
+    ]
+    constant = [
+        _one_step_error([_late(r.u, d, pace) for r in parts], parts)
+        for d in range(round(_LONGEST) + 1)
+    ]
+    best = int(np.argmin(each))
+    known = np.isfinite(each[best]) and min(constant) > 0.0
+    ratio = each[best] / min(constant) if known else float("inf")
+    delay = float(delays[best])
+    found = Transport(pace, mean * delay, _SLOWEST * least)
+    return FoundTransport(found, delay, float(ratio))
+
+
+def _sums(values: Array) -> Array:
+    """Return the cumulative sums (T + 1, c) of (T, c): the amount before each sample."""
+    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+
+
+def _parts(records: Sequence[Trajectory]) -> list[Trajectory]:
+    """The first samples of each record that is longer than the longest delay."""
+    most = max(_MOST_SAMPLES // len(records), 4 * round(_LONGEST))
+    long = [r for r in records if len(r) > 2 * _LONGEST]
+    return [Trajectory(r.u[:most], r.y[:most], r.sampling_time, r.name) for r in long]
+
+
+def _late(u: Array, delay: int, pace: int) -> Array:
+    held = np.concatenate([np.repeat(u[:1], delay, axis=0), u])[: len(u)]
+    return np.hstack([held, u[:, pace, None]])
+
+
+def _one_step_error(inputs: Sequence[Array], records: Sequence[Trajectory]) -> float:
+    """Mean squared error, in variances of the outputs, of a model quadratic in lagged signals;
+    infinite with too few samples for it."""
+    if not records:
+        return float("inf")
+    rows = np.concatenate([_lagged(v, r.y) for v, r in zip(inputs, records, strict=True)])
+    ny = records[0].y.shape[1]
+    spread = rows.std(axis=0)
+    rows = (rows - rows.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
+    y, x = rows[:, :ny], rows[:, ny:]
+    columns = x.shape[1] * (x.shape[1] + 3) // 2 + 1
+    if columns > _MOST_COLUMNS * len(x):
+        return float("inf")
+    products = [x[:, i] * x[:, j] for i, j in combinations_with_replacement(range(x.shape[1]), 2)]
+    terms = np.column_stack([np.ones(len(x)), x, *products])
+    gram = terms.T @ terms + 1e-9 * len(x) * np.eye(columns)
+    left = y - terms @ np.linalg.solve(gram, terms.T @ y)
+    return float((left**2).mean())
+
+
+def _lagged(v: Array, y: Array) -> Array:
+    """Outputs, the outputs before, and the inputs now and before, from where every delay is
+    known."""
+    first, n = round(_LONGEST), len(y)
+    before = [y[first - k : n - k] for k in range(_LAGS + 1)]
+    return np.hstack([*before, v[first:], v[first - 1 : n - 1]])

@@ -1,0 +1,240 @@
+"""Signals and trajectories, with their digests."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.errors import UserError
+
+# Signals and measured records.
+
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Name and unit of one input or output channel."""
+
+    name: str
+    unit: str = ""
+
+    @property
+    def label(self) -> str:
+        """`name [unit]`, for axes and tables."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+def _is_frozen(values: object) -> TypeGuard[Array]:
+    """Return whether the array is read-only, so that records can share it."""
+    if not isinstance(values, np.ndarray) or values.dtype != np.float64:
+        return False
+    base: object = values
+    while isinstance(base, np.ndarray):
+        if base.flags.writeable:
+            return False
+        base = base.base
+    return base is None and values.ndim == 2 and values.flags.c_contiguous
+
+
+def _frozen(values: object, what: str, *, gaps: bool = False) -> Array:
+    array = values if _is_frozen(values) else np.array(values, dtype=np.float64, order="C")
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2:
+        raise UserError(f"{what}: expected an array (samples, channels), got shape {array.shape}")
+    wrong = np.isinf(array) if gaps else ~np.isfinite(array)
+    if wrong.any():
+        bad = np.argwhere(wrong)[0]
+        raise UserError(
+            f"{what}: missing or infinite value at sample {bad[0]}, channel {bad[1]}; "
+            "fill or cut the record there"
+        )
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One contiguous record.
+
+    NaN in `y` is an output that was not measured: there `missing` is True, and `y` has the straight
+    line between the measured neighbours, the nearest one at the ends.
+
+    Attributes:
+        u: (T, nu) inputs in physical units, float64, read-only
+        y: (T, ny) outputs in physical units, float64, read-only
+        sampling_time: s
+
+    Raises:
+        UserError: on unequal lengths, on other values that are not finite, and on an output
+            never measured
+    """
+
+    u: Array
+    y: Array
+    sampling_time: float
+    name: str = ""
+    missing: Mask | None = field(default=None)
+    """(T, ny), True where an output was not measured; None where all were."""
+
+    def __post_init__(self) -> None:
+        what = f"outputs of record '{self.name}'"
+        object.__setattr__(self, "u", _frozen(self.u, f"inputs of record '{self.name}'"))
+        object.__setattr__(self, "y", _frozen(self.y, what, gaps=True))
+        found = np.isnan(self.y)
+        if found.any():
+            missing = found if self.missing is None else found | self.missing
+            object.__setattr__(self, "y", _frozen(_complete(self.y, what), what))
+            object.__setattr__(self, "missing", missing)
+        if self.missing is not None:
+            missing = np.array(self.missing, dtype=np.bool_)
+            missing.flags.writeable = False
+            object.__setattr__(self, "missing", missing if missing.any() else None)
+        if len(self.u) != len(self.y):
+            raise UserError(
+                f"record '{self.name}': {len(self.u)} input samples but {len(self.y)} output "
+                "samples; both need the same length"
+            )
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    def __getitem__(self, part: slice) -> Trajectory:
+        missing = None if self.missing is None else self.missing[part]
+        return Trajectory(self.u[part], self.y[part], self.sampling_time, self.name, missing)
+
+    @property
+    def measured(self) -> Mask:
+        """(T, ny), True where an output was measured."""
+        if self.missing is None:
+            return np.broadcast_to(np.True_, self.y.shape)
+        return ~self.missing
+
+    @property
+    def measured_y(self) -> Array:
+        """(T, ny), the outputs with NaN where they were not measured."""
+        return self.y if self.missing is None else np.where(self.missing, np.nan, self.y)
+
+    def alone(self, start: int, stop: int) -> Trajectory:
+        """The samples from `start` to before `stop`, filled from these alone."""
+        if self.missing is None:
+            return self[start:stop]
+        y = self.measured_y[start:stop]
+        return Trajectory(self.u[start:stop], y, self.sampling_time, self.name)
+
+
+def unique_names(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, a later one that was there before with `_2`, `_3` and so on behind it."""
+    found: dict[str, None] = {}
+    for name in names:
+        number, own = 2, name
+        while own in found:
+            own, number = f"{name}_{number}", number + 1
+        found[own] = None
+    return tuple(found)
+
+
+def filled(values: Array) -> Array:
+    """values (T, n) with NaN -> on straight lines between the neighbours, held at the ends; a
+    column of NaN is zero."""
+    if not np.isnan(values).any():
+        return values
+    time, found = np.arange(len(values)), np.zeros_like(values)
+    for column, known in enumerate(~np.isnan(values).T):
+        if known.any():
+            found[:, column] = np.interp(time, time[known], values[known, column])
+    return found
+
+
+def spread_of(values: Array) -> Array:
+    """Standard deviation (n,), ddof 0, of the numbers in each column of (T, n), NaN left out."""
+    return np.nanstd(values, axis=0) if np.isnan(values).any() else values.std(axis=0)
+
+
+def _complete(y: Array, what: str) -> Array:
+    never = np.isnan(y).all(axis=0)
+    if never.any():
+        raise UserError(
+            f"{what}: output {int(np.argmax(never)) + 1} was never measured; leave the output or "
+            "the record out"
+        )
+    return filled(y)
+
+
+# sha256 of records.
+
+
+def data_digest(trajectories: Sequence[Trajectory]) -> str:
+    """Hex sha256 over sampling times, shapes and values, in order; names do not count.
+    An output that was not measured counts as NaN."""
+    digest = hashlib.sha256()
+    for t in trajectories:
+        digest.update(json.dumps([t.sampling_time, t.u.shape, t.y.shape]).encode())
+        for values in (t.u, t.measured_y):
+            digest.update(np.ascontiguousarray(values, "<f8").data)
+    return digest.hexdigest()
+
+
+# Values that double precision can be reckoned with: their squares neither overflow nor vanish.
+
+
+LARGEST_VALUE = 1e100
+"""The largest magnitude of a sample. Errors are squared and summed; double precision ends at about
+1e308."""
+LEAST_RANGE = 1e-100
+"""The least range of a training signal that moves: of a smaller one the variance comes out as 0."""
+
+
+def check_magnitudes(
+    trajectories: Sequence[Trajectory], inputs: Sequence[str], outputs: Sequence[str], what: str
+) -> None:
+    """Raise UserError for a sample above the largest magnitude.
+
+    Args:
+        what: kind of the records, for the message
+    """
+    for t in trajectories:
+        for role, names, values in (("input", inputs, t.u), ("output", outputs, t.y)):
+            magnitudes = np.abs(values)
+            if not values.size or magnitudes.max() <= LARGEST_VALUE:
+                continue
+            sample, channel = (int(i) for i in np.argwhere(magnitudes > LARGEST_VALUE)[0])
+            raise UserError(
+                f"{role} '{names[channel]}' of {what} record '{t.name}' is "
+                f"{values[sample, channel]:.3g} at sample {sample + 1}, expected a magnitude of at "
+                f"most {LARGEST_VALUE:g}, since its square must not overflow: correct the "
+                "sample, or give "
+                "the signal in a larger unit (divide its column by a power of ten)"
+            )
+
+
+def check_ranges(
+    trajectories: Sequence[Trajectory], inputs: Sequence[str], outputs: Sequence[str]
+) -> None:
+    """Raise UserError for a signal that moves, but so little that its variance comes out as 0."""
+    if not trajectories:
+        return
+    _check_range([t.u for t in trajectories], "input", inputs)
+    _check_range([t.y for t in trajectories], "output", outputs)
+
+
+def _check_range(arrays: Sequence[Array], role: str, names: Sequence[str]) -> None:
+    values = np.concatenate(arrays)
+    if not values.size:
+        return
+    for name, span in zip(names, np.ptp(values, axis=0).tolist(), strict=True):
+        if 0 < span < LEAST_RANGE:
+            raise UserError(
+                f"{role} '{name}' moves by {span:.3g} in all training records together, expected "
+                f"a range of at least {LEAST_RANGE:g}, since its square must not vanish: give the "
+                "signal in a smaller unit (multiply its column by a power of ten)"
+            )

@@ -1,0 +1,501 @@
+"""Export of a run's model: composition, parity check, usage page."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data.preprocess import Preprocess
+from asia.data.trajectory import Array, Signal
+from asia.errors import UserError
+from asia.export.model import Band, ExportModel, Printed, TrainingWindow
+from asia.export.parity import ParityRow, parity_row
+from asia.export.registry import find_target
+from asia.export.target import Target
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.ledger.events import Use
+from asia.ledger.run import Run, model_to_use, open_run
+from asia.lowering.program import Builder, LoweredModel, Program
+from asia.problem.load import load_lock
+from asia.problem.protocol import Block, Case
+from asia.search.run import LOCK, make_evaluator
+from asia.search.simulation import (
+    FinalMember,
+    final_members,
+    fold_models,
+    simulate,
+    simulate_members,
+)
+
+# Weighted mean of lowered models, as one program.
+#
+# This is also the place for what happens to signals outside the candidate: maps of inputs and of
+# the past window before a model reads them, and of outputs after it, are composed here, once for
+# all targets.
+
+
+def weighted_mean(parts: Sequence[tuple[float, LoweredModel]]) -> LoweredModel:
+    """Combine models of the same signals; the weights add up to 1."""
+    first = parts[0][1]
+    if len(parts) == 1:
+        return first
+    initial = Builder(first.initial.inputs)
+    window = list(range(len(initial.inputs)))
+    starts = [x for _, model in parts for x in inlined(initial, model.initial, window)]
+    states = [shape for _, model in parts for shape in model.states]
+    step = Builder((*states, (first.nu,)))
+    place, outputs, after = 0, list[tuple[float, int]](), list[int]()
+    for weight, model in parts:
+        own = list(range(place, place + len(model.states)))
+        place += len(own)
+        y, *found = inlined(step, model.step, [*own, len(states)])
+        outputs.append((weight, y))
+        after += found
+    total = _sum(step, outputs)
+    single = any(model.single for _, model in parts)
+    return LoweredModel(
+        first.n_past_u,
+        first.n_past_y,
+        first.nu,
+        first.ny,
+        single,
+        initial.program(starts),
+        step.program([total, *after]),
+    )
+
+
+def inlined(build: Builder, program: Program, inputs: Sequence[int]) -> list[int]:
+    """Inline a program into another one and return the numbers of its outputs there."""
+    values = [*inputs, *(build.constant(c) for c in program.constants)]
+    for node in program.nodes:
+        operands = [values[i] for i in node.operands]
+        values.append(build.add(node.op, operands, node.attrs, node.body))
+    return [values[i] for i in program.outputs]
+
+
+def _sum(build: Builder, terms: Sequence[tuple[float, int]]) -> int:
+    scaled = [build.add("mul", (build.constant(np.float64(w)), y)) for w, y in terms]
+    total = scaled[0]
+    for one in scaled[1:]:
+        total = build.add("add", (total, one))
+    return total
+
+
+# Page USE.md, which is written next to every target.
+
+
+def usage_page(target: Target, model: ExportModel, rows: Sequence[ParityRow]) -> str:
+    """Describe the model, the use of the files and the comparison with ASIA."""
+    low = model.lowered
+    lines = [
+        f"# {model.problem}: {model.use} of run {model.name}",
+        "",
+        f"Inputs {_signals(model.inputs)}; outputs {_signals(model.outputs)}; sampling time "
+        f"{model.sampling_time:g} s. Inputs are held between samples. The model starts from a "
+        f"past window of {low.n_past_u} inputs and {low.n_past_y} outputs, the oldest first, and "
+        "the input of the first sample. Output k belongs to input k.",
+        "",
+        target.usage,
+        "",
+        "| compared on the training windows | largest difference | microseconds a sample | bytes |",
+        "|---|---|---|---|",
+        *(_row(row) for row in rows),
+        "",
+        "The difference is relative to the spread of the measured output.",
+    ]
+    for signal, (low_end, high) in zip(model.inputs, model.input_range.tolist(), strict=True):
+        lines.append(f"Trained with {signal.name} from {low_end:g} to {high:g} {signal.unit}.")
+    for band in model.bands:
+        width = ", ".join(f"{w:.3g}" for w in band.half_width.tolist())
+        lines.append(
+            f"About {band.level:.0%} of measured outputs lie within {width} of the simulation, "
+            "inside the region of the training records."
+        )
+    return "\n".join([*lines, *model.notes, ""])
+
+
+def table(rows: Sequence[ParityRow]) -> list[str]:
+    """Comparison as lines for a terminal."""
+    found = [f"{'target':16}{'difference':>12}{'us/sample':>12}{'bytes':>10}"]
+    for row in rows:
+        gap = "not run" if row.difference is None else f"{row.difference:.1e}"
+        time = "" if row.microseconds is None else f"{row.microseconds:.2f}"
+        note = f"  {row.note}" if row.note else ""
+        found.append(f"{row.target:16}{gap:>12}{time:>12}{row.bytes:>10}{note}")
+    return found
+
+
+def _row(row: ParityRow) -> str:
+    gap = "" if row.difference is None else f"{row.difference:.1e}"
+    gap = ", ".join(part for part in (gap, row.note) if part)
+    time = "" if row.microseconds is None else f"{row.microseconds:.2f}"
+    return f"| {row.target} | {gap} | {time} | {row.bytes} |"
+
+
+def _signals(signals: Sequence[Signal]) -> str:
+    return ", ".join(f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals)
+
+
+# `[preprocess]` composed into a model, so that exported files read and return measured signals.
+#
+# The files step at the rate of the samples that were kept. Their state holds the inputs that a
+# delay still keeps back.
+
+
+def kept_delays(done: Preprocess, inputs: Sequence[Signal]) -> list[int]:
+    """Delay of each input, in samples that are kept.
+
+    Raises:
+        UserError: if one is no whole number.
+    """
+    every = done.decimate
+    for signal in inputs:
+        delay = done.delay.get(signal.name, 0)
+        if delay % every:
+            raise UserError(
+                f"preprocess.delay of '{signal.name}' is {delay} samples, no multiple of decimate "
+                f"{every}: exported files step at the rate of the samples that are kept; simulate "
+                "with asia.simulate, or make a run with a multiple"
+            )
+    return [done.delay.get(s.name, 0) // every for s in inputs]
+
+
+def measured(
+    low: LoweredModel, done: Preprocess, inputs: Sequence[Signal], outputs: Sequence[Signal]
+) -> LoweredModel:
+    """Convert a model of preprocessed signals to one of measured signals.
+
+    Raises:
+        UserError: as for `kept_delays`.
+    """
+    if not done:
+        return low
+    late = np.array(kept_delays(done, inputs))
+    longest, nu = int(late.max()), low.nu
+    initial = _begins(low, done, (inputs, outputs), late)
+    held = [(longest, nu)] if longest else []
+    step = Builder((*held, *low.states, (nu,)))
+    u = len(step.inputs) - 1
+    known = _stacked(step, 0, u) if longest else step.add("reshape", (u,), (1, nu))
+    acting = _picked(step, known, (longest - late) * nu + np.arange(nu))
+    states = range(len(held), len(held) + len(low.states))
+    y, *after = inlined(step, low.step, [*states, _standard(step, acting, done, inputs)])
+    offset, scale = (step.constant(a) for a in _numbers(done, outputs))
+    y = step.add("add", (step.add("mul", (y, scale)), offset))
+    line = [_picked(step, known, _rows(1, longest, nu))] if longest else []
+    return LoweredModel(
+        low.n_past_u + longest,
+        low.n_past_y,
+        nu,
+        low.ny,
+        low.single,
+        initial,
+        step.program([y, *line, *after]),
+    )
+
+
+def _begins(
+    low: LoweredModel,
+    done: Preprocess,
+    signals: tuple[Sequence[Signal], Sequence[Signal]],
+    late: NDArray[np.int64],
+) -> Program:
+    """Program for the states from the measured past window, before them the inputs that delays keep
+    back."""
+    longest, n, nu = int(late.max()), low.n_past_u, low.nu
+    build = Builder(((n + longest, nu), (low.n_past_y, low.ny), (nu,)))
+    known, channels = _stacked(build, 0, 2), np.arange(nu)
+    rows = np.arange(n)[:, None] + longest - late
+    past_u = _standard(build, _picked(build, known, rows * nu + channels), done, signals[0])
+    past_y = _standard(build, 1, done, signals[1])
+    first = _picked(build, known, (n + longest - late) * nu + channels)
+    u = _standard(build, first, done, signals[0])
+    line = [_picked(build, known, _rows(n, longest, nu))] if longest else []
+    return build.program([*line, *inlined(build, low.initial, [past_u, past_y, u])])
+
+
+def _rows(first: int, count: int, width: int) -> NDArray[np.int64]:
+    return np.arange(first * width, (first + count) * width).reshape(count, width)
+
+
+def measured_window(
+    window: TrainingWindow,
+    done: Preprocess,
+    inputs: Sequence[Signal],
+    outputs: Sequence[Signal],
+) -> TrainingWindow:
+    """Window in measured units, at the samples that are kept.
+
+    It is shorter by the longest delay; inputs before it that no model reads are made up.
+    """
+    late = kept_delays(done, inputs)
+    longest, n = max(late), len(window.past_u)
+    acting = physical(np.concatenate([window.past_u, window.u]), done, inputs)
+    rows = np.arange(len(acting))[:, None] - longest + np.array(late)
+    u = acting[np.clip(rows, 0, len(acting) - 1), np.arange(acting.shape[1])]
+    y_hat, y, past_y = (
+        physical(side, done, outputs) for side in (window.y_hat, window.y, window.past_y)
+    )
+    samples = len(window.u) - longest
+    return TrainingWindow(u[: n + longest], past_y, u[n + longest :], y_hat[:samples], y[:samples])
+
+
+def physical(values: Array, done: Preprocess, signals: Sequence[Signal]) -> Array:
+    """Convert preprocessed values (T, n) to the units they were measured in."""
+    offset, scale = _numbers(done, signals)
+    return values * scale + offset
+
+
+def _numbers(done: Preprocess, signals: Sequence[Signal]) -> tuple[Array, Array]:
+    offset = [done.offset.get(s.name, 0.0) for s in signals]
+    scale = [done.scale.get(s.name, 1.0) for s in signals]
+    return np.array(offset), np.array(scale)
+
+
+def _standard(build: Builder, value: int, done: Preprocess, signals: Sequence[Signal]) -> int:
+    """Compute (value - offset) / scale."""
+    shape = build.shape(value)
+    offset, scale = (build.constant(np.broadcast_to(a, shape)) for a in _numbers(done, signals))
+    return build.add("div", (build.add("sub", (value, offset)), scale))
+
+
+def _stacked(build: Builder, rows: int, last: int) -> int:
+    """Append a row: rows (R, n) and (n,) -> (R + 1, n)."""
+    (n,) = build.shape(last)
+    return build.add("concat", (rows, build.add("reshape", (last,), (1, n))), (0,))
+
+
+def _picked(build: Builder, value: int, places: NDArray[np.int64]) -> int:
+    attrs = (places.ndim, *places.shape, *places.reshape(-1))
+    return build.add("pick", (value,), tuple(int(a) for a in attrs))
+
+
+# Export of a model of a run: lower it, print it for each target, compare the files.
+
+
+_MOST_SAMPLES, _MOST_WINDOWS = 6000, 64
+_LEVEL, _EXAMPLE = 0.9, 100
+_REFUSED = "differs too much: the files refuse it"
+
+
+@dataclass(frozen=True)
+class Exported:
+    """Files that were written for one target."""
+
+    target: str
+    """Target as in `--to`."""
+    folder: Path
+    """Folder of the files."""
+    files: tuple[Path, ...]
+    """Paths of all files."""
+    parity: tuple[ParityRow, ...]
+    """Comparison with ASIA's own simulation, one row a variant."""
+
+
+@dataclass(frozen=True)
+class Ready:
+    """Lowered model of a run, with the windows that every target is compared on."""
+
+    model: ExportModel
+    """Model as the printers receive it."""
+    windows: tuple[TrainingWindow, ...]
+    """Windows from the training records."""
+
+
+def export(
+    directory: Path | str, targets: Sequence[str], model: str | None = None, out: Path | None = None
+) -> list[Exported]:
+    """Print a model of a finished run for each target and compare it with ASIA's own simulation.
+
+    Args:
+        directory: folder of the run.
+        targets: names of the targets.
+        model: `ensemble`, `refit`, `stack`, or the number of an experiment, whose fold models are
+            averaged; None for the model that the search recommends.
+        out: folder that receives a folder for each target; None for `export` in the run.
+
+    Raises:
+        UserError: for an unknown target, a model that cannot be exported, and files that differ
+            from ASIA's simulation, which are not written.
+    """
+    chosen = [find_target(name) for name in dict.fromkeys(targets)]
+    run = open_run(Path(directory))
+    ready = lowered_run(run, model)
+    folder = run.directory / "export" if out is None else out
+    return [write(one, ready, folder / one.name) for one in chosen]
+
+
+def write(one: Target, ready: Ready, folder: Path) -> Exported:
+    """Print for one target, compare, then write.
+
+    Raises:
+        UserError: if the difference exceeds the limit.
+    """
+    printed = one.print(ready.model)
+    with tempfile.TemporaryDirectory(prefix="asia-export-") as made:
+        trial = Path(made)
+        _put(trial, printed.files)
+        rows = _compared(one, trial, printed, ready)
+    wrong = next((r for r, without in rows if not r.holds and not without), None)
+    if wrong is not None:
+        raise UserError(
+            f"--to {one.name}: nothing was written: {wrong.target} differs from ASIA's own "
+            f"simulation by {wrong.difference:.1e} of the outputs' spread, at most "
+            f"{wrong.limit:.0e} is allowed; try another model (--model) or target"
+        )
+    files = dict(printed.files)
+    for row, without in rows:
+        files.update({} if row.holds else without)
+    rows = [row if row.holds else replace(row, note=_REFUSED) for row, _ in rows]
+    files["USE.md"] = usage_page(one, ready.model, rows).encode()
+    facts = ready.model.facts()
+    if printed.sizes:
+        facts["sizes"] = printed.sizes
+    text = json.dumps(facts, indent=2, allow_nan=False) + "\n"
+    files["model.json"] = text.encode()
+    _put(folder, files)
+    paths = tuple(folder / name for name in files)
+    return Exported(one.name, folder, paths, tuple(rows))
+
+
+def _compared(
+    one: Target, folder: Path, printed: Printed, ready: Ready
+) -> list[tuple[ParityRow, Mapping[str, bytes]]]:
+    """Parity rows, each with the files that disable its variant."""
+    found = one.run(folder, ready.windows)
+    if isinstance(found, str):
+        return [(ParityRow(one.name, None, 0.0, None, printed.bytes, found), {})]
+    if not found:
+        raise UserError(f"--to {one.name}: the files gave no simulation to compare")
+    single = ready.model.lowered.single
+    return [
+        (parity_row(one.name, a, ready.windows, single, printed.bytes), a.without) for a in found
+    ]
+
+
+def lowered_run(run: Run, model: str | None) -> Ready:
+    """Lower the model of a run.
+
+    Raises:
+        UserError: if it cannot be lowered.
+    """
+    use, members = _members(run, model)
+    problem = load_lock(run.directory / LOCK)
+    done, inputs, outputs = problem.preprocess, problem.channels.inputs, problem.channels.outputs
+    kept_delays(done, inputs)
+    evaluator = make_evaluator(problem, run.view)
+    lowered = measured(weighted_mean(_lowered(evaluator, run, members)), done, inputs, outputs)
+    each = _windows(evaluator, run, members)
+    windows = [measured_window(window, done, inputs, outputs) for window in each]
+    named = next((known for known in get_args(Use) if known == use), None)
+    u, y = (np.concatenate([getattr(r, side) for r in evaluator.records]) for side in ("u", "y"))
+    return Ready(
+        ExportModel(
+            name=run.name,
+            use=use,
+            problem=problem.name,
+            lowered=lowered,
+            inputs=inputs,
+            outputs=outputs,
+            sampling_time=problem.sampling_time,
+            input_range=_range(physical(u, done, inputs)),
+            output_range=_range(physical(y, done, outputs)),
+            example=windows[0].first(_EXAMPLE),
+            bands=() if named is None else _bands(run, named, windows[0], done.decimate),
+            notes=_notes(done, problem.sampling_time),
+        ),
+        tuple(windows),
+    )
+
+
+def _members(run: Run, model: str | None) -> tuple[str, tuple[FinalMember, ...]]:
+    known: tuple[str, ...] = get_args(Use)
+    if model is not None and model.isdigit():
+        number = int(model)
+        scored = {e.number: e for e in run.view.experiments if e.result is not None}
+        if number not in scored:
+            raise UserError(f"run '{run.name}' has no scored experiment {number}")
+        return f"experiment {number}", (fold_models(scored[number]),)
+    chosen = model_to_use(run.view)
+    if model is None:
+        if chosen is None:
+            raise UserError(f"run '{run.name}' has no scored model")
+        model = chosen.model
+    for use in get_args(Use):
+        if use == model:
+            return use, final_members(run.view, use)
+    raise UserError(
+        f"--model is '{model}', expected {', '.join(known)} or the number of an experiment"
+    )
+
+
+def _lowered(
+    evaluator: Evaluator, run: Run, members: Sequence[FinalMember]
+) -> list[tuple[float, LoweredModel]]:
+    found: list[tuple[float, LoweredModel]] = []
+    for member in members:
+        models = [run.store.get(one) for one in member.models]
+        for one in evaluator.lowered(run.store.text(member.source), models):
+            if isinstance(one, str):
+                raise UserError(f"run '{run.name}': the model cannot be exported: {one}")
+            found.append((member.weight / len(models), one))
+    return found
+
+
+def _windows(
+    evaluator: Evaluator, run: Run, members: Sequence[FinalMember]
+) -> list[TrainingWindow]:
+    """First training windows, the last of them cut short."""
+    blocks: list[Block] = []
+    left = _MOST_SAMPLES
+    for block in evaluator.training_blocks[:_MOST_WINDOWS]:
+        case, samples = block.case, min(len(block.y), left)
+        if samples < 1:
+            break
+        left -= samples
+        short = Case(case.name, case.past_u, case.past_y, case.u[:samples])
+        blocks.append(Block(short, block.y[:samples], record=block.record, start=block.start))
+    each = simulate_members(evaluator, run, members, blocks)
+    return [
+        TrainingWindow(b.case.past_u, b.case.past_y, b.case.u, y.mean(axis=0), b.y)
+        for b, y in zip(blocks, each, strict=True)
+    ]
+
+
+def _notes(done: Preprocess, sampling_time: float) -> tuple[str, ...]:
+    if done.decimate == 1:
+        return ()
+    return (
+        f"The model steps every {sampling_time:g} s: of the records one sample in {done.decimate} "
+        f"was kept. An input is the mean over {done.decimate} samples, from the kept one on; an "
+        "output belongs to the kept one.",
+    )
+
+
+def _bands(run: Run, use: Use, first: TrainingWindow, every: int) -> tuple[Band, ...]:
+    """Mean half width of the output bands on a window, inside the region of validity."""
+    past_u, past_y, u = (
+        np.repeat(side, every, axis=0) for side in (first.past_u, first.past_y, first.u)
+    )
+    found = simulate(run.directory, past_u, past_y, u, use, bands=_LEVEL)
+    inside = ~found.outside if not found.outside.all() else np.ones_like(found.outside)
+    return (Band(_LEVEL, 0.5 * (found.upper - found.lower)[inside].mean(axis=0)),)
+
+
+def _range(values: Array) -> Array:
+    return np.stack([values.min(axis=0), values.max(axis=0)], axis=1)
+
+
+def _put(folder: Path, files: dict[str, bytes]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)

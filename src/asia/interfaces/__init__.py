@@ -1,0 +1,1 @@
+"""Interfaces: command line, Python, workspace, MCP, coding agents."""

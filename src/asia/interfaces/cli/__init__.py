@@ -1,0 +1,297 @@
+"""The command line: parse, call the library, exit code.
+
+Exit codes: 0 done; 1 a bug, a broken sandbox or a failed check; 2 an error that the user can
+correct; 3 a search whose candidates all failed; 130 interrupted (SIGINT), 143 terminated (SIGTERM).
+"""
+
+from __future__ import annotations
+
+import inspect
+import signal
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from types import FrameType
+from typing import Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from asia._diagnostic import error_sentence
+from asia._plugins import Part, parts_of
+from asia._text import say
+from asia.errors import CandidateError, SandboxError, UserError
+from asia.interfaces.cli import bench as _bench
+from asia.interfaces.cli import bench as _compare
+from asia.interfaces.cli import bench as _suite
+from asia.interfaces.cli import check as _check
+from asia.interfaces.cli import (
+    demo,
+    doctor,
+    export,
+    init,
+    llm_check,
+    mcp,
+    models,
+    redteam,
+    report,
+    show,
+    status,
+    steer,
+    try_,
+    unseal,
+    validate,
+    verify,
+    view,
+    workspace,
+)
+from asia.interfaces.cli import run as _run
+from asia.interfaces.cli.options import with_groups
+
+__all__ = ["app", "main"]
+
+INTERRUPTED = 130
+TERMINATED = 128 + signal.SIGTERM
+PLUGINS = "asia.commands"
+MORE = "More commands"
+MOVED = {
+    "diff": "`asia diff` is now `asia show N M`.",
+    "confirm": "`asia confirm` is now `asia validate --repeat`.",
+    "ablate": "`asia ablate` is now `asia validate --ablate`.",
+    "replay": "`asia replay` is now `asia verify --replay`.",
+    "pause": "`asia pause` is now `asia steer --pause`, and `--end` is `asia steer --resume`.",
+    "stop": "`asia stop` is now `asia steer --stop`.",
+    "compare": "`asia compare` is now `asia bench agents`.",
+    "redteam": "`asia redteam` is now `asia doctor --attack`.",
+    "workspace": "`asia workspace` is now `asia agent workspace`.",
+    "mcp": "`asia mcp` is now `asia agent mcp`.",
+    "mcp-config": "`asia mcp-config` is now `asia agent config`.",
+    "llm-check": "`asia llm-check` is now `asia agent check`.",
+}
+"""Old names of commands, and where each is now."""
+
+
+class Commands(TyperGroup):
+    """The commands of ASIA and of installed plugins. An old name is answered with the new one."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """List the names, plugins last; without plugins whose names clash, see `asia doctor`."""
+        own = [*_MAIN, *_MORE]
+        with suppress(UserError):
+            own += [part.name for part in parts_of(PLUGINS) if part.name not in own]
+        return own
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return the command, from a plugin if it is none of ASIA's; None if there is none."""
+        own = super().get_command(ctx, cmd_name)
+        if own is not None or cmd_name in MOVED:
+            return own
+        found = next((part for part in parts_of(PLUGINS) if part.name == cmd_name), None)
+        return None if found is None else _plugin_command(found)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command of a command line. Raises UserError for an old name."""
+        if args and args[0] in MOVED:
+            raise UserError(MOVED[args[0]])
+        return super().resolve_command(ctx, args)
+
+
+class _Benchmarks(TyperGroup):
+    """The benchmarks; the former `asia bench PROBLEM` is answered with the new form."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args and args[0] not in self.commands:
+            raise UserError(f"`asia bench {args[0]}` is now `asia bench paper {args[0]}`.")
+        return super().resolve_command(ctx, args)
+
+
+def _group(text: str, group: type[TyperGroup] = TyperGroup) -> typer.Typer:
+    return typer.Typer(
+        cls=group,
+        help=text,
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="markdown",
+    )
+
+
+app = _group(
+    "Identify a dynamical system from measured records: search for models, score them by "
+    "open-loop simulation, and return a model with the evidence for it.",
+    Commands,
+)
+app.info.name = "asia"
+agent_app = _group("Connect a coding agent or a language model, or work by hand in a workspace.")
+bench_app = _group("Run benchmarks: the paper's, the suite, or agents compared.", _Benchmarks)
+
+_MAIN: dict[str, Callable[..., None]] = {
+    "init": init.init,
+    "check": _check.check,
+    "run": _run.run,
+    "status": status.status,
+    "show": show.show,
+    "validate": validate.validate,
+    "report": report.report,
+    "unseal": unseal.unseal,
+    "export": export.export,
+    "view": view.view,
+}
+_MORE: dict[str, Callable[..., None] | typer.Typer] = {
+    "steer": steer.steer,
+    "verify": verify.verify,
+    "agent": agent_app,
+    "bench": bench_app,
+    "doctor": doctor.doctor,
+    "models": models.models,
+    "demo": demo.demo,
+    "try": try_.try_,
+}
+_AGENT: dict[str, Callable[..., None]] = {
+    "workspace": workspace.workspace,
+    "try": try_.try_,
+    "mcp": mcp.mcp,
+    "config": mcp.mcp_config,
+    "check": llm_check.llm_check,
+}
+_BENCH: dict[str, Callable[..., None]] = {
+    "paper": _bench.paper,
+    "suite": _suite.suite,
+    "agents": _compare.compare_agents,
+}
+_BRIEF_HELP = {
+    _run.run: _run.BRIEF_HELP,
+    init.init: init.BRIEF_HELP,
+    workspace.workspace: workspace.BRIEF_HELP,
+}
+"""Options that `--help` of a command shows; `--help-all` shows the others too. Without an entry
+here `--help` shows all."""
+for _app, _commands, _panel in (
+    (app, _MAIN, None),
+    (app, _MORE, MORE),
+    (agent_app, _AGENT, None),
+    (bench_app, _BENCH, None),
+):
+    for _name, _command in _commands.items():
+        if isinstance(_command, typer.Typer):
+            _app.add_typer(_command, name=_name, rich_help_panel=_panel)
+        else:
+            _shown = with_groups(_command, _BRIEF_HELP.get(_command))
+            _app.command(_name, rich_help_panel=_panel)(_shown)
+
+
+def _plugin_command(part: Part) -> Any:
+    """Build the command of a plugin: a Typer app, or a function whose parameters are its options.
+    A part that does not load becomes a command that says so."""
+    try:
+        loaded = part.load()
+        if not isinstance(loaded, typer.Typer) and not inspect.isfunction(loaded):
+            raise UserError(
+                f"command {part.name} of package {part.package}: expected a typer.Typer or a "
+                f"function, got {type(loaded).__name__}"
+            )
+    except UserError as error:
+        loaded = _broken(error)
+    plugin = loaded if isinstance(loaded, typer.Typer) else typer.Typer(add_completion=False)
+    if inspect.isfunction(loaded):
+        plugin.command()(with_groups(loaded))
+    command: Any = typer.main.get_command(plugin)
+    command.name, command.rich_help_panel = part.name, f"Commands of {part.package}"
+    return command
+
+
+def _broken(error: UserError) -> Callable[[], None]:
+    def command() -> None:
+        """Does not load; `asia doctor` gives the reason."""
+        raise error
+
+    return command
+
+
+@app.callback(invoke_without_command=True)
+def _version(
+    version: bool = typer.Option(False, "--version", help="Print the version and exit."),
+) -> None:
+    if version:
+        from asia import __version__
+
+        say(f"asia {__version__}")
+        raise typer.Exit
+    if sys.platform == "win32":
+        raise UserError(doctor.WINDOWS)
+
+
+def main() -> None:
+    """Entry point of the `asia` command."""
+    before = signal.signal(signal.SIGTERM, _terminate)
+    try:
+        app(args=spread(sys.argv[1:]))
+    except UserError as error:
+        sys.exit(_complain(str(error), 2))
+    except CandidateError as error:
+        sys.exit(_complain(f"the candidate failed: {error.reason.advice}", 1))
+    except SandboxError as error:
+        sys.exit(_complain(f"the sandbox failed: {error}", 1))
+    except OSError as error:
+        sys.exit(_complain(f"{error.strerror or error}: {error.filename or 'a file'}", 2))
+    except Exception as error:
+        # A search has written its traceback already.
+        notes = getattr(error, "__notes__", ())
+        if not notes:
+            raise
+        sys.exit(_complain(f"internal error: {error_sentence(error)}; {'; '.join(notes)}", 1))
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            _complain(_ended("interrupted"), INTERRUPTED)
+        if end.code == TERMINATED:
+            _complain(_ended("terminated"), TERMINATED)
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _terminate(number: int, frame: FrameType | None) -> NoReturn:
+    """Exit as for an interrupt, so that workers are stopped and the ledger is closed."""
+    sys.exit(TERMINATED)
+
+
+def _ended(how: str) -> str:
+    words = sys.argv[1:]
+    resumed = words[:1] in (["run"], ["bench"]) or words[:2] in (
+        ["agent", "workspace"],
+        ["agent", "mcp"],
+    )
+    resumed |= words[:1] == ["validate"] and not {"--repeat", "--ablate"}.isdisjoint(words)
+    return f"{how}; the same command continues from here" if resumed else how
+
+
+def spread(words: list[str]) -> list[str]:
+    """Repeat a list option before each of its words: `--train a.csv b.csv` becomes `--train a.csv
+    --train b.csv`."""
+    known = {
+        "init": init.LISTS,
+        "validate": ("--columns",),
+        "bench paper": _bench.LISTS,
+        "bench agents": _compare.COMPARE_LISTS,
+        "doctor": redteam.LISTS,
+    }
+    lists = known.get(" ".join(words[:1])) or known.get(" ".join(words[:2]))
+    if lists is None:
+        return words
+    option: str | None = None
+    answer: list[str] = []
+    for word in words:
+        if word.startswith("-"):
+            name, equals, _ = word.partition("=")
+            option = name if name in lists else None
+            answer += [word] if equals or option is None else []
+        elif option is not None:
+            answer += [option, word]
+        else:
+            answer.append(word)
+    return answer
+
+
+def _complain(message: str, code: int) -> int:
+    say(f"asia: {message}", file=sys.stderr)
+    return code

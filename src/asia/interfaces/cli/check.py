@@ -1,0 +1,51 @@
+"""asia check: the data and the protocol of a problem."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asia._text import say
+from asia.interfaces.cli.options import DEFAULT_RUNS, ProblemName, Runs
+
+
+def check(
+    problem: ProblemName,
+    runs: Runs = DEFAULT_RUNS,
+    draw: Annotated[bool, typer.Option(help="Draw the training data.")] = True,
+) -> None:
+    """Print the data and the protocol of a problem, and draw the data."""
+    from asia.interfaces.workspace.workspace import is_workspace
+    from asia.problem.check import check_problem
+    from asia.problem.load import load_problem
+    from asia.problem.protocol import make_folds
+    from asia.problem.seal import seal
+    from asia.report import draw_problem
+    from asia.search.run import check_baseline
+
+    loaded = load_problem(problem)
+    check_baseline(loaded)
+    make_folds(loaded.train, loaded.protocol)
+    in_workspace = is_workspace(Path(problem))
+    for line in check_problem(loaded, seal(loaded), in_workspace=in_workspace).lines():
+        say(line)
+    if not draw:
+        return
+    failed: list[str] = []
+    try:
+        pictures = draw_problem(loaded, Path(runs) / "check" / loaded.name, failed)
+    except OSError as error:
+        say(
+            f"note: could not draw into {runs}: {error.strerror or error}; "
+            "give --runs DIR or set ASIA_RUNS",
+            file=sys.stderr,
+        )
+        return
+    for line in failed:
+        say(f"note    {line}", file=sys.stderr)
+    for path in pictures:
+        if path.suffix == ".png":
+            say(f"picture  {path}")

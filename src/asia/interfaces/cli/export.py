@@ -1,0 +1,69 @@
+"""asia export: code of the model for other programs."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from asia._text import say
+from asia.interfaces.cli.options import DEFAULT_RUNS, Json, RunName, Runs, run_directory
+
+if TYPE_CHECKING:
+    from asia.export.pipeline import Exported
+
+
+def export(
+    run: RunName = None,
+    to: Annotated[
+        list[str] | None,
+        typer.Option(help="Target, repeatable: numpy, c, onnx, fmu, casadi, control, matlab."),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="refit, ensemble, stack, or the number of an experiment; default: the model to "
+            "use."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for one folder per target; default: export in the run."),
+    ] = None,
+    runs: Runs = DEFAULT_RUNS,
+    json: Json = False,
+) -> None:
+    """Write a model of a run as code for other programs.
+
+    Compares the code with ASIA's own simulation of the training windows, and writes only code that
+    agrees.
+    """
+    from asia.errors import UserError
+    from asia.export.pipeline import export as write
+    from asia.export.pipeline import table
+    from asia.export.registry import target_names
+
+    if not to:
+        raise UserError(f"--to is missing: one of {', '.join(target_names())}, or several")
+    for one in write(run_directory(runs, run), to, model, out):
+        if json:
+            say(jsonlib.dumps(_facts(one), allow_nan=False))
+        stream = sys.stderr if json else sys.stdout
+        for line in table(one.parity):
+            say(line, file=stream)
+        say(str(one.folder), file=stream)
+
+
+def _facts(one: Exported) -> dict[str, Any]:
+    rows = one.parity
+    gaps = {r.target: r.difference for r in rows}
+    return {
+        "target": one.target,
+        "files": [str(path) for path in one.files],
+        "parity": gaps,
+        "microseconds_per_step": {r.target: r.microseconds for r in rows},
+        "bytes": rows[0].bytes,
+    }

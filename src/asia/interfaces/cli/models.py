@@ -1,0 +1,54 @@
+"""asia models: the model families that a candidate can import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from asia._text import say, say_lines
+
+if TYPE_CHECKING:
+    from asia.agents.view import Facts
+
+_EXAMPLE_PROBLEM = "two_tanks_sim"
+
+
+def models(
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One family.")] = None,
+    problem: Annotated[
+        str | None,
+        typer.Option(help="Problem for the example; default this workspace's, else two_tanks_sim."),
+    ] = None,
+) -> None:
+    """Print the model families, or one of them: options, training, an example."""
+    from asia._text import nearest
+    from asia.agents.library.pages import family_page
+    from asia.agents.library.registry import all_families
+    from asia.errors import UserError
+
+    rows = all_families()
+    if name is None:
+        width = max(len(row.name) for row in rows)
+        for row in rows:
+            say(f"{row.name:<{width}}  {row.use}")
+        say("asia models NAME prints options, training and an example")
+        return
+    found = next((row for row in rows if row.name == name), None)
+    if found is None:
+        raise UserError(f"no model family '{name}'{nearest(name, [row.name for row in rows])}")
+    facts = _facts(problem)
+    say_lines(family_page(found, facts if found.suits(facts) else None), end="")
+
+
+def _facts(problem: str | None) -> Facts:
+    """Return the facts of the named problem, of this workspace, or of a built-in problem."""
+    from asia.interfaces.workspace.workspace import Workspace
+    from asia.problem.load import load_problem
+    from asia.search.agent_views import problem_facts
+
+    place = Workspace.around(Path())
+    if problem is None and place is not None and (place.folder / "problem.toml").is_file():
+        problem = str(place.folder)
+    return problem_facts(load_problem(problem or _EXAMPLE_PROBLEM))

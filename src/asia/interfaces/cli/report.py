@@ -1,0 +1,80 @@
+"""asia report: the page and the pictures of a run; figures, tables and methods for a paper."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asia._text import say
+from asia.interfaces.cli.options import DEFAULT_RUNS, RunName, Runs, run_directory
+
+
+def report(
+    run: RunName = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(help="Only write the figures for a paper there: PDF, SVG, PNG."),
+    ] = None,
+    latex: Annotated[
+        Path | None, typer.Option(help="Only write the tables for a paper there, in LaTeX.")
+    ] = None,
+    methods: Annotated[
+        bool, typer.Option("--methods", help="Only print the paragraph on methods for a paper.")
+    ] = False,
+    bundle: Annotated[
+        Path | None,
+        typer.Option(help="Only write a static site of all runs below --runs there, to publish."),
+    ] = None,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """Write a run as one HTML page, and its pictures as PNG and PDF."""
+    if bundle is not None:
+        _publish(runs, bundle)
+        return
+    from asia.report import methods_paragraph, write_figures, write_tables
+
+    directory = run_directory(runs, run)
+    if figures is not None:
+        for path in write_figures(directory, figures):
+            say(str(path))
+    if latex is not None:
+        for path in write_tables(directory, latex):
+            say(str(path))
+    if methods:
+        say(methods_paragraph(directory))
+    if figures is None and latex is None and not methods:
+        _whole(directory)
+
+
+def _publish(runs: Path, directory: Path) -> None:
+    from asia.report import write_bundle
+
+    written = write_bundle(runs, directory)
+    for path in (written.index, *written.pages):
+        say(str(path))
+    for words in written.left_out:
+        say(f"left out {words}", file=sys.stderr)
+
+
+def _whole(directory: Path) -> None:
+    """Write the page and the pictures into the folder of the run."""
+    from asia.interfaces.cli.text import use_lines
+    from asia.ledger.artifacts import Store
+    from asia.ledger.run import open_run
+    from asia.report import write_page, write_report
+
+    failed: list[str] = []
+    for path in (write_page(directory), *write_report(directory, failed=failed)):
+        say(str(path))
+    for line in failed:
+        say(f"note    {line}", file=sys.stderr)
+    for line in use_lines(open_run(directory).view):
+        say(line, file=sys.stderr)
+    if not Store(directory / "artifacts").kept:
+        say(
+            "other pictures left out: they need simulations, and the run has no artifacts",
+            file=sys.stderr,
+        )

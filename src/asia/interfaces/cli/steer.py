@@ -1,0 +1,86 @@
+"""asia steer: send a note to a running search, pause, resume or stop it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from asia._text import say
+from asia.interfaces.cli.options import DEFAULT_RUNS, RunName, Runs, run_directory
+
+if TYPE_CHECKING:
+    from asia.ledger.run import Run
+
+
+def steer(
+    run: RunName = None,
+    text: Annotated[str | None, typer.Argument(hidden=True)] = None,
+    note: Annotated[
+        str | None,
+        typer.Option(
+            "--note", metavar="TEXT", help="Write a note; the agent reads it at its next step."
+        ),
+    ] = None,
+    pause: Annotated[
+        bool, typer.Option("--pause", help="Pause after the current experiment.")
+    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="End the pause.")] = False,
+    stop: Annotated[
+        bool,
+        typer.Option(
+            "--stop",
+            help="Stop after the current experiment. The command that began the search resumes it.",
+        ),
+    ] = False,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """Send a note to the agent of a running search; pause, resume or stop the search."""
+    from asia.errors import UserError
+    from asia.ledger.run import open_run
+
+    if text is not None:
+        raise UserError("`asia steer RUN TEXT` is now `asia steer RUN --note TEXT`.")
+    given = {"pause": pause, "resume": resume, "stop": stop}
+    orders = [order for order, wanted in given.items() if wanted]
+    if len(orders) > 1:
+        raise UserError(f"--{orders[0]} and --{orders[1]} do not go together: give one of them")
+    if not orders and note is None:
+        raise UserError("nothing to do: give --note TEXT, --pause, --resume or --stop")
+    opened = open_run(run_directory(runs, run))
+    if (pause or stop) and opened.state != "running":
+        raise UserError(f"run '{opened.name}' is {opened.state}: there is nothing to {orders[0]}")
+    if note is not None:
+        _send_note(opened, note)
+    for order in orders:
+        _give_order(opened, order)
+
+
+def _send_note(opened: Run, note: str) -> None:
+    from asia.agents.registry import reads_notes
+    from asia.search.steering import Steering
+
+    started = opened.view.started
+    Steering(opened.directory).steer(note)
+    when = "at its next step" if opened.state == "running" else "when the search continues"
+    say(f"noted for {opened.name}: recorded {when}")
+    if not reads_notes(started):
+        say(f"note     the agent '{started.agent}' reads no notes; the ledger keeps it for people")
+
+
+def _give_order(opened: Run, order: str) -> None:
+    from asia.search.steering import Steering
+
+    steering, name = Steering(opened.directory), opened.name
+    resume = f"asia steer {name} --resume continues it"
+    if order == "stop":
+        steering.stop()
+        say(f"{name} stops after its current experiment")
+    elif order == "resume":
+        say(f"{name} continues" if steering.paused else f"{name} was not paused")
+        steering.go_on()
+    elif steering.paused:
+        say(f"{name} is already paused; {resume}")
+    else:
+        steering.pause()
+        say(f"{name} pauses after its current experiment; {resume}")

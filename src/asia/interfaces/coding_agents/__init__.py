@@ -1,0 +1,1 @@
+"""Coding agents that run as commands: in a jail, capped, resumed."""

@@ -1,0 +1,104 @@
+"""Streamable HTTP on this machine, behind a bearer token."""
+
+from __future__ import annotations
+
+import hmac
+import os
+import secrets
+import socket
+import sys
+
+import uvicorn
+from starlette.responses import JSONResponse
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from asia._text import say
+from asia.errors import UserError
+from asia.interfaces.mcp.answers import Opened
+from asia.interfaces.mcp.server import make_server
+
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+LEAST_TOKEN = 16
+_END_SECONDS = 2
+
+
+class BearerOnly:
+    """Passes requests that bear the token, answers all others with 401."""
+
+    def __init__(self, app: ASGIApp, token: str) -> None:
+        self._app = app
+        self._expected = f"Bearer {token}".encode()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] == "http" and not self._admits(scope):
+            body = {"error": "a bearer token is needed: send Authorization: Bearer TOKEN"}
+            refusal = JSONResponse(body, 401, {"WWW-Authenticate": "Bearer"})
+            await refusal(scope, receive, send)
+            return
+        await self._app(scope, receive, send)
+
+    def _admits(self, scope: Scope) -> bool:
+        given = [value for name, value in scope["headers"] if name == b"authorization"]
+        return len(given) == 1 and hmac.compare_digest(given[0], self._expected)
+
+
+def serve(opened: Opened, address: str, token_variable: str | None) -> None:
+    """See `asia.interfaces.mcp.serve_http`."""
+    host, port = _address(address)
+    token = _token(token_variable)
+    with _listening(host, port) as listener:
+        app = BearerOnly(make_server(opened).streamable_http_app(host=host), token)
+        config = uvicorn.Config(
+            app, log_level="warning", ws="none", timeout_graceful_shutdown=_END_SECONDS
+        )
+        shown = f"[{host}]" if ":" in host else host
+        say(f"asia: http://{shown}:{listener.getsockname()[1]}/mcp", file=sys.stderr)
+        if token_variable is None:
+            say(f"asia: token {token}", file=sys.stderr)
+        sys.stderr.flush()
+        uvicorn.Server(config).run(sockets=[listener])
+
+
+def _address(address: str) -> tuple[str, int]:
+    host, colon, port = address.rpartition(":")
+    host = host.strip("[]")
+    if not colon or not port.isdecimal() or int(port) > 65535:
+        raise UserError(f"--http {address}: expected HOST:PORT, such as 127.0.0.1:8765")
+    if host not in LOOPBACK:
+        raise UserError(
+            f"--http {address}: expected a host of this machine ({', '.join(LOOPBACK)}), "
+            "since the token is not encrypted; from another machine, forward the port: ssh "
+            "-L"
+        )
+    return host, int(port)
+
+
+def _token(variable: str | None) -> str:
+    """Return the token from the environment and remove it there: the search that is started does
+    not need it.
+    """
+    if variable is None:
+        return secrets.token_urlsafe(32)
+    token = os.environ.pop(variable, "").strip()
+    if len(token) < LEAST_TOKEN or not token.isascii() or not token.isprintable():
+        raise UserError(
+            f"--token-env {variable}: expected a token of at least {LEAST_TOKEN} ASCII characters "
+            "in that environment variable"
+        )
+    return token
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+        listener.listen()  # before the address is printed
+    except OSError as error:
+        listener.close()
+        raise UserError(
+            f"--http {host}:{port}: {error.strerror}; choose another port, or 0 for a free one"
+        ) from None
+    return listener

@@ -1,0 +1,324 @@
+"""Addresses of the live view, behind an access token."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
+from importlib import resources
+from pathlib import Path
+from typing import Final
+from urllib.parse import parse_qs, quote, urlencode
+
+from anyio.to_thread import run_sync
+from starlette.applications import Starlette
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import (
+    HTMLResponse,
+    JSONResponse,
+    PlainTextResponse,
+    RedirectResponse,
+    Response,
+    StreamingResponse,
+)
+from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from asia.errors import UserError
+from asia.interfaces.view.followed import RunFolder, Snapshot
+from asia.interfaces.view.pages import (
+    FIRST,
+    comparison_page,
+    comparison_part,
+    digest_of,
+    experiment_page,
+    experiment_part,
+    experiment_rows,
+    overlay_part,
+    progress_part,
+    run_page,
+    runs_page,
+    runs_table,
+    section_part,
+    whole_page,
+)
+from asia.interfaces.view.streams import Streams, tell
+from asia.report.page.html import said, tag
+from asia.report.page.page import page_style
+
+# Routes of the pages and their contents.
+
+
+_KINDS: Final = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+_STATIC: Final = ("view.css", "view.js", "zoom.js", "icon.svg")
+_LONGEST_BODY: Final = 20_000
+
+
+def make_app(folder: RunFolder, streams: Streams, token: str) -> Starlette:
+    """Return the web application for a folder of runs. `TokenOnly` must wrap it."""
+    pages = _Pages(folder, streams, token)
+    routes = [
+        Route("/", pages.listed),
+        Route("/events", pages.list_events),
+        Route("/static/{name}", pages.static),
+        Route("/compare", pages.compare),
+        Route("/compare/part", pages.compare_part),
+        Route("/runs/{run}", pages.run),
+        Route("/runs/{run}/events", pages.run_events),
+        Route("/runs/{run}/curve", pages.curve),
+        Route("/runs/{run}/rows", pages.rows),
+        Route("/runs/{run}/sections/{key}", pages.section),
+        Route("/runs/{run}/experiments/{number:int}", pages.experiment),
+        Route("/runs/{run}/experiments/{number:int}/part", pages.experiment_part),
+        Route("/runs/{run}/experiments/{number:int}/overlays/{index:int}", pages.overlay),
+        Route("/runs/{run}/{what}", pages.steer, methods=["POST"]),
+    ]
+    return Starlette(routes=routes, exception_handlers={UserError: pages.refuse})
+
+
+@dataclass(frozen=True)
+class _Pages:
+    """A method an address. Those that are not coroutines run in threads."""
+
+    folder: RunFolder
+    """The runs."""
+    streams: Streams
+    """Open event streams."""
+    token: str
+    """Token that a page sends with a command of the user."""
+
+    def _snapshot(self, request: Request, *, with_records: bool = False) -> Snapshot:
+        return self.folder.get(request.path_params["run"]).snapshot(with_records=with_records)
+
+    def listed(self, request: Request) -> Response:
+        """The list of runs."""
+        listed = self.folder.listed()
+        digest = digest_of(runs_table(listed))
+        return HTMLResponse(runs_page(self.folder.folder, listed, digest, self.token))
+
+    def run(self, request: Request) -> Response:
+        """The page of a run."""
+        return HTMLResponse(run_page(self._snapshot(request), self.token))
+
+    def curve(self, request: Request) -> Response:
+        """V of every experiment, drawn."""
+        return HTMLResponse(progress_part(self._snapshot(request).subject))
+
+    def rows(self, request: Request) -> Response:
+        """Earlier experiments for the list."""
+        before, most = (_number(request, key) for key in ("before", "most"))
+        subject = self._snapshot(request).subject
+        return HTMLResponse(experiment_rows(subject, before, most or FIRST))
+
+    def section(self, request: Request) -> Response:
+        """A section of the report."""
+        found = section_part(self._snapshot(request, with_records=True), request.path_params["key"])
+        return Response(status_code=204) if found is None else HTMLResponse(found)
+
+    def experiment(self, request: Request) -> Response:
+        """The page of an experiment."""
+        snapshot = self._snapshot(request, with_records=True)
+        return HTMLResponse(experiment_page(snapshot, request.path_params["number"], self.token))
+
+    def experiment_part(self, request: Request) -> Response:
+        """Send the content of the experiment's page."""
+        number = request.path_params["number"]
+        return HTMLResponse(experiment_part(self._snapshot(request, with_records=True), number))
+
+    def overlay(self, request: Request) -> Response:
+        """Some samples of a held-out simulation, drawn."""
+        number, index = (request.path_params[key] for key in ("number", "index"))
+        first, last = (_number(request, key) for key in ("first", "last"))
+        snapshot = self._snapshot(request, with_records=True)
+        return HTMLResponse(overlay_part(snapshot, number, index, first or 0, last))
+
+    def compare(self, request: Request) -> Response:
+        """Two runs side by side."""
+        return HTMLResponse(comparison_page(self._pair(request), self.token))
+
+    def compare_part(self, request: Request) -> Response:
+        """Send the content of the comparison's page."""
+        return HTMLResponse(comparison_part(self._pair(request)))
+
+    def _pair(self, request: Request) -> list[Snapshot]:
+        names = request.query_params.getlist("run")
+        if len(names) != 2:
+            raise UserError(f"expected two runs to compare, got {len(names)}")
+        return [self.folder.get(name).snapshot(with_records=True) for name in names]
+
+    async def run_events(self, request: Request) -> Response:
+        """Stream the changes of a run."""
+        followed = await run_sync(self.folder.get, request.path_params["run"])
+        return _stream(self.streams.of_run(followed, _mark(request)))
+
+    async def list_events(self, request: Request) -> Response:
+        """The list of runs, whenever it changes."""
+        return _stream(self.streams.of_list(self.folder, _mark(request)))
+
+    async def steer(self, request: Request) -> Response:
+        """Pass a command of the user to the search."""
+        text = await _body(request)
+        snapshot = await run_sync(self._snapshot, request)
+        words = await run_sync(tell, snapshot.run, request.path_params["what"], text)
+        return JSONResponse({"words": words})
+
+    def static(self, request: Request) -> Response:
+        """Styles and scripts."""
+        name = request.path_params["name"]
+        if name == "page.css":
+            return Response(page_style(), media_type=_KINDS[".css"])
+        if name not in _STATIC:
+            return Response(status_code=404)
+        file = resources.files("asia").joinpath("interfaces", "view", "static", name)
+        return Response(file.read_bytes(), media_type=_KINDS[name[name.rindex(".") :]])
+
+    def refuse(self, request: Request, error: Exception) -> Response:
+        """Send the message of an error."""
+        words = str(error)
+        if request.method == "POST":
+            return JSONResponse({"words": words}, 409)
+        main = (tag("h1", "This cannot be shown"), tag("p", said(words, 1000)))
+        page = whole_page("Not shown", (("Searches", "/"),), main, self.token)
+        return HTMLResponse(page, 404)
+
+
+def _number(request: Request, key: str) -> int | None:
+    """A count that the address names; None where it names none."""
+    text = request.query_params.get(key, "")
+    return int(text) if text.isdecimal() and len(text) < 16 else None
+
+
+def _mark(request: Request) -> str:
+    """Return the state that the page shows: the last message that it received, else the state it
+    was loaded with.
+    """
+    return request.headers.get("last-event-id") or request.query_params.get("mark", "")
+
+
+def _stream(messages: AsyncIterator[str]) -> Response:
+    return StreamingResponse(messages, media_type="text/event-stream")
+
+
+async def _body(request: Request) -> str:
+    """Raises UserError where it is too long."""
+    found = b""
+    async for part in request.stream():
+        found += part
+        if len(found) > _LONGEST_BODY:
+            raise UserError(f"a note has at most {_LONGEST_BODY} bytes")
+    return found.decode("utf-8", "replace")
+
+
+# Access control: the pages answer only browsers on this machine that hold the token.
+#
+# 127.0.0.1 belongs to every process and every user of the machine, agents with a network among
+# them, so that reading needs the token too. The printed address contains it; the first answer puts
+# it into a cookie. Requests that change a search need it once more, in a header that no other site
+# can send.
+
+
+TOKEN_HEADER: Final = "x-asia-token"
+_LEAST_TOKEN = 16
+_HOSTS = ("127.0.0.1", "localhost")
+_READS = ("GET", "HEAD")
+# Nothing comes from another host, nothing of a candidate runs, no other page frames this one.
+_HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; "
+        "style-src-attr 'unsafe-inline'; img-src 'self'; connect-src 'self'; "
+        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+
+def kept_token(runs: Path) -> str:
+    """The token of a folder of runs. It is made once and kept there, readable for its owner alone,
+    so that pages that are open find a server that was started again. Where it cannot be kept it is
+    a new one."""
+    path = runs / ".view-token"
+    fresh = secrets.token_urlsafe(32)
+    try:
+        path.touch(mode=0o600, exist_ok=True)
+        path.chmod(0o600)
+        found = path.read_text("ascii").strip()
+        if len(found) >= _LEAST_TOKEN:
+            return found
+        path.write_text(fresh, "ascii")
+    except (OSError, ValueError):
+        pass
+    return fresh
+
+
+class TokenOnly:
+    """Passes requests that may be made, and refuses all others in words."""
+
+    def __init__(self, app: ASGIApp, token: str, port: int) -> None:
+        self._app = app
+        self._token = token
+        self._hosts = {f"{host}:{port}" for host in _HOSTS}
+        self._cookie = f"asia-view-{port}"
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def sent(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(_HEADERS)
+            await send(message)
+
+        answer = self._refusal(scope) or self._greeting(scope) or self._app
+        await answer(scope, receive, sent)
+
+    def _refusal(self, scope: Scope) -> Response | None:
+        """Why the request is not passed; None where it is, or where it brings the token."""
+        headers = Headers(scope=scope)
+        if headers.get("host", "") not in self._hosts:
+            return PlainTextResponse("asia view answers to 127.0.0.1 and localhost only\n", 421)
+        if scope["method"] in _READS:
+            if self._is_token(self._brought(scope) or self._remembered(headers)):
+                return None
+            return PlainTextResponse(
+                "This page needs the token: open the address that asia view printed.\n", 401
+            )
+        origin = headers.get("origin")
+        own = origin is None or origin.removeprefix("http://") in self._hosts
+        if not own or not self._is_token(headers.get(TOKEN_HEADER, "")):
+            return PlainTextResponse("the token is missing or wrong\n", 403)
+        return None
+
+    def _greeting(self, scope: Scope) -> Response | None:
+        """The same address without the token, which the browser keeps from now on."""
+        if scope["method"] not in _READS or not self._brought(scope):
+            return None
+        query = parse_qs(scope["query_string"].decode("latin-1"))
+        query.pop("token")
+        rest = urlencode(query, doseq=True)
+        # A path that begins with two slashes would name another host.
+        path = "/" + quote(scope["path"].lstrip("/"))
+        answer = RedirectResponse(path + (f"?{rest}" if rest else ""), 303)
+        answer.set_cookie(self._cookie, self._token, httponly=True, samesite="strict")
+        return answer
+
+    def _brought(self, scope: Scope) -> str:
+        found = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
+        return found[0] if found else ""
+
+    def _remembered(self, headers: Headers) -> str:
+        try:
+            found = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
+        except CookieError:
+            return ""
+        return found.value if found is not None else ""
+
+    def _is_token(self, words: str) -> bool:
+        return secrets.compare_digest(words.encode("utf-8", "replace"), self._token.encode())

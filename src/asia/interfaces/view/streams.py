@@ -1,0 +1,136 @@
+"""Server-sent events, and steering from the live view."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from functools import partial
+
+from anyio.to_thread import run_sync
+
+from asia.agents.registry import reads_notes
+from asia.errors import UserError
+from asia.interfaces.view.followed import FollowedRun, RunFolder, Snapshot
+from asia.interfaces.view.pages import FIRST, Changed, list_news, run_news
+from asia.ledger.run import Run
+from asia.search.steering import Steering
+
+# Server-sent events: what is new on a page, from the line of the ledger on that it shows.
+
+
+_LOOK_SECONDS = 0.1
+_LIST_SECONDS = 0.5
+_BEAT_SECONDS = 10.0
+_RETRY = "retry: 500\n\n"
+
+
+class Streams:
+    """Open event streams of the pages."""
+
+    def __init__(self) -> None:
+        self._over = False
+
+    def end(self) -> None:
+        """Each of them within a moment."""
+        self._over = True
+
+    def of_run(self, followed: FollowedRun, mark: str) -> AsyncIterator[str]:
+        """Stream the changes of a run since a mark of its ledger."""
+        return self._messages(_RunNews(followed, mark).look, _LOOK_SECONDS)
+
+    def of_list(self, folder: RunFolder, shown: str) -> AsyncIterator[str]:
+        """The list of runs whenever it changes. shown: the digest of the one that is shown."""
+        return self._messages(partial(list_news, folder), _LIST_SECONDS, shown)
+
+    async def _messages(
+        self, look: Callable[[str], Changed | None], pause: float, mark: str = ""
+    ) -> AsyncIterator[str]:
+        yield _RETRY
+        beaten = time.monotonic()
+        while not self._over:
+            found = await run_sync(look, mark)
+            if found is not None:
+                mark, beaten = found.mark, time.monotonic()
+                yield f"event: {found.kind}\nid: {mark}\ndata: {json.dumps(found.data)}\n\n"
+            elif time.monotonic() - beaten > _BEAT_SECONDS:
+                beaten = time.monotonic()
+                yield ": still here\n\n"
+            await asyncio.sleep(pause)
+
+
+@dataclass
+class _RunNews:
+    """State of one stream."""
+
+    followed: FollowedRun
+    """The run."""
+    mark: str
+    """The line up to which the page shows it."""
+    told: Snapshot | None = None
+    """Snapshot of the last message; None before the first one."""
+    trouble: str = ""
+    """Last error message."""
+
+    def look(self, _: str) -> Changed | None:
+        """Return the next message; None without changes."""
+        try:
+            snapshot = self.followed.snapshot()
+        except UserError as error:
+            if str(error) == self.trouble:
+                return None
+            self.trouble = str(error)
+            return Changed("trouble", self.mark, {"words": self.trouble})
+        if snapshot is self.told and not self.trouble:
+            return None
+        count = self.followed.count_of(self.mark)
+        if count is None or len(snapshot.changed_since(count)) > FIRST:
+            return Changed("anew", snapshot.mark, {})
+        first, self.told, self.trouble = self.told is None, snapshot, ""
+        self.mark = snapshot.mark
+        return run_news(snapshot, count, first=first)
+
+
+# Notes and orders to a search, as `asia steer` gives them.
+
+
+def tell(run: Run, what: str, text: str) -> str:
+    """Execute a command: steer, pause, continue or stop.
+
+    Args:
+        run: the run.
+        what: the command.
+        text: the note of steer.
+
+    Returns:
+        The effect of the command, as a sentence.
+
+    Raises:
+        UserError: the command cannot be executed.
+    """
+    steering, running = Steering(run.directory), run.state == "running"
+    if what == "steer":
+        steering.steer(text)
+        return _noted(run, running=running)
+    if what == "continue":
+        words = "the search continues" if steering.paused else "the search was not paused"
+        steering.go_on()
+        return words
+    if what not in ("pause", "stop"):
+        raise UserError(f"no '{what}'; there is: steer, pause, continue, stop")
+    if not running:
+        raise UserError(f"run '{run.name}' is {run.state}: there is nothing to {what}")
+    if what == "pause":
+        steering.pause()
+        return "the search pauses after its current experiment"
+    steering.stop()
+    return "the search stops after its present experiment; repeat its command to resume it"
+
+
+def _noted(run: Run, *, running: bool) -> str:
+    when = "at its next step" if running else "when the search continues"
+    text, started = f"noted: recorded {when}", run.view.started
+    deaf = f"; the agent '{started.agent}' does not read notes, so the note is only recorded"
+    return text if reads_notes(started) else f"{text}{deaf}"

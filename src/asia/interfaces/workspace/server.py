@@ -1,0 +1,1002 @@
+"""Submission server: candidates in, results out, over a queue of files or a unix socket."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import socketserver
+import threading
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, astuple, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, Protocol, Self
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from asia._text import one_line
+from asia.agents.view import Proposal
+from asia.candidate import check_source
+from asia.data.trajectory import Signal
+from asia.errors import CandidateError, Reason, SandboxError, UserError
+from asia.interfaces.workspace.process import (
+    TEXT,
+    TITLE,
+    Queue,
+    SearchRequest,
+    attended,
+    has_begun,
+    log_path,
+    requested_problem,
+    runs,
+    start_search,
+)
+from asia.judge.evaluation.dry_runs import DryRun
+from asia.judge.evaluation.references import LINEAR
+from asia.judge.scoring.residuals import Diagnostics
+from asia.ledger.events import Stopped
+from asia.ledger.evidence import (
+    ComparedScore,
+    FoldShown,
+    evidence_lines,
+    evidence_of,
+    last_lines,
+    settings_of_run,
+)
+from asia.ledger.exports import error_line
+from asia.ledger.run import Run, open_run
+from asia.ledger.view import Experiment, SearchView, published
+from asia.report.simulated import SimulatedCases
+from asia.search.agent_views import digest
+from asia.search.dry_runs import dry_run
+from asia.search.simulation import simulated_excerpts
+from asia.search.steering import Steering
+
+# Answers of the submission server: state of a submission, of an experiment and of the search.
+
+
+_PRINTED_LINES = 10
+# Message of XLA's locks if a system-call filter refuses one.
+_NOT_ITS_OWN = "[mutex.cc :"
+
+SubmissionState = Literal["queued", "running", "done", "withdrawn", "unknown"]
+
+
+@dataclass(frozen=True)
+class Submission:
+    """State of a submitted candidate."""
+
+    ticket: str
+    """Identifier of the submission, before and after it becomes an experiment."""
+    state: SubmissionState
+    """`withdrawn` only in the answer to taking it back; afterwards, as for a ticket never given,
+    it is `unknown`."""
+    ahead: int = 0
+    """Number of submissions before it in the queue."""
+    experiment: int | None = None
+    """Its number, once it is an experiment."""
+    repeated: bool = False
+    """True if the same source was submitted before, so that this answer costs no experiment."""
+
+
+@dataclass(frozen=True)
+class ExperimentSummary:
+    """An experiment in few words, safe to show to anyone: no output of the candidate but one
+    bounded line of its own error."""
+
+    experiment: int
+    """Its number, from 1."""
+    status: str
+    """Keep, discard, or how it failed."""
+    value: float | None
+    """V; None without a score."""
+    folds: tuple[float, ...]
+    """V of each fold."""
+    reason: str | None
+    """Why there is no score, one word."""
+    advice: str | None
+    """Recommended action."""
+    detail: str | None
+    """The last line of the candidate's own error."""
+    title: str
+    """The candidate's title, one line."""
+    parent: int | None
+    """The experiment it was made from."""
+    seconds: float
+    """Duration of the evaluation, s."""
+    duplicate_of: int | None
+    """Experiment with the same source, whose outcome applies."""
+    training: Diagnostics | None
+    """Residual analysis of the training side, in each figure the worst of the folds."""
+
+
+@dataclass(frozen=True)
+class SearchProgress:
+    """State of the search."""
+
+    run: str
+    """Name of the run."""
+    problem: str
+    """Name of the problem."""
+    state: str
+    """State as in `asia status`: running, interrupted, finished or unsealed."""
+    experiments: int
+    """Experiments finished."""
+    budget: int
+    """Experiments in all."""
+    v_name: str
+    """Label of V in this search."""
+    best: int | None
+    """Number of the incumbent."""
+    best_value: float | None
+    """V of the incumbent."""
+    rungs: dict[str, float | None]
+    """V of each trivial reference; None where it has none."""
+    notes: tuple[str, ...]
+    """Notes of the user to the agent."""
+    running: int | None = None
+    """Number of the experiment that is being evaluated."""
+
+    @property
+    def remaining(self) -> int:
+        """Experiments left."""
+        return max(0, self.budget - self.experiments)
+
+
+@dataclass(frozen=True)
+class DryRunSummary:
+    """Summary of a dry run."""
+
+    reason: str | None
+    """Why the candidate would have no score, one word; None where nothing was found."""
+    advice: str | None
+    """Recommended action."""
+    detail: str | None
+    """The last line of the candidate's own error."""
+    printed: tuple[str, ...]
+    """The last lines that the candidate printed, bounded; its own words."""
+    samples: int
+    """Samples that it was fitted to."""
+    of_samples: int
+    """Samples that the whole first fold trains on."""
+    fit_seconds: float | None
+    """Duration of the fit, s; None if it failed."""
+    compile_seconds: float
+    """Part of the total time that JAX spent on tracing and compiling, s."""
+    simulate_seconds: float
+    """Duration of the simulations without compilation, s."""
+    whole_fit_seconds: float | None
+    """The fit of the whole fold, if its time but for compilation grows as the samples do."""
+    limit_seconds: float
+    """The limit of a fit in a try."""
+    allowed_seconds: float
+    """The limit of the fit in this dry run."""
+
+
+def printed_lines(output: str) -> tuple[str, ...]:
+    """The last lines that a candidate printed, without those that libraries write in a sandbox."""
+    lines = [one for one in output.splitlines() if not one.startswith(_NOT_ITS_OWN)]
+    return tuple(one_line(line) for line in lines[-_PRINTED_LINES:])
+
+
+def dry_run_summary(found: DryRun) -> DryRunSummary:
+    """A dry run in few words."""
+    failure, whole = found.failure, found.whole_fit_seconds()
+    fit = found.fit_seconds
+    return DryRunSummary(
+        reason=failure.reason.value if failure else None,
+        advice=failure.advice if failure else None,
+        detail=(error_line(failure.detail) or None) if failure else None,
+        printed=printed_lines(found.output),
+        samples=found.samples,
+        of_samples=found.of_samples,
+        fit_seconds=None if fit is None else round(fit, 2),
+        compile_seconds=round(found.compile_seconds, 2),
+        simulate_seconds=round(found.simulate_seconds, 2),
+        whole_fit_seconds=None if whole is None else round(whole, 1),
+        limit_seconds=found.limit_seconds,
+        allowed_seconds=found.allowed_seconds,
+    )
+
+
+def summary_of(experiment: Experiment) -> ExperimentSummary:
+    """An evaluated experiment in few words."""
+    p, r, score, failure = (
+        experiment.proposed, experiment.result, experiment.score, experiment.failure,
+    )  # fmt: skip
+    assert r is not None
+    return ExperimentSummary(
+        experiment=experiment.number,
+        status=r.status,
+        value=score.value if score else None,
+        folds=tuple(f.value for f in score.folds) if score else (),
+        reason=failure.reason.value if failure else None,
+        advice=failure.advice if failure else None,
+        detail=(error_line(failure.detail) or None) if failure else None,
+        title=one_line(p.title, TITLE),
+        parent=p.parent,
+        seconds=round(r.seconds, 1),
+        duplicate_of=r.duplicate_of,
+        training=_worst([f.diagnostics for f in r.folds]),
+    )
+
+
+def _worst(folds: Sequence[Diagnostics]) -> Diagnostics | None:
+    if not folds:
+        return None
+    return Diagnostics(*(max(values) for values in zip(*map(astuple, folds), strict=True)))
+
+
+def progress_of(run: Run) -> SearchProgress:
+    """Return the state of a run."""
+    view = run.view
+    best = view.best
+    return SearchProgress(
+        run=view.started.run,
+        problem=view.started.problem,
+        state=run.state,
+        experiments=len(view.finished),
+        budget=view.leg_end,
+        v_name=view.v_name,
+        best=best.number if best else None,
+        best_value=best.score.value if best and best.score else None,
+        rungs={r.name: getattr(r.outcome, "value", None) for r in view.rungs},
+        notes=tuple(note.text for note in view.notes),
+        running=view.pending.number if view.pending is not None else None,
+    )
+
+
+# The evidence of an experiment as a desk gives it: in lines to read, and in numbers.
+
+
+_EVIDENCE_PRINTED_LINES = 40
+
+
+@dataclass(frozen=True)
+class FoldSummary:
+    """One fold of an experiment."""
+
+    held_out: str
+    """Description of the held-out part."""
+    V: float | None
+    """V of the fold; None where it is not reported."""
+    train_error: float
+    """The metric on the training records, as it enters V."""
+    errors: dict[str, float]
+    """The metric of each output on the held-out part, as it enters V."""
+    train_errors: dict[str, float]
+    """The same on the training records."""
+    steps: dict[str, dict[str, float]]
+    """Step of a window -> output -> error on the held-out windows at that step."""
+    fit_seconds: float
+    """Duration of the fit."""
+    compile_seconds: float | None
+    """Compile time of JAX, s; None if not known."""
+    memory_mb: float | None
+    """The largest address space of the worker; None where it is not known."""
+    parameters: dict[str, float]
+    """Those that the model names."""
+    printed: tuple[str, ...]
+    """The last lines that the fit printed: the candidate's own words."""
+
+
+@dataclass(frozen=True)
+class EvidenceSummary:
+    """Evidence on an experiment besides its score."""
+
+    lines: tuple[str, ...]
+    """Complete evidence as lines of text, most useful first."""
+    folds: tuple[FoldSummary, ...]
+    """Each fold in numbers; () for a failure."""
+    residuals: tuple[str, ...]
+    """Operating ranges in which the model is too high or too low on the training records."""
+    held_out_residuals: tuple[str, ...]
+    """The same on the held-out samples; () unless the problem shows these."""
+    disagreeing: tuple[str, ...]
+    """Parameters that the folds disagree on."""
+    differences: tuple[ComparedScore, ...]
+    """Differences of V to the parent and to the best before."""
+    noise: float | None
+    """The standard deviation of V over repeats; None where it was not measured."""
+    fit_limit_seconds: float
+    """Time limit of the fit of a fold, s."""
+    memory_limit_mb: int
+    """The largest address space of a worker."""
+
+
+def evidence_summary(run: Run, number: int) -> EvidenceSummary:
+    """Summarise the evidence on an experiment of a run whose view holds the reported scores.
+
+    Raises:
+        UserError: there is no such experiment, or it has no result.
+    """
+    experiment = run.view.experiment(number)
+    if experiment.result is None:
+        raise UserError(f"experiment {number} is being evaluated: it has no result yet")
+    setting = settings_of_run(run.directory)
+    bounded = run.view.started.ladder is not None
+    found = evidence_of(experiment, run.view, run.store, setting, bounded=bounded)
+    return EvidenceSummary(
+        lines=tuple(evidence_lines(found)),
+        folds=tuple(_fold(fold, setting.outputs) for fold in found.folds),
+        residuals=tuple(
+            one.residual.words(setting.inputs, setting.outputs) for one in found.residuals
+        ),
+        held_out_residuals=tuple(
+            one.residual.words(setting.inputs, setting.outputs) for one in found.held_out_residuals
+        ),
+        disagreeing=tuple(one.name for one in found.parameters if one.disagrees),
+        differences=found.differences,
+        noise=found.noise,
+        fit_limit_seconds=setting.fit_seconds,
+        memory_limit_mb=setting.memory_mb,
+    )
+
+
+def _fold(fold: FoldShown, outputs: Sequence[Signal]) -> FoldSummary:
+    known = fold.findings
+
+    def by_output(values: Sequence[float]) -> dict[str, float]:
+        return dict(zip((s.name for s in outputs), values, strict=False))
+
+    return FoldSummary(
+        held_out=fold.held_out,
+        V=fold.value,
+        train_error=fold.diagnostics.train_error,
+        errors=by_output(known.errors if known else ()),
+        train_errors=by_output(known.train_errors if known else ()),
+        steps={str(s.step): by_output(s.errors) for s in (known.steps if known else ())},
+        fit_seconds=round(fold.fit_seconds, 2),
+        compile_seconds=round(known.compile_seconds, 2) if known else None,
+        memory_mb=round(known.memory_mb) if known and known.memory_mb else None,
+        parameters=dict(known.parameters) if known else {},
+        printed=tuple(last_lines(known.printed, _EVIDENCE_PRINTED_LINES)) if known else (),
+    )
+
+
+# Submission server: accepts candidates and returns results, for processes other than the search.
+#
+# It reads the ledger and writes to the queue of a run directory. The search that empties the queue
+# is a process of its own, which is started if necessary. The submitting process may end at any
+# time.
+
+
+_POLL = 0.1
+# Ticket of the baseline, which is not submitted; valid before the search has recorded it.
+_BASELINE = "experiment-1"
+
+
+class Desk(Protocol):
+    """Submission server of a search. Every method raises UserError with the recommended action."""
+
+    def submit(self, proposal: Proposal) -> Submission:
+        """Hand in a candidate; its static errors are reported at once and cost no experiment."""
+        ...
+
+    def submission(self, ticket: str) -> Submission:
+        """Return the state of a submission."""
+        ...
+
+    def withdraw(self, ticket: str) -> Submission:
+        """Take a submission back that is still queued."""
+        ...
+
+    def results(self) -> tuple[ExperimentSummary, ...]:
+        """Return all finished experiments."""
+        ...
+
+    def source(self, experiment: int) -> str:
+        """An experiment's candidate.py."""
+        ...
+
+    def evidence(self, experiment: int) -> EvidenceSummary:
+        """Return the evidence on a finished experiment besides its score."""
+        ...
+
+    def progress(self) -> SearchProgress:
+        """Return the state of the search."""
+        ...
+
+    def attended(self) -> bool:
+        """Return whether a process judges the submissions."""
+        ...
+
+    def simulated(self, experiment: int) -> SimulatedCases:
+        """Some training cases of an experiment, simulated again; held-out ones too where the
+        problem shows their residuals."""
+        ...
+
+    def dry_run(self, source: str) -> DryRunSummary:
+        """Try a candidate on a short cut of training records: no experiment, no score."""
+        ...
+
+
+class RunDesk:
+    """The desk of a run directory."""
+
+    def __init__(self, directory: Path, keep_alive: Callable[[Path], None] | None = None) -> None:
+        """keep_alive: called with the run directory where the search is needed and does not run."""
+        self._directory = directory.resolve()
+        self._queue = Queue(self._directory)
+        self._keep_alive = keep_alive
+        self._aside = threading.Lock()
+        self._seen: tuple[tuple[int, ...], Run] | None = None
+
+    def run(self) -> Run:
+        """Return the run with the reported scores, read again if its ledger has changed. A search
+        that never began is started first.
+
+        Raises:
+            UserError: as `open_run`.
+        """
+        ledger = self._directory / "ledger.jsonl"
+        if self._keep_alive is not None and not has_begun(self._directory):
+            self._keep_alive(self._directory)
+        if not ledger.is_file():
+            return open_run(self._directory)
+        stat = ledger.stat()
+        timestamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
+        seen = self._seen
+        if seen is None or seen[0] != timestamp:
+            run = open_run(self._directory)
+            seen = (timestamp, replace(run, view=published(run.view)))
+            self._seen = seen
+        return seen[1]
+
+    def submit(self, proposal: Proposal) -> Submission:
+        """See `Desk.submit`; the same source, comments apart, is one submission, unless its result
+        depended on how fast the machine was."""
+        proposal = tidy(proposal)
+        try:
+            check_source(proposal.source)
+        except CandidateError as error:
+            raise UserError(
+                f"the candidate was not submitted and cost no experiment: {error.reason.advice}"
+                + (f" ({one_line(error.detail)})" if error.detail else "")
+            ) from None
+        self.run()
+        with self._queue.alone():
+            known = self._known(digest(proposal.source))
+            if known is None:
+                ticket = self._put(proposal)
+            elif known.state == "done":
+                return known
+            else:
+                ticket = known.ticket
+        try:
+            self.wake()
+        except UserError as error:
+            raise UserError(f"submission {ticket} is stored and was not judged: {error}") from None
+        return replace(self.submission(ticket), repeated=known is not None)
+
+    def _known(self, wanted: str) -> Submission | None:
+        """Return the submission with this digest; None if it was not submitted before. The queue is
+        read first: submissions that leave it are in the ledger by then.
+        """
+        for ticket in self._queue.tickets():
+            waiting = self._queue.get(ticket)
+            if waiting is not None and digest(waiting.source) == wanted:
+                return Submission(ticket, "queued", repeated=True)
+        experiments = self.run().view.experiments
+        for experiment in experiments:
+            settled = experiment.result is None or not experiment.result.deadline
+            if settled and experiment.proposed.digest == wanted:
+                return replace(_submission_of(experiment), repeated=True)
+        if not experiments and wanted == _baseline_digest(self._directory):
+            return Submission(_BASELINE, "queued", repeated=True)
+        return None
+
+    def _put(self, proposal: Proposal) -> str:
+        waiting = self._queue.tickets()
+        run = self.run()
+        view, budget = run.view, _budget(self._directory, run)
+        over = _over(self._directory, run)
+        if over is not None:
+            raise UserError(f"the candidate was not judged: {over}")
+        in_ledger = {e.proposed.ticket for e in view.experiments}
+        # The baseline is the first experiment and is not submitted.
+        spent = max(1, len(view.experiments)) + sum(t not in in_ledger for t in waiting)
+        if spent >= budget:
+            raise UserError(
+                f"the candidate was not evaluated: the budget of {budget} experiments is spent; "
+                "the user can raise it with asia agent workspace or asia agent mcp and a larger "
+                "--experiments"
+            )
+        numbers = {1, *(e.number for e in view.experiments)}
+        if proposal.parent is not None and proposal.parent not in numbers:
+            raise UserError(f"parent {proposal.parent}: expected an experiment of this search")
+        return self._queue.put(proposal)
+
+    def wake(self) -> None:
+        """Start the search where it has something to do and is not there. Raises UserError when it
+        does not start, or is over."""
+        run = self.run()
+        if not self._queue.tickets() and run.view.experiments and run.view.pending is None:
+            return
+        over = _over(self._directory, run)
+        if over is not None:
+            raise UserError(over)
+        if self._keep_alive is None:
+            return
+        self._keep_alive(self._directory)
+        view = self.run().view
+        ended = view.complete and not runs(self._directory)
+        if ended and view.stopped is not None and self._queue.tickets():
+            raise UserError(
+                f"the search has ended ({view.stopped.reason}); the user can raise its budget with "
+                "asia agent workspace or asia agent mcp and a larger --experiments or --hours"
+            )
+
+    def submission(self, ticket: str) -> Submission:
+        """See `Desk.submission`."""
+        waiting = self._queue.tickets()
+        for experiment in self.run().view.experiments:
+            if ticket == _ticket_of(experiment):
+                return _submission_of(experiment)
+        if ticket in waiting:
+            return Submission(ticket, "queued", waiting.index(ticket))
+        if ticket == _BASELINE:
+            return Submission(ticket, "queued")
+        return Submission(ticket, "unknown")
+
+    def withdraw(self, ticket: str) -> Submission:
+        """See `Desk.withdraw`."""
+        if self._queue.withdraw(ticket):
+            return Submission(ticket, "withdrawn")
+        state = self.submission(ticket).state
+        text = "about to be evaluated" if state == "queued" else state
+        raise UserError(
+            f"submission {one_line(ticket, 60)} is {text}: only a queued one can be withdrawn"
+        )
+
+    def results(self) -> tuple[ExperimentSummary, ...]:
+        """See `Desk.results`."""
+        return tuple(summary_of(e) for e in self.run().view.finished)
+
+    def source(self, experiment: int) -> str:
+        """See `Desk.source`."""
+        run = self.run()
+        return run.store.text(run.view.experiment(experiment).proposed.source)
+
+    def evidence(self, experiment: int) -> EvidenceSummary:
+        """See `Desk.evidence`."""
+        return evidence_summary(self.run(), experiment)
+
+    def progress(self) -> SearchProgress:
+        """See `Desk.progress`."""
+        run = self.run()
+        return progress_of(replace(run, busy=runs(self._directory)))
+
+    def attended(self) -> bool:
+        """See `Desk.attended`."""
+        return attended(self._directory)
+
+    def simulated(self, experiment: int) -> SimulatedCases:
+        """See `Desk.simulated`; one at a time."""
+        run = self.run()
+        with self._beside_the_search():
+            return simulated_excerpts(run, experiment)
+
+    def dry_run(self, source: str) -> DryRunSummary:
+        """See `Desk.dry_run`; one at a time."""
+        run = self.run()
+        with self._beside_the_search():
+            return dry_run_summary(dry_run(run, source))
+
+    @contextmanager
+    def _beside_the_search(self) -> Generator[None]:
+        """While workers run that no experiment asks for. Raises UserError where some run already,
+        or the sandbox fails."""
+        if not self._aside.acquire(blocking=False):
+            raise UserError("a dry run or a picture is in progress: wait for its end")
+        try:
+            yield
+        except SandboxError as error:
+            raise UserError(f"the sandbox failed ({error}); try again") from None
+        finally:
+            self._aside.release()
+
+
+def _ticket_of(experiment: Experiment) -> str:
+    """Return the ticket of an experiment. Experiments that were not submitted, such as the
+    baseline, have one too.
+    """
+    return experiment.proposed.ticket or f"experiment-{experiment.number}"
+
+
+def _submission_of(experiment: Experiment) -> Submission:
+    state: SubmissionState = "done" if experiment.result else "running"
+    return Submission(_ticket_of(experiment), state, experiment=experiment.number)
+
+
+def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Submission], None]) -> Submission:
+    """Wait for a submission until it is done or the time is over.
+
+    Args:
+        desk: the submission server.
+        ticket: identifier of the submission.
+        seconds: maximum waiting time, s.
+        tick: called at every poll.
+
+    Raises:
+        UserError: no search is running to judge the submission.
+    """
+    end = time.monotonic() + seconds
+    while True:
+        there = desk.attended()  # before the submission, so that a last result is not lost
+        submission = desk.submission(ticket)
+        tick(submission)
+        if submission.state in ("done", "unknown") or time.monotonic() >= end:
+            return submission
+        if not there:
+            when = "while" if submission.state == "running" else "before"
+            raise UserError(
+                f"the process of the search ended {when} it evaluated the candidate. The "
+                "candidate is stored: repeat the command (control/search.log of the run "
+                "may show why)"
+            )
+        time.sleep(_POLL)
+
+
+def tidy(proposal: Proposal) -> Proposal:
+    """Bounded words on one line. Raises UserError without a hypothesis."""
+    hypothesis = one_line(proposal.hypothesis, TEXT)
+    if not hypothesis:
+        raise UserError("a candidate needs a hypothesis: what you expect of it, and why")
+    return Proposal(
+        source=proposal.source,
+        family=one_line(proposal.family, 40) or "custom",
+        title=one_line(proposal.title, TITLE) or hypothesis[:TITLE],
+        hypothesis=hypothesis,
+        expected=one_line(proposal.expected, TEXT) or "not said",
+        parent=proposal.parent,
+    )
+
+
+def _over(directory: Path, run: Run) -> str | None:
+    """Why nothing can be handed in any more, budget of experiments aside."""
+    view = run.view
+    if view.unsealing is not None:
+        return "the sealed test of this run was opened: its search cannot continue"
+    if view.stopped is None:
+        return None
+    stop = max(line.seq for line in run.lines if isinstance(line.event, Stopped))
+    request = SearchRequest.find(directory)
+    again = request is not None and request.records > stop
+    if view.stopped.reason == "user" and not again:
+        return "the user stopped this search; repeat the command that started it to resume"
+    return None
+
+
+def _baseline_digest(directory: Path) -> str | None:
+    """Return the digest of the baseline; None if no request names its problem."""
+    request = SearchRequest.find(directory)
+    return None if request is None else digest(requested_problem(request).baseline or LINEAR)
+
+
+def _budget(directory: Path, run: Run) -> int:
+    """Experiments in all, in a relay up to the turn of the next agent; a larger request counts
+    before the search has seen it."""
+    request = SearchRequest.find(directory)
+    requested = request.experiments if request is not None else None
+    return max(run.view.leg_end, requested or 0)
+
+
+# A desk on a unix socket, for drivers that must not see the run directory.
+#
+# One JSON object a line each way: {"op": ..., ...} -> {"ok": ...} or {"error": sentence}. A
+# request is at most `MOST_BYTES` long, and is checked as what it is: words from an agent.
+
+
+MOST_BYTES = 1_000_000
+_SILENCE_SECONDS = 30.0
+_WORK_SECONDS = 1800.0
+_CONNECTIONS = 32
+_SLOT_SECONDS = 1.0
+
+
+class _Call(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class _SubmitCall(_Call):
+    op: Literal["submit"] = "submit"
+    source: str
+    hypothesis: str
+    expected: str = ""
+    family: str = ""
+    title: str = ""
+    parent: int | None = None
+
+
+class _TicketCall(_Call):
+    op: Literal["submission", "withdraw"]
+    ticket: str
+
+
+class _ExperimentCall(_Call):
+    op: Literal["source", "evidence", "simulated"]
+    experiment: int
+
+
+class _DryRunCall(_Call):
+    op: Literal["dry_run"] = "dry_run"
+    source: str
+
+
+class _PlainCall(_Call):
+    op: Literal["results", "progress", "attended"]
+
+
+_AnyCall = _SubmitCall | _TicketCall | _ExperimentCall | _DryRunCall | _PlainCall
+_calls: TypeAdapter[_AnyCall] = TypeAdapter(Annotated[_AnyCall, Field(discriminator="op")])
+_results = TypeAdapter(tuple[ExperimentSummary, ...])
+_evidence = TypeAdapter(EvidenceSummary)
+_simulated = TypeAdapter(SimulatedCases)
+_progress = TypeAdapter(SearchProgress)
+_dry_run = TypeAdapter(DryRunSummary)
+
+
+class DeskServer:
+    """Serves a desk at `path` until closed; a context manager."""
+
+    def __init__(self, path: Path, desk: Desk) -> None:
+        self.path = path
+        path.unlink(missing_ok=True)
+        handler = _handler(desk)
+        self._server = _Server(str(path), handler)
+        os.chmod(path, 0o600)
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        # A server that never served would wait for its own end for ever.
+        if self._thread.ident is not None:
+            self._server.shutdown()
+        self._server.server_close()
+        self.path.unlink(missing_ok=True)
+
+
+class _Server(socketserver.ThreadingUnixStreamServer):
+    daemon_threads = True
+
+    def __init__(self, path: str, handler: type[socketserver.StreamRequestHandler]) -> None:
+        super().__init__(path, handler)
+        self._slots = threading.BoundedSemaphore(_CONNECTIONS)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        if not self._slots.acquire(timeout=_SLOT_SECONDS):
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:
+            self._slots.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._slots.release()
+
+
+def _handler(desk: Desk) -> type[socketserver.StreamRequestHandler]:
+    class Handler(socketserver.StreamRequestHandler):
+        timeout = _SILENCE_SECONDS
+
+        def handle(self) -> None:
+            try:
+                raw = self.rfile.readline(MOST_BYTES + 1)
+                self.wfile.write(_answer(desk, raw) + b"\n")
+            except OSError:
+                return
+
+    return Handler
+
+
+def _answer(desk: Desk, raw: bytes) -> bytes:
+    try:
+        if len(raw) > MOST_BYTES or not raw.endswith(b"\n"):
+            raise UserError(f"a request is one line of at most {MOST_BYTES} bytes")
+        answer = {"ok": _call(desk, _calls.validate_json(raw))}
+        return json.dumps(answer, allow_nan=False).encode()
+    except UserError as error:
+        answer = {"error": str(error)}
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        answer = {"error": f"unknown request: {first['msg']}"}
+    except Exception as error:  # noqa: BLE001 - the border: every request has an answer
+        answer = {"error": f"the search could not answer ({type(error).__name__}); try again"}
+    return json.dumps(answer).encode()
+
+
+def _call(desk: Desk, call: _AnyCall) -> Any:
+    match call:
+        case _SubmitCall():
+            fields = call.model_dump(exclude={"op"})
+            return asdict(desk.submit(Proposal(**fields)))
+        case _TicketCall(op="submission"):
+            return asdict(desk.submission(call.ticket))
+        case _TicketCall():
+            return asdict(desk.withdraw(call.ticket))
+        case _ExperimentCall(op="source"):
+            return desk.source(call.experiment)
+        case _ExperimentCall(op="simulated"):
+            return asdict(desk.simulated(call.experiment))
+        case _ExperimentCall():
+            return asdict(desk.evidence(call.experiment))
+        case _DryRunCall():
+            return asdict(desk.dry_run(call.source))
+        case _PlainCall(op="results"):
+            return [asdict(result) for result in desk.results()]
+        case _PlainCall(op="attended"):
+            return desk.attended()
+        case _PlainCall():
+            return asdict(desk.progress())
+
+
+class SocketDesk:
+    """The other end: a `Desk`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def submit(self, proposal: Proposal) -> Submission:
+        """See `Desk.submit`."""
+        fields = {n: getattr(proposal, n) for n in _SubmitCall.model_fields if n != "op"}
+        return Submission(**self._ask({"op": "submit", **fields}))
+
+    def submission(self, ticket: str) -> Submission:
+        """See `Desk.submission`."""
+        return Submission(**self._ask({"op": "submission", "ticket": ticket}))
+
+    def withdraw(self, ticket: str) -> Submission:
+        """See `Desk.withdraw`."""
+        return Submission(**self._ask({"op": "withdraw", "ticket": ticket}))
+
+    def results(self) -> tuple[ExperimentSummary, ...]:
+        """See `Desk.results`."""
+        return _results.validate_python(self._ask({"op": "results"}))
+
+    def source(self, experiment: int) -> str:
+        """See `Desk.source`."""
+        return self._ask({"op": "source", "experiment": experiment})
+
+    def evidence(self, experiment: int) -> EvidenceSummary:
+        """See `Desk.evidence`."""
+        request = {"op": "evidence", "experiment": experiment}
+        return _evidence.validate_python(self._ask(request))
+
+    def progress(self) -> SearchProgress:
+        """See `Desk.progress`."""
+        return _progress.validate_python(self._ask({"op": "progress"}))
+
+    def attended(self) -> bool:
+        """See `Desk.attended`."""
+        return bool(self._ask({"op": "attended"}))
+
+    def simulated(self, experiment: int) -> SimulatedCases:
+        """See `Desk.simulated`."""
+        request = {"op": "simulated", "experiment": experiment}
+        return _simulated.validate_python(self._ask(request, _WORK_SECONDS))
+
+    def dry_run(self, source: str) -> DryRunSummary:
+        """See `Desk.dry_run`."""
+        request = {"op": "dry_run", "source": source}
+        return _dry_run.validate_python(self._ask(request, _WORK_SECONDS))
+
+    def _ask(self, request: dict[str, Any], seconds: float = _SILENCE_SECONDS) -> Any:
+        """The answer, for which it waits so long."""
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as channel:
+            channel.settimeout(seconds)
+            try:
+                channel.connect(str(self._path))
+                channel.sendall(json.dumps(request).encode() + b"\n")
+                with channel.makefile("rb") as stream:
+                    raw = stream.readline()
+            except OSError as error:
+                raise UserError(
+                    f"the search does not answer at {self._path} ({error.strerror or error}): it "
+                    "has ended, or was never started"
+                ) from None
+        try:
+            answer = json.loads(raw)
+        except (ValueError, RecursionError):
+            raise UserError(
+                f"the search closed the connection at {self._path} without an answer: it "
+                "has ended, or there are too many requests at once; try again"
+            ) from None
+        if "error" in answer:
+            raise UserError(str(answer["error"]))
+        return answer["ok"]
+
+
+# Summary of a dry run in a few lines of text.
+
+
+_OVER_TIME = (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT)
+
+
+def dry_run_lines(found: DryRunSummary) -> list[str]:
+    """Describe a dry run, for users and agents."""
+    where = f"on {found.samples} of the {found.of_samples} samples that fold 1 trains on"
+    if found.reason is None:
+        lines = [f"dry run  passed {where}: contract, shapes, finite answers, reloading"]
+    else:
+        lines = [f"dry run  fails {where}: {found.advice}"]
+    if found.detail:
+        lines.append(f"    text of the candidate: {found.detail}")
+    if found.reason in _OVER_TIME and found.allowed_seconds < found.limit_seconds:
+        lines.append(
+            f"    a dry run ends after {found.allowed_seconds:g} s; the limit of a fit is "
+            f"{found.limit_seconds:g} s"
+        )
+    if found.fit_seconds is not None:
+        lines.append(
+            f"    fit {found.fit_seconds:.1f} s, simulate {found.simulate_seconds:.1f} s, of "
+            f"which {found.compile_seconds:.1f} s compilation"
+        )
+    whole = found.whole_fit_seconds
+    if whole is not None:
+        over = "  ABOVE THE LIMIT" if whole > found.limit_seconds else ""
+        lines.append(
+            f"    the whole fold: about {whole:.0f} s if the time grows with the samples, limit "
+            f"{found.limit_seconds:g} s{over}"
+        )
+    if found.printed:
+        lines.append("    printed by the candidate:")
+        lines += [f"      {line}" for line in found.printed]
+    lines.append("    no experiment was used, and no score was computed")
+    return lines
+
+
+# The end of a search that waits for candidates, on request.
+
+
+def end_idle(directory: Path, say: Callable[[str], None]) -> None:
+    """End the search of a workspace or a server that has nothing to evaluate, so that its test can
+    be opened: its winner is fitted to all training data, and its process ends. Nothing is done to
+    another search, or to one that has nothing to open. `say`: given one line where it takes time.
+
+    Raises UserError when a candidate waits or is being evaluated, or the search fails."""
+    if SearchRequest.find(directory) is None:
+        return
+    view = open_run(directory).view
+    openable = view.best is not None and view.started.test_digest is not None
+    if not openable or view.unsealing is not None:
+        return
+    if not view.complete and view.stopped is None:
+        _check_idle(directory, view)
+        Steering(directory).stop()
+    try:
+        if not open_run(directory).view.complete:
+            say("the search ends after refitting the winner to all training data")
+            start_search(directory)
+        while attended(directory):
+            time.sleep(_POLL)
+    finally:
+        Steering(directory).take_stop()
+    if not open_run(directory).view.complete:
+        raise UserError(
+            f"the search of {directory.name} ended before its winner was fitted to all training "
+            f"data: see {log_path(directory)}"
+        )
+
+
+def _check_idle(directory: Path, view: SearchView) -> None:
+    waiting = len(Queue(directory).tickets())
+    if view.pending is None and not waiting:
+        return
+    busy = f"{waiting} candidates wait to be evaluated"
+    if view.pending is not None:
+        busy = f"experiment {view.pending.number} is being evaluated"
+    raise UserError(
+        f"run '{directory.name}' is not idle ({busy}): wait for the results, or end it with asia "
+        f"stop {directory.name}"
+    )

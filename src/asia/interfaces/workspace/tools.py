@@ -1,0 +1,473 @@
+"""Tools of a workspace: local fits, scores, tables, pictures."""
+
+from __future__ import annotations
+
+import argparse
+import linecache
+import os
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NoReturn
+
+import numpy as np
+
+from asia._files import read_text
+from asia._text import say, suggestion
+from asia.candidate import VALIDATION_SCORES, Context, Model, check_source, executed_source
+from asia.data.trajectory import Array
+from asia.errors import CandidateError, Reason, UserError
+from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.requests import simulate_held_out, simulate_training
+from asia.judge.evaluation.results import derive_seed
+from asia.judge.evaluation.validation_score import rounded_score
+from asia.judge.sandbox.layers.environment import REPEATABLE
+from asia.judge.scoring.outcome import FoldScore, check_reply, combine, score_fold, without_gaps
+from asia.judge.scoring.residuals import (
+    Evidence,
+    SignedResidual,
+    signed_residuals,
+    with_input,
+    with_own_past,
+)
+from asia.problem.load import load_problem
+from asia.problem.metrics import find_metric
+from asia.problem.problem import Problem
+from asia.problem.protocol import Block, Fold, FoldRule, Group, ProtocolRule, make_folds, whole
+from asia.report import draw_cases
+from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
+
+# A candidate fitted and scored in this process, by the evaluator's own folds, order of cases and
+# metric.
+
+
+_SOURCE_NAME = "candidate.py"
+
+
+@dataclass(frozen=True, repr=False)
+class LocalFold:
+    """One fold of a candidate that was fitted in this process."""
+
+    fold: Fold
+    """Training and held-out parts."""
+    model: Model
+    """The fitted model."""
+    seconds: float
+    """Duration of the fit, s."""
+    score: FoldScore
+    """The errors on the held-out part; `score.value` is V of this fold."""
+    training_score: FoldScore
+    """The errors on the training records."""
+    training: tuple[Block, ...]
+    """The training records as cases."""
+    y_hat: tuple[Array, ...]
+    """Simulated outputs (H, ny) of each held-out block."""
+    training_y_hat: tuple[Array, ...]
+    """Simulated outputs (H, ny) of each block in `training`."""
+
+    def __repr__(self) -> str:
+        return (
+            f"<fold {self.fold.index + 1}: V {self.score.value:.6f}, training "
+            f"{self.training_score.value:.6f}, fit {self.seconds:.1f} s>"
+        )
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Names and values that the model gives, {} where it has no method `parameters`."""
+        named = getattr(self.model, "parameters", None)
+        found: Any = named() if callable(named) else {}
+        return {str(k): float(v) for k, v in found.items()} if isinstance(found, dict) else {}
+
+    def residuals(self, *, held_out: bool) -> tuple[SignedResidual, ...]:
+        """Return the operating ranges in which the model is too high or too low, on the held-out or
+        on the training part.
+        """
+        blocks = self.fold.validation if held_out else self.training
+        y_hat = self.y_hat if held_out else self.training_y_hat
+        u = [b.case.u for b in blocks]
+        y = [without_gaps(b.y, found) for b, found in zip(blocks, y_hat, strict=True)]
+        return signed_residuals(u, y, y_hat, self.fold.scale)
+
+
+def evaluate(
+    source: str, folds: Sequence[Fold], context: Context, rule: ProtocolRule, fit_seconds: float
+) -> tuple[LocalFold, ...]:
+    """Fit `source` on each fold and score it; context: that of the search, with its seed;
+    fit_seconds: the limit that `context.deadline` states; a fit that takes longer is not stopped.
+
+    Raises CandidateError for what the evaluator would refuse; what the candidate itself raises
+    comes through.
+    """
+    check_source(source)
+    source = executed_source(source)
+    return tuple(_fold(source, fold, context, rule, fit_seconds) for fold in folds)
+
+
+def _fold(
+    source: str, fold: Fold, context: Context, rule: ProtocolRule, fit_seconds: float
+) -> LocalFold:
+    fit = _executed(source)
+    known = replace(
+        context,
+        seed=derive_seed(context.seed, fold.index, 0),
+        deadline=time.monotonic() + fit_seconds,
+        validation_score=_validation_score(fold, rule)
+        if rule.early_stopping == "validation"
+        else None,
+    )
+    begin = time.monotonic()
+    model = fit(list(fold.train), known)
+    seconds = time.monotonic() - begin
+    simulator, training = _Simulator(model), whole(fold.train, rule)
+    y_hat = simulate_held_out(simulator, fold.validation, rule.horizon)
+    training_y_hat = simulate_training(simulator, training, rule.horizon)
+    return LocalFold(
+        fold=fold,
+        model=model,
+        seconds=seconds,
+        score=_score(fold.validation, y_hat, fold, rule),
+        training_score=_score(training, training_y_hat, fold, rule),
+        training=training,
+        y_hat=y_hat,
+        training_y_hat=training_y_hat,
+    )
+
+
+def _score(
+    blocks: Sequence[Block], y_hat: Sequence[Array], fold: Fold, rule: ProtocolRule
+) -> FoldScore:
+    return score_fold([b.y for b in blocks], y_hat, fold.scale, rule.metric)
+
+
+def _executed(source: str) -> Any:
+    """`fit` of the source, run as module `candidate`, anew for each fold as in a worker."""
+    module = ModuleType("candidate")
+    module.__file__ = _SOURCE_NAME
+    sys.modules["candidate"] = module
+    lines = source.splitlines(keepends=True)
+    linecache.cache[_SOURCE_NAME] = (len(source), None, lines, _SOURCE_NAME)
+    exec(compile(source, _SOURCE_NAME, "exec", dont_inherit=True), module.__dict__)
+    return module.fit
+
+
+@dataclass(frozen=True)
+class _Simulator:
+    """A model that answers as a worker does: float64, of the right shape, finite."""
+
+    model: Model
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        y = np.array(self.model.simulate(past_u, past_y, u), dtype=np.float64)
+        check_reply(y, (*u.shape[:2], past_y.shape[2]))
+        return y
+
+
+def _validation_score(fold: Fold, rule: ProtocolRule) -> Any:
+    calls = 0
+
+    def score(model: Model) -> float:
+        nonlocal calls
+        calls += 1
+        if calls > VALIDATION_SCORES:
+            raise RuntimeError(f"validation_score was called {VALIDATION_SCORES} times")
+        try:
+            y_hat = simulate_held_out(_Simulator(model), fold.validation, rule.horizon)
+            return rounded_score(_score(fold.validation, y_hat, fold, rule).value)
+        except CandidateError as error:
+            if error.reason is Reason.NOT_FINITE:
+                return float("inf")
+            raise
+
+    return score
+
+
+# The pictures of `tools.py --plot`.
+
+
+_MOST_BLOCKS = 300
+
+
+def draw(
+    folder: Path, problem: Problem, title: str, folds: Sequence[LocalFold], *, held_out: bool
+) -> tuple[str, ...]:
+    """Simulation and residuals of each fold, written into `plots/`; the names of the files."""
+    cases: list[SimulatedCase] = []
+    for one in folds:
+        cases += simulated_cases(one.fold, *_some(one.training, one.training_y_hat), held_out=False)
+        if held_out:
+            held = _some(one.fold.validation, one.y_hat)
+            cases += simulated_cases(one.fold, *held, held_out=True)
+    shown = SimulatedCases(
+        title=title,
+        sampling_time=problem.sampling_time,
+        windows=problem.protocol.horizon is not None,
+        inputs=problem.inputs,
+        outputs=problem.outputs,
+        cases=tuple(cases),
+    )
+    names: list[str] = []
+    (folder / "plots").mkdir(exist_ok=True)
+    for what, picture in draw_cases(shown).items():
+        names.append(f"plots/tools{'' if what == 'simulation' else f'-{what}'}.png")
+        (folder / names[-1]).write_bytes(picture)
+    return tuple(names)
+
+
+def _some(
+    blocks: Sequence[Block], y_hat: Sequence[Array]
+) -> tuple[Sequence[Block], Sequence[Array]]:
+    """Select some of many windows, evenly spaced."""
+    every = -(-len(blocks) // _MOST_BLOCKS)
+    return blocks[::every], y_hat[::every]
+
+
+# Tables of `tools.py`: scores, parameters, residuals, correlations.
+
+
+_MOST_RESIDUALS = 8
+
+
+def tables(
+    problem: Problem, folds: Sequence[LocalFold], *, whole: bool, held_out: bool
+) -> Iterator[str]:
+    """Lines about a candidate; whole: whether these are all folds of V; held_out: with the
+    residuals of the held-out part."""
+    yield from _scores(problem, folds, whole=whole)
+    yield from _parameters(folds)
+    for part in (False, True) if held_out else (False,):
+        yield from _residuals(problem, folds, held_out=part)
+    yield from _correlations(problem, folds, held_out=held_out)
+
+
+def _scores(problem: Problem, folds: Sequence[LocalFold], *, whole: bool) -> Iterator[str]:
+    metric = find_metric(problem.protocol.metric)
+    name = "V" if whole else f"{metric.v_label}, folds of your own or not all of them"
+    value = combine([one.score for one in folds]).value
+    yield f"{name} = {value:.6f}"
+    limit = problem.budget.fit_seconds
+    for one in folds:
+        ratio = one.score.value / one.training_score.value
+        late = f"  ABOVE THE LIMIT of {limit:g} s" if one.seconds > limit else ""
+        yield (
+            f"  {_name(one)}: {one.score.value:.6f}, training {one.training_score.value:.6f} "
+            f"(ratio {ratio:.2f}), fit {one.seconds:.1f} s{late}"
+        )
+        if len(problem.outputs) > 1:
+            errors = zip(problem.outputs, one.score.per_channel(metric.name), strict=True)
+            message = ", ".join(
+                f"{s.name} {e:.4g} {metric.unit_of(s.unit)}".rstrip() for s, e in errors
+            )
+            yield f"    {metric.label}: {message}"
+
+
+def _parameters(folds: Sequence[LocalFold]) -> Iterator[str]:
+    found = [one.parameters for one in folds]
+    names = list(dict.fromkeys(name for one in found for name in one))
+    if not names:
+        return
+    wide = max(len("parameters") - 2, *(len(name) for name in names))
+    yield (
+        f"{'parameters':<{wide + 2}}" + "".join(f"{_name(one):>14}" for one in folds) + "   spread"
+    )
+    for name in names:
+        values = [one.get(name, np.nan) for one in found]
+        size = float(np.mean(np.abs(values)))
+        spread = f"{np.ptp(values) / size:9.0%}" if size > 0 and len(values) > 1 else "        -"
+        yield f"  {name:<{wide}}" + "".join(f"{v:14.6g}" for v in values) + spread
+
+
+def _residuals(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) -> Iterator[str]:
+    where = "held-out" if held_out else "training"
+    yield f"signed residuals, {where} part (mean ± standard error in s.d. of the output)"
+    for one in folds:
+        listed = [r for r in one.residuals(held_out=held_out) if r.evidence is not Evidence.NONE]
+        listed.sort(key=lambda r: r.evidence is Evidence.CHANCE)
+        for residual in listed[:_MOST_RESIDUALS]:
+            yield f"  {_name(one)}: {_words(problem, residual)}"
+        if not listed:
+            yield f"  {_name(one)}: no mean residual exceeds its standard error"
+
+
+def _words(problem: Problem, residual: SignedResidual) -> str:
+    return f"{residual.words(problem.inputs, problem.outputs)} ({residual.share:.0%} of the error)"
+
+
+def _correlations(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) -> Iterator[str]:
+    """Yield the correlations as the picture draws them: all folds together, the held-out part if it
+    is shown.
+    """
+    part = "held-out" if held_out else "training"
+    yield f"correlation of the residuals, {part} part, all folds together, 99 % bands"
+    blocks = [b for one in folds for b in (one.fold.validation if held_out else one.training)]
+    y_hat = [y for one in folds for y in (one.y_hat if held_out else one.training_y_hat)]
+    for k, output in enumerate(problem.outputs):
+        yield f"  {output.name}: {_line(problem, blocks, _column(blocks, y_hat, k))}"
+
+
+def _line(problem: Problem, blocks: Sequence[Block], e: Sequence[Array]) -> str:
+    own = with_own_past(e)
+    beyond = np.flatnonzero(np.abs(own.values) < own.band)
+    length = int(beyond[0]) if len(beyond) else own.lags[-1]
+    longer = " or more" if not len(beyond) else ""
+    message = [f"own past {own.values[1]:.2f} at lag 1, above the band for {length}{longer} lags"]
+    for i, signal in enumerate(problem.inputs):
+        found = with_input(e, [b.case.u[:, i] for b in blocks])
+        place = int(np.argmax(np.abs(found.values)))
+        largest = float(found.values[place])
+        side = "above" if abs(largest) > found.band else "within"
+        message.append(
+            f"{signal.name} {largest:.2f} at lag {found.lags[place]}, {side} the band of "
+            f"{found.band:.2f}"
+        )
+    return "; ".join(message)
+
+
+def _name(one: LocalFold) -> str:
+    return f"fold {one.fold.index + 1}"
+
+
+def _column(blocks: Sequence[Block], y_hat: Sequence[Array], output: int) -> list[Array]:
+    pairs = zip(blocks, y_hat, strict=True)
+    return [(without_gaps(b.y, found) - found)[:, output] for b, found in pairs]
+
+
+# Workspace of `tools.py`: the problem as the evaluator reads it, and splits of its records.
+
+
+@dataclass(frozen=True)
+class WorkspaceTools:
+    """The tools of one workspace."""
+
+    folder: Path
+    """The workspace."""
+    seed: int
+    """Seed of its search."""
+
+    @cached_property
+    def problem(self) -> Problem:
+        """problem.toml of the folder, with the training records of `data/`."""
+        return load_problem(self.folder)
+
+    @property
+    def rule(self) -> ProtocolRule:
+        """Rule by which V is computed."""
+        return self.problem.protocol
+
+    @property
+    def context(self) -> Context:
+        """Context of a candidate, except for the seed of its fold."""
+        return search_context(self.problem, derive_seed(self.seed, "search"))
+
+    @cached_property
+    def folds(self) -> tuple[Fold, ...]:
+        """Those that V is computed on."""
+        return make_folds(self.problem.train, self.rule)
+
+    def blocks(self, count: int, gap: int = 0) -> tuple[Fold, ...]:
+        """Folds of your own: each record in `count` blocks, of which each is held out once; the
+        `gap` samples next to it train nothing."""
+        return self._split(FoldRule("contiguous", count, gap=gap or None))
+
+    def hold_out(self, names: Sequence[str]) -> tuple[Fold, ...]:
+        """Return one fold of your own: these records are held out, all others train."""
+        records = [t.name for t in self.problem.train]
+        for name in names:
+            if name not in records:
+                raise UserError(
+                    f"there is no record '{name}'{suggestion(name, records)} (they are "
+                    f"{', '.join(records)})"
+                )
+        rest = tuple(name for name in records if name not in names)
+        if not rest:
+            raise UserError("all records are held out: leave one or more to train on")
+        groups = Group("held out", tuple(names)), Group("rest", rest)
+        return self._split(FoldRule("leave_one_group_out", 2, groups))[:1]
+
+    def evaluate(
+        self, path: Path | str = "candidate.py", folds: Sequence[Fold] | None = None
+    ) -> tuple[LocalFold, ...]:
+        """The candidate in that file, fitted and scored on these folds; None for those of V."""
+        source = read_text(self.folder / path, "name a candidate, as Python source")
+        chosen = self.folds if folds is None else folds
+        limit = self.problem.budget.fit_seconds
+        return evaluate(source, chosen, self.context, self.rule, limit)
+
+    def _split(self, folds: FoldRule) -> tuple[Fold, ...]:
+        return make_folds(self.problem.train, replace(self.rule, folds=folds))
+
+
+# `python tools.py`: what it takes, and what it prints.
+
+
+_BAD = 2
+
+
+def main(tools: WorkspaceTools) -> NoReturn:
+    """Read the command line, fit and score, print. The process starts itself again where its
+    environment is not that of a worker."""
+    options = _parser().parse_args()
+    if any(os.environ.get(name) != value for name, value in REPEATABLE.items()):
+        sys.stdout.flush()
+        os.execve(sys.executable, sys.orig_argv, {**os.environ, **REPEATABLE})
+    try:
+        _run(tools, options)
+    except UserError as error:
+        sys.exit(_complain(str(error)))
+    except CandidateError as error:
+        sys.exit(_complain(f"{error.reason.advice} ({error.detail})"))
+    sys.exit(0)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="tools.py", description="Score a candidate on training folds, as the evaluator does."
+    )
+    add = parser.add_argument
+    add("candidate", nargs="?", default="candidate.py", help="the file to score")
+    add("--seed", type=int, help="seeds of the fits; several show the spread of V")
+    add("--fold", type=int, help="this fold alone, from 1")
+    add("--blocks", type=int, help="folds of your own: number of parts of each record")
+    add("--gap", type=int, default=0, help="samples next to a part that are not used for training")
+    add("--hold-out", metavar="NAMES", help="a fold of your own: hold these records out (A,B)")
+    add("--held-out", action="store_true", help="residuals of the held-out part as well")
+    add("--plot", action="store_true", help="draw simulation and residuals into plots/")
+    return parser
+
+
+def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
+    if options.seed is not None:
+        tools = replace(tools, seed=options.seed)
+    folds = _folds(tools, options)
+    own = options.blocks is not None or options.hold_out is not None
+    found = tools.evaluate(options.candidate, folds)
+    whole = not own and len(found) == len(tools.folds)
+    held_out = options.held_out or tools.rule.residuals == "held_out"
+    for line in tables(tools.problem, found, whole=whole, held_out=held_out):
+        say(line)
+    if options.plot:
+        title = str(options.candidate)
+        for name in draw(tools.folder, tools.problem, title, found, held_out=held_out):
+            say(f"picture {name}")
+
+
+def _folds(tools: WorkspaceTools, options: argparse.Namespace) -> Sequence[Fold]:
+    if options.blocks is not None:
+        folds: Sequence[Fold] = tools.blocks(options.blocks, options.gap)
+    elif options.hold_out is not None:
+        folds = tools.hold_out(options.hold_out.split(","))
+    else:
+        folds = tools.folds
+    if options.fold is None:
+        return folds
+    if not 1 <= options.fold <= len(folds):
+        raise UserError(f"there is no fold {options.fold}: expected 1 to {len(folds)}")
+    return folds[options.fold - 1 : options.fold]
+
+
+def _complain(message: str) -> int:
+    say(f"tools.py: {message}", file=sys.stderr)
+    return _BAD

@@ -1,0 +1,350 @@
+"""Workspace: a folder in which a user or a coding agent works on a problem."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import json
+import math
+import os
+import secrets
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import TypeAdapter
+
+from asia.data.trajectory import Trajectory
+from asia.errors import UserError
+from asia.interfaces.workspace.process import SearchRequest, start_search
+from asia.interfaces.workspace.program import Confinement, models_page, program
+from asia.interfaces.workspace.server import Desk, RunDesk, SocketDesk
+from asia.judge.evaluation.references import LINEAR
+from asia.ledger.artifacts import Store
+from asia.ledger.exports import journal, results_table
+from asia.ledger.run import open_run
+from asia.ledger.view import SearchView, published
+from asia.problem.problem import Problem, training_text
+from asia.report import draw_cases
+from asia.report.simulated import SimulatedCases
+from asia.search.run import Prepared
+
+# Scripts that a workspace comes with.
+
+
+PLOT = '''"""Draws the training records: python plot.py [data/NAME.csv ...] -> data.png"""
+
+import csv
+import sys
+import tomllib
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+problem = tomllib.loads(Path("problem.toml").read_text("utf-8"))
+units = {s["name"]: s.get("unit", "") for s in [*problem["inputs"], *problem["outputs"]]}
+paths = [Path(p) for p in sys.argv[1:]] or sorted(Path("data").glob("*.csv"))
+for path in paths[:8]:
+    with path.open(newline="") as stream:
+        header, *rows = csv.reader(stream)
+    columns = list(zip(*[[float(cell) for cell in row] for row in rows]))
+    figure, axes = plt.subplots(len(header) - 1, 1, sharex=True, figsize=(10, 1.6 * len(header)))
+    for axis, name, values in zip(figure.axes, header[1:], columns[1:]):
+        axis.plot(columns[0], values, linewidth=0.8)
+        unit = units.get(name)
+        axis.set_ylabel(f"{name} [{unit}]" if unit else name, rotation=0, ha="right")
+    figure.axes[-1].set_xlabel(f"{header[0]} [s]")
+    figure.suptitle(path.stem)
+    name = "data.png" if len(paths) == 1 else f"data-{path.stem}.png"
+    figure.savefig(name, bbox_inches="tight", dpi=120)
+    print(name)
+'''
+
+
+TOOLS = '''"""Scores a candidate on training records as the evaluator does, and shows its residuals.
+
+    python tools.py                   candidate.py on the folds of V
+    python tools.py best.py --fold 1  another file, one fold
+    python tools.py --blocks 5        folds of your own: each record in five parts
+    python tools.py --hold-out A,B    a fold of your own: these records held out, the others train
+    python tools.py --seed 1          another seed of the fits: spread of V
+    python tools.py --plot            also draw simulation and residuals into plots/
+
+It costs no experiment. The candidate runs in this process, without sandbox, time limit or memory
+limit. In a script of your own:
+
+    from tools import TOOLS
+    for fold in TOOLS.evaluate("candidate.py"):
+        print(fold.score.value, fold.parameters, fold.residuals(held_out=False))
+"""
+
+from pathlib import Path
+
+from asia.interfaces.workspace.tools import WorkspaceTools, main
+
+TOOLS = WorkspaceTools(Path(__file__).parent, seed={seed})
+
+if __name__ == "__main__":
+    main(TOOLS)
+'''
+
+
+# Safe writing into a folder that other processes may write to: no link is followed.
+
+
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+
+
+def write_file(folder: Path, name: str, content: str | bytes, mode: int = 0o644) -> None:
+    """Replace the file `name`, which may lie in folders below `folder`; those are made. An
+    obstacle, such as a link in place of a folder, is moved aside.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    *places, last = name.split("/")
+    try:
+        here = os.open(folder, _FOLDER)
+        try:
+            for place in places:
+                below = _enter(here, place)
+                os.close(here)
+                here = below
+            data = content.encode("utf-8", "replace") if isinstance(content, str) else content
+            _replace(here, last, data, mode)
+        finally:
+            os.close(here)
+    except OSError as error:
+        raise UserError(
+            f"{folder / name} could not be written ({error.strerror}): expected a file, and "
+            "no link, in a folder that you may write; remove what is there"
+        ) from None
+
+
+def _enter(here: int, name: str) -> int:
+    """The folder `name`, made where it is not there."""
+    with contextlib.suppress(FileExistsError):
+        os.mkdir(name, dir_fd=here)
+    try:
+        return os.open(name, _FOLDER, dir_fd=here)
+    except OSError:
+        _move_away(here, name)
+        os.mkdir(name, dir_fd=here)
+        return os.open(name, _FOLDER, dir_fd=here)
+
+
+def _replace(here: int, name: str, data: bytes, mode: int) -> None:
+    temporary = f".{name}.{secrets.token_hex(8)}"
+    with open(os.open(temporary, _NEW, mode, dir_fd=here), "wb") as stream:
+        os.fchmod(stream.fileno(), mode)
+        stream.write(data)
+    try:
+        os.rename(temporary, name, src_dir_fd=here, dst_dir_fd=here)
+    except IsADirectoryError:
+        _move_away(here, name)
+        os.rename(temporary, name, src_dir_fd=here, dst_dir_fd=here)
+
+
+def _move_away(here: int, name: str) -> None:
+    os.rename(name, f".{name}.{secrets.token_hex(8)}", src_dir_fd=here, dst_dir_fd=here)
+
+
+# Workspace: a folder in which a user or a coding agent works on a problem. It holds training data
+# and texts, never test data, never the ledger itself.
+
+
+DESK_VARIABLE = "ASIA_DESK"
+CANDIDATE = "candidate.py"
+VIEWS = ("results.tsv", "search_journal.md")
+_LINK = ".asia/workspace.json"
+_links = TypeAdapter(dict[str, str | None])
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A folder to work in, and the run that it belongs to."""
+
+    folder: Path
+    """Folder with data, texts and candidate.py."""
+    run: Path | None
+    """The run directory; None where the folder is that of a command agent, which reaches its
+    search through the socket alone."""
+
+    @classmethod
+    def find(cls, folder: Path) -> Workspace:
+        """Return the workspace of a folder or one above it.
+
+        Raises:
+            UserError: there is none.
+        """
+        found = cls.around(folder)
+        if found is None:
+            raise UserError(
+                f"{folder} is not in a workspace: make one with asia agent workspace PROBLEM DIR, "
+                "then cd DIR"
+            )
+        return found
+
+    @classmethod
+    def around(cls, folder: Path) -> Workspace | None:
+        """Return the workspace as `find`; None if there is none."""
+        for place in (folder.resolve(), *folder.resolve().parents):
+            link = place / _LINK
+            if link.is_file():
+                return cls(place, _run_of(link))
+        return None
+
+    def desk(self) -> Desk:
+        """Return the submission server: the socket that ASIA_DESK names, else the run itself."""
+        path = os.environ.get(DESK_VARIABLE)
+        if path:
+            return SocketDesk(Path(path))
+        run = self._own_run()
+        request = SearchRequest.find(run)
+        if request is not None and request.settings.get("jail"):
+            raise UserError(
+                f"the ledger of {run.name} says that its candidates come from a jail: submit from "
+                "the program that asia agent workspace --jail starts, or make another workspace "
+                "with another --name"
+            )
+        return RunDesk(run, start_search)
+
+    def draw(self, experiment: int, cases: SimulatedCases) -> tuple[str, ...]:
+        """Pictures of an experiment in `plots/`; the names of the files. Raises UserError."""
+        names: list[str] = []
+        for what, picture in draw_cases(cases).items():
+            ending = "" if what == "simulation" else f"-{what}"
+            names.append(f"plots/{experiment:03d}{ending}.png")
+            write_file(self.folder, names[-1], picture)
+        return tuple(names)
+
+    def _own_run(self) -> Path:
+        if self.run is None:
+            raise UserError(
+                f"{self.folder} belongs to the search of a coding agent, and only this "
+                "agent submits from it; make your own workspace with asia agent workspace "
+                "PROBLEM DIR"
+            )
+        return self.run
+
+    def renew_views(self) -> None:
+        """Write results.tsv, search_journal.md and best.py from the present ledger. In a jail the
+        process with the socket writes them.
+        """
+        if DESK_VARIABLE not in os.environ:
+            opened = open_run(self._own_run())
+            write_views(self.folder, opened.view, opened.store)
+
+
+def is_workspace(folder: Path) -> bool:
+    """Return whether `asia agent workspace` or a command agent made this folder."""
+    return (folder / _LINK).is_file()
+
+
+def _run_of(link: Path) -> Path | None:
+    """Return the run directory that a workspace names.
+
+    Raises:
+        UserError: the link cannot be read.
+    """
+    try:
+        run = _links.validate_json(link.read_bytes()).get("run")
+    except (OSError, ValueError):
+        raise UserError(
+            f"{link} is damaged: make the workspace again, with the command that made it"
+        ) from None
+    return Path(run) if run else None
+
+
+def make_workspace(
+    folder: Path,
+    prepared: Prepared,
+    request: SearchRequest,
+    confinement: Confinement = Confinement.OPEN,
+) -> Workspace:
+    """Write the folder; what its user has written stays. Raises UserError for a folder with other
+    things in it, or of another run."""
+    folder = folder.resolve()
+    run = prepared.directory.resolve()
+    if (folder / _LINK).is_file():
+        other = Workspace.find(folder).run
+        if other != run:
+            raise UserError(
+                f"{folder} is the workspace of {other.name if other else 'a coding agent'}; choose "
+                "another folder"
+            )
+    elif folder.is_dir() and any(folder.iterdir()):
+        raise UserError(f"{folder} is not empty: give a new folder")
+    if folder == run or run in folder.parents or folder in run.parents:
+        raise UserError(
+            f"{folder} and the run directory {run}: one contains the other, but a workspace "
+            "must not show the ledger; choose another folder"
+        )
+    started = prepared.started
+    problem, experiments = prepared.problem, started.experiments
+    write_folder(folder, problem, experiments, run, started.seed, confinement)
+    request.save(run)
+    return Workspace(folder, run)
+
+
+def write_folder(
+    folder: Path,
+    problem: Problem,
+    experiments: int,
+    run: Path | None = None,
+    seed: int = 0,
+    confinement: Confinement = Confinement.OPEN,
+) -> None:
+    """The files of a workspace; `run` as in `Workspace`, `seed` of its search."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_file(folder, "PROGRAM.md", program(problem, experiments, confinement))
+    write_file(folder, "description.md", problem.description)
+    write_file(folder, "models.md", models_page(problem))
+    write_file(folder, "plot.py", PLOT)
+    names = trajectory_names(problem.train)
+    write_file(folder, "problem.toml", training_text(problem, names))
+    write_file(folder, "tools.py", TOOLS.replace("{seed}", str(seed)))
+    for name, trajectory in zip(names, problem.train, strict=True):
+        write_file(folder, f"data/{name}.csv", _csv(trajectory, problem))
+    if not os.path.lexists(folder / CANDIDATE):
+        write_file(folder, CANDIDATE, problem.baseline or LINEAR)
+    write_file(folder, _LINK, json.dumps({"run": str(run) if run else None}) + "\n")
+
+
+def write_views(folder: Path, view: SearchView, store: Store) -> None:
+    """Write results.tsv and search_journal.md with the reported scores, read-only, and the best
+    candidate.
+    """
+    view = published(view)
+    texts = {VIEWS[0]: results_table(view), VIEWS[1]: journal(view)}
+    if view.best is not None:
+        texts["best.py"] = store.text(view.best.proposed.source)
+    for name, text in texts.items():
+        write_file(folder, name, text, mode=0o444)
+
+
+def trajectory_names(trajectories: tuple[Trajectory, ...]) -> list[str]:
+    """File names, one a trajectory, all different."""
+    stems = [
+        "".join(c if c.isalnum() or c in "-_." else "_" for c in r.name).strip(".") or f"record{i}"
+        for i, r in enumerate(trajectories, 1)
+    ]
+    return [f"{s}-{i}" if stems.count(s) > 1 else s for i, s in enumerate(stems, 1)]
+
+
+def _csv(trajectory: Trajectory, problem: Problem) -> str:
+    """A trajectory as CSV, time first; empty where an output was not measured."""
+    names = [s.name for s in (*problem.inputs, *problem.outputs)]
+    stream = io.StringIO()
+    table = csv.writer(stream, lineterminator="\n")
+    table.writerow(["time", *names])
+    measured = trajectory.measured_y
+    for k in range(len(trajectory)):
+        values = [*trajectory.u[k].tolist(), *measured[k].tolist()]
+        row = ("" if math.isnan(value) else repr(value) for value in values)
+        table.writerow([repr(k * trajectory.sampling_time), *row])
+    return stream.getvalue()

@@ -1,0 +1,1 @@
+"""Judge: from the source of a candidate to its score."""

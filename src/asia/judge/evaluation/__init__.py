@@ -1,0 +1,4 @@
+"""Evaluation of candidates: folds, sandbox and scoring together.
+
+This package holds targets and runs candidates, never both at once: a worker receives a `Case`, and
+the scored outputs stay here."""

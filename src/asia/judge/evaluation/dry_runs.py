@@ -1,0 +1,149 @@
+"""A trial of a candidate that costs no experiment: on a short cut of the first fold's training
+records, and on nothing else. It gives no score."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asia._timer import Activity
+from asia.data.trajectory import Array, spread_of
+from asia.errors import CandidateError, Reason
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.results import FoldResult, same_simulations
+from asia.judge.scoring.outcome import Failure
+from asia.problem.protocol import Block, Fold, ProtocolRule, whole
+
+_LONGEST_SECONDS = 120.0
+_SHARE = 0.25
+_FEWEST_SAMPLES = 300
+_MOST_SAMPLES = 2000
+_MOST_RECORDS = 3
+_MOST_WINDOWS = 64
+
+
+@dataclass(frozen=True)
+class DryFold:
+    """A short cut of a fold, both to train on and to simulate."""
+
+    fold: Fold
+    """Short fold for the trial; its simulated samples train as well."""
+    samples: int
+    """Samples it trains on."""
+    of_samples: int
+    """Samples that the whole fold trains on."""
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """Result of a dry run."""
+
+    failure: Failure | None
+    """Reason for a missing score; None where nothing was found."""
+    output: str
+    """Text that the candidate printed during its fit, unmodified."""
+    samples: int
+    """Samples that it was fitted to."""
+    of_samples: int
+    """Samples that the whole fold trains on."""
+    fit_seconds: float | None
+    """Duration of the fit; None where it failed."""
+    compile_seconds: float
+    """Share of the duration in which JAX traced and compiled, in seconds."""
+    simulate_seconds: float
+    """Duration of the simulations without compilation."""
+    limit_seconds: float
+    """The limit of a fit in a try."""
+    allowed_seconds: float
+    """The limit of the fit in this dry run."""
+
+    def whole_fit_seconds(self) -> float | None:
+        """The fit of the whole fold, if its time but for compilation grows as the samples do."""
+        if self.fit_seconds is None:
+            return None
+        compiling = min(self.compile_seconds, self.fit_seconds)
+        return compiling + (self.fit_seconds - compiling) * self.of_samples / self.samples
+
+
+def short_fold(fold: Fold, rule: ProtocolRule) -> DryFold:
+    """Cut the first training records of `fold` to a quarter of its samples or a few hundred.
+
+    Their own samples are simulated, so that no held-out sample is used.
+    """
+    full = sum(len(record) for record in fold.train)
+    wanted = max(_FEWEST_SAMPLES, min(int(_SHARE * full), _MOST_SAMPLES))
+    chosen = fold.train[:_MOST_RECORDS]
+    size = max(-(-wanted // len(chosen)), _least(rule))
+    records = [record[: min(size, len(record))] for record in chosen]
+    if not all(np.ptp(np.concatenate([r.y for r in records]), axis=0) > 0):
+        records = list(fold.train)
+    blocks = _spread(whole(records, rule))
+    scale = spread_of(np.concatenate([block.y for block in blocks]))
+    short = Fold(0, tuple(records), blocks, _nonzero(scale), (False,) * len(blocks))
+    return DryFold(short, sum(map(len, records)), full)
+
+
+def allowed_seconds(limit_seconds: float) -> float:
+    """The limit of the fit in a dry run, where a try has `limit_seconds`."""
+    return min(limit_seconds, _LONGEST_SECONDS)
+
+
+def dry_run(evaluator: Evaluator, short: DryFold, source: str, limit_seconds: float) -> DryRun:
+    """Fit `source` on the short fold, simulate, and reload its model, which must simulate the same.
+
+    Args:
+        evaluator: of the short fold alone, with `allowed_seconds` for a fit and without the
+            relations that only a search checks, so that no candidate can rehearse them
+        limit_seconds: time limit of a fit in a search
+    """
+    evaluator.stopwatch.take()
+    evaluation = evaluator.evaluate(source)
+    spent = {one.activity: one.wall for one in evaluator.stopwatch.take()}
+    failure = evaluation.outcome if isinstance(evaluation.outcome, Failure) else None
+    if failure is None:
+        failure = _reloaded(evaluator, short, source, evaluation.folds[0])
+    return DryRun(
+        failure=None if failure is None else replace(failure, fold=None),
+        output=evaluation.output,
+        samples=short.samples,
+        of_samples=short.of_samples,
+        fit_seconds=evaluation.folds[0].seconds if evaluation.folds else None,
+        compile_seconds=_seconds(spent, Activity.TRACE, Activity.COMPILE),
+        simulate_seconds=_seconds(spent, Activity.SIMULATE),
+        limit_seconds=limit_seconds,
+        allowed_seconds=allowed_seconds(limit_seconds),
+    )
+
+
+def _reloaded(
+    evaluator: Evaluator, short: DryFold, source: str, result: FoldResult
+) -> Failure | None:
+    try:
+        (again,) = evaluator.simulate(source, [result.model], short.fold.validation)
+    except CandidateError as error:
+        return Failure(Reason.NOT_REPRODUCIBLE, error.detail or error.reason.advice)
+    same = same_simulations([again], [result.y_hat])
+    return None if same else Failure(Reason.NOT_REPRODUCIBLE)
+
+
+def _least(rule: ProtocolRule) -> int:
+    """Samples of a record that holds a past window and some cases."""
+    return rule.past + max(4 * (rule.horizon or 1), 50)
+
+
+def _spread(blocks: Sequence[Block]) -> tuple[Block, ...]:
+    """Some of them, evenly over all."""
+    if len(blocks) <= _MOST_WINDOWS:
+        return tuple(blocks)
+    places = np.linspace(0, len(blocks) - 1, _MOST_WINDOWS).round().astype(int)
+    return tuple(blocks[place] for place in places.tolist())
+
+
+def _nonzero(scale: Array) -> Array:
+    return np.where(scale > 0, scale, 1.0)
+
+
+def _seconds(spent: Mapping[Activity, float], *activities: Activity) -> float:
+    return sum(spent.get(activity, 0.0) for activity in activities)

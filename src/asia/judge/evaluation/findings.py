@@ -1,0 +1,164 @@
+"""Findings of one fold: its score and diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia._diagnostic import diagnostic
+from asia.candidate import Context
+from asia.data.trajectory import Array
+from asia.judge.evaluation.results import FoldFindings, FoldResult, StepErrors
+from asia.judge.evaluation.training_checks import TrainingCheck, training_checks
+from asia.judge.sandbox.types import FitReply
+from asia.judge.scoring.outcome import score_fold, without_gaps
+from asia.judge.scoring.residuals import (
+    Diagnostics,
+    Ranges,
+    SignedResidual,
+    diagnose,
+    signed_residuals,
+)
+from asia.problem.metrics import find_metric
+from asia.problem.problem import Problem
+from asia.problem.protocol import Fold, ProtocolRule, whole
+
+# Score and diagnostics from the simulations of one fold.
+
+
+_MOST_RESIDUALS = 120
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Results from the worker of one fold."""
+
+    reply: FitReply
+    """The reply to the fit."""
+    model: bytes
+    """The fitted model."""
+    parameters: tuple[tuple[str, float], ...]
+    """Names and values that the model offers."""
+    y_hat: tuple[Array, ...]
+    """Simulated outputs (H, ny) of each held-out block."""
+    train_y_hat: tuple[Array, ...]
+    """Simulated outputs (H, ny) of each block of the training records."""
+    memory_mb: float | None
+    """The largest address space of the worker."""
+    compile_seconds: float
+    """Time in which JAX traced and compiled."""
+    device: str = ""
+    """Device of JAX, as reported by the worker; "" where no GPU was requested."""
+
+
+def fold_result(
+    fold: Fold,
+    fitted: Fitted,
+    rule: ProtocolRule,
+    ranges: Ranges,
+    context: Context,
+    validation_scores: int,
+) -> FoldResult:
+    """Score a fold's simulations and analyse their residuals. An analysis that raises leaves a line
+    in `FoldFindings.failed`, and zeros in `Diagnostics`; a score that raises is not caught.
+
+    Raises:
+        CandidateError: for outputs that are not finite or too large to analyse
+    """
+    inside = whole(fold.train, rule)
+    y, train_y = [b.y for b in fold.validation], [b.y for b in inside]
+    in_parts = rule.ladder is not None
+    score = score_fold(y, fitted.y_hat, fold.scale, rule.metric, in_parts=in_parts)
+    train = score_fold(train_y, fitted.train_y_hat, fold.scale, rule.metric)
+    inputs = [b.case.u for b in inside]
+    whole_y = _without_gaps(train_y, fitted.train_y_hat)
+    failed: list[str] = []
+    evidence = Diagnostics(train.value, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    signed: tuple[SignedResidual, ...] = ()
+    held_out: tuple[SignedResidual, ...] = ()
+    steps: tuple[StepErrors, ...] = ()
+    checks: tuple[TrainingCheck, ...] | None = None
+    with diagnostic("residual analysis", failed):
+        evidence = diagnose(inputs, whole_y, fitted.train_y_hat, fold.scale, train.value)
+    with diagnostic("signed residuals", failed):
+        signed = signed_residuals(inputs, whole_y, fitted.train_y_hat, fold.scale, ranges)
+    with diagnostic("held-out residuals", failed):
+        held_out = _held_out_residuals(fold, fitted, rule, ranges)
+    with diagnostic("errors by step", failed):
+        steps = _step_errors(fold, fitted.y_hat, rule)
+    with diagnostic("training checks", failed):
+        checks = training_checks(inside, fitted.train_y_hat, fold.scale, context)
+    findings = FoldFindings(
+        errors=_errors(y, fitted.y_hat, fold.scale, rule),
+        train_errors=_errors(train_y, fitted.train_y_hat, fold.scale, rule),
+        steps=steps,
+        residuals=signed[:_MOST_RESIDUALS],
+        parameters=fitted.parameters,
+        compile_seconds=fitted.compile_seconds,
+        memory_mb=fitted.memory_mb,
+        printed=fitted.reply.output,
+        held_out_residuals=held_out,
+        checks=checks,
+        failed=tuple(failed),
+    )
+    return FoldResult(
+        score, fitted.model, fitted.y_hat, fitted.reply.curve, evidence, fitted.reply.seconds,
+        validation_scores, findings,
+    )  # fmt: skip
+
+
+def _held_out_residuals(
+    fold: Fold, fitted: Fitted, rule: ProtocolRule, ranges: Ranges
+) -> tuple[SignedResidual, ...]:
+    if rule.residuals == "train":
+        return ()
+    u = [b.case.u for b in fold.validation]
+    y = _without_gaps([b.y for b in fold.validation], fitted.y_hat)
+    return signed_residuals(u, y, fitted.y_hat, fold.scale, ranges)[:_MOST_RESIDUALS]
+
+
+def _without_gaps(y: Sequence[Array], y_hat: Sequence[Array]) -> list[Array]:
+    return [without_gaps(a, b) for a, b in zip(y, y_hat, strict=True)]
+
+
+def _errors(
+    y: Sequence[Array], y_hat: Sequence[Array], scale: Array, rule: ProtocolRule
+) -> tuple[float, ...]:
+    """Return the error of each output over all samples, as V averages them."""
+    a, b = (np.concatenate(list(parts)) for parts in (y, y_hat))
+    return tuple(find_metric(rule.metric).shortfalls(a, b, scale).tolist())
+
+
+def _step_errors(fold: Fold, y_hat: Sequence[Array], rule: ProtocolRule) -> tuple[StepErrors, ...]:
+    """Return the errors at the steps that the table of the test lists too."""
+    if rule.horizon is None:
+        return ()
+    y = [block.y for block in fold.validation]
+    found: list[StepErrors] = []
+    for step in rule.test.horizons:
+        a, b = ([one[step - 1 : step] for one in parts] for parts in (y, y_hat))
+        found.append(StepErrors(step, _errors(a, b, fold.scale, rule)))
+    return tuple(found)
+
+
+# Context of all candidates of a search.
+
+
+def search_context(problem: Problem, seed: int) -> Context:
+    """Return the context of a search with this derived seed, without the fields that differ by
+    fold."""
+    rule = problem.protocol
+    return Context(
+        inputs=problem.inputs,
+        outputs=problem.outputs,
+        sampling_time=problem.sampling_time,
+        n_past_u=rule.past_inputs,
+        n_past_y=rule.past_outputs,
+        horizon=rule.horizon,
+        metric=rule.metric,
+        physics=problem.physics,
+        symmetry=problem.symmetry,
+        seed=seed,
+    )

@@ -1,0 +1,150 @@
+"""Reference models that every search scores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence, Set
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.data.relations import LARGEST_GAIN, LEAST_CORRELATION, motion
+from asia.data.trajectory import Array
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.results import score_outputs
+from asia.judge.scoring.outcome import Outcome
+from asia.problem.protocol import Block, Fold
+
+# Constant velocity: the reference that knows how the outputs move, and nothing of the inputs.
+
+
+Rates = tuple[int | None, ...]
+
+
+def find_rates(fold: Fold, horizon: int) -> Rates:
+    """Find for each output the output that is its rate of change, from the training records.
+
+    It is the one whose integral over `horizon` samples correlates best with the output's own
+    increment, with a correlation above 0.6 and a gain between 2/3 and 3/2; None where there is
+    none.
+    """
+    found = motion(fold.train, horizon)
+    gain, correlation = found.gain, found.correlation
+    fits = (correlation > LEAST_CORRELATION) & (gain > 1 / LARGEST_GAIN) & (gain < LARGEST_GAIN)
+    np.fill_diagonal(fits, False)
+    best = np.where(fits, correlation, 0.0).argmax(axis=1).tolist()
+    return tuple(j if fits[i, j] else None for i, j in enumerate(best))
+
+
+def constant_velocity(block: Block, rates: Rates, sampling_time: float) -> Array:
+    """(H, ny): outputs with a rate move on at its last measured value (Euler steps of
+    `sampling_time`, s); the others at their mean rate over the past window, of which one sample
+    holds the output."""
+    past = block.case.past_y
+    slope = (past[-1] - past[0]) / max(len(past) - 1, 1)
+    for output, rate in enumerate(rates):
+        if rate is not None:
+            slope[output] = sampling_time * past[-1, rate]
+    return past[-1] + np.arange(1, len(block.y) + 1)[:, None] * slope
+
+
+# Simple references that every search scores, to compare V with.
+
+
+TRUTH = "simulated truth"
+LINEAR_REFERENCE = "linear model"
+MEAN_REFERENCE = "training mean"
+LINEAR = '''"""Best linear model: state-space, order and delay chosen inside the training data."""
+
+from asia.models import linear
+from asia.models.methods import LevenbergMarquardt
+
+
+def build_model(context):
+    config = linear.Config(order=None, delay=None, periodic=True)
+    return linear.build(config, context)
+
+
+def train(model, trajectories, context):
+    method = LevenbergMarquardt(iterations=30)
+    return linear.train(model, trajectories, context, method)
+
+
+def fit(trajectories, context):
+    return train(build_model(context), trajectories, context)
+'''
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A simple reference, scored."""
+
+    name: str
+    """Name of the reference model."""
+    outcome: Outcome
+    """Score or failure."""
+    failed_checks: tuple[str, ...] = ()
+    """Diagnostics that raised an exception, a line each."""
+
+
+def score_references(
+    evaluator: Evaluator, metric: str, truth: Sequence[Array] | None, known: Set[str]
+) -> Iterator[Reference]:
+    """Training mean, last output held, for windows constant velocity where the past window or
+    another output gives one, best linear model; for simulated problems also the noise-free
+    truth, whose V is the noise floor.
+
+    Names in `known` are passed over.
+
+    Args:
+        truth: one (T, ny) array a training record
+    """
+    folds = evaluator.folds
+
+    def score(simulate: Callable[[Fold, Block], Array]) -> Outcome:
+        outputs = [[simulate(fold, block) for block in fold.validation] for fold in folds]
+        return score_outputs(folds, outputs, metric)
+
+    simulations: dict[str, Callable[[Fold, Block], Array]] = {
+        MEAN_REFERENCE: _training_mean,
+        "last output held": _last_output,
+    }
+    at_constant_velocity = _constant_velocity_simulation(evaluator)
+    if at_constant_velocity is not None:
+        simulations["constant velocity"] = at_constant_velocity
+    for name, simulate in simulations.items():
+        if name not in known:
+            yield Reference(name, score(simulate))
+    if LINEAR_REFERENCE not in known:
+        evaluation = evaluator.evaluate(LINEAR)
+        yield Reference(LINEAR_REFERENCE, evaluation.outcome, evaluation.failed_checks)
+    if truth is not None and TRUTH not in known:
+        yield Reference(
+            TRUTH, score(lambda _, block: truth[block.record][block.start : block.stop])
+        )
+
+
+def _training_mean(fold: Fold, block: Block) -> Array:
+    y = np.concatenate([t.measured_y for t in fold.train])
+    mean = np.nanmean(y, axis=0) if np.isnan(y).any() else y.mean(axis=0)
+    return np.tile(mean, (len(block.y), 1))
+
+
+def _last_output(fold: Fold, block: Block) -> Array:
+    """The training mean where the protocol gives no past output."""
+    past = block.case.past_y
+    return np.tile(past[-1], (len(block.y), 1)) if len(past) else _training_mean(fold, block)
+
+
+def _constant_velocity_simulation(evaluator: Evaluator) -> Callable[[Fold, Block], Array] | None:
+    """Simulation at constant velocity, None where nothing gives one: in long simulations, without
+    past outputs, and where one past output is all and no output is another's rate."""
+    horizon, folds = evaluator.horizon, evaluator.folds
+    past = len(folds[0].validation[0].case.past_y)
+    if horizon is None or past == 0:
+        return None
+    rates = [find_rates(fold, horizon) for fold in folds]
+    if past == 1 and all(rate is None for found in rates for rate in found):
+        return None
+    return lambda fold, block: constant_velocity(
+        block, rates[fold.index], fold.train[0].sampling_time
+    )

@@ -1,0 +1,298 @@
+"""Fits of folds on other machines: requests and replies as bytes."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Generator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from functools import cache, partial
+
+from asia._timer import Activity, ActivityTimer
+from asia.candidate import Context, imported_libraries
+from asia.errors import CandidateError, SandboxError, UserError
+from asia.judge.evaluation.background import CancelFlag
+from asia.judge.evaluation.findings import Fitted
+from asia.judge.evaluation.machines import check_installation, installation_for
+from asia.judge.evaluation.requests import largest, simulate_requests, simulate_training
+from asia.judge.evaluation.results import derive_seed
+from asia.judge.evaluation.transport import (
+    FoldAnswer,
+    FoldData,
+    FoldWork,
+    decode_answer,
+    decode_data,
+    decode_work,
+    encode_answer,
+    encode_data,
+    encode_trouble,
+    encode_work,
+    fold_data,
+    installation_of,
+    local_answer,
+)
+from asia.judge.evaluation.validation_score import Oracle
+from asia.judge.executors import RemoteExecutor
+from asia.judge.sandbox.availability import layers_in_force, open_worker, why_not
+from asia.judge.sandbox.standby import StandbyWorkers
+from asia.judge.sandbox.types import FitReply, Isolation, Limits
+from asia.judge.sandbox.worker.worker import Worker
+from asia.problem.protocol import Fold, ProtocolRule, whole
+
+_LOOK_SECONDS = 0.5
+_KEPT_SECONDS = 60.0
+
+OpenWorker = Callable[[frozenset[str], Limits], AbstractContextManager[Worker]]
+
+
+def fit_fold(
+    work: FoldWork, data: FoldData, open_worker: OpenWorker, oracle: Oracle | None = None
+) -> FoldAnswer:
+    """Fit and simulate in one worker, which reports its parameters before it receives a case.
+
+    Args:
+        oracle: scores the model on the held-out part during the fit, where the protocol allows
+            it; it has the held-out outputs, so it exists only on the search's own machine
+
+    Raises:
+        SandboxError: for a failure that the candidate did not cause
+    """
+    printed: list[str] = []
+    try:
+        fitted = _fitted(work, data, open_worker, oracle, printed)
+    except CandidateError as error:
+        return FoldAnswer(error, "".join(printed))
+    return FoldAnswer(fitted, "".join(printed))
+
+
+def _fitted(
+    work: FoldWork,
+    data: FoldData,
+    open_worker: OpenWorker,
+    oracle: Oracle | None,
+    printed: list[str],
+) -> Fitted:
+    inside, horizon = whole(data.train, data.rule), data.rule.horizon
+    with open_worker(imported_libraries(work.source, fitting=True), work.limits) as worker:
+        try:
+            reply = _fit(worker, work, data, oracle)
+        finally:
+            printed.append(worker.printed)
+        device = worker.device() if work.limits.gpu else ""
+        parameters, model = worker.parameters(), worker.dump()
+        found = simulate_requests(worker, data.blocks, data.requests, largest(data.requests))
+        y_hat = tuple(found[i] for i in range(len(data.cases)))
+        train_y_hat = simulate_training(worker, inside, horizon)
+        memory = worker.peak_memory_mb
+    seconds = [worker.spent.get(a, (0.0, 0.0))[0] for a in (Activity.TRACE, Activity.COMPILE)]
+    return Fitted(reply, model, parameters, y_hat, train_y_hat, memory, sum(seconds), device)
+
+
+def _fit(worker: Worker, work: FoldWork, data: FoldData, oracle: Oracle | None) -> FitReply:
+    context = replace(work.context, deadline=time.monotonic() + work.limits.fit_seconds)
+    if oracle is None:
+        return worker.fit(work.source, data.train, context)
+    with oracle:
+        return worker.fit(work.source, data.train, context, oracle)
+
+
+class StandbyPool:
+    """Workers that a remote machine starts before there is a fold for them.
+
+    One waits for each of the last sets of libraries, as in a search on its own machine. Those of a
+    search that has sent nothing for a minute are ended.
+    """
+
+    def __init__(self, seconds: float = _KEPT_SECONDS) -> None:
+        self._seconds = seconds
+        self._lock = threading.Lock()
+        self._kept: dict[tuple[Isolation, Limits], StandbyWorkers] = {}
+        # A worker ends with the thread that started it: none is closed while one of its is used.
+        self._used: dict[tuple[Isolation, Limits], int] = {}
+        self._end = threading.Timer(0.0, self._end_unused)
+
+    @contextmanager
+    def worker(
+        self, isolation: Isolation, limits: Limits, libraries: frozenset[str]
+    ) -> Generator[Worker]:
+        """One that waits, or a fresh one. Raises SandboxError."""
+        key = isolation, limits
+        with self._lock:
+            self._end.cancel()
+            ready = self._kept.get(key)
+            if ready is None:
+                ready = self._kept[key] = StandbyWorkers(isolation, limits, 1)
+            self._used[key] = self._used.get(key, 0) + 1
+        try:
+            with ready.take(libraries) or open_worker(
+                isolation, limits, libraries=libraries
+            ) as worker:
+                yield worker
+        finally:
+            with self._lock:
+                self._used[key] -= 1
+                self._end.cancel()
+                self._end = threading.Timer(self._seconds, self._end_unused)
+                self._end.daemon = True
+                self._end.start()
+
+    def _end_unused(self) -> None:
+        with self._lock:
+            unused = [self._kept.pop(key) for key in list(self._kept) if not self._used[key]]
+        for ready in unused:
+            ready.close()
+
+
+@cache
+def standby_pool() -> StandbyPool:
+    """The pool of this process, which fits folds for remote searches."""
+    return StandbyPool()
+
+
+def answer(request: bytes, data: bytes, unwanted: Callable[[], bool] = lambda: False) -> bytes:
+    """Answer a request on a worker machine.
+
+    Args:
+        data: the bytes that the request names
+        unwanted: polled; once it is True the worker is ended
+    """
+    machine = socket.gethostname()
+    try:
+        check_installation(installation_of(request), machine)
+        work = decode_work(request)
+        _check_isolation(work.isolation, work.layers, machine)
+        spent: list[Worker] = []
+
+        @contextmanager
+        def opened(libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
+            with _open(work, libraries, limits) as worker:
+                spent.append(worker)
+                with _watched(worker, unwanted):
+                    yield worker
+                    worker.count_compiling()
+
+        found = fit_fold(work, decode_data(data, work.data), opened)
+        seconds = {k: v for worker in spent for k, v in worker.spent.items()}
+        level = work.isolation.value
+        return encode_answer(replace(found, machine=machine, isolation=level, spent=seconds))
+    except (SandboxError, UserError) as error:
+        return encode_trouble(error)
+
+
+def _open(
+    work: FoldWork, libraries: frozenset[str], limits: Limits
+) -> AbstractContextManager[Worker]:
+    if work.alone:
+        return open_worker(work.isolation, limits, libraries=libraries)
+    return standby_pool().worker(work.isolation, limits, libraries)
+
+
+@cache
+def _check_isolation(isolation: Isolation, layers: tuple[str, ...], machine: str) -> None:
+    """Tried once in a process, where it works."""
+    reason = why_not(isolation)
+    if reason is None:
+        lost = sorted({*layers} - {layer.value for layer in layers_in_force(isolation)})
+        reason = f"it lacks {', '.join(lost)}" if lost else None
+    if reason is not None:
+        raise UserError(
+            f"worker machine {machine} cannot isolate candidates as the search does "
+            f"({isolation.value}): {reason}. Run asia doctor on that machine, or begin the "
+            "search with an --isolation that all machines have"
+        )
+
+
+@contextmanager
+def _watched(worker: Worker, unwanted: Callable[[], bool]) -> Generator[None]:
+    """End the worker once its result is no longer needed."""
+    over = threading.Event()
+
+    def look() -> None:
+        while not over.wait(_LOOK_SECONDS):
+            if unwanted():
+                worker.abort()
+                return
+
+    watch = threading.Thread(target=look, daemon=True)
+    watch.start()
+    try:
+        yield
+    finally:
+        over.set()
+        watch.join()
+
+
+class FoldFitter:
+    """Fits the folds of one search on this machine or on remote ones."""
+
+    def __init__(
+        self,
+        rule: ProtocolRule,
+        context: Context,
+        isolation: Isolation,
+        carrier: RemoteExecutor | None,
+        problem: str,
+        alone: bool,
+    ) -> None:
+        """context: the part that is the same for all folds; carrier: transport to other machines,
+        None where folds are fitted here; problem: sha256 of the run's lock file; alone: whether
+        no two workers may run at once. Raises UserError where candidates may ask for their
+        score, which takes the held-out outputs to the machine that fits."""
+        if carrier is not None and rule.early_stopping != "inner":
+            raise UserError(
+                "validation early stopping needs the held-out outputs where a candidate is fitted, "
+                "and other machines do not get them: use --executor local"
+            )
+        self._rule, self._context = rule, context
+        self._isolation, self._carrier, self._problem = isolation, carrier, problem
+        self._alone = alone
+        self._data: dict[int, tuple[FoldData, str, bytes]] = {}
+
+    def fit(
+        self,
+        source: str,
+        fold: Fold,
+        start: int,
+        open_worker: OpenWorker,
+        oracle: Oracle | None,
+        watch: ActivityTimer,
+        cancel: CancelFlag,
+        limits: Limits,
+    ) -> FoldAnswer:
+        """Fit `source` on a fold; start: another one has another seed; cancel: ends it on a remote
+        machine too; limits: of its worker. Raises SandboxError, and UserError where a machine is
+        not fit for the work."""
+        data, digest, raw = self._data_of(fold)
+        work = FoldWork(
+            problem=self._problem,
+            data=digest,
+            fold=fold.index + 1,
+            source=source,
+            context=replace(self._context, seed=derive_seed(self._context.seed, fold.index, start)),
+            limits=limits,
+            isolation=self._isolation,
+            layers=tuple(layer.value for layer in layers_in_force(self._isolation)),
+            alone=self._alone,
+        )
+        train = [(b.y.shape[0], b.y.shape[1]) for b in whole(fold.train, self._rule)]
+        if self._carrier is None:
+            request = encode_work(work, {})
+            fitted = fit_fold(decode_work(request), data, open_worker, oracle)
+            return local_answer(fitted, data, train)
+        request = encode_work(work, installation_for(limits))
+        with cancel.on_cancel(partial(self._carrier.forget, request)):
+            reply = self._carrier.carry(answer, request, digest, raw)
+        found = decode_answer(reply, data, train)
+        for activity, (wall, processor) in found.spent.items():
+            watch.add(activity, wall, processor)
+        return found
+
+    def _data_of(self, fold: Fold) -> tuple[FoldData, str, bytes]:
+        """The data of a fold, with digest and bytes where they are sent."""
+        if fold.index not in self._data:
+            data = fold_data(fold, self._rule)
+            digest, raw = ("", b"") if self._carrier is None else encode_data(data)
+            self._data[fold.index] = data, digest, raw
+        return self._data[fold.index]

@@ -1,0 +1,306 @@
+"""Requests to a worker: order and batches of cases."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from asia.data.trajectory import Array, filled
+from asia.judge.scoring.outcome import check_reply
+from asia.problem.protocol import Block
+
+# Order and batches of the cases that go to a worker.
+
+
+MOST_TRAINING_WINDOWS = 256
+
+
+class CaseSimulator(Protocol):
+    """A fitted model, or a worker that holds one. Raises CandidateError."""
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate cases as `asia.candidate.Model.simulate`; outputs are finite."""
+        ...
+
+
+def simulate_held_out(
+    worker: CaseSimulator, blocks: Sequence[Block], horizon: int | None
+) -> tuple[Array, ...]:
+    """Simulate held-out blocks whose outputs the evaluator keeps.
+
+    A later past window would reveal an earlier block's outputs. Whole blocks go one a request, in
+    time order; windows are grouped as in `time_order`.
+
+    Returns:
+        outputs (H, ny) in the order of `blocks`
+
+    Raises:
+        CandidateError: when the worker fails
+    """
+    requests = held_out_requests(blocks, horizon)
+    found = simulate_requests(worker, blocks, requests, largest(requests))
+    return tuple(found[i] for i in range(len(blocks)))
+
+
+def held_out_requests(blocks: Sequence[Block], horizon: int | None) -> list[list[int]]:
+    """The requests of `simulate_held_out`, as lists of indices into `blocks`.
+
+    The rows of a request are in an order drawn from the held-out outputs, which no worker has: the
+    row of a window would tell its record, whose other part trains.
+    """
+    if horizon is None:
+        return [[i] for i in range(len(blocks))]
+    digest = hashlib.sha256(b"".join(block.y.tobytes() for block in blocks)).digest()
+    random = np.random.default_rng(int.from_bytes(digest[:8], "big"))
+    requests = time_order([block.record for block in blocks])
+    return [random.permutation(request).tolist() for request in requests]
+
+
+def simulate_training(
+    worker: CaseSimulator, blocks: Sequence[Block], horizon: int | None
+) -> tuple[Array, ...]:
+    """The same for blocks whose outputs the candidate was given: many windows a request."""
+    if horizon is None:
+        return simulate_held_out(worker, blocks, None)
+    count = -(-len(blocks) // MOST_TRAINING_WINDOWS)
+    requests = [part.tolist() for part in np.array_split(np.arange(len(blocks)), max(count, 1))]
+    found = simulate_requests(worker, blocks, requests, largest(requests))
+    return tuple(found[i] for i in range(len(blocks)))
+
+
+def spread(blocks: Sequence[Block], most: int) -> tuple[Block, ...]:
+    """Choose at most `most` of the blocks, evenly spread."""
+    places = np.linspace(0, len(blocks) - 1, min(len(blocks), most)).round().astype(int)
+    return tuple(blocks[place] for place in places.tolist())
+
+
+def largest(requests: Sequence[Sequence[int]]) -> int:
+    """The number of rows in which all of them are sent."""
+    return max((len(request) for request in requests), default=0)
+
+
+def among_strangers(
+    requests: Sequence[Sequence[int]], random: np.random.Generator
+) -> list[list[int]]:
+    """The same cases in requests of the same sizes, in random order and each among other cases.
+
+    A case keeps its row: rounding may depend on the row, on nothing else.
+    """
+    mixed: list[list[int]] = [[] for _ in requests]
+    for row in range(largest(requests)):
+        places = [k for k, request in enumerate(requests) if len(request) > row]
+        for place, source in zip(places, random.permutation(places).tolist(), strict=True):
+            mixed[place].append(requests[source][row])
+    return [mixed[k] for k in random.permutation(len(mixed)).tolist()]
+
+
+def time_order(records: Sequence[int]) -> list[list[int]]:
+    """Schedule windows into requests, in time order for each record.
+
+    `records` gives the record of each window; a request is a list of indices into it. A request
+    holds at most one window of each record, and a record's windows go in time order, a request
+    each. There are as few requests as the longest record allows and their sizes differ by one at
+    most (McNaughton's wrap-around schedule, Management Science 6(1), 1959: records laid end to end
+    and cut into lanes), so that a model compiles for two batch sizes at most.
+    """
+    numbers = np.asarray(records, dtype=np.int64)
+    if numbers.size == 0:
+        return []
+    by_record = [np.flatnonzero(numbers == r) for r in dict.fromkeys(numbers.tolist())]
+    count = max(len(indices) for indices in by_record)
+    requests: list[list[int]] = [[] for _ in range(count)]
+    place = 0
+    for indices in by_record:
+        turns = sorted((place + k) % count for k in range(len(indices)))
+        for turn, index in zip(turns, indices.tolist(), strict=True):
+            requests[turn].append(index)
+        place += len(indices)
+    return requests
+
+
+def simulate_requests(
+    worker: CaseSimulator, blocks: Sequence[Block], requests: Sequence[Sequence[int]], rows: int
+) -> dict[int, Array]:
+    """Simulate the requested blocks.
+
+    Requests with fewer than `rows` cases repeat their first one, so that a model compiles once.
+
+    Returns:
+        outputs (H, ny)
+
+    Raises:
+        CandidateError: when the worker fails
+    """
+    found: dict[int, Array] = {}
+    for request in requests:
+        cases = [blocks[i].case for i in (*request, *[request[0]] * (rows - len(request)))]
+        y_hat = worker.simulate(
+            np.stack([case.past_u for case in cases]),
+            np.stack([case.past_y for case in cases]),
+            np.stack([case.u for case in cases]),
+        )
+        for index, simulated in zip(request, y_hat, strict=False):
+            check_reply(simulated, blocks[index].y.shape)
+            found[index] = simulated
+    return found
+
+
+def simulate_alone(worker: CaseSimulator, block: Block, row: int, rows: int) -> Array:
+    """The simulated outputs (H, ny) in one row of a request that holds nothing but this case, in
+    all its rows. Raises CandidateError."""
+    case = block.case
+    given = (np.repeat(a[None], rows, axis=0) for a in (case.past_u, case.past_y, case.u))
+    simulated = worker.simulate(*given)[row]
+    check_reply(simulated, block.y.shape)
+    return simulated
+
+
+# Scored requests, and the changed requests that test whether a model is one.
+
+
+MOST_BATCHES = 6
+_MOTION = 3
+
+
+@dataclass(frozen=True)
+class CaseBatch:
+    """Request with its simulated outputs."""
+
+    past_u: Array
+    """Past inputs, (B, n_past_u, nu)."""
+    past_y: Array
+    """Past outputs, (B, n_past_y, ny)."""
+    u: Array
+    """Inputs, (B, H, nu)."""
+    y: Array
+    """Measured outputs, (B, H, ny)."""
+    y_hat: Array
+    """Simulated outputs, (B, H, ny)."""
+    count: int
+    """Number of rows that are cases; further rows repeat the first."""
+    followed: bool = False
+    """Whether data that come right after the block train."""
+
+    def moved(self, size: float, scale: Array, random: np.random.Generator) -> Iterator[CaseBatch]:
+        """Inputs and past window moved up or down at random by `size` standard deviations; and
+        moved the opposite way. One after the other: long ones are large."""
+        spread = self.u.std(axis=(0, 1))
+        spread = np.where(spread > 0, spread, np.abs(self.u).max(axis=(0, 1)))
+        given = (self.past_u, spread), (self.past_y, scale), (self.u, spread)
+        steps = [random.choice((-1.0, 1.0), a.shape) for a, _ in given]
+        for step, (_, unit) in zip(steps, given, strict=True):
+            step *= size * unit
+        for way in (np.add, np.subtract):
+            past_u, past_y, u = (way(a, d) for (a, _), d in zip(given, steps, strict=True))
+            yield replace(self, past_u=past_u, past_y=past_y, u=u)
+
+    def prefix(self, length: int) -> CaseBatch:
+        """The same cases with their first `length` inputs alone."""
+        return replace(self, u=self.u[:, :length])
+
+    def ending(self, length: int) -> CaseBatch:
+        """The last `length` samples of the same cases, started from simulated outputs."""
+        start = self.u.shape[1] - length
+        return replace(
+            self,
+            past_u=_past(self.past_u, self.u, start),
+            past_y=_past(self.past_y, self.y_hat, start),
+            u=self.u[:, start:],
+        )
+
+    def later_starts(self, number: int, scale: Array) -> Iterator[tuple[CaseBatch, list[int]]]:
+        """Yield the same segments from `number` later starts in the first half, with the sample of
+        each row's start. A past window that does not hold the whole state gives a better start
+        at rest than in motion. Each part of the first half therefore gives the sample at which
+        the outputs move most nearly as fast as at the scored start. After the last input it is
+        held."""
+        motion = self._motion(scale)
+        half = self.u.shape[1] // 2
+        for part in np.array_split(np.arange(1, half + 1), number):
+            unlike = np.abs(np.log(motion[:, part] / motion[:, :1]))
+            starts = part[unlike.argmin(axis=1)].tolist()
+            yield self._from(starts), starts
+
+    def _motion(self, scale: Array) -> Array:
+        """(B, H // 2 + 1): mean absolute step of the outputs over the samples from each one on."""
+        y = np.concatenate([self.past_y[:, -1:], self.y], axis=1)
+        steps = (np.abs(np.diff(y, axis=1)) / scale).mean(axis=2)
+        wanted, length = self.u.shape[1] // 2 + 1, steps.shape[1]
+        near = steps[:, :wanted].copy()
+        for ahead in range(1, _MOTION):
+            later = steps[:, ahead : wanted + ahead]
+            near[:, : later.shape[1]] += later
+        return near / np.minimum(length - np.arange(wanted), _MOTION) + 1e-3
+
+    def _from(self, starts: Sequence[int]) -> CaseBatch:
+        """Each row from its own later start on."""
+
+        def past(before: Array, values: Array) -> Array:
+            rows = zip(before[:, None], values[:, None], starts, strict=True)
+            return np.concatenate([_past(*row) for row in rows])
+
+        length = self.u.shape[1]
+        u = np.empty_like(self.u)
+        for row, known, start in zip(u, self.u, starts, strict=True):
+            row[: length - start], row[length - start :] = known[start:], known[-1]
+        return replace(
+            self, past_u=past(self.past_u, self.u), past_y=past(self.past_y, self.y), u=u
+        )
+
+
+def _past(before: Array, values: Array, start: int) -> Array:
+    """The samples just before `start`, as many as `before` has of those before sample 0."""
+    count = before.shape[1]
+    if start >= count:
+        return values[:, start - count : start].copy()
+    return np.concatenate([before, values[:, :start]], axis=1)[:, start:]
+
+
+def batches(
+    blocks: Sequence[Block],
+    y_hat: Sequence[Array],
+    horizon: int | None,
+    random: np.random.Generator,
+    followed: Collection[int] = (),
+) -> tuple[CaseBatch, ...]:
+    """Draw a few of the requests of `simulate_held_out` at random, in the same shapes and order.
+
+    Args:
+        y_hat: simulated outputs (H, ny)
+        followed: blocks right after which data train
+    """
+    requests = held_out_requests(blocks, horizon)
+    count = min(len(requests), MOST_BATCHES)
+    places = np.sort(random.choice(len(requests), count, replace=False))
+    return tuple(
+        _batch(blocks, y_hat, requests[place], largest(requests), followed) for place in places
+    )
+
+
+def _batch(
+    blocks: Sequence[Block],
+    y_hat: Sequence[Array],
+    request: Sequence[int],
+    rows_sent: int,
+    followed: Collection[int],
+) -> CaseBatch:
+    rows = [*request, *[request[0]] * (rows_sent - len(request))]
+    cases = [blocks[i].case for i in rows]
+    return CaseBatch(
+        past_u=np.stack([case.past_u for case in cases]),
+        past_y=np.stack([case.past_y for case in cases]),
+        u=np.stack([case.u for case in cases]),
+        y=_stacked([filled(blocks[i].y) for i in rows]),
+        y_hat=_stacked([y_hat[i] for i in rows]),
+        count=len(request),
+        followed=all(i in followed for i in request),
+    )
+
+
+def _stacked(rows: Sequence[Array]) -> Array:
+    """Side by side; a single one, which may be long, without a copy."""
+    return rows[0][None] if len(rows) == 1 else np.stack(rows)

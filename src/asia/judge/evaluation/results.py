@@ -1,0 +1,202 @@
+"""Results of an evaluation."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from asia.candidate import ParameterEstimates
+from asia.data.trajectory import Array
+from asia.errors import CandidateError
+from asia.judge.evaluation.training_checks import TrainingCheck
+from asia.judge.scoring.outcome import Failure, FoldScore, Outcome, combine, score_fold
+from asia.judge.scoring.residuals import Diagnostics, SignedResidual
+from asia.problem.protocol import Fold
+
+
+@dataclass(frozen=True)
+class StepErrors:
+    """The errors on the held-out windows at one step."""
+
+    step: int
+    """The step within the window, from 1."""
+    errors: tuple[float, ...]
+    """The metric of each output, as it enters V."""
+
+
+@dataclass(frozen=True)
+class FoldFindings:
+    """Diagnostics of the model of one fold."""
+
+    errors: tuple[float, ...]
+    """The metric of each output on the held-out part, as it enters V."""
+    train_errors: tuple[float, ...]
+    """The same on the training records."""
+    steps: tuple[StepErrors, ...] = ()
+    """The held-out errors at the steps that the protocol names; () for long simulations."""
+    residuals: tuple[SignedResidual, ...] = ()
+    """Mean residuals in the simulation of the training records, the largest shares first."""
+    parameters: tuple[tuple[str, float], ...] = ()
+    """Names and values that the model offers."""
+    compile_seconds: float = 0.0
+    """Time in which JAX traced and compiled, in the fit and the simulations."""
+    memory_mb: float | None = None
+    """The largest address space of the worker; None where the system does not say."""
+    printed: str = ""
+    """Text that the candidate printed during the fit, its middle left out where it is long."""
+    held_out_residuals: tuple[SignedResidual, ...] = ()
+    """Mean residuals in the simulation of the held-out part; () unless the protocol shows these."""
+    checks: tuple[TrainingCheck, ...] | None = None
+    """Those of `asia validate` that do not pass on the training records; None in older ledgers and
+    where these checks failed."""
+    failed: Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)] = ()
+    """Diagnostics that raised an exception, a line each."""
+
+
+@dataclass(frozen=True)
+class FoldResult:
+    """Result of one fold."""
+
+    score: FoldScore
+    """The errors on the held-out part."""
+    model: bytes
+    """The fitted model; never parsed outside a sandbox."""
+    y_hat: tuple[Array, ...]
+    """Simulated outputs (H, ny) of each held-out block."""
+    curve: Array
+    """Step and loss as logged by the candidate, (n, 2)."""
+    diagnostics: Diagnostics
+    """Residuals on the training records."""
+    seconds: float
+    """Duration of the fit."""
+    validation_scores: int = 0
+    """Number of scores on the held-out part that the candidate requested."""
+    findings: FoldFindings | None = None
+    """Diagnostics of the model."""
+    machine: str = ""
+    """The machine that fitted it; "" for the search's own."""
+    isolation: str = ""
+    """The level that was in force there; "" for the search's own."""
+    device: str = ""
+    """Device of JAX, as reported by the worker; "" where no GPU was requested."""
+
+
+@dataclass(frozen=True)
+class FoldEnd:
+    """End of the evaluation of one fold, also where it failed."""
+
+    result: FoldResult | Failure
+    """The result, or why there is none."""
+    output: str
+    """Text that the candidate printed."""
+    validation_scores: int
+    """Number of scores on the held-out part that the candidate requested."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The evaluation of one candidate."""
+
+    outcome: Outcome
+    """Score or failure."""
+    folds: tuple[FoldResult, ...] = ()
+    """The results of all folds; empty if one of them failed."""
+    output: str = ""
+    """Text that the candidate printed during the first fold's fit, or that of a fold that failed,
+    capped and stripped."""
+    validation_scores: int = 0
+    """Number of scores on held-out parts that the candidate requested, in all folds, failed ones
+    included."""
+    ended_folds: int = 0
+    """Number of running folds that were ended because they did not count any more."""
+
+    @property
+    def y_hats(self) -> list[tuple[Array, ...]]:
+        """The held-out simulations of each fold."""
+        return [fold.y_hat for fold in self.folds]
+
+    @property
+    def failed_checks(self) -> tuple[str, ...]:
+        """Diagnostics that raised an exception, each line once, whatever the number of folds."""
+        findings = [fold.findings for fold in self.folds if fold.findings is not None]
+        return tuple(dict.fromkeys(line for one in findings for line in one.failed))
+
+
+def same_simulations(first: Sequence[Sequence[Array]], again: Sequence[Sequence[Array]]) -> bool:
+    """Return whether every simulation came out bitwise the same; one sequence a fold."""
+    return all(
+        a.tobytes() == b.tobytes()
+        for one, other in zip(first, again, strict=True)
+        for a, b in zip(one, other, strict=True)
+    )
+
+
+@dataclass(frozen=True)
+class RefitModel:
+    """A model fitted on all training records."""
+
+    model: bytes
+    """The model; never parsed outside a sandbox."""
+    estimates: ParameterEstimates | None = None
+    """Parameter estimates of the model; None where it offers none."""
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A candidate fitted on all training records, and on one fold a second time."""
+
+    model: RefitModel | CandidateError
+    """The model fitted on all training records, or why there is none."""
+    fold: int
+    """The number of the fold that was fitted again, from 1."""
+    again: FoldResult | Failure
+    """The result of that second fit."""
+
+
+def mean_simulation(each: Sequence[tuple[Array, ...] | CandidateError]) -> tuple[Array, ...]:
+    """The mean over models of their simulations, one (H, ny) array a block. Raises the first
+    CandidateError among them."""
+    simulations: list[tuple[Array, ...]] = []
+    for one in each:
+        if isinstance(one, CandidateError):
+            raise one
+        simulations.append(one)
+    return tuple(np.mean(np.stack(parts), axis=0) for parts in zip(*simulations, strict=True))
+
+
+SUSPICIOUS_RATIO = 0.6
+"""V over the training error, below which it takes more evidence. Honest candidates lie above
+0.9."""
+
+
+def consistency(value: float, training_errors: Sequence[float]) -> float:
+    """V over the mean training error of the folds, both normalised by the same standard
+    deviations."""
+    train = float(np.mean(training_errors))
+    return value / train if train > 0 else float("inf")
+
+
+def derive_seed(root: int, *parts: object) -> int:
+    """Derive a 31-bit seed from the search seed and a purpose, by sha256."""
+    text = ":".join(str(p) for p in (root, *parts))
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") >> 1
+
+
+def score_outputs(
+    folds: Sequence[Fold],
+    outputs: Sequence[Sequence[Array]],
+    metric: str,
+    *,
+    in_parts: bool = False,
+) -> Outcome:
+    """Score given simulations, one (H, ny) array a held-out block of each fold."""
+    scores = [
+        score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric, in_parts=in_parts)
+        for fold, y_hat in zip(folds, outputs, strict=True)
+    ]
+    return combine(scores)

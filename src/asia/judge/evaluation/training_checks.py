@@ -1,0 +1,78 @@
+"""Checks of `asia validate` on the training records of a fold, as evidence for agents.
+
+They run at every evaluation, so they use few samples and the worst outputs only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data.trajectory import Array, filled
+from asia.judge.scoring.checks.check import Verdict
+from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
+from asia.judge.scoring.checks.residual import residual_checks
+from asia.judge.scoring.checks.response import check_frequency_response, check_gain
+from asia.problem.protocol import Block
+
+_MOST_SAMPLES, _MOST_OUTPUTS, _MOST_INPUTS = 2000, 2, 4
+_FEWEST_SAMPLES = 200
+
+
+@dataclass(frozen=True)
+class TrainingCheck:
+    """A check that does not pass on the training records of a fold."""
+
+    name: str
+    """Name of the check, as in `asia validate`."""
+    verdict: Verdict
+    """`doubt` or `fail`."""
+    sentence: str
+    """Finding, with numbers."""
+    weight: float
+    """Weight among the checks that do not pass."""
+
+
+def training_checks(
+    blocks: Sequence[Block], y_hat: Sequence[Array], scale: Array, context: Context
+) -> tuple[TrainingCheck, ...]:
+    """Run the checks and return those that do not pass, the most important first.
+
+    Checks that need further simulations are left out. () for records that are too short.
+
+    Args:
+        y_hat: (H, ny) a block
+    """
+    chosen = _spread(blocks, y_hat)
+    if sum(len(y) for _, y in chosen) < _FEWEST_SAMPLES:
+        return ()
+    errors = np.concatenate([filled(b.y[: len(y)] - y) for b, y in chosen]) / scale
+    worst = np.argsort(-np.mean(errors**2, axis=0), kind="stable")[:_MOST_OUTPUTS]
+    outputs = sorted(worst.tolist())
+    inputs = list(range(min(_MOST_INPUTS, len(context.inputs))))
+    found = SimulatedBlocks(
+        tuple(
+            SimulatedBlock(b.case.u[: len(y), inputs], b.y[: len(y), outputs], y[:, outputs],
+                           b.record, b.start)
+            for b, y in chosen
+        ),
+        tuple(context.inputs[k].name for k in inputs),
+        tuple(context.outputs[k].name for k in outputs),
+        context.sampling_time,
+    )  # fmt: skip
+    checks = (*residual_checks(found), check_gain(found), check_frequency_response(found, ()))
+    raised = [c for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)]
+    raised.sort(key=lambda c: -c.weight)
+    return tuple(TrainingCheck(c.name, c.verdict, c.sentence, round(c.weight, 4)) for c in raised)
+
+
+def _spread(blocks: Sequence[Block], y_hat: Sequence[Array]) -> list[tuple[Block, Array]]:
+    """Blocks evenly spread, each from its start, as many as fit."""
+    longest = max(len(y) for y in y_hat)
+    many = max(1, min(len(blocks), _MOST_SAMPLES // longest))
+    places = np.linspace(0, len(blocks) - 1, many).round().astype(int).tolist()
+    each = _MOST_SAMPLES // many
+    return [(blocks[k], y_hat[k][:each]) for k in places]

@@ -1,0 +1,267 @@
+"""Messages to and from the machine that fits a fold.
+
+A request is made by the search and may be unpickled there. An answer holds data made by a
+candidate: it is JSON and raw numbers, which the search checks against its request.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import pickle
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from asia._timer import Activity, Seconds
+from asia.candidate import Context
+from asia.data.trajectory import Array, Trajectory
+from asia.errors import CandidateError, Reason, SandboxError, UserError
+from asia.judge.evaluation.findings import Fitted
+from asia.judge.evaluation.requests import held_out_requests
+from asia.judge.sandbox.types import FitReply, Isolation, Limits, WorkerKilledError
+from asia.problem.protocol import Block, Case, Fold, ProtocolRule
+
+_HEAD_BYTES = 8
+
+Blob: TypeAlias = bytes | memoryview
+"""Raw bytes of a message."""
+
+
+@dataclass(frozen=True)
+class FoldData:
+    """Data for the fit of a fold, the same for all candidates.
+
+    Of the held-out outputs it has the past windows alone, which candidates receive.
+    """
+
+    train: tuple[Trajectory, ...]
+    """Records that models are fitted to."""
+    cases: tuple[Case, ...]
+    """Cases to simulate."""
+    shapes: tuple[tuple[int, int], ...]
+    """(H, ny) of each case."""
+    requests: tuple[tuple[int, ...], ...]
+    """Cases of each request, in order: see `held_out_requests`."""
+    rule: ProtocolRule
+    """Rule that cuts records into windows."""
+
+    @property
+    def blocks(self) -> list[Block]:
+        """The cases as blocks whose outputs are not there."""
+        pairs = zip(self.cases, self.shapes, strict=True)
+        return [Block(c, np.broadcast_to(np.float64(np.nan), s), 0, 0) for c, s in pairs]
+
+
+@dataclass(frozen=True)
+class FoldWork:
+    """Work on a fold: everything that its outcome depends on, besides the data that it names."""
+
+    problem: str
+    """sha256 of the run's lock file; "" for an evaluation outside a run."""
+    data: str
+    """sha256 of the `FoldData` as bytes."""
+    fold: int
+    """1-based."""
+    source: str = field(repr=False)
+    """The candidate."""
+    context: Context = field(repr=False)
+    """Context of the candidate, with its seed. The deadline is set on the machine that fits."""
+    limits: Limits
+    """Resource limits of a worker."""
+    isolation: Isolation
+    """The level that must keep the candidate in."""
+    layers: tuple[str, ...]
+    """The layers of this level that must be in force."""
+    alone: bool = False
+    """Whether no worker may be started while it runs, since it could tell that one something."""
+
+
+@dataclass(frozen=True)
+class FoldAnswer:
+    """Answer of the machine that fits."""
+
+    result: Fitted | CandidateError
+    """Result of the worker, or its error."""
+    printed: str
+    """Text that the candidate printed during its fit."""
+    machine: str = ""
+    """The machine, "" for the search's own."""
+    isolation: str = ""
+    """The level that was in force there."""
+    spent: Seconds = field(default_factory=dict[Activity, tuple[float, float]])
+    """Seconds by activity."""
+
+
+def fold_data(fold: Fold, rule: ProtocolRule) -> FoldData:
+    """Collect the data of a fold: everything but the outputs that it holds out."""
+    blocks = fold.validation
+    return FoldData(
+        train=fold.train,
+        cases=tuple(block.case for block in blocks),
+        shapes=tuple((block.y.shape[0], block.y.shape[1]) for block in blocks),
+        requests=tuple(tuple(r) for r in held_out_requests(blocks, rule.horizon)),
+        rule=rule,
+    )
+
+
+def encode_data(data: FoldData) -> tuple[str, bytes]:
+    """Digest and bytes."""
+    raw = pickle.dumps(data, protocol=5)
+    return hashlib.sha256(raw).hexdigest(), raw
+
+
+def decode_data(raw: bytes, digest: str) -> FoldData:
+    """The data of a search of our own.
+
+    Raises:
+        SandboxError: where they are not those
+    """
+    if hashlib.sha256(raw).hexdigest() != digest:
+        raise SandboxError("the data of a fold came as other bytes than the search sent")
+    return pickle.loads(raw)
+
+
+def encode_work(work: FoldWork, installation: Mapping[str, str]) -> bytes:
+    """installation: of the search's own machine, compared before anything else is read."""
+    body = pickle.dumps(work, protocol=5)
+    return _packed({"installation": dict(installation)}, [body])
+
+
+def installation_of(request: bytes) -> dict[str, str]:
+    """That of the machine that sent the request."""
+    return _unpacked(request)[0]["installation"]
+
+
+def decode_work(request: bytes) -> FoldWork:
+    """The work in a request of our own search."""
+    return pickle.loads(_unpacked(request)[1][0])
+
+
+def encode_answer(answer: FoldAnswer) -> bytes:
+    """Candidates' texts as JSON strings, their arrays as raw float64."""
+    return _packed(*_parts(answer))
+
+
+def local_answer(
+    answer: FoldAnswer, data: FoldData, train: Sequence[tuple[int, int]]
+) -> FoldAnswer:
+    """Return the answer that `decode_answer` makes of an encoded one, without copying its arrays:
+    those of long records are large."""
+    head, blobs = _parts(answer)
+    return _answer(json.loads(json.dumps(head)), blobs, data, train)
+
+
+def _parts(answer: FoldAnswer) -> tuple[dict[str, Any], list[Blob]]:
+    head: dict[str, Any] = {
+        "printed": answer.printed,
+        "machine": answer.machine,
+        "isolation": answer.isolation,
+        "spent": {activity.value: seconds for activity, seconds in answer.spent.items()},
+    }
+    result = answer.result
+    if isinstance(result, CandidateError):
+        return {**head, "reason": result.reason.value, "detail": result.detail}, []
+    reply = result.reply
+    head |= {
+        "output": reply.output,
+        "seconds": reply.seconds,
+        "parameters": result.parameters,
+        "memory_mb": result.memory_mb,
+        "compile_seconds": result.compile_seconds,
+        "device": result.device,
+        "train": len(result.train_y_hat),
+    }
+    arrays = (reply.curve, *result.y_hat, *result.train_y_hat)
+    return head, [result.model, *(_raw(array) for array in arrays)]
+
+
+def encode_trouble(error: SandboxError | UserError) -> bytes:
+    """Encode an error in place of an answer: a worker that was killed, or a machine that cannot do
+    the work."""
+    kind = "user" if isinstance(error, UserError) else "sandbox"
+    kind = "killed" if isinstance(error, WorkerKilledError) else kind
+    return _packed({"trouble": kind, "words": str(error)}, [])
+
+
+def decode_answer(reply: bytes, data: FoldData, train: Sequence[tuple[int, int]]) -> FoldAnswer:
+    """Decode the answer to work on `data`.
+
+    Args:
+        train: (H, ny) of the blocks of its training records
+
+    Raises:
+        SandboxError: for an invalid answer
+        UserError: as given to `encode_trouble`
+    """
+    try:
+        head, blobs = _unpacked(reply)
+        if "trouble" in head:
+            raise _trouble(head["trouble"], str(head["words"]))
+        return _answer(head, blobs, data, train)
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise SandboxError(f"a worker machine answered what is no answer: {error}") from None
+
+
+def _answer(
+    head: dict[str, Any], blobs: Sequence[Blob], data: FoldData, train: Sequence[tuple[int, int]]
+) -> FoldAnswer:
+    result: Fitted | CandidateError
+    if "reason" in head:
+        result = CandidateError(Reason(head["reason"]), str(head["detail"]))
+    else:
+        shapes = [*data.shapes, *train]
+        if head["train"] != len(train) or len(blobs) != 2 + len(shapes):
+            raise ValueError("another number of simulations")
+        y_hat = [_floats(raw, shape) for raw, shape in zip(blobs[2:], shapes, strict=True)]
+        curve = _floats(blobs[1], (len(blobs[1]) // 16, 2))
+        memory = head["memory_mb"]
+        result = Fitted(
+            reply=FitReply(curve, str(head["output"]), float(head["seconds"])),
+            model=bytes(blobs[0]),
+            parameters=tuple((str(name), float(value)) for name, value in head["parameters"]),
+            y_hat=tuple(y_hat[: len(data.shapes)]),
+            train_y_hat=tuple(y_hat[len(data.shapes) :]),
+            memory_mb=None if memory is None else float(memory),
+            compile_seconds=float(head["compile_seconds"]),
+            device=str(head["device"]),
+        )
+    spent = {Activity(k): (float(a), float(b)) for k, (a, b) in head["spent"].items()}
+    return FoldAnswer(result, head["printed"], head["machine"], head["isolation"], spent)
+
+
+def _trouble(kind: str, words: str) -> SandboxError | UserError:
+    if kind == "user":
+        return UserError(words)
+    return WorkerKilledError(words) if kind == "killed" else SandboxError(words)
+
+
+def _raw(array: Array) -> memoryview:
+    return np.ascontiguousarray(array, "<f8").reshape(-1).view(np.uint8).data
+
+
+def _floats(raw: Blob, shape: tuple[int, int]) -> Array:
+    if len(raw) != 8 * math.prod(shape):
+        raise ValueError(f"{len(raw)} bytes for an array {shape}")
+    found = np.frombuffer(raw, "<f8").astype(np.float64, copy=isinstance(raw, bytes))
+    return found.reshape(shape)
+
+
+def _packed(head: dict[str, Any], blobs: Sequence[Blob]) -> bytes:
+    text = json.dumps({**head, "lengths": [len(blob) for blob in blobs]}).encode()
+    return b"".join((len(text).to_bytes(_HEAD_BYTES, "little"), text, *blobs))
+
+
+def _unpacked(raw: bytes) -> tuple[dict[str, Any], list[bytes]]:
+    end = _HEAD_BYTES + int.from_bytes(raw[:_HEAD_BYTES], "little")
+    head: dict[str, Any] = json.loads(raw[_HEAD_BYTES:end])
+    blobs: list[bytes] = []
+    for length in head["lengths"]:
+        blobs.append(raw[end : end + length])
+        end += length
+    if end != len(raw):
+        raise ValueError("its parts have other lengths")
+    return head, blobs

@@ -1,0 +1,2 @@
+"""Sandboxed worker processes for untrusted candidates; their replies are bytes that are never
+parsed."""

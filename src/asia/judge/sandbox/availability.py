@@ -1,0 +1,274 @@
+"""Isolation levels of this machine: what works, why not, and a worker at a level."""
+
+from __future__ import annotations
+
+import compileall
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from asia.candidate import Context
+from asia.data.trajectory import Signal
+from asia.errors import CandidateError, SandboxError, UserError
+from asia.judge.sandbox.layers import landlock
+from asia.judge.sandbox.layers.environment import in_container, layer_remedy, package_folder
+from asia.judge.sandbox.layers.gpu import gpu_nodes
+from asia.judge.sandbox.level import Level
+from asia.judge.sandbox.levels import LEVELS
+from asia.judge.sandbox.types import Isolation, Layer, Limits, Probe
+from asia.judge.sandbox.worker.worker import Worker
+
+# Choice of the isolation level, and workers at a given one.
+
+
+def probe(wanted: Isolation | None = None) -> Probe:
+    """The strongest level that works here, found by starting something at it, or the `wanted` one.
+
+    Also byte-compiles this package where its folder can be written: workers write nothing, so each
+    of them would compile it anew.
+
+    Raises:
+        SandboxError: where `wanted` does not work
+    """
+    compileall.compile_dir(package_folder(), quiet=2)
+    if wanted is not None:
+        reason = why_not(wanted)
+        if reason is not None:
+            raise SandboxError(f"isolation level '{wanted}' cannot run here: {reason}")
+        return _found(LEVELS[wanted], ("requested by the user",))
+    notes: list[str] = []
+    for level in fitting_levels():
+        reason = level.why_not()
+        if reason is None:
+            return _found(level, notes)
+        notes.append(f"{level.isolation}: {reason}")
+    raise SandboxError("no isolation level works on this machine")
+
+
+def _found(level: Level, notes: Sequence[str]) -> Probe:
+    name, absent = level.isolation, level.missing()
+    said = [f"{name} without {layer}: {why}" for layer, why in absent.items()]
+    said += [f"{name}: {level.caveat}"] if level.caveat else []
+    return Probe(name, (*notes, *said), layers_in_force(name))
+
+
+def fitting_levels() -> tuple[Level, ...]:
+    """The levels worth a word on this system, strongest first."""
+    return tuple(level for level in LEVELS.values() if level.fits)
+
+
+def why_not(level: Isolation) -> str | None:
+    """None if a worker can be started at `level` here, else the reason in plain words."""
+    return LEVELS[level].why_not()
+
+
+def layers_in_force(level: Isolation, without: Collection[Layer] = ()) -> tuple[Layer, ...]:
+    """The layers that a worker at `level` has here, where these are left out."""
+    absent = {*LEVELS[level].missing(), *without}
+    return tuple(layer for layer in LEVELS[level].layers if layer not in absent)
+
+
+def open_worker(
+    level: Isolation,
+    limits: Limits,
+    *,
+    libraries: Collection[str] = (),
+    without: Collection[Layer] = frozenset(),
+) -> Worker:
+    """Start one fresh worker at `level`.
+
+    Args:
+        libraries: modules that it loads, inside the sandbox, before its first request
+        without: layers to leave out, to show in an outer sandbox what each of them stops; no
+            search uses it
+
+    Raises:
+        SandboxError: if the worker cannot be started
+    """
+    process = LEVELS[level].open(limits, layers_in_force(level, without), libraries)
+    return Worker(process, limits)
+
+
+# Isolation levels that this machine supports, the missing layers and their remedies.
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Facts that decide about isolation."""
+
+    system: str
+    """The kernel's name and release."""
+    architecture: str
+    """Architecture of the processor."""
+    python: str
+    """Version of the running one."""
+    cores: int
+    """Number of cores of the machine."""
+    memory_mb: int | None
+    """Physical memory, None where the system does not say."""
+    user: str
+    """`root` or `ordinary`."""
+    container: bool
+    """Whether this is a container."""
+    landlock: int
+    """The kernel's version of it, 0 for none."""
+    bubblewrap: str | None
+    """Path of the program."""
+
+
+@dataclass(frozen=True)
+class Lack:
+    """Something that does not work here: a level, or one layer of a level that works."""
+
+    what: str
+    """The level or the layer."""
+    reason: str
+    """Reason why it does not work."""
+    remedy: str
+    """Remedy."""
+
+
+@dataclass(frozen=True)
+class LevelState:
+    """One level, tried out here."""
+
+    level: Isolation
+    """The level."""
+    works: bool
+    """Whether a worker starts at it."""
+    layers: tuple[Layer, ...]
+    """Those it would really have, none where it does not work."""
+    lacks: tuple[Lack, ...]
+    """Missing parts that keep the level from working or from being complete."""
+
+
+def machine() -> Machine:
+    """Facts of this machine."""
+    return Machine(
+        system=f"{platform.system()} {platform.release()}",
+        architecture=platform.machine(),
+        python=platform.python_version(),
+        cores=os.cpu_count() or 1,
+        memory_mb=_memory_mb(),
+        user="root" if os.geteuid() == 0 else "ordinary",
+        container=in_container(),
+        landlock=_landlock_version(),
+        bubblewrap=shutil.which("bwrap"),
+    )
+
+
+def survey() -> tuple[LevelState, ...]:
+    """Every level tried out here, strongest first."""
+    return tuple(_state(level) for level in fitting_levels())
+
+
+def _state(level: Level) -> LevelState:
+    name, reason = level.isolation, level.why_not()
+    if reason is not None:
+        return LevelState(name, False, (), (Lack(name.value, reason, level.remedy()),))
+    absent = level.missing().items()
+    lacks = tuple(Lack(layer.value, why, layer_remedy(layer)) for layer, why in absent)
+    return LevelState(name, True, layers_in_force(name), lacks)
+
+
+def _landlock_version() -> int:
+    if sys.platform != "linux":
+        return 0
+    try:
+        return landlock.abi()
+    except OSError:
+        return 0
+
+
+def _memory_mb() -> int | None:
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // (1024 * 1024)
+    except (ValueError, OSError):
+        return None
+
+
+# Test whether sandboxed workers can compute on a GPU.
+
+
+_LIMITS = Limits(120.0, 60.0, 16384, gpu=True)
+_MOST_WORDS = 200
+DEVICES = ("auto", "cpu", "gpu")
+"""Devices that a search may request."""
+_OPEN = (
+    "gpu: workers that train networks reach its driver at level {level}, through a filter that "
+    "allows its commands, and have a limit on resident memory instead of addresses"
+)
+# Return JAX's name of the card, after a computation on it.
+_TRIAL = """
+import jax
+import numpy as np
+
+
+class Model:
+    def simulate(self, past_u, past_y, u):
+        return u
+
+
+def fit(trajectories, context):
+    device = jax.devices()[0]
+    if device.platform != "gpu":
+        raise RuntimeError(f"JAX computes on {device.platform}")
+    total = jax.jit(lambda x: (x * x).sum())(np.arange(4.0, dtype="float32"))
+    assert float(total) == 14.0
+    print(device.device_kind)
+    return Model()
+"""
+
+
+def chosen_gpu(asked: str, level: Isolation) -> tuple[str, tuple[str, ...]]:
+    """Choose the GPU of a search.
+
+    Args:
+        asked: `auto` for a GPU where there is one, `cpu` or `gpu`
+
+    Returns:
+        JAX's name of the GPU, "" for none, and notes for the user
+
+    Raises:
+        UserError: for another word, and where `gpu` is requested and workers at `level` cannot
+            reach one
+    """
+    if asked not in DEVICES:
+        raise UserError(f"--device {asked}: expected {', '.join(DEVICES[:-1])} or {DEVICES[-1]}")
+    if asked == "cpu" or (asked == "auto" and not gpu_nodes()):
+        return "", ()
+    try:
+        return gpu_here(level), (_OPEN.format(level=level),)
+    except SandboxError as error:
+        if asked == "auto":
+            return "", (f"gpu: not used, {error}",)
+        raise UserError(
+            f"--device gpu: {error}. Install NVIDIA's driver and JAX for CUDA (pip install "
+            "'.[gpu]' in a clone of ASIA), check it with: asia doctor; or use --device cpu"
+        ) from None
+
+
+def gpu_here(level: Isolation) -> str:
+    """Return JAX's name of the GPU that workers at `level` compute on.
+
+    Raises:
+        SandboxError: with the reason in plain words, where they cannot reach one
+    """
+    if not gpu_nodes():
+        raise SandboxError("there is no device node /dev/nvidia0 with its driver")
+    one = (Signal("u"),)
+    try:
+        with open_worker(level, _LIMITS, libraries=("jax",)) as worker:
+            said = worker.fit(_TRIAL, [], Context(one, one, 1.0, 0, 0)).output
+    except (CandidateError, SandboxError) as error:
+        raise SandboxError(f"JAX does not reach it at level {level}: {_last(str(error))}") from None
+    return _last(said) or "GPU"
+
+
+def _last(words: str) -> str:
+    """The last line, cut off where it is long."""
+    lines = [line.strip() for line in words.splitlines() if line.strip()]
+    return lines[-1][:_MOST_WORDS] if lines else ""

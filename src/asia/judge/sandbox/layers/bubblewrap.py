@@ -1,0 +1,95 @@
+"""Command line of bubblewrap: the view of a program in its own namespaces."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Mapping
+from typing import Literal
+
+from asia.judge.sandbox.layers.environment import (
+    SYSTEM_FILES,
+    code_folders,
+    environment,
+    interpreter_links,
+)
+from asia.judge.sandbox.layers.gpu import GPU_FACTS, gpu_nodes
+
+Shared = Literal["net", "pid"]
+_HOME = "/tmp/scratch"
+_TMP_BYTES = 64 * 1024 * 1024
+_SHM_BYTES = 16 * 1024 * 1024
+
+
+def bubblewrap_options(
+    tmp_bytes: int = _TMP_BYTES,
+    *,
+    shared: Collection[Shared] = (),
+    nesting: bool = False,
+    gpu: bool = False,
+) -> list[str]:
+    """Return the bwrap options of a worker, up to the command.
+
+    Args:
+        shared, nesting: as in `walls`
+        gpu: whether it computes on the GPU
+    """
+    memory = {"/dev/shm": _SHM_BYTES, "/tmp": tmp_bytes}
+    shown = [*(_gpu_options() if gpu else []), "--chdir", _HOME]
+    options = walls(memory, _HOME, shown, shared=shared, nesting=nesting)
+    options += ["--uid", "65534", "--gid", "65534", "--hostname", "sandbox", "--clearenv"]
+    for name, value in environment(_HOME, gpu=gpu).items():
+        options += ["--setenv", name, value]
+    return options
+
+
+def _gpu_options() -> list[str]:
+    """Return the bubblewrap options for a GPU; files in /proc are there already."""
+    options = [word for node in gpu_nodes() for word in ("--dev-bind-try", node, node)]
+    for place in GPU_FACTS:
+        if not place.startswith("/proc/"):
+            options += ["--ro-bind-try", place, place]
+    return options
+
+
+def walls(
+    memory: Mapping[str, int],
+    folder: str,
+    shown: Collection[str],
+    *,
+    files: Collection[str] = (),
+    shared: Collection[Shared] = (),
+    nesting: bool = False,
+) -> list[str]:
+    """bwrap options that show code alone, read-only.
+
+    Args:
+        memory: bytes of each file system in memory
+        folder: one to make
+        shown: options after the code's
+        files: of the system, where they exist
+        shared: namespaces that stay the caller's, with its /proc
+        nesting: whether more can be made
+    """
+    spaces = ("user", "ipc", "pid", "net", "uts", "cgroup-try")
+    options = [f"--unshare-{space}" for space in spaces if space not in shared]
+    options += [] if nesting else ["--disable-userns"]
+    options += ["--die-with-parent", "--new-session", "--ro-bind", "/usr", "/usr"]
+    for name in ("/bin", "/sbin", "/lib", "/lib32", "/lib64"):
+        if os.path.islink(name):
+            options += ["--symlink", os.readlink(name), name]
+        elif os.path.isdir(name):
+            options += ["--ro-bind", name, name]
+    options += ["--dir", "/etc"]
+    for name in (*SYSTEM_FILES, *files):
+        options += ["--ro-bind-try", name, name]
+    # A root of the host owns /proc/sys inside too: without the remount it could write there.
+    own = ["--proc", "/proc", "--remount-ro", "/proc"]
+    options += [*(["--bind", "/proc", "/proc"] if "pid" in shared else own), "--dev", "/dev"]
+    for place, most in memory.items():
+        options += ["--size", str(most), "--tmpfs", place]
+    options += ["--dir", folder]
+    for outside, inside in code_folders():
+        options += ["--ro-bind", outside, inside]
+    for target, place in interpreter_links():
+        options += ["--symlink", target, place]
+    return [*options, *shown, "--remount-ro", "/", "--cap-drop", "ALL"]

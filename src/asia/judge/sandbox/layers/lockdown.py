@@ -1,0 +1,85 @@
+"""Lockdown of a process: no capabilities, then Landlock, then the filter on system calls.
+
+Called by the worker before it imports modules that start threads, because Landlock binds the
+calling thread only. Also a script that tests whether all layers hold here. Arguments of the script:
+the layers, then a folder to read.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import struct
+import sys
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from asia.judge.sandbox.layers import landlock, seccomp
+else:
+    # Imported as neighbours: their package imports modules that only the parent needs.
+    sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+    import landlock
+    import seccomp
+
+    del sys.path[0]
+
+LANDLOCK, SECCOMP, RLIMITS = "landlock", "seccomp", "rlimits"
+WRITABLE = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
+_CAPABILITY_VERSION_3 = 0x20080522
+_PR_SET_PDEATHSIG = 1
+_AF_UNIX, _SOCK_STREAM = 1, 1
+
+
+def confine(layers: Collection[str], readable: Sequence[str], devices: Sequence[str] = ()) -> None:
+    """Apply these layers permanently.
+
+    The process also ends with its parent from here on, which it cannot undo under the filter.
+
+    Args:
+        devices: nodes that the process may give commands to
+
+    Raises:
+        OSError, RuntimeError: where a thread would stay out
+    """
+    if LANDLOCK not in layers and SECCOMP not in layers:
+        return
+    threads = len(os.listdir("/proc/self/task"))
+    if threads != 1:
+        raise RuntimeError(f"{threads} threads run already; Landlock would bind one of them")
+    libc = ctypes.CDLL(None, use_errno=True)
+    head = struct.pack("@Ii", _CAPABILITY_VERSION_3, 0)
+    if libc.capset(head, bytes(24)) != 0:
+        raise OSError(ctypes.get_errno(), "capabilities could not be dropped")
+    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if LANDLOCK in layers:
+        landlock.restrict(readable, WRITABLE, devices)
+    if SECCOMP in layers:
+        seccomp.install(devices=bool(devices))
+
+
+def holds(layers: Collection[str], folder: str) -> str | None:
+    """None if this process, once confined, is stopped where it must be and only there."""
+    try:
+        os.listdir(folder)
+    except OSError as error:
+        return f"{folder} cannot be read inside: {error.strerror}"
+    if LANDLOCK in layers:
+        try:
+            os.listdir("/")
+            return "Landlock is in force and stops nothing"
+        except PermissionError:
+            pass
+    if SECCOMP in layers and ctypes.CDLL(None).socket(_AF_UNIX, _SOCK_STREAM, 0) >= 0:
+        return "the filter on system calls is in force and stops nothing"
+    return None
+
+
+if __name__ == "__main__":
+    _layers = sys.argv[1].split(",")
+    try:
+        confine(_layers, [sys.argv[2]])
+        sys.exit(holds(_layers, sys.argv[2]))
+    except (OSError, RuntimeError) as _error:
+        sys.exit(str(_error))

@@ -1,0 +1,51 @@
+"""Interface of an isolation level."""
+
+from __future__ import annotations
+
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Collection
+from typing import ClassVar
+
+from asia.judge.sandbox.layers.environment import missing_layers
+from asia.judge.sandbox.types import Isolation, Layer, Limits
+from asia.judge.sandbox.worker.process import WorkerProcess
+
+
+class Level(ABC):
+    """A way to keep candidates in."""
+
+    isolation: ClassVar[Isolation]
+    """Name of the level."""
+    layers: ClassVar[tuple[Layer, ...]]
+    """Layers of the level where the kernel supports all."""
+    confined: ClassVar[bool] = True
+    """Whether it means to stop a candidate that wants out, and not accidents alone."""
+    system: ClassVar[str | None] = None
+    """The only `sys.platform` on which it is worth a word, None for every one."""
+    caveat: ClassVar[str | None] = None
+    """Warning for users of the level."""
+
+    @property
+    def fits(self) -> bool:
+        """Whether it is worth a word on this system."""
+        return self.system in (None, sys.platform)
+
+    def missing(self) -> dict[Layer, str]:
+        """Return the layers that the kernel does not support, with reasons."""
+        return {layer: why for layer, why in missing_layers().items() if layer in self.layers}
+
+    @abstractmethod
+    def why_not(self) -> str | None:
+        """None if a worker can be started here, else the reason in plain words."""
+
+    @abstractmethod
+    def remedy(self) -> str:
+        """Describe the remedy where the level does not work."""
+
+    @abstractmethod
+    def open(
+        self, limits: Limits, layers: Collection[Layer], libraries: Collection[str]
+    ) -> WorkerProcess:
+        """Start a worker behind these layers that loads these libraries ahead. Raises
+        SandboxError."""

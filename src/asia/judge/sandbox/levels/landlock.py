@@ -1,0 +1,77 @@
+"""Isolation without namespaces: a worker that locks itself in by Landlock and a system call filter.
+
+For containers and for systems that keep namespaces from users. The worker reads the interpreter,
+the environment, this package and the packages of parts, and writes nowhere. It stays one process:
+ending it ends all. It can still learn that a file exists, its size and its age.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Collection
+
+from asia.errors import SandboxError
+from asia.judge.sandbox.layers.environment import (
+    START_SECONDS,
+    child_command,
+    environment,
+    interpreter,
+    last_line,
+    layer_remedy,
+    package_folder,
+    run_trial,
+)
+from asia.judge.sandbox.level import Level
+from asia.judge.sandbox.types import Isolation, Layer, Limits
+from asia.judge.sandbox.worker.process import PipePairs, WorkerProcess, parent_ends, start
+
+_NOWHERE = "/"
+
+
+class Landlock(Level):
+    """Level of a process that restricts itself, with Landlock and the system call filter."""
+
+    isolation = Isolation.LANDLOCK
+    layers = (Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS)
+
+    def why_not(self) -> str | None:
+        absent = self.missing()
+        if absent:
+            return "; ".join(absent.values())
+        script = package_folder() / "judge" / "sandbox" / "layers" / "lockdown.py"
+        walls = f"{Layer.LANDLOCK},{Layer.SECCOMP}"
+        command = [interpreter(), "-I", "-S", "-B", str(script), walls, str(package_folder())]
+        try:
+            trial = run_trial(command)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return f"a trial did not end within {START_SECONDS:g} s: {error}"
+        return None if trial.returncode == 0 else last_line(trial, "a trial failed silently")
+
+    def remedy(self) -> str:
+        steps = [layer_remedy(layer) for layer in self.missing()]
+        return "; ".join(steps) or "run a Python and a package that this user may read"
+
+    def open(
+        self, limits: Limits, layers: Collection[Layer], libraries: Collection[str]
+    ) -> WorkerProcess:
+        absent = self.missing()
+        if absent:
+            reasons = "; ".join(absent.values())
+            raise SandboxError(f"isolation level '{self.isolation}' cannot run here: {reasons}")
+        pipes = PipePairs(os.pipe(), os.pipe())
+        command = child_command(*pipes.child_ends, limits, layers, libraries)
+        process = start(command, pipes, env=environment(_NOWHERE, gpu=limits.gpu), cwd=_NOWHERE)
+        return WorkerProcess(
+            process=process,
+            pipes=parent_ends(process, pipes),
+            kill=process.kill,
+            force=process.kill,
+            tidy=_nothing,
+            beyond_reach=False,
+            find=lambda: process.pid,
+        )
+
+
+def _nothing() -> None:
+    """Do nothing: there is no folder and no other process besides the worker."""

@@ -1,0 +1,201 @@
+"""Isolation by Linux namespaces, through bubblewrap.
+
+The worker sees the interpreter, the environment, this package and the packages of parts, all
+read-only, and two small file systems in memory, which Landlock keeps it from using. No network, no
+other processes, no capability.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import select
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from asia.errors import SandboxError
+from asia.judge.sandbox.layers.bubblewrap import bubblewrap_options
+from asia.judge.sandbox.layers.environment import (
+    ANOTHER_SYSTEM,
+    START_SECONDS,
+    child_command,
+    in_container,
+    interpreter,
+    last_line,
+    run_trial,
+)
+from asia.judge.sandbox.level import Level
+from asia.judge.sandbox.types import Isolation, Layer, Limits
+from asia.judge.sandbox.worker.process import (
+    OrphanWatch,
+    PipePairs,
+    WorkerProcess,
+    first_child,
+    kill_quietly,
+    parent_ends,
+    start,
+)
+
+_OLDEST = (0, 8)
+_APPARMOR = Path("/proc/sys/kernel/apparmor_restrict_unprivileged_userns")
+_CLONE = Path("/proc/sys/kernel/unprivileged_userns_clone")
+_MOST = Path("/proc/sys/user/max_user_namespaces")
+
+
+class Namespace(Level):
+    """A process in namespaces of its own."""
+
+    isolation = Isolation.NAMESPACE
+    layers = (Layer.NAMESPACES, Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS)
+
+    def why_not(self) -> str | None:
+        if sys.platform != "linux":
+            return "namespaces need Linux"
+        bwrap = shutil.which("bwrap")
+        if bwrap is None:
+            return (
+                "bubblewrap is not installed (the program bwrap; most systems package `bubblewrap`)"
+            )
+        try:
+            version = run_trial([bwrap, "--version"])
+            found = re.search(r"(\d+)\.(\d+)", version.stdout)
+            if found is None or (int(found[1]), int(found[2])) < _OLDEST:
+                return f"bubblewrap 0.8 or newer is needed, found '{version.stdout.strip()}'"
+            python = [interpreter(), "-I", "-S", "-c", "pass"]
+            trial = run_trial([bwrap, *bubblewrap_options(), "--", *python])
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return f"bubblewrap did not start: {error}"
+        if trial.returncode == 0:
+            return None
+        return f"bubblewrap could not start Python: {last_line(trial, 'no message')}"
+
+    def remedy(self) -> str:
+        if sys.platform != "linux":
+            return ANOTHER_SYSTEM
+        if shutil.which("bwrap") is None:
+            return (
+                "install bubblewrap: apt install bubblewrap (Debian, Ubuntu), dnf install "
+                "bubblewrap (Fedora, RHEL), pacman -S bubblewrap (Arch)"
+            )
+        if _number(_APPARMOR) == 1:
+            return (
+                "this system denies user namespaces to programs without an AppArmor profile: give "
+                "bwrap one with the rule `userns,` (see docs/isolation.md)"
+            )
+        if _number(_CLONE) == 0:
+            return "as root: sysctl -w kernel.unprivileged_userns_clone=1"
+        if _number(_MOST) == 0:
+            return "as root: sysctl -w user.max_user_namespaces=15000"
+        if in_container():
+            return (
+                "this container does not allow namespaces: use level landlock, or "
+                "start the container with a seccomp profile that allows user namespaces"
+            )
+        return "use bubblewrap 0.8 or newer, and a system where `bwrap --unshare-user true` works"
+
+    def open(
+        self, limits: Limits, layers: Collection[Layer], libraries: Collection[str]
+    ) -> WorkerProcess:
+        bwrap = shutil.which("bwrap")
+        if bwrap is None:
+            raise SandboxError("bubblewrap is not installed")
+        watch = OrphanWatch()
+
+        def command(ends: tuple[int, int]) -> list[str]:
+            return child_command(*ends, limits, layers, libraries)
+
+        try:
+            return _open(bwrap, watch, command, gpu=limits.gpu)
+        except BaseException:
+            watch.end_orphans()
+            raise
+
+
+def _open(
+    bwrap: str, watch: OrphanWatch, worker: Callable[[tuple[int, int]], list[str]], *, gpu: bool
+) -> WorkerProcess:
+    """worker: the command line inside, for the child's ends of the pipes; gpu: whether it computes
+    on the GPU."""
+    pipes = PipePairs(os.pipe(), os.pipe())
+    info, info_write = os.pipe()
+    inside = ["--info-fd", str(info_write), "--", *worker(pipes.child_ends)]
+    command = [watch.mark, *bubblewrap_options(gpu=gpu), *inside]
+    try:
+        # env={}: bwrap stays process 1 inside, where its environment can be read.
+        process = start(command, pipes, env={}, cwd="/", also_pass=(info_write,), program=bwrap)
+    except SandboxError:
+        os.close(info)
+        raise
+    finally:
+        os.close(info_write)
+    ends = parent_ends(process, pipes)
+    try:
+        first, init = _process_one(info)
+    except BaseException as error:
+        said = _last_words(ends.output)
+        process.kill()
+        process.wait()
+        for fd in (ends.requests, ends.replies, ends.output):
+            os.close(fd)
+        if not isinstance(error, SandboxError):
+            raise
+        raise SandboxError(f"bubblewrap did not start: {said or error}") from error
+    finally:
+        os.close(info)
+
+    def kill() -> None:
+        with contextlib.suppress(ProcessLookupError):
+            signal.pidfd_send_signal(init, signal.SIGKILL)
+
+    def tidy() -> None:
+        os.close(init)
+        watch.dismiss()
+
+    return WorkerProcess(
+        process=process,
+        pipes=ends,
+        kill=kill,
+        force=lambda: kill_quietly(process.pid),
+        tidy=tidy,
+        beyond_reach=True,
+        find=lambda: first_child(first),
+    )
+
+
+def _process_one(info: int) -> tuple[int, int]:
+    """Process id and pidfd of the namespace's first process: its end is the end of all inside."""
+    text = b""
+    while b"}" not in text:
+        poller = select.poll()
+        poller.register(info, select.POLLIN)
+        if not poller.poll(START_SECONDS * 1000):
+            raise SandboxError("no answer in time")
+        part = os.read(info, 4096)
+        if not part:
+            raise SandboxError("it ended at once")
+        text += part
+    try:
+        first = int(json.loads(text)["child-pid"])
+        return first, os.pidfd_open(first)
+    except OSError as error:
+        raise SandboxError(str(error)) from error
+
+
+def _last_words(output: int) -> str:
+    os.set_blocking(output, False)
+    with contextlib.suppress(OSError):
+        return os.read(output, 500).decode("utf-8", "replace").strip()
+    return ""
+
+
+def _number(place: Path) -> int | None:
+    try:
+        return int(place.read_text())
+    except (OSError, ValueError):
+        return None

@@ -1,0 +1,88 @@
+"""Types that pass between the sandbox and its callers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from asia.data.trajectory import Array
+from asia.errors import SandboxError
+
+
+class Isolation(StrEnum):
+    """Isolation level, strongest first."""
+
+    NAMESPACE = "namespace"
+    LANDLOCK = "landlock"
+    SANDBOX_EXEC = "sandbox-exec"
+    PROCESS = "process"
+
+
+class Layer(StrEnum):
+    """Layer of an isolation level."""
+
+    NAMESPACES = "namespaces"
+    LANDLOCK = "landlock"
+    SECCOMP = "seccomp"
+    PROFILE = "profile"
+    RLIMITS = "rlimits"
+
+
+@dataclass(frozen=True)
+class Probe:
+    """The strongest level that works here."""
+
+    level: Isolation
+    """The level."""
+    notes: tuple[str, ...] = ()
+    """Reasons in plain words for a weaker level, or for missing layers of this one."""
+    layers: tuple[Layer, ...] = ()
+    """The layers really in force."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Resource limits of one worker."""
+
+    fit_seconds: float
+    """Wall clock for executing the source and fitting; the same again for loading a model."""
+    simulate_seconds: float
+    """Wall clock for each simulate request."""
+    memory_mb: int
+    """Address space of the worker process."""
+    model_mb: int = 64
+    """Largest fitted model that is kept."""
+    gpu: bool = False
+    """Whether it computes on the GPU. Then `memory_mb` limits resident memory: CUDA reserves far
+    more addresses than it uses."""
+
+
+class WorkerKilledError(SandboxError):
+    """Error for a worker ended by another process; most often by the kernel without memory."""
+
+
+class ScoreRefusedError(Exception):
+    """Refusal of a score; the candidate gets a RuntimeError with this text."""
+
+
+ScoreModel = Callable[[bytes, float], float]
+"""Function of a model, as `Worker.dump` gives it, and a deadline (`time.monotonic()`) that returns
+its score.
+
+Raises:
+    ScoreRefusedError: when no score is given
+    CandidateError: where the model makes the candidate fail
+"""
+
+
+@dataclass(frozen=True)
+class FitReply:
+    """Reply of a fit besides the model, reported by the candidate itself."""
+
+    curve: Array
+    """(n, 2) step and loss given to `context.log`, at most 2000 rows, may hold NaN."""
+    output: str
+    """The first 64 KB of stdout and stderr."""
+    seconds: float
+    """Wall time of the `fit` call, measured outside."""

@@ -1,0 +1,400 @@
+"""The worker's own side of the sandbox, and the only file that runs candidate code.
+
+Run as a script in a fresh process; nothing in the parent imports it.
+Arguments: request fd, reply fd, memory limit in MB, the layers it puts on itself (commas between);
+how many libraries to load ahead, then these; how many folders to add to the import path, then
+these; how many packages to import from a place of their own, then these, each as name=place; the
+places it may read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import linecache
+import os
+import pickle
+import resource
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NoReturn
+
+if TYPE_CHECKING:
+    from asia.candidate import Context, Model
+    from asia.data.trajectory import Array, Mask, Trajectory
+    from asia.judge.sandbox.layers import lockdown
+    from asia.judge.sandbox.worker import compilation, curve, figures, portable, wire
+else:
+    # Imported by their folders: their package imports modules that only the parent needs.
+    _HERE = os.path.dirname(os.path.abspath(__file__))
+    sys.path[:0] = [_HERE, os.path.join(os.path.dirname(_HERE), "layers")]
+    import compilation
+    import curve
+    import figures
+    import lockdown
+    import portable
+    import wire
+
+    del sys.path[:2]
+
+_SOURCE_NAME = "candidate.py"
+_LARGEST_FILE = 64 * 1024 * 1024
+_OPEN_FILES = 256
+_MESSAGE_CHARACTERS = 1000
+_NOT_PORTABLE = (
+    "the fitted model holds bytes that name a folder of this machine, so it could not be "
+    "published: keep no path, and no compiled program, in the model"
+)
+
+
+def _restrict(memory_mb: int) -> None:
+    """Limits on resources, before the system call filter takes away the means to set them; 0 MB for
+    none on the address space."""
+    limits = {
+        resource.RLIMIT_CORE: 0,
+        resource.RLIMIT_FSIZE: _LARGEST_FILE,
+        resource.RLIMIT_NOFILE: _OPEN_FILES,
+    }
+    if sys.platform == "linux":
+        if memory_mb:
+            limits[resource.RLIMIT_AS] = memory_mb * 1024 * 1024
+        limits[resource.RLIMIT_MEMLOCK] = 0
+        limits[resource.RLIMIT_MSGQUEUE] = 0
+        # Queued signals are counted over all processes of the user.
+        limits[resource.RLIMIT_SIGPENDING] = 0
+    for what, wanted in limits.items():
+        hard = resource.getrlimit(what)[1]
+        value = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+        resource.setrlimit(what, (value, value))
+
+
+class _PackageFinder(importlib.abc.MetaPathFinder):
+    """Finder of packages by their own paths.
+
+    The folders that hold them may not be listed, because a candidate must not see which other
+    packages are installed.
+    """
+
+    def __init__(self, packages: list[str]) -> None:
+        self._places: dict[str, list[str]] = {}
+        for word in packages:
+            name, _, place = word.partition("=")
+            self._places.setdefault(name, []).append(place)
+
+    def find_spec(
+        self, fullname: str, path: object = None, target: object = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        places = self._places.get(fullname)
+        if places is None:
+            return None
+        if os.path.isfile(places[0]):
+            return importlib.util.spec_from_file_location(fullname, places[0])
+        start = os.path.join(places[0], "__init__.py")
+        if os.path.isfile(start):
+            return importlib.util.spec_from_file_location(
+                fullname, start, submodule_search_locations=places
+            )
+        spec = importlib.machinery.ModuleSpec(fullname, None, is_package=True)
+        spec.submodule_search_locations = places
+        return spec
+
+
+class _RefusedError(Exception):
+    """The candidate breaks the contract in a way that raised nothing by itself."""
+
+
+class _WrongShapeError(Exception):
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        super().__init__()
+        self.shape = shape
+
+
+def _execute(source: str) -> ModuleType:
+    """Run the source as module `candidate`, so that models pickle by reference to it."""
+    module = ModuleType("candidate")
+    module.__file__ = _SOURCE_NAME
+    sys.modules["candidate"] = module
+    lines = source.splitlines(keepends=True)
+    linecache.cache[_SOURCE_NAME] = (len(source), None, lines, _SOURCE_NAME)
+    exec(compile(source, _SOURCE_NAME, "exec", dont_inherit=True), module.__dict__)
+    return module
+
+
+def _as_model(value: object, what: str = "fit returned") -> Model:
+    if not callable(getattr(value, "simulate", None)):
+        raise _RefusedError(f"{what} {type(value).__name__}, which has no simulate method")
+    return value  # pyright: ignore[reportReturnType]
+
+
+class _Session:
+    """Session that handles requests until the parent closes the pipe."""
+
+    def __init__(self, requests: int, replies: int, places: tuple[str, ...]) -> None:
+        """places: folders of this machine, which no fitted model may name."""
+        self._requests = requests
+        self._replies = replies
+        self._places = places
+        self._pid = os.getpid()
+        self._token = bytes(wire.TOKEN_BYTES)
+        self._model: Model | None = None
+        self._fitted_to: tuple[list[Trajectory], Context] | None = None
+        self._executed: str | None = None
+        self._fitting = False
+        self._asking = threading.Lock()
+        self._compiling = compilation.Meter()
+        sys.meta_path.insert(0, compilation.JaxFinder(self._compiling))
+
+    def serve(self) -> NoReturn:
+        self._reply(wire.ReplyKind.STARTED)
+        handlers: dict[str, Callable[..., bytes | memoryview]] = {
+            "fit": self._fit,
+            "load": self._load,
+            "simulate": self._simulate,
+            "dump": self._dump,
+            "parameters": self._parameters,
+            "estimates": self._estimates,
+            "lower": self._lower,
+            "device": self._device,
+            "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
+        }
+        while True:
+            self._token, name, arguments = wire.read_request(self._requests)
+            status = wire.ReplyKind.OK
+            self._compiling.request = name
+            try:
+                body = handlers[name](*arguments)
+                arguments = ()
+            except BaseException as error:  # noqa: BLE001 - the border to candidate code
+                status, body = self._describe(error, private=name in ("load", "simulate"))
+                del error
+            if os.getpid() != self._pid:
+                os._exit(0)  # a fork that strayed out of candidate code
+            self._reply(status, body)
+
+    def _reply(self, status: int, body: bytes | memoryview = b"") -> None:
+        head = wire.REPLY_HEAD.pack(status, self._token, len(body))
+        for data in (memoryview(head), memoryview(body)):
+            done = 0
+            while done < len(data):
+                done += os.write(self._replies, data[done:])
+
+    def _fit(
+        self,
+        source: str,
+        records: list[tuple[Array, Array, float, str, Mask | None]],
+        known: dict[str, Any],
+        scored: bool,
+    ) -> bytes:
+        trajectories: list[Trajectory] = []
+        while records:  # each is let go once it is taken over
+            trajectories.append(_trajectory(*records.pop(0)))
+        module = _execute(source)
+        fit = getattr(module, "fit", None)
+        if not callable(fit):
+            raise _RefusedError("the source defines no function fit(trajectories, context)")
+        points = curve.TrainingCurve(wire.CURVE_ROWS)
+        context = _context(known, points.log, self._validation_score if scored else None)
+        self._reply(wire.ReplyKind.STARTED)
+        self._fitting = True
+        self._model = _as_model(fit(trajectories, context))
+        self._fitting = False
+        self._fitted_to = trajectories, context
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):
+                stream.flush()
+        return points.tobytes()
+
+    def _validation_score(self, model: Model) -> float:
+        body = self._pickled(_as_model(model, "validation_score was given"))
+        with self._asking:
+            if not self._fitting:
+                raise RuntimeError("validation_score is there for the time of fit only")
+            self._reply(wire.ReplyKind.SCORE, body)
+            self._token, name, (answer,) = wire.read_request(self._requests)
+        if name == "refuse":
+            raise RuntimeError(answer)
+        return answer
+
+    def _load(self, source: str, model: bytes) -> bytes:
+        """Load a model; the source runs once, so that compiled code serves the next model too."""
+        if source != self._executed:
+            _execute(source)
+            self._executed = source
+        self._model = _as_model(pickle.loads(model))
+        return b""
+
+    def _simulate(self, past_u: Array, past_y: Array, u: Array, ny: int) -> memoryview:
+        import numpy as np
+
+        assert self._model is not None
+        result = self._model.simulate(past_u, past_y, u)
+        try:
+            y = np.array(result, order="C", subok=False)
+            if y.dtype.kind not in "biufO":
+                raise TypeError("not real numbers")
+            y = y.astype("<f8", copy=False)
+        except (TypeError, ValueError) as error:
+            raise _RefusedError from error
+        if y.shape != (u.shape[0], u.shape[1], ny):
+            raise _WrongShapeError(y.shape)
+        return y.reshape(-1).view(np.uint8).data
+
+    def _lower(self, n_past_u: int, n_past_y: int, nu: int, ny: int) -> bytes:
+        """Traced here, where the model's own code may run."""
+        from asia.lowering.trace import lowered_bytes
+
+        return lowered_bytes(self._model, n_past_u, n_past_y, nu, ny)
+
+    def _dump(self) -> bytes:
+        return self._pickled(self._model)
+
+    def _parameters(self) -> bytes:
+        """Those that the model names. They are evidence and no part of the contract: a model
+        without them, or with something else of that name, is none the worse."""
+        offered = getattr(self._model, "parameters", None)
+        try:
+            return figures.pack_parameters(offered() if callable(offered) else offered)
+        except Exception:  # noqa: BLE001 - the border to candidate code
+            return b""
+
+    def _estimates(self) -> bytes:
+        """Return the model's parameter estimates for its training records; nothing where it has no
+        such method or fails in it."""
+        offered = getattr(self._model, "estimates", None)
+        try:
+            assert callable(offered)
+            assert self._fitted_to is not None
+            return figures.pack_estimates(offered(*self._fitted_to))
+        except Exception:  # noqa: BLE001 - the border to candidate code
+            return b""
+
+    def _device(self) -> bytes:
+        """Evidence, as `_parameters`."""
+        try:
+            device = sys.modules["jax"].devices()[0]
+            return f"{device.platform} {device.device_kind}".encode()[: wire.DEVICE_BYTES]
+        except Exception:  # noqa: BLE001 - the border to candidate code
+            return b""
+
+    def _pickled(self, model: object) -> bytes:
+        import cloudpickle
+
+        try:
+            return portable.portable(cloudpickle.dumps(model, protocol=5), self._places)
+        except portable.PlaceError:
+            raise _RefusedError(_NOT_PORTABLE) from None
+
+    def _describe(self, error: BaseException, *, private: bool) -> tuple[int, bytes]:
+        """ReplyKind and words for an error; `private` gives away the class name only."""
+        status = wire.ReplyKind
+        if isinstance(error, _WrongShapeError):
+            import numpy as np
+
+            dimensions = error.shape[: wire.SHAPE_DIMENSIONS]
+            return status.SHAPE, np.array(dimensions, dtype="<i8").tobytes()
+        kind = _status_name(error)
+        if private:
+            return status[kind], type(error).__name__.encode("ascii", "replace")[:100]
+        try:
+            text = str(error) if isinstance(error, _RefusedError) else _candidate_traceback(error)
+        except BaseException:  # noqa: BLE001 - out of memory, or a __str__ that raises
+            text = type(error).__name__
+        return status[kind], text.encode("utf-8", "replace")[-wire.TEXT_BYTES :]
+
+
+def _status_name(error: BaseException) -> str:
+    if isinstance(error, _RefusedError):
+        return "CONTRACT"
+    if isinstance(error, SystemExit):
+        return "EXITED"
+    if isinstance(error, SyntaxError) and error.filename == _SOURCE_NAME:
+        return "SYNTAX"
+    if isinstance(error, MemoryError):
+        return "MEMORY"
+    with contextlib.suppress(BaseException):
+        if "RESOURCE_EXHAUSTED" in str(error)[:500] or "Cannot allocate memory" in str(error)[:500]:
+            return "MEMORY"
+    return "CRASH"
+
+
+def _candidate_traceback(error: BaseException) -> str:
+    """Return the candidate's own frames and the last two of its callees, then the message."""
+    frames = traceback.extract_tb(error.__traceback__)
+    kept = [
+        frame
+        for place, frame in enumerate(frames)
+        if frame.filename == _SOURCE_NAME or (place >= len(frames) - 2 and _called(frames, place))
+    ]
+    message = "".join(traceback.format_exception_only(error))
+    if len(message) > _MESSAGE_CHARACTERS:
+        message = message[:_MESSAGE_CHARACTERS] + " ..."
+    return "".join(traceback.format_list(kept)) + message
+
+
+def _called(frames: traceback.StackSummary, place: int) -> bool:
+    return any(frame.filename == _SOURCE_NAME for frame in frames[:place])
+
+
+def _trajectory(
+    u: Array, y: Array, sampling_time: float, name: str, missing: Mask | None
+) -> Trajectory:
+    import numpy as np
+
+    from asia.data.trajectory import Trajectory
+
+    # A record may not be written to, so that it takes the array that came, without a copy.
+    for values in (u, y):
+        place: object = values
+        while isinstance(place, np.ndarray):
+            place.setflags(write=False)
+            place = place.base
+    return Trajectory(u, y, sampling_time, name, missing)
+
+
+def _context(
+    known: dict[str, Any],
+    log: Callable[[float, float], None],
+    validation_score: Callable[[Model], float] | None,
+) -> Context:
+    from asia.candidate import Context
+
+    return Context(**known, log=log, validation_score=validation_score)
+
+
+def main(arguments: list[str]) -> NoReturn:
+    requests, replies, memory_mb = (int(word) for word in arguments[:3])
+    layers = arguments[3].split(",")
+    libraries, rest = _counted(arguments[4:])
+    folders, rest = _counted(rest)
+    packages, rest = _counted(rest)
+    devices, readable = _counted(rest)
+    if lockdown.RLIMITS in layers:
+        _restrict(memory_mb)
+    # Before numpy, whose threads Landlock would not bind.
+    lockdown.confine(layers, readable, devices)
+    sys.path.extend(folder for folder in folders if folder not in sys.path)
+    sys.meta_path.insert(0, _PackageFinder(packages))
+    for fd in (requests, replies):
+        os.set_inheritable(fd, False)
+    places = portable.places_here(word.partition("=")[2] for word in packages)
+    session = _Session(requests, replies, places)
+    # Now, off the clock of the first request.
+    for name in ("asia.candidate", *libraries):
+        importlib.import_module(name)
+    session.serve()
+
+
+def _counted(words: list[str]) -> tuple[list[str], list[str]]:
+    """Split a list that is preceded by its length from the remaining words."""
+    end = 1 + int(words[0])
+    return words[1:end], words[end:]
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,617 @@
+"""A started worker process: pipes, clock, supervision."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import math
+import os
+import pickle
+import re
+import secrets
+import select
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Collection, Generator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from asia._text import printable
+from asia._timer import Activity, Seconds, add_seconds
+from asia.errors import SandboxError
+from asia.judge.sandbox.layers.environment import (
+    child_command,
+    environment,
+    interpreter,
+    package_folder,
+)
+from asia.judge.sandbox.types import Layer, Limits
+from asia.judge.sandbox.worker.keeper import descendants
+from asia.judge.sandbox.worker.wire import (
+    COMPILED,
+    COMPILED_BYTES,
+    LARGE_BYTES,
+    LENGTH,
+    REPLY_HEAD,
+    REQUEST_HEAD,
+    TOKEN_BYTES,
+    ReplyKind,
+)
+
+# One started worker process, as every level of isolation gives it.
+
+
+_EXIT_SECONDS = 0.5
+_KILLED = 128 + signal.SIGKILL
+_PATIENCE_SECONDS = (2.0, 5.0)
+
+
+@dataclass(frozen=True)
+class Pipes:
+    """The parent's ends."""
+
+    requests: int
+    """File descriptor for writing requests."""
+    replies: int
+    """File descriptor for reading replies."""
+    output: int
+    """File descriptor for reading the worker's output."""
+
+
+@dataclass(frozen=True)
+class Ending:
+    """End of a worker, by itself or by another process."""
+
+    code: int | None
+    """Exit code, 128 + n for signal n; None if unknown."""
+    outside: int | None
+    """Signal from another process; None for an end of its own."""
+
+
+@dataclass(frozen=True)
+class WorkerProcess:
+    """A running worker: its pipes, the process to wait for and the way to end it."""
+
+    process: subprocess.Popen[bytes]
+    """The process to wait for: the worker, or one that ends with it."""
+    pipes: Pipes
+    """The way to speak to the worker."""
+    kill: Callable[[], None]
+    """Ends the candidate with everything it started."""
+    force: Callable[[], None]
+    """Callback for a process that `kill` did not end in time."""
+    tidy: Callable[[], None]
+    """Callback that frees the level's other resources."""
+    beyond_reach: bool
+    """Whether `process` is a guard of the worker that no candidate can signal."""
+    find: Callable[[], int | None]
+    """The process id of the worker itself, None where it is not known."""
+
+    def running(self) -> bool:
+        """Return whether the worker is still there."""
+        return self.process.poll() is None
+
+    def ending(self) -> Ending:
+        """Describe the end of a worker that has just gone, and that this process did not end."""
+        if not self._ended(_EXIT_SECONDS):
+            return Ending(None, None)
+        code = self.process.returncode
+        if code >= 0:
+            # A guard of bubblewrap's ends with 128 + n where signal n ended the worker. The filter
+            # on system calls keeps a candidate from choosing that code itself for SIGKILL.
+            outside = self.beyond_reach and code == _KILLED
+            return Ending(code, signal.SIGKILL if outside else None)
+        outside = self.beyond_reach or code == -signal.SIGKILL
+        return Ending(128 - code, -code if outside else None)
+
+    def end(self) -> bool:
+        """End everything and wait; whether it ended. The kernel does not let a process die that
+        waits for a device or a file server: it is left behind."""
+        try:
+            self.kill()
+            if self._ended(_PATIENCE_SECONDS[0]):
+                return True
+            self.force()
+            return self._ended(_PATIENCE_SECONDS[1])
+        finally:
+            self.tidy()
+
+    def _ended(self, seconds: float) -> bool:
+        try:
+            self.process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+
+@dataclass(frozen=True)
+class PipePairs:
+    """Both ends of the two pipes of a worker about to start."""
+
+    requests: tuple[int, int]
+    """(the child reads, the parent writes)."""
+    replies: tuple[int, int]
+    """(the parent reads, the child writes)."""
+
+    @property
+    def child_ends(self) -> tuple[int, int]:
+        """(requests to read, replies to write)."""
+        return self.requests[0], self.replies[1]
+
+    def close_child_ends(self) -> None:
+        """The parent must not hold them: end of file is how each side learns of the other's end."""
+        for fd in self.child_ends:
+            os.close(fd)
+
+    def close_parent_ends(self) -> None:
+        """Close the parent's ends of the pipes when the worker could not be started."""
+        os.close(self.requests[1])
+        os.close(self.replies[0])
+
+
+def start(
+    command: list[str],
+    pipes: PipePairs,
+    *,
+    env: dict[str, str],
+    cwd: str,
+    also_pass: tuple[int, ...] = (),
+    program: str | None = None,
+) -> subprocess.Popen[bytes]:
+    """Start `command` in a session of its own, with the child's pipe ends and nothing else.
+
+    Raises SandboxError.
+
+    Args:
+        program: file to run, where it is not the first word
+    """
+    try:
+        return subprocess.Popen(
+            command,
+            executable=program,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            pass_fds=(*pipes.child_ends, *also_pass),
+            start_new_session=True,
+            bufsize=0,
+            env=env,
+            cwd=cwd,
+        )
+    except OSError as error:
+        pipes.close_parent_ends()
+        raise SandboxError(f"a worker process could not be started: {error}") from error
+    finally:
+        pipes.close_child_ends()
+
+
+def parent_ends(process: subprocess.Popen[bytes], pipes: PipePairs) -> Pipes:
+    """The parent's ends, taken out of `process` so that one owner closes them."""
+    assert process.stdout is not None
+    output = os.dup(process.stdout.fileno())
+    process.stdout.close()
+    return Pipes(pipes.requests[1], pipes.replies[0], output)
+
+
+def kill_quietly(pid: int) -> None:
+    """SIGKILL; a process that has ended already is no error."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+
+
+# The parent's end of a worker's pipes: framed, bounded, and under one deadline.
+
+
+_KEPT_BEGINNING = 16 * 1024
+# With the line between them all stays within 64 KiB.
+_KEPT_END = 48 * 1024 - 64
+_LARGEST_OUTPUT = 4 * 1024 * 1024
+_SLICE_SECONDS = 0.1
+# Messages of libraries about a system call that the sandbox denies; not from a candidate.
+_OF_THE_SANDBOX = re.compile(r"^\[mutex\.cc : \d+\] RAW: .*\n?", re.MULTILINE)
+_PIPE_BYTES = 1024 * 1024
+_F_SETPIPE_SZ = getattr(fcntl, "F_SETPIPE_SZ", None)
+
+
+class LateError(Exception):
+    """The deadline has passed."""
+
+
+class GoneError(Exception):
+    """The worker closed its end or ended."""
+
+
+class UnsolicitedError(Exception):
+    """Bytes that answer no request."""
+
+
+@dataclass(frozen=True)
+class Head:
+    """Start of a reply: its kind and the number of bytes that follow."""
+
+    status: ReplyKind
+    length: int
+
+
+class Channel:
+    """Channel of requests and replies, which also drains the candidate's output.
+
+    A reply counts only with the token of the request it answers, so bytes written beforehand on the
+    reply pipe are always detected.
+    """
+
+    def __init__(self, pipes: Pipes, running: Callable[[], bool]) -> None:
+        self._requests = pipes.requests
+        self._replies = pipes.replies
+        self._output: int | None = pipes.output
+        self._running = running
+        self._token = bytes(TOKEN_BYTES)
+        self._beginning = bytearray()
+        self._end = bytearray()
+        self._printed_bytes = 0
+        self._keep_output = True
+        for fd in (pipes.requests, pipes.replies, pipes.output):
+            os.set_blocking(fd, False)
+        if _F_SETPIPE_SZ is not None:
+            for fd in (pipes.requests, pipes.replies):
+                with contextlib.suppress(OSError):
+                    fcntl.fcntl(fd, _F_SETPIPE_SZ, _PIPE_BYTES)
+
+    def new_token(self) -> bytes:
+        """Token for the next request. Raises UnsolicitedError, GoneError."""
+        if select_one(self._replies):
+            raise UnsolicitedError if os.read(self._replies, 1) else GoneError
+        self._token = secrets.token_bytes(TOKEN_BYTES)
+        return self._token
+
+    def send(self, request: object, deadline: float) -> None:
+        """Send one request. Raises LateError, GoneError."""
+        arrays: list[memoryview] = []
+
+        def in_pickle(buffer: pickle.PickleBuffer) -> bool:
+            raw = buffer.raw()
+            if raw.nbytes >= LARGE_BYTES:
+                arrays.append(raw)
+            return raw.nbytes < LARGE_BYTES
+
+        body = pickle.dumps(request, protocol=5, buffer_callback=in_pickle)
+        lengths = [LENGTH.pack(array.nbytes) for array in arrays]
+        head = b"".join([REQUEST_HEAD.pack(len(body), len(arrays)), *lengths])
+        for data in (memoryview(head), memoryview(body), *arrays):
+            done = 0
+            while done < len(data):
+                self._wait(self._requests, select.POLLOUT, deadline)
+                try:
+                    done += os.write(self._requests, data[done : done + _PIPE_BYTES])
+                except BlockingIOError:
+                    continue
+                except BrokenPipeError as error:
+                    raise GoneError from error
+
+    def receive_head(self, deadline: float) -> Head:
+        """Wait for the next reply. Raises LateError, GoneError, UnsolicitedError."""
+        status, token, length = REPLY_HEAD.unpack(self.receive(REPLY_HEAD.size, deadline))
+        if token != self._token:
+            raise UnsolicitedError
+        try:
+            return Head(ReplyKind(status), length)
+        except ValueError as error:
+            raise UnsolicitedError from error
+
+    def receive(self, length: int, deadline: float) -> bytes:
+        """Exactly `length` bytes. Raises LateError, GoneError."""
+        data = bytearray(length)
+        self.receive_into(memoryview(data), deadline)
+        return bytes(data)
+
+    def receive_into(self, data: memoryview, deadline: float) -> None:
+        """Exactly as many bytes as there is room for. Raises LateError, GoneError."""
+        done = 0
+        while done < len(data):
+            self._wait(self._replies, select.POLLIN, deadline)
+            try:
+                count = os.readv(self._replies, [data[done : done + _PIPE_BYTES]])
+            except BlockingIOError:
+                continue
+            if not count:
+                raise GoneError
+            done += count
+
+    def take_output(self) -> str:
+        """Return the output so far, its middle left out where it is long, without control
+        characters; later output is dropped."""
+        while self._output is not None and select_one(self._output):
+            self._drain()
+        self._keep_output = False
+        left_out = self._printed_bytes - len(self._beginning) - len(self._end)
+        between = f"\n... {left_out} bytes left out ...\n" if left_out else ""
+        beginning, end = (p.decode("utf-8", "replace") for p in (self._beginning, self._end))
+        return _OF_THE_SANDBOX.sub("", printable(f"{beginning}{between}{end}"))
+
+    def close(self) -> None:
+        """Close the parent's ends. The worker's keeper takes it as the order to end."""
+        self._close_output()
+        os.close(self._requests)
+        os.close(self._replies)
+
+    def _wait(self, fd: int, event: int, deadline: float) -> None:
+        while True:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise LateError
+            poller = select.poll()
+            poller.register(fd, event)
+            if self._output is not None:
+                poller.register(self._output, select.POLLIN)
+            ready = {place for place, _ in poller.poll(min(left, _SLICE_SECONDS) * 1000)}
+            if self._output in ready:
+                self._drain()
+            if fd in ready:
+                return
+            # A process that outlives the worker may hold its pipes: end of file never comes.
+            if not ready and not self._running() and not select_one(fd, event):
+                raise GoneError
+
+    def _drain(self) -> None:
+        assert self._output is not None
+        try:
+            part = os.read(self._output, _KEPT_END)
+        except BlockingIOError:
+            return
+        self._printed_bytes += len(part)
+        if self._keep_output:
+            room = _KEPT_BEGINNING - len(self._beginning)
+            self._beginning += part[:room]
+            self._end += part[room:]
+            del self._end[:-_KEPT_END]
+        if not part or self._printed_bytes > _LARGEST_OUTPUT:
+            self._close_output()
+
+    def _close_output(self) -> None:
+        if self._output is not None:
+            os.close(self._output)
+            self._output = None
+
+
+def select_one(fd: int, event: int = select.POLLIN) -> bool:
+    """Return whether `fd` has something to tell, end of file included."""
+    poller = select.poll()
+    poller.register(fd, event)
+    return bool(poller.poll(0))
+
+
+# Timer and memory meter of one worker, measured by the parent.
+
+
+# Activity of a compiling request without its compilation.
+_COUNTED_AS = {"fit": Activity.FIT, "load": Activity.IMPORT, "simulate": Activity.SIMULATE}
+_OF_A_PROCESS = 2
+_LOOK_SECONDS = 0.2
+
+
+class WorkerClock:
+    """Sum of wall and processor seconds of a worker by activity."""
+
+    def __init__(self, find: Callable[[], int | None]) -> None:
+        """find: the worker's process id, None where it is not known."""
+        self.spent: Seconds = {}
+        self._find = find
+        self._pid: int | None = None
+        self._processor = 0.0
+
+    @contextmanager
+    def activity(self, activity: Activity) -> Generator[None]:
+        """Count the time spent in this context."""
+        begin, before = time.monotonic(), self._processor
+        try:
+            yield
+        finally:
+            self._processor = max(self._processor, self._now())
+            add_seconds(self.spent, activity, time.monotonic() - begin, self._processor - before)
+
+    @contextmanager
+    def elsewhere(self, activity: Activity) -> Generator[None]:
+        """Leave the wall seconds in this context out of the running `activity`."""
+        begin = time.monotonic()
+        try:
+            yield
+        finally:
+            add_seconds(self.spent, activity, begin - time.monotonic(), 0.0)
+
+    def count_compiling(self, said: bytes) -> None:
+        """Move JAX's time for tracing and compiling out of the requests in which it occurred.
+
+        Args:
+            said: report of the worker, bounded by the time measured here
+        """
+        if len(said) != COMPILED_BYTES:
+            return
+        numbers = struct.unpack(f"<{2 * len(COMPILED)}d", said)
+        for place, request in enumerate(COMPILED):
+            activity = _COUNTED_AS[request]
+            for part, seconds in zip(
+                (Activity.TRACE, Activity.COMPILE), numbers[2 * place :], strict=False
+            ):
+                wall, processor = self.spent.get(activity, (0.0, 0.0))
+                if not (math.isfinite(seconds) and seconds > 0 and wall > 0):
+                    continue
+                share = min(1.0, seconds / wall)
+                moved = share * wall, share * processor
+                add_seconds(self.spent, part, *moved)
+                self.spent[activity] = (wall - moved[0], processor - moved[1])
+
+    def _now(self) -> float:
+        """Processor seconds that the worker has used; 0 where the system does not say."""
+        if sys.platform != "linux":
+            return 0.0
+        with suppress(OSError):
+            self._pid = self._pid or self._find()
+            if self._pid is not None:
+                return time.clock_gettime(~self._pid << 3 | _OF_A_PROCESS)
+        return 0.0
+
+
+def first_child(pid: int) -> int | None:
+    """The oldest child of a process that has one thread; None without one."""
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()
+    except OSError:
+        return None
+    return int(children[0]) if children else None
+
+
+def peak_memory_mb(pid: int | None) -> float | None:
+    """The largest address space that a process has had, MB; None where the system does not say."""
+    with suppress(OSError, ValueError, IndexError):
+        text = Path(f"/proc/{pid}/status").read_text("ascii", "replace")
+        return int(text.split("VmPeak:")[1].split()[0]) / 1024
+    return None
+
+
+class MemoryWatch:
+    """Looks at a process until it has more than so many MB in memory, and ends it then: for one
+    that a limit on its address space would break."""
+
+    def __init__(
+        self, find: Callable[[], int | None], most_mb: int, end: Callable[[], None]
+    ) -> None:
+        """find: its process id."""
+        self.exceeded = False
+        self._find, self._most, self._end = find, most_mb * 1024 * 1024, end
+        self._over = threading.Event()
+        threading.Thread(target=self._look, name="memory", daemon=True).start()
+
+    def close(self) -> None:
+        """Look no more."""
+        self._over.set()
+
+    def _look(self) -> None:
+        while not self._over.wait(_LOOK_SECONDS):
+            if resident_bytes(self._find()) > self._most:
+                self.exceeded = True
+                self._end()
+                return
+
+
+def resident_bytes(pid: int | None) -> int:
+    """Return the resident memory of a process; 0 where the system does not report it."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+# A worker below a keeper, which ends all that the worker leaves behind. For levels that let a
+# candidate start processes.
+
+
+def start_kept(
+    limits: Limits,
+    layers: Collection[Layer],
+    libraries: Collection[str],
+    inside: Sequence[str] = (),
+) -> WorkerProcess:
+    """Start a worker below a keeper. libraries: to load ahead; inside: words put before its command
+    line. Raises SandboxError."""
+    home = tempfile.mkdtemp(prefix="asia-worker-")
+    pipes = PipePairs(os.pipe(), os.pipe())
+    requests, replies = pipes.child_ends
+    keeper = str(package_folder() / "judge" / "sandbox" / "worker" / "keeper.py")
+    command = [interpreter(), "-I", "-S", "-B", keeper, str(requests), str(replies), home]
+    command += [*inside, *child_command(requests, replies, limits, layers, libraries)]
+    try:
+        process = start(command, pipes, env=environment(home, gpu=limits.gpu), cwd=home)
+    except BaseException:
+        shutil.rmtree(home, ignore_errors=True)
+        raise
+    return WorkerProcess(
+        process=process,
+        pipes=parent_ends(process, pipes),
+        kill=_closing_is_enough,
+        force=lambda: _force(process),
+        tidy=lambda: shutil.rmtree(home, ignore_errors=True),
+        beyond_reach=False,
+        find=lambda: first_child(process.pid),
+    )
+
+
+def _closing_is_enough() -> None:
+    """The keeper ends the worker when the request pipe closes, also if this process is killed."""
+
+
+def _force(process: subprocess.Popen[bytes]) -> None:
+    """Kill the process when the supervisor does not respond: a candidate can stop it, as both have
+    one user."""
+    while process.poll() is None and (offspring := descendants(process.pid, alive=True)):
+        for pid in offspring:
+            kill_quietly(pid)
+    kill_quietly(process.pid)
+
+
+# Cleanup of orphan processes of bubblewrap when this process is killed during the start of a
+# worker.
+#
+# The inner half of bubblewrap waits for a word of the outer one before it ties its life to
+# anything. Where the outer one dies first, as it does with this process, nothing else would ever
+# end the inner one.
+
+
+# Both halves bear the mark as the first word of their command line. It comes over the pipe, so that
+# no command line of the watch itself bears it. The pipe ends with us.
+_WATCH = r"""
+read -r mark
+read -r nothing
+for look in 1 2 3 4 5 6 7 8 9 10; do
+  printf %s "$mark" | grep -lsFf - /proc/[0-9]*/cmdline | while IFS=/ read -r _ _ pid _; do
+    kill -9 "$pid"
+  done
+  sleep 0.1
+done
+"""
+
+
+class OrphanWatch:
+    """Small process next to a worker that outlives this process by a second and ends all processes
+    that bear `mark`."""
+
+    def __init__(self) -> None:
+        """Raise SandboxError where it cannot be started."""
+        self.mark = f"bwrap-{secrets.token_hex(8)}"
+        try:
+            self._process = subprocess.Popen(
+                ["/bin/sh", "-c", _WATCH],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+                bufsize=0,
+                env={"PATH": "/usr/bin:/bin"},
+                cwd="/",
+            )
+        except OSError as error:
+            raise SandboxError(f"a worker's watch could not be started: {error}") from error
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(self.mark.encode() + b"\n")
+
+    def dismiss(self) -> None:
+        """The worker has ended with all of bubblewrap."""
+        self._process.kill()
+        self._end()
+
+    def end_orphans(self) -> None:
+        """The outer half has ended, and perhaps alone; takes a second."""
+        self._end()
+
+    def _end(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()

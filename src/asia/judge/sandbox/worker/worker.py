@@ -1,0 +1,480 @@
+"""A worker as the evaluator sees it: fit, load, simulate, dump."""
+
+from __future__ import annotations
+
+import builtins
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from asia._text import printable
+from asia._timer import Activity, Seconds
+from asia.candidate import Context, ParameterEstimates
+from asia.data.trajectory import Array, Trajectory
+from asia.errors import CandidateError, Reason, SandboxError
+from asia.judge.sandbox.types import (
+    FitReply,
+    Limits,
+    ScoreModel,
+    ScoreRefusedError,
+    WorkerKilledError,
+)
+from asia.judge.sandbox.worker.figures import (
+    ESTIMATES_BYTES,
+    PARAMETERS_BYTES,
+    estimates_of,
+    unpack_estimates,
+    unpack_parameters,
+)
+from asia.judge.sandbox.worker.process import (
+    Channel,
+    GoneError,
+    Head,
+    LateError,
+    MemoryWatch,
+    UnsolicitedError,
+    WorkerClock,
+    WorkerProcess,
+    peak_memory_mb,
+)
+from asia.judge.sandbox.worker.wire import (
+    COMPILED_BYTES,
+    CURVE_ROW_BYTES,
+    CURVE_ROWS,
+    DEVICE_BYTES,
+    SHAPE_DIMENSIONS,
+    TEXT_BYTES,
+    ReplyKind,
+)
+from asia.lowering.program import LoweredModel
+from asia.lowering.wire import LARGEST_BYTES, FormatError, unpack_for
+
+# Messages of the parent about a failed worker.
+#
+# Once a worker knows cases, its own words could contain them: only the messages in this module are
+# passed on.
+
+
+REASONS = {
+    ReplyKind.SYNTAX: Reason.SYNTAX,
+    ReplyKind.CONTRACT: Reason.CONTRACT,
+    ReplyKind.CRASH: Reason.CRASH,
+    ReplyKind.EXITED: Reason.EXITED,
+    ReplyKind.MEMORY: Reason.MEMORY,
+    ReplyKind.SHAPE: Reason.WRONG_LENGTH,
+}
+"""Reason of each reply that reports a failure."""
+KNOWN_ERRORS = frozenset(
+    name
+    for name, value in vars(builtins).items()
+    if isinstance(value, type) and issubclass(value, BaseException)
+) | {"LinAlgError", "JaxRuntimeError", "XlaRuntimeError", "EquinoxRuntimeError", "UnpicklingError"}
+OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot allocate memory")
+
+
+def failure_words(
+    status: ReplyKind, body: bytes, expected: tuple[int, ...], *, private: bool
+) -> str:
+    """Detail of a failure the worker reported.
+
+    Args:
+        expected: the shape to name in one
+        private: whether it knows cases, and may not speak freely
+    """
+    if status is ReplyKind.SHAPE:
+        return f"got shape {shape_words(body, expected)}, expected {expected}"
+    text = printable(body.decode("utf-8", "replace")).strip()
+    if not private:
+        return text
+    if status is ReplyKind.CONTRACT:
+        return "no array of numbers, or no model with simulate"
+    return text if text in KNOWN_ERRORS else "an exception of its own"
+
+
+def shape_words(body: bytes, expected: tuple[int, ...]) -> str:
+    """The shape a candidate returned, in numbers near the expected ones only."""
+    dimensions = np.frombuffer(body[: len(body) // 8 * 8], dtype="<i8")[:SHAPE_DIMENSIONS]
+    likely = {0, 1, *(n + shift for n in expected for shift in (-1, 0, 1))}
+    words = [str(n) if n in likely else "?" for n in dimensions.tolist()]
+    return f"({', '.join(words)})"
+
+
+# A worker as the evaluation sees it: fit, load, simulate, dump.
+
+
+_START_SECONDS = 60.0
+_COUNT_SECONDS = 1.0
+_LAST_WORDS = 1500
+
+
+class Worker:
+    """Worker process inside one isolation level; use it as a context manager.
+
+    Open, use and close it in one thread: when the thread that opened it ends, the worker ends.
+    After a CandidateError the process is gone and every further request is a SandboxError, except
+    after NOT_FINITE, when it continues. All requests raise CandidateError for a fault of the
+    candidate and SandboxError for any other one.
+    """
+
+    def __init__(self, process: WorkerProcess, limits: Limits) -> None:
+        self._process = process
+        self._limits = limits
+        self._channel = Channel(process.pipes, process.running)
+        self._clock = WorkerClock(process.find)
+        self.left_behind: int | None = None
+        self._closed = False
+        self._ending = threading.Lock()
+        self._ready = False
+        self._started = False
+        self._latest = math.inf
+        self._loaded_source: str | None = None
+        self._ny = 0
+        self._model_loaded = False
+        self._cases_seen = False
+        self._printed = ""
+        self._memory: MemoryWatch | None = None
+        if limits.gpu:
+            self._memory = MemoryWatch(process.find, limits.memory_mb, self.abort)
+
+    def __enter__(self) -> Worker:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
+
+    def fit(
+        self,
+        source: str,
+        trajectories: Sequence[Trajectory],
+        context: Context,
+        score: ScoreModel | None = None,
+    ) -> FitReply:
+        """Execute the source and call its `fit`. The context's deadline becomes the earlier of
+        its own and now + fit_seconds; its `log` is replaced by one that fills `FitReply.curve`,
+        its `validation_score` by one that asks `score`, whose time counts as the fit's."""
+        late = Reason.FIT_TIMEOUT
+        self._start()
+        deadline = time.monotonic() + self._limits.fit_seconds
+        context = replace(context, deadline=min(context.deadline, deadline))
+        records = [(t.u, t.y, t.sampling_time, t.name, t.missing) for t in trajectories]
+        with self._clock.activity(Activity.IMPORT):
+            self._send("fit", (source, records, _plain(context), score is not None), deadline, late)
+            self._head(deadline, late, (ReplyKind.STARTED,))
+        with self._clock.activity(Activity.FIT):
+            return self._fitted(context, score, deadline)
+
+    def _fitted(self, context: Context, score: ScoreModel | None, deadline: float) -> FitReply:
+        late = Reason.FIT_TIMEOUT
+        begin = time.monotonic()
+        wanted = (ReplyKind.OK,) if score is None else (ReplyKind.OK, ReplyKind.SCORE)
+        head = self._head(deadline, late, wanted)
+        while score is not None and head.status is ReplyKind.SCORE:
+            self._answer(score, self._model_bytes(head, deadline, late), deadline)
+            head = self._head(deadline, late, wanted)
+        seconds = time.monotonic() - begin
+        if head.length > CURVE_ROWS * CURVE_ROW_BYTES or head.length % CURVE_ROW_BYTES:
+            raise self._failure(Reason.UNSOLICITED, "a training curve of an impossible size")
+        curve = _floats(self._body(head, deadline, late)).reshape(-1, 2)
+        self._ny, self._model_loaded = context.ny, True
+        self._printed = self._channel.take_output()
+        return FitReply(curve, self._printed, seconds)
+
+    def load(self, source: str, model: bytes, context: Context) -> None:
+        """Execute the source and take up the model that `dump` gave, in at most fit_seconds. May
+        be called again with another model of the same source, which is executed once."""
+        late = Reason.SIMULATE_TIMEOUT
+        self._cases_seen = True
+        if self._closed or self._loaded_source != source:
+            self._start()
+            self._loaded_source = source
+        deadline = self._by(self._limits.fit_seconds)
+        with self._clock.activity(Activity.IMPORT):
+            self._send("load", (source, model), deadline, late)
+            if self._head(deadline, late).length:
+                raise self._failure(Reason.UNSOLICITED)
+        self._ny, self._model_loaded = context.ny, True
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate a batch of cases, shapes as in `Model.simulate`; returns (B, H, ny), finite."""
+        self._need_model()
+        late = Reason.SIMULATE_TIMEOUT
+        self._cases_seen = True
+        shape = (u.shape[0], u.shape[1], self._ny)
+        deadline = self._by(self._limits.simulate_seconds)
+        with self._clock.activity(Activity.SIMULATE):
+            self._send("simulate", (past_u, past_y, u, self._ny), deadline, late)
+            head = self._head(deadline, late, expected=shape)
+            if head.length != math.prod(shape) * 8:
+                raise self._failure(Reason.WRONG_LENGTH, f"expected shape {shape}")
+            y = np.empty(shape, "<f8")
+            self._body_into(y.reshape(-1).view(np.uint8).data, deadline, late)
+        if not np.isfinite(y).all():
+            raise CandidateError(Reason.NOT_FINITE)
+        return y
+
+    def lowered(self, context: Context) -> LoweredModel | str:
+        """The model as a program to be printed, or why there is none."""
+        sizes = context.n_past_u, context.n_past_y, context.nu, context.ny
+        try:
+            return unpack_for(self._said("lower", sizes, LARGEST_BYTES), sizes)
+        except FormatError as error:
+            raise self._failure(Reason.UNSOLICITED, str(error)) from None
+
+    def dump(self) -> bytes:
+        """The fitted model as opaque bytes; only a worker that runs the same source reads them."""
+        self._need_model()
+        late = Reason.FIT_TIMEOUT
+        deadline = time.monotonic() + self._limits.fit_seconds
+        with self._clock.activity(Activity.FIT):
+            self._send("dump", (), deadline, late)
+            return self._model_bytes(self._head(deadline, late), deadline, late)
+
+    def parameters(self) -> tuple[tuple[str, float], ...]:
+        """Return the named parameters that the fitted model offers, at most `figures.PARAMETERS`.
+
+        Call it before any case: later output of a model could contain cases.
+        """
+        body = self._said_of_parameters("parameters", PARAMETERS_BYTES)
+        try:
+            return unpack_parameters(body)
+        except ValueError as error:
+            raise self._failure(Reason.UNSOLICITED, str(error)) from None
+
+    def estimates(self) -> ParameterEstimates | None:
+        """Return the fitted model's estimates of its parameters and its equations for the records
+        of its fit, within fit_seconds; None where it offers none.
+
+        Call it before any case, as `parameters`.
+        """
+        body = self._said_of_parameters("estimates", ESTIMATES_BYTES)
+        try:
+            return estimates_of(unpack_estimates(body)) if body else None
+        except ValueError as error:
+            raise self._failure(Reason.UNSOLICITED, str(error)) from None
+
+    def device(self) -> str:
+        """Return the device of JAX, as reported by the worker; "" where it has not loaded JAX.
+
+        Call it before any case, as `parameters`.
+        """
+        said = self._said_of_parameters("device", DEVICE_BYTES)
+        return printable(said.decode("utf-8", "replace"))
+
+    def _said_of_parameters(self, request: str, most: int) -> bytes:
+        if self._cases_seen:
+            raise SandboxError(f"the worker has received cases: request {request} before them")
+        return self._said(request, (), most)
+
+    def _said(self, request: str, arguments: tuple[object, ...], most: int) -> bytes:
+        self._need_model()
+        late = Reason.FIT_TIMEOUT
+        deadline = time.monotonic() + self._limits.fit_seconds
+        with self._clock.activity(Activity.FIT):
+            self._send(request, arguments, deadline, late)
+            head = self._head(deadline, late)
+            if head.length > most:
+                raise self._failure(Reason.UNSOLICITED, f"too many bytes of {request}")
+            return self._body(head, deadline, late)
+
+    @property
+    def printed(self) -> str:
+        """Text that the candidate printed until its fit ended or failed; later output is dropped,
+        because it could contain cases."""
+        return self._printed
+
+    @property
+    def peak_memory_mb(self) -> float | None:
+        """Largest address space so far, which the limit counts; None where the system does not
+        report it."""
+        return peak_memory_mb(self._process.find())
+
+    @property
+    def spent(self) -> Seconds:
+        """Seconds of this worker by activity so far; those of JAX are reported by the worker."""
+        return self._clock.spent
+
+    def count_compiling(self) -> None:
+        """Request JAX's time for tracing and compiling, after all other requests.
+
+        A worker that does not answer at once, or with anything but its numbers, is ignored.
+        """
+        if self._closed:
+            return
+        by = time.monotonic() + _COUNT_SECONDS
+        try:
+            self._channel.send((self._channel.new_token(), "compiled", ()), by)
+            if self._channel.receive_head(by) == Head(ReplyKind.OK, COMPILED_BYTES):
+                self._clock.count_compiling(self._channel.receive(COMPILED_BYTES, by))
+        except (LateError, GoneError, UnsolicitedError):
+            pass
+        finally:
+            self.close()
+
+    def answer_by(self, latest: float) -> None:
+        """Limit the waiting of all later loads and simulations to this `time.monotonic()` value."""
+        self._latest = latest
+
+    def abort(self) -> None:
+        """End the process from another thread: the one that uses it then sees it gone. Nothing
+        happens once that one ends it: its handles may belong to others by then."""
+        with self._ending, contextlib.suppress(OSError):
+            if not self._closed:
+                self._process.kill()
+                self._process.force()
+
+    def close(self) -> None:
+        """End the process with everything it started; may be called again. Processes that the
+        kernel does not end are `left_behind`."""
+        if not self._closed:
+            with self._ending:
+                self._closed = True
+            if self._memory is not None:
+                self._memory.close()
+            with self._clock.activity(Activity.START):
+                self._channel.close()
+                if not self._process.end():
+                    self.left_behind = self._process.process.pid
+
+    def wait(self) -> None:
+        """Wait until the process is ready, so that its start does not count as fit time.
+
+        Raises:
+            SandboxError: when the worker does not start
+        """
+        if self._ready:
+            return
+        try:
+            with self._clock.activity(Activity.START):
+                head = self._channel.receive_head(time.monotonic() + _START_SECONDS)
+            ready = head == Head(ReplyKind.STARTED, 0)
+        except (LateError, GoneError, UnsolicitedError):
+            ready = False
+        if not ready:
+            said = self._channel.take_output()[-500:].strip()
+            self.close()
+            raise SandboxError(f"a worker did not start: {said or 'no message'}")
+        self._ready = True
+
+    def _start(self) -> None:
+        if self._started or self._closed:
+            raise SandboxError("a worker takes one fit, or models of one source; open a fresh one")
+        self._started = True
+        self.wait()
+
+    def _by(self, seconds: float) -> float:
+        return min(time.monotonic() + seconds, self._latest)
+
+    def _answer(self, score: ScoreModel, model: bytes, deadline: float) -> None:
+        """Score a model that the candidate is training. Both processes end with a failure."""
+        late = Reason.FIT_TIMEOUT
+        try:
+            with self._clock.elsewhere(Activity.FIT):
+                answer = ("score", (score(model, deadline),))
+        except ScoreRefusedError as refused:
+            answer = ("refuse", (str(refused),))
+        except CandidateError:
+            self.close()
+            if time.monotonic() >= deadline:
+                raise self._translated(LateError(), late) from None
+            raise
+        self._send(*answer, deadline, late)
+
+    def _need_model(self) -> None:
+        if self._closed or not self._model_loaded:
+            raise SandboxError("the worker has no model: call fit or load first")
+
+    def _send(
+        self, name: str, arguments: tuple[object, ...], deadline: float, late: Reason
+    ) -> None:
+        try:
+            token = self._channel.new_token()
+            self._channel.send((token, name, arguments), deadline)
+        except (LateError, GoneError, UnsolicitedError) as error:
+            raise self._translated(error, late) from None
+
+    def _head(
+        self,
+        deadline: float,
+        late: Reason,
+        wanted: tuple[ReplyKind, ...] = (ReplyKind.OK,),
+        expected: tuple[int, ...] = (),
+    ) -> Head:
+        """Head of a reply that is no failure; `expected` is the shape to name in one."""
+        try:
+            head = self._channel.receive_head(deadline)
+            if head.status in wanted:
+                return head
+            if head.status not in REASONS:
+                raise UnsolicitedError
+            length = head.length if head.length <= TEXT_BYTES else 0
+            body = self._channel.receive(length, deadline)
+        except (LateError, GoneError, UnsolicitedError) as error:
+            raise self._translated(error, late) from None
+        words = failure_words(head.status, body, expected, private=self._cases_seen)
+        raise self._failure(REASONS[head.status], words)
+
+    def _model_bytes(self, head: Head, deadline: float, late: Reason) -> bytes:
+        """A model that follows `head`."""
+        if head.length > self._limits.model_mb * 1024 * 1024:
+            detail = f"{head.length} bytes, the limit is {self._limits.model_mb} MB"
+            raise self._failure(Reason.MODEL_SIZE, detail)
+        return self._body(head, deadline, late)
+
+    def _body(self, head: Head, deadline: float, late: Reason) -> bytes:
+        try:
+            return self._channel.receive(head.length, deadline)
+        except (LateError, GoneError) as error:
+            raise self._translated(error, late) from None
+
+    def _body_into(self, room: memoryview, deadline: float, late: Reason) -> None:
+        try:
+            self._channel.receive_into(room, deadline)
+        except (LateError, GoneError) as error:
+            raise self._translated(error, late) from None
+
+    def _translated(self, error: Exception, late: Reason) -> CandidateError | SandboxError:
+        if isinstance(error, LateError):
+            seconds = (
+                self._limits.simulate_seconds
+                if late is Reason.SIMULATE_TIMEOUT and self._model_loaded
+                else self._limits.fit_seconds
+            )
+            return self._failure(late, f"no answer within {seconds:g} s")
+        if isinstance(error, UnsolicitedError):
+            return self._failure(Reason.UNSOLICITED)
+        ending = self._process.ending()
+        if self._memory is not None and self._memory.exceeded:
+            return self._failure(Reason.MEMORY, f"more than {self._limits.memory_mb} MB in memory")
+        if ending.outside is not None:
+            self.close()
+            number = int(ending.outside)
+            return WorkerKilledError(f"another process ended the worker by signal {number}")
+        if self._cases_seen:
+            return self._failure(Reason.EXITED)
+        said = self._channel.take_output()[-_LAST_WORDS:].strip()
+        starved = any(words in said.lower() for words in OUT_OF_MEMORY)
+        how = "" if ending.code is None else f"exit code {ending.code}; "
+        detail = f"{how}last printed: {said or 'nothing'}"
+        return self._failure(Reason.MEMORY if starved else Reason.EXITED, detail)
+
+    def _failure(self, reason: Reason, detail: str = "") -> CandidateError:
+        """End the worker; the error is the caller's to raise."""
+        if not (self._closed or self._cases_seen or self._model_loaded):
+            self._printed = self._channel.take_output()
+        self.close()
+        return CandidateError(reason, detail)
+
+
+def _plain(context: Context) -> dict[str, object]:
+    """The context's fields but its functions, which the worker has its own of."""
+    own = ("log", "validation_score")
+    return {f.name: getattr(context, f.name) for f in fields(context) if f.name not in own}
+
+
+def _floats(data: bytes) -> Array:
+    return np.frombuffer(data, dtype="<f8").astype(np.float64)

@@ -1,0 +1,84 @@
+"""Result of one check of a model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from asia.data.trajectory import Array
+
+
+class Verdict(StrEnum):
+    """Verdict of a check."""
+
+    PASS = "pass"
+    DOUBT = "doubt"
+    FAIL = "fail"
+    SHOWN = "shown"
+    """Printed and drawn, not judged."""
+    ABSENT = "none"
+    """The check does not apply to this model or these records; the sentence gives the reason."""
+
+
+class Cause(StrEnum):
+    """Likely cause of a check that does not pass, in words."""
+
+    DYNAMICS = "a delay or a state is missing"
+    STATIC = "a saturation or another static nonlinearity is missing"
+    FRICTION = "friction is missing"
+    DRIFT = "a drift is missing"
+    UNSTABLE = "a pole is unstable"
+    SIGN = "a gain has the wrong sign"
+    PARAMETERS = "the parameters of the system drift between the parts of the records"
+    OVERFIT = "the model fits the noise of its training records"
+
+
+@dataclass(frozen=True)
+class CheckCurve:
+    """One line to draw."""
+
+    name: str
+    """Name of the curve."""
+    x: Array
+    """(n,)."""
+    y: Array
+    """(n,)."""
+    band: float | None = None
+    """Half the width of a band around zero that chance stays within; None without one."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check of a model."""
+
+    name: str
+    """A few words, unique within a dossier."""
+    verdict: Verdict
+    """Verdict of the check."""
+    sentence: str
+    """Finding, with numbers."""
+    cause: Cause | None = None
+    """Likely cause; None for a check that passes, and where none is known."""
+    weight: float = 0.0
+    """Weight among the checks that do not pass: the share of the residual that it explains, above 1
+    for a model that must not be used."""
+    curves: tuple[CheckCurve, ...] = ()
+    """Curves to draw."""
+    axes: tuple[str, str] = ("", "")
+    """Names of the axes."""
+
+
+def summary(checks: tuple[Check, ...]) -> str:
+    """`pass 7, doubt 2, fail 1: ...`, with the sentence of the check that matters most."""
+    counts = ", ".join(
+        f"{verdict} {sum(c.verdict is verdict for c in checks)}"
+        for verdict in (Verdict.PASS, Verdict.DOUBT, Verdict.FAIL)
+    )
+    worst = most_serious(checks)
+    return counts if worst is None else f"{counts}: {worst.sentence}"
+
+
+def most_serious(checks: tuple[Check, ...]) -> Check | None:
+    """The check to look at first; None where all pass."""
+    raised = [c for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)]
+    return max(raised, key=lambda c: (c.weight, c.verdict is Verdict.FAIL), default=None)

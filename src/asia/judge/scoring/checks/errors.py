@@ -1,0 +1,230 @@
+"""Checks of the errors: growth, overfit, bands, region of validity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import lfilter
+
+from asia.data.trajectory import Array
+from asia.judge.scoring.bands import Region
+from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
+from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks, listed, percent
+
+# Errors some steps after a start from measured samples, against holding the last output.
+
+
+_NAME, _AXES = "steps ahead", ("steps after the start", "normalised error [-]")
+_WORST_TENTH = 0.9
+
+
+def check_steps_ahead(model: Array, hold: Array | None, deviation: Array) -> Check:
+    """model, hold (n, K, ny): errors of n simulations that begin anew, and of the last measured
+    output, at steps 1 to K; hold is None where a simulation begins without measured outputs;
+    deviation (ny,) of the outputs."""
+    size = _sizes(model, deviation)
+    each = np.sqrt(np.mean((model / deviation) ** 2, axis=2))
+    steps = np.arange(1, model.shape[1] + 1, dtype=np.float64)
+    curves = [
+        CheckCurve("model", steps, size),
+        CheckCurve("model, worst tenth", steps, np.quantile(each, _WORST_TENTH, axis=0)),
+    ]
+    shown = dict.fromkeys(k for k in (1, 5, 20, len(steps)) if k <= len(steps))
+    words = ", ".join(f"{size[k - 1]:.3g} at step {k}" for k in shown)
+    sentence = (
+        f"normalised error after a start from measured samples: {words}; over all steps "
+        f"{_spread(each)}"
+    )
+    if hold is None:
+        return Check(_NAME, Verdict.SHOWN, f"{sentence}; there is no measured output before the "
+                     "first sample to hold", curves=tuple(curves), axes=_AXES)  # fmt: skip
+    held = _sizes(hold, deviation)
+    curves.append(CheckCurve("last output", steps, held))
+    worse = bool(size[-1] >= held[-1])
+    if worse:
+        sentence += f"; holding the last output has {held[-1]:.3g} at step {len(steps)}"
+    verdict = Verdict.DOUBT if worse else Verdict.PASS
+    return Check(_NAME, verdict, sentence, None, 0.2, tuple(curves), _AXES)
+
+
+def no_steps_ahead(why: str) -> Check:
+    """Return a check that does not apply, where no window starts anew."""
+    return Check(_NAME, Verdict.ABSENT, f"does not apply: {why}")
+
+
+def _sizes(errors: Array, deviation: Array) -> Array:
+    return np.sqrt(np.mean((errors / deviation) ** 2, axis=(0, 2)))
+
+
+def _spread(each: Array) -> str:
+    """each (n, K): the normalised error of each simulation."""
+    whole = np.sqrt(np.mean(each**2, axis=1))
+    middle, far = np.quantile(whole, (0.5, _WORST_TENTH)).tolist()
+    return (
+        f"{middle:.3g} in the middle of {len(whole)} starts, {far:.3g} or more in the worst tenth, "
+        f"{float(whole.max()):.3g} at most"
+    )
+
+
+# Check of the error on held-out against training records, and its likely cause.
+
+
+# Mean held-out error over mean training error; and the minimum in every fold.
+_DOUBT, _FAIL, _EVERY = 1.5, 2.5, 1.2
+# Share of the held-out residual that a correction of gain and slow dynamics explains: above the
+# first, parameters drift; below the second, the model fits noise; between them no cause is named.
+_DRIFTS, _NOISE = 0.45, 0.3
+# Time constants of the correction, in samples.
+_MEMORIES = (4.0, 16.0)
+
+
+def check_overfit(
+    train: Sequence[float],
+    held_out: Sequence[float],
+    simulations: SimulatedBlocks | None = None,
+    apart: Sequence[str] = (),
+) -> Check:
+    """Compare the error on held-out records with that on training records.
+
+    Args:
+        train, held_out: normalised error of each fold's model on its training records, and on
+            its held-out ones
+        simulations: simulations of the held-out records
+        apart: names of the parameters that differ between the fold models by more than noise
+            explains
+    """
+    a, b = np.array(train), np.array(held_out)
+    ratio = float(b.mean() / max(float(a.mean()), 1e-300))
+    least = float(np.min(b / np.maximum(a, 1e-300)))
+    folds = np.arange(1, len(a) + 1, dtype=np.float64)
+    curves = (CheckCurve("training", folds, a), CheckCurve("held out", folds, b))
+    words = (
+        f"the error is {ratio:.2f} times that of the fit ({b.mean():.3g} against {a.mean():.3g})"
+    )
+    axes = ("fold", "normalised error [-]")
+    if ratio < _DOUBT or least < _EVERY:
+        return Check("held-out error", Verdict.PASS, f"on held-out samples {words}",
+                     curves=curves, axes=axes)  # fmt: skip
+    verdict = Verdict.FAIL if ratio >= _FAIL else Verdict.DOUBT
+    cause, why = _cause(simulations, apart)
+    return Check("held-out error", verdict, f"on held-out samples {words}: {why}", cause,
+                 1.0 - 1.0 / ratio, curves, axes)  # fmt: skip
+
+
+def _cause(found: SimulatedBlocks | None, apart: Sequence[str]) -> tuple[Cause | None, str]:
+    """The cause of a larger held-out error, and the evidence for it."""
+    if apart:
+        verb = "differs" if len(apart) == 1 else "differ"
+        return Cause.PARAMETERS, (
+            f"{Cause.PARAMETERS}, or an effect is missing ({listed(apart)} {verb} between the "
+            "folds by more than noise explains)"
+        )
+    share = None if found is None else _corrected(found)
+    if share is None:
+        return Cause.OVERFIT, str(Cause.OVERFIT)
+    evidence = (
+        f"a different gain and slow dynamics for each part explain {percent(share)} of the residual"
+    )
+    if share >= _DRIFTS:
+        return Cause.PARAMETERS, f"{Cause.PARAMETERS} ({evidence})"
+    if share <= _NOISE:
+        return Cause.OVERFIT, (
+            f"{Cause.OVERFIT}, because it has too many parameters or too few samples ({evidence})"
+        )
+    return None, (
+        f"the system drifts, or the model has too many parameters for its records ({evidence})"
+    )
+
+
+def _corrected(found: SimulatedBlocks) -> float | None:
+    """Return the share of the held-out residual that few regressors explain in the other half of
+    the same block.
+
+    The regressors are the simulated outputs and their first-order lags. Fitted noise is spread over
+    more directions. None where the blocks are too short.
+    """
+    before = after = 0.0
+    for block in found.blocks:
+        columns = _correction(block)
+        half = len(columns) // 2
+        if half < 5 * columns.shape[1]:
+            continue
+        e = block.residual / found.deviation
+        parts = (slice(0, half), slice(half, None))
+        for fit, judge in (parts, parts[::-1]):
+            gains = np.linalg.lstsq(columns[fit], e[fit], rcond=1e-8)[0]
+            before += float((e[judge] ** 2).sum())
+            after += float(((e[judge] - columns[judge] @ gains) ** 2).sum())
+    return max(0.0, 1.0 - after / before) if before > 0 else None
+
+
+def _correction(block: SimulatedBlock) -> Array:
+    """Regressors (H, columns) of a change of parameters."""
+    signals = block.y_hat - block.y_hat.mean(axis=0)
+    signals = signals / np.maximum(signals.std(axis=0), 1e-300)
+    lagged = list[Array]()
+    for memory in _MEMORIES:
+        pole = float(np.exp(-1.0 / memory))
+        lagged.append(np.asarray(lfilter([1.0 - pole], [1.0, -pole], signals, axis=0)))
+    return np.concatenate([np.ones((len(signals), 1)), signals, *lagged], axis=1)
+
+
+# Check of the coverage of the output bands.
+
+
+# How far the share may be below the level: on records of the same kind it hardly ever is.
+_BANDED_DOUBT, _BANDED_FAIL = 0.1, 0.4
+_MOST_NAMED = 3
+
+
+def check_bands(held: Array, outputs: Sequence[str], level: float) -> Check:
+    """held: of each output (ny,), the share of the measured samples within the bands."""
+    each = sorted(zip(held.tolist(), outputs, strict=True))
+    words = ", ".join(f"{name} {percent(share)}" for share, name in each[:_MOST_NAMED])
+    rest = " at least" if len(each) > _MOST_NAMED else ""
+    sentence = f"{percent(level)} output bands contained{rest}: {words}"
+    short = level - each[0][0]
+    verdict = (
+        Verdict.FAIL
+        if short > _BANDED_FAIL
+        else Verdict.DOUBT
+        if short > _BANDED_DOUBT
+        else Verdict.PASS
+    )
+    return Check("output bands", verdict, sentence, weight=max(0.0, short))
+
+
+def no_bands(reason: str) -> Check:
+    """Return a check that does not apply, where a fold model does not simulate the record."""
+    return Check("output bands", Verdict.ABSENT, f"does not apply: {reason}")
+
+
+# Check of the similarity of samples to the training records.
+
+
+_REGION_DOUBT, _REGION_FAIL = 0.1, 0.5
+_NO_PAST = 0
+
+
+def check_region(found: SimulatedBlocks, region: Region) -> Check:
+    """The share of samples outside the region of validity; the edge is at 1."""
+    distances = [region.distance(b.u[:_NO_PAST], b.u, b.y_hat) for b in found.blocks]
+    every = np.concatenate(distances)
+    share = float(np.mean(every > 1.0))
+    first = next((k for k, d in enumerate(distances) if (d > 1.0).any()), None)
+    curves = (CheckCurve("distance", np.arange(len(every), dtype=np.float64), every),)
+    words = f"{percent(share)} of the samples are outside the region of the training records"
+    if first is not None and share > _REGION_DOUBT:
+        block = found.blocks[first]
+        begin = block.start + int(np.argmax(distances[first] > 1.0))
+        words += f", first at {begin * found.sampling_time:.4g} s"
+    verdict = (
+        Verdict.FAIL
+        if share > _REGION_FAIL
+        else Verdict.DOUBT
+        if share > _REGION_DOUBT
+        else Verdict.PASS
+    )
+    return Check("region of validity", verdict, words, None, share / 2.0, curves,
+                 ("sample", "distance over that of the edge [-]"))  # fmt: skip

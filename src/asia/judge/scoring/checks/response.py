@@ -1,0 +1,435 @@
+"""Checks of the model's response: gain, frequency response, long runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data.trajectory import Array
+from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
+from asia.judge.scoring.checks.records import SimulatedBlocks, listed, percent
+from asia.judge.scoring.checks.residual import groups
+
+# Check of the sign of the gain from each input.
+
+
+# An input's part of the output, over the output's deviation, below which its sign is not judged.
+_LEAST_PART = 0.15
+_AGAINST = -0.3
+
+
+@dataclass(frozen=True)
+class _Direction:
+    """One input's part of one output, measured and simulated."""
+
+    names: tuple[str, str]
+    """Input, output."""
+    agreement: float
+    """Correlation of the two parts."""
+
+
+def check_gain(found: SimulatedBlocks) -> Check:
+    """The part of each output that the past of an input explains, in the data and in the
+    simulation: the two must not point in opposite directions."""
+    judged: list[_Direction] = []
+    for output in range(len(found.outputs)):
+        judged += _directions(found, output)
+    if not judged:
+        return Check("direction of gain", Verdict.SHOWN, "no single input affects an output "
+                     "enough to "
+                     "judge the direction of its gain")  # fmt: skip
+    worst = min(judged, key=lambda d: d.agreement)
+    name, output = worst.names
+    if worst.agreement >= _AGAINST:
+        sentence = (
+            f"the gain of every input has the sign of the data (least correlation "
+            f"{worst.agreement:.2f}, {name} on {output})"
+        )
+        return Check("direction of gain", Verdict.PASS, sentence)
+    sentence = (
+        f"the gain from {name} to {output} has the opposite sign of the data "
+        f"(correlation {worst.agreement:.2f}): {Cause.SIGN}"
+    )
+    return Check("direction of gain", Verdict.FAIL, sentence, Cause.SIGN, 2.0)
+
+
+def _directions(found: SimulatedBlocks, output: int) -> list[_Direction]:
+    columns = groups(found, output)
+    reach, inputs = columns.reach, len(found.inputs)
+    x = np.concatenate(columns.inputs)
+    centre = x.mean(axis=0)
+    measured = np.concatenate([b.complete_y[reach:, output] for b in found.blocks])
+    simulated = np.concatenate([b.y_hat[reach:, output] for b in found.blocks])
+    fits = [_ridge(x - centre, y - y.mean()) for y in (measured, simulated)]
+    parts: list[_Direction] = []
+    for number in range(inputs):
+        # The columns of one input: every `inputs`-th.
+        own = slice(number, None, inputs)
+        data, model = ((x - centre)[:, own] @ fit[own] for fit in fits)
+        sizes = data.std() / max(measured.std(), 1e-300), model.std() / max(simulated.std(), 1e-300)
+        if min(sizes) < _LEAST_PART:
+            continue
+        agreement = float(np.mean(data * model) / (data.std() * model.std()))
+        parts.append(_Direction((found.inputs[number], found.outputs[output]), agreement))
+    return parts
+
+
+def _ridge(x: Array, y: Array) -> Array:
+    size = x.std(axis=0)
+    size[size == 0.0] = 1.0
+    z = x / size
+    gram = z.T @ z
+    return np.linalg.solve(gram + 1e-4 * len(z) * np.eye(len(gram)), z.T @ y) / size
+
+
+# The model as a linear one around operating points, from small steps of a simulator that may be
+# anything.
+
+
+SMALL = 1e-3
+# Share of the largest singular value below which a state is not seen.
+_SEEN = 1e-6
+_MOST_STATES = 8
+_MOST_ROWS = 60
+_DECAYED = 1e-3
+# With more outputs than these the sentence would be a table.
+_MOST_GAINS = 3
+
+
+@dataclass(frozen=True)
+class LinearResponse:
+    """Response of one model to a small impulse of one input around an operating point."""
+
+    point: str
+    """Operating point."""
+    input: str
+    """The input that moves."""
+    impulse: Array
+    """Change of the outputs (n, ny) for an input of 1 during the first sample."""
+
+    @property
+    def step(self) -> Array:
+        """Change of the outputs (n, ny) for an input of 1 from the first sample on."""
+        return np.cumsum(self.impulse, axis=0)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the response has decayed by the end."""
+        tail = self.impulse[-max(1, len(self.impulse) // 10) :]
+        return bool(
+            np.max(np.abs(tail)) <= _DECAYED * max(float(np.abs(self.impulse).max()), 1e-300)
+        )
+
+
+def impulse_response(up: Array, down: Array, size: float) -> Array:
+    """Estimate the impulse response.
+
+    Args:
+        up, down: simulations (n, ny) whose input is `size` above and below the operating point
+            from the first sample on
+    """
+    step = (up - down) / (2.0 * size)
+    return np.diff(step, axis=0, prepend=np.zeros((1, step.shape[1])))
+
+
+def frequency_response_of(impulse: Array, omega: Array) -> NDArray[np.complex128]:
+    """H(e^jw) (F, ny) of an impulse response (n, ny); omega (F,) in rad per sample."""
+    times = np.arange(len(impulse))
+    angles = np.outer(omega, times)
+    return np.asarray(np.exp(-1j * angles) @ impulse, np.complex128)
+
+
+def poles(impulse: Array) -> NDArray[np.complex128]:
+    """The poles of the linear model with this impulse response (n, ny), the slowest first.
+
+    Source: Kung, A new identification and model reduction algorithm via singular value
+    decomposition, Asilomar 1978.
+    """
+    rows = min(_MOST_ROWS, (len(impulse) - 1) // 2)
+    if rows < 2 or not np.any(impulse[1:]):
+        return np.zeros(0, np.complex128)
+    markov = impulse[1 : 2 * rows]
+    hankel = np.concatenate([markov[k : k + rows].T.reshape(-1, rows) for k in range(rows)])
+    u, values, _ = np.linalg.svd(hankel, full_matrices=False)
+    order = min(_MOST_STATES, int(np.sum(values > _SEEN * values[0])))
+    ny = impulse.shape[1]
+    observability = u[:, :order] * np.sqrt(values[:order])
+    a = np.linalg.lstsq(observability[:-ny], observability[ny:], rcond=None)[0]
+    found = np.asarray(np.linalg.eigvals(a), np.complex128)
+    return found[np.argsort(-np.abs(found), kind="stable")]
+
+
+def check_responses(
+    found: Sequence[LinearResponse], outputs: Sequence[str], sampling_time: float
+) -> Check:
+    """Static gains, slowest poles and step responses: shown."""
+    name, axes = "poles and static gain", ("time [s]", "change for a step of 1")
+    if not found:
+        reason = "does not apply: the response of the model to small input steps is not finite"
+        return Check(name, Verdict.ABSENT, reason)
+    curves: list[CheckCurve] = []
+    words: list[str] = []
+    for one in found:
+        times = np.arange(len(one.impulse), dtype=np.float64) * sampling_time
+        for k, output in enumerate(outputs):
+            curves.append(
+                CheckCurve(f"{one.input} to {output}, {one.point}", times, one.step[:, k])
+            )
+        gains = [
+            f"{value:.3g} on {output}"
+            for value, output in zip(one.step[-1].tolist(), outputs, strict=True)
+        ]
+        slowest = poles(one.impulse)
+        what = "static gain" if one.settled else "step response, not settled,"
+        pole = f", slowest pole {_pole(slowest[0])}" if len(slowest) else ""
+        if len(outputs) > _MOST_GAINS:
+            gains = [f"of {len(outputs)} outputs in the curves"]
+        words.append(f"{one.input} at {one.point}: {what} {listed(gains)}{pole}")
+    return Check(name, Verdict.SHOWN, "; ".join(words), curves=tuple(curves), axes=axes)
+
+
+def _pole(value: complex) -> str:
+    if abs(value.imag) < 1e-9 * max(abs(value), 1e-300):
+        return f"{value.real:.4g}"
+    return f"{value.real:.4g} ± {abs(value.imag):.4g}j"
+
+
+# The residual by frequency, and the model's frequency response against that of the data.
+
+
+_LONGEST, _SHORTEST = 256, 16
+_COHERENT = 0.8
+# Below it the gain of the data is mostly noise, and is not drawn.
+_DRAWN = 0.5
+_OFF, _FAR_OFF = 0.25, 0.5
+_CHANCE = 1e-4
+_TOO_SHORT = (
+    "does not apply: the simulations are too short for a spectrum, which needs "
+    f"{_SHORTEST} samples of eight windows or more, or {4 * _SHORTEST} of fewer"
+)
+
+# Relative difference, frequency, coherence, and which input and output.
+_Worst = tuple[float, str, float, str]
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Spectral densities of one input, an output and its residual, by Welch's method."""
+
+    frequency: Array
+    """(F,) in Hz."""
+    input: Array
+    """(F,)."""
+    output: Array
+    """(F,)."""
+    residual: Array
+    """(F,)."""
+    output_cross: NDArray[np.complex128]
+    """Cross-spectrum of output and input (F,)."""
+    residual_cross: NDArray[np.complex128]
+    """Cross-spectrum of residual and input (F,)."""
+    segments: int
+    """Independent segments."""
+
+
+def spectra(
+    u: Sequence[Array], y: Sequence[Array], e: Sequence[Array], sampling_time: float
+) -> Spectra | None:
+    """Hann windows, half overlapping, none across two blocks; None where blocks are too short.
+
+    The constant and the lines next to it are left out.
+
+    Args:
+        u, y, e: (H,) a block
+    """
+    shortest = min(len(x) for x in u)
+    length = min(_LONGEST, shortest if len(u) > 7 else shortest // 4)
+    if length < _SHORTEST:
+        return None
+    window = np.hanning(length + 1)[:-1]
+    lines = [np.zeros((0, length // 2 + 1), np.complex128)] * 3
+    for parts in zip(u, y, e, strict=True):
+        starts = range(0, len(parts[0]) - length + 1, length // 2)
+        for k, x in enumerate(parts):
+            cut = np.stack([x[s : s + length] for s in starts])
+            cut = cut - cut.mean(axis=1, keepdims=True)
+            lines[k] = np.concatenate([lines[k], np.fft.rfft(cut * window)])
+    a, b, c = (x[:, 2:-1] for x in lines)
+    power = [np.mean(np.abs(x) ** 2, axis=0) for x in (a, b, c)]
+    frequency = np.asarray(np.fft.rfftfreq(length, sampling_time)[2:-1], np.float64)
+    count = max(2, len(a) * 9 // 16)
+    cross = [np.mean(x * a.conj(), axis=0) for x in (b, c)]
+    return Spectra(frequency, power[0], power[1], power[2], cross[0], cross[1], count)
+
+
+def check_spectrum(found: SimulatedBlocks, noise: Sequence[float | None]) -> Check:
+    """Show the spectrum of the residual against the output and the noise; it is not judged.
+
+    Args:
+        noise: noise of each output over its standard deviation, None where it is not known
+    """
+    curves: list[CheckCurve] = []
+    words: list[str] = []
+    for k, name in enumerate(found.outputs):
+        y, e = [b.complete_y[:, k] for b in found.blocks], found.residuals(k)
+        one = spectra(y, y, e, found.sampling_time)
+        if one is None:
+            continue
+        curves += [
+            CheckCurve(f"{name}, output", one.frequency, np.sqrt(one.output)),
+            CheckCurve(f"{name}, residual", one.frequency, np.sqrt(one.residual)),
+        ]
+        above = one.frequency[one.residual > 0.5 * one.output]
+        part = float(np.sqrt(one.residual.sum() / max(float(one.output.sum()), 1e-300)))
+        floor = noise[k]
+        line = f"{name}: residual {percent(part)} of the output"
+        line += "" if floor is None else f", noise {percent(floor)}"
+        if len(above):
+            line += f", above half its power from {above[0]:.3g} Hz on"
+        words.append(line)
+    if not words:
+        return Check("error spectrum", Verdict.ABSENT, _TOO_SHORT)
+    sentence = "; ".join(words)
+    return Check("error spectrum", Verdict.SHOWN, sentence, curves=tuple(curves),
+                 axes=("frequency [Hz]", "amplitude"))  # fmt: skip
+
+
+def check_frequency_response(found: SimulatedBlocks, linear: Sequence[LinearResponse]) -> Check:
+    """Gain of the data against gain of the simulation, input by input, where the coherence is high
+    enough; the linearised model is drawn with them."""
+    curves: list[CheckCurve] = []
+    worst: _Worst | None = None
+    for number, name in enumerate(found.inputs):
+        for k, output in enumerate(found.outputs):
+            y, e = [b.complete_y[:, k] for b in found.blocks], found.residuals(k)
+            one = spectra(found.input(number), y, e, found.sampling_time)
+            if one is None:
+                continue
+            pair = f"{name} to {output}"
+            curves += _drawn(one, linear, pair, name, k, found.sampling_time)
+            off = _off(one)
+            if off is not None and (worst is None or off[0] > worst[0]):
+                worst = (*off, pair)
+    title, axes = "frequency response", ("frequency [Hz]", "gain")
+    if not curves:
+        return Check(title, Verdict.ABSENT, _TOO_SHORT)
+    return _judged(worst, title, tuple(curves), axes)
+
+
+def _judged(
+    worst: _Worst | None, title: str, curves: tuple[CheckCurve, ...],
+    axes: tuple[str, str],
+) -> Check:  # fmt: skip
+    if worst is None:
+        sentence = f"the coherence of every input and output is at most {_COHERENT:g}"
+        return Check(title, Verdict.SHOWN, sentence, curves=curves, axes=axes)
+    size, frequency, coherence, pair = worst
+    if size == 0.0:
+        sentence = (
+            "the gain of the simulation agrees with the data within statistical error where the "
+            "coherence "
+            f"is above {_COHERENT:g}"
+        )
+        return Check(title, Verdict.PASS, sentence, curves=curves, axes=axes)
+    words = (
+        f"{pair} at {frequency} Hz deviates by {percent(size)} from the data (coherence "
+        f"{coherence:.2f})"
+    )
+    if size < _OFF:
+        return Check(title, Verdict.PASS, f"at most, {words}", curves=curves, axes=axes)
+    verdict = Verdict.FAIL if size >= _FAR_OFF else Verdict.DOUBT
+    return Check(title, verdict, words, None, 0.04, curves, axes)
+
+
+def _off(one: Spectra) -> tuple[float, str, float] | None:
+    """The largest relative difference of the two gains beyond chance, the frequency, and the
+    coherence there; None where no line is coherent."""
+    coherence = _coherence(one)
+    judged = (coherence >= _COHERENT) & (one.input > 1e-6 * one.input.max())
+    if not judged.any():
+        return None
+    explained = np.abs(one.residual_cross) ** 2 / np.maximum(one.input * one.residual, 1e-300)
+    least = 1.0 - (_CHANCE / len(judged)) ** (1.0 / (one.segments - 1))
+    size = np.abs(one.residual_cross) / np.maximum(np.abs(one.output_cross), 1e-300)
+    # Within chance, the two are taken as equal.
+    size = np.where(judged & (explained > least), size, 0.0)
+    place = int(np.argmax(np.where(judged, size, -1.0)))
+    return float(size[place]), f"{one.frequency[place]:.3g}", float(coherence[place])
+
+
+def _coherence(one: Spectra) -> Array:
+    return np.abs(one.output_cross) ** 2 / np.maximum(one.input * one.output, 1e-300)
+
+
+def _drawn(
+    one: Spectra, linear: Sequence[LinearResponse], pair: str, name: str, output: int, ts: float
+) -> list[CheckCurve]:
+    power = np.maximum(one.input, 1e-300)
+    model = np.abs(one.output_cross - one.residual_cross) / power
+    clear = _coherence(one) >= _DRAWN
+    words = f", coherence above {_DRAWN:g}"
+    if not clear.any():
+        clear, words = np.ones_like(clear), ""
+    frequency = one.frequency[clear]
+    curves = [
+        CheckCurve(f"{pair}, data{words}", frequency, (np.abs(one.output_cross) / power)[clear]),
+        CheckCurve(f"{pair}, simulation{words}", frequency, model[clear]),
+    ]
+    for response in linear:
+        if response.input == name:
+            omega = 2.0 * np.pi * one.frequency * ts
+            gain = np.abs(frequency_response_of(response.impulse, omega)[:, output])
+            curves.append(
+                CheckCurve(f"{pair}, linearised at {response.point}", one.frequency, gain)
+            )
+    return curves
+
+
+# Check that the model stays bounded far beyond the length of its records.
+
+
+HORIZONS = 10
+_FAR = 5.0
+# Growth of the second five horizons over that of the first: an integrator has about 1.
+_SPEEDS_UP = 2.0
+_MORE = 1.5
+_DRAWN_SAMPLES = 2000
+
+
+def check_long_run(y_hat: Array | None, lowest: Array, highest: Array) -> Check:
+    """Check that a long simulation stays bounded.
+
+    Args:
+        y_hat: (HORIZONS * H, ny) simulated with a repeated input, or None where the outputs are
+            not finite
+        lowest, highest: (ny,) range of the training outputs
+    """
+    name, axes = "ten horizons", ("horizon", "distance over half the training range [-]")
+    if y_hat is None:
+        sentence = f"over ten horizons the simulation diverges: {Cause.UNSTABLE}"
+        return Check(name, Verdict.FAIL, sentence, Cause.UNSTABLE, 3.0)
+    half = np.maximum((highest - lowest) / 2.0, 1e-300)
+    distance = np.max(np.abs(y_hat - (highest + lowest) / 2.0) / half, axis=1)
+    peaks = np.array([part.max() for part in np.array_split(distance, HORIZONS)])
+    step = max(1, len(distance) // _DRAWN_SAMPLES)
+    times = np.arange(len(distance))[::step] * HORIZONS / len(distance)
+    curves = (CheckCurve("distance from the middle", times, distance[::step]),)
+    last = float(peaks[-1])
+    early, late = float(peaks[4] - peaks[0]), float(peaks[-1] - peaks[4])
+    faster = late > _SPEEDS_UP * max(early, 0.05)
+    if faster and last > _MORE * float(peaks[0]):
+        words = f"over ten horizons the simulation grows exponentially, to {last:.3g} times"
+        verdict = Verdict.FAIL if last > _FAR else Verdict.DOUBT
+        return Check(name, verdict, f"{words} half the training range: {Cause.UNSTABLE}",
+                     Cause.UNSTABLE, 3.0, curves, axes)  # fmt: skip
+    if last > _FAR:
+        sentence = (
+            f"over ten horizons the simulation goes to {last:.3g} times half the training range, "
+            "steadily, as an integrator does"
+        )
+        return Check(name, Verdict.DOUBT, sentence, None, 0.3, curves, axes)
+    sentence = f"over ten horizons the simulation stays within {last:.2g} times half the training"
+    return Check(name, Verdict.PASS, f"{sentence} range", curves=curves, axes=axes)

@@ -1,0 +1,341 @@
+"""Outcomes: scores, failures, and their computation from simulated outputs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+
+from asia.data.trajectory import Array, filled
+from asia.errors import CandidateError, InternalError, Reason, UserError
+from asia.problem.metrics import METRICS, by_measured, find_metric, mean_of_known
+from asia.problem.protocol import OutputGroup
+
+# Measures of fit in addition to the metric. Arrays are (samples, channels) in physical units.
+
+
+def fit_index(y: Array, y_hat: Array) -> Array:
+    """100 (1 - |y - y_hat| / |y - mean y|) per channel, in percent (Ljung 1999); NaN
+    where y is constant."""
+    return 100.0 * (1.0 - np.sqrt(by_measured(_energy_ratio, y, y_hat)))
+
+
+def r2(y: Array, y_hat: Array) -> Array:
+    """Coefficient of determination of each channel; NaN where y is constant."""
+    return 1.0 - by_measured(_energy_ratio, y, y_hat)
+
+
+def _energy_ratio(y: Array, y_hat: Array) -> Array:
+    """NaN where an output does not move: it has no fit index."""
+    spread = np.sum((y - y.mean(axis=0)) ** 2, axis=0)
+    with np.errstate(over="ignore"):
+        return np.sum((y - y_hat) ** 2, axis=0) / np.where(spread > 0, spread, np.nan)
+
+
+def without_gaps(y: Array, y_hat: Array) -> Array:
+    """y (H, ny) of a block with NaN -> with the error `y - y_hat` on straight lines between the
+    measured samples, for an analysis that needs every sample. No score is made from it."""
+    return y_hat + filled(y - y_hat) if np.isnan(y).any() else y
+
+
+def pooled(parts: Sequence[Array]) -> Array:
+    """All samples of all cases, one below the other; a single one, which may be long, as it is."""
+    return parts[0] if len(parts) == 1 else np.concatenate(list(parts), axis=0)
+
+
+# Outcome of an experiment: a Score, finite by construction, or a Failure with a reason.
+
+
+DIVERGED = 1e100
+PARTS = 8
+
+
+@dataclass(frozen=True)
+class FoldScore:
+    """Score on one fold.
+
+    Raises:
+        InternalError: when a number in it is not finite
+    """
+
+    value: float
+    """The metric as it enters V: mean over the outputs, lower is better."""
+    rmse: tuple[float, ...]
+    """RMSE of each output in its unit."""
+    mae: tuple[float, ...]
+    """MAE of each output in its unit."""
+    fit_index: tuple[float | None, ...]
+    """Fit index of each output in percent; None where the held-out output does not move."""
+    r2: tuple[float | None, ...]
+    """R^2 of each output; None where the held-out output does not move."""
+    parts: tuple[float, ...] = ()
+    """`value` on PARTS equal parts of the held-out samples; () where nothing asks for it."""
+    other: tuple[float, ...] = ()
+    """The problem's metric of each output where it is neither RMSE nor MAE, else ()."""
+
+    def __post_init__(self) -> None:
+        lists = self.rmse, self.mae, self.fit_index, self.r2, self.parts, self.other
+        numbers = (self.value, *chain.from_iterable(lists))
+        if not all(n is None or math.isfinite(n) for n in numbers):
+            raise InternalError("a score that is not finite was about to be recorded")
+
+    def per_channel(self, metric: str) -> tuple[float, ...]:
+        """The problem's metric of each output, in the metric's unit."""
+        return {"rmse": self.rmse, "mae": self.mae}.get(metric, self.other)
+
+    @property
+    def worst_fit(self) -> float | None:
+        """The lowest fit index over the channels."""
+        return min((f for f in self.fit_index if f is not None), default=None)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Score of a candidate.
+
+    Raises:
+        InternalError: when it is not finite
+    """
+
+    value: float
+    """V, the mean over the folds."""
+    folds: tuple[FoldScore, ...]
+    """One a fold, in order."""
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.value):
+            raise InternalError("a score that is not finite was about to be recorded")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Reason for a missing score."""
+
+    reason: Reason
+    """The kind of failure."""
+    detail: str = ""
+    """Exception text or measurement, of any length."""
+    fold: int | None = None
+    """The fold that failed, 1-based; None when no fold was reached."""
+
+    @property
+    def advice(self) -> str:
+        """Description of the failure and its remedy."""
+        return self.reason.advice
+
+
+Outcome = Score | Failure
+
+
+@dataclass(frozen=True)
+class TestScore:
+    """One metric on the sealed test, in the metric's own unit."""
+
+    metric: str
+    """The name of the metric."""
+    value: float
+    """Mean of `per_channel`."""
+    per_channel: tuple[float, ...]
+    """Score of each output, over the samples of all trajectories."""
+    per_trajectory: tuple[float, ...]
+    """Score of each trajectory, the mean over the outputs."""
+
+
+def check_reply(y_hat: Array, shape: tuple[int, ...]) -> None:
+    """Raise CandidateError unless `y_hat` has the shape and is below 1e100 everywhere."""
+    if y_hat.shape != shape:
+        raise CandidateError(Reason.WRONG_LENGTH, f"expected {shape}, got {y_hat.shape}")
+    if not bool((np.abs(y_hat) < DIVERGED).all()):
+        raise CandidateError(Reason.NOT_FINITE)
+
+
+def score_fold(
+    y: Sequence[Array], y_hat: Sequence[Array], scale: Array, metric: str, *, in_parts: bool = False
+) -> FoldScore:
+    """Score the simulated blocks of one fold.
+
+    The metric of each channel is taken over all measured samples of all blocks, divided by scale
+    where the metric is in the unit of the output, and averaged over the channels.
+
+    Args:
+        y, y_hat: one (H, ny) array a block
+        scale: (ny,)
+        in_parts: fill `FoldScore.parts`
+
+    Raises:
+        CandidateError: for a reply of the wrong size or not finite
+        UserError: when the metric cannot be computed
+    """
+    for measured, simulated in zip(y, y_hat, strict=True):
+        check_reply(simulated, measured.shape)
+    a, b = pooled(y), pooled(y_hat)
+    judge = find_metric(metric)
+    value = judge.shortfall(a, b, scale)
+    if not math.isfinite(value):
+        raise CandidateError(Reason.NOT_FINITE)
+    parts: tuple[float, ...] = ()
+    if in_parts:
+        cut = zip(np.array_split(a, PARTS), np.array_split(b, PARTS), strict=True)
+        found = (judge.shortfall(c, d, scale) for c, d in cut if len(c))
+        # A part may have no measured sample.
+        parts = tuple(one for one in found if not math.isnan(one))
+    indices = _defined(fit_index(a, b)), _defined(r2(a, b))
+    rmse, mae = (_t(METRICS[name].values(a, b)) for name in ("rmse", "mae"))
+    other = () if metric in METRICS else _t(judge.values(a, b))
+    return FoldScore(value, rmse, mae, *indices, parts, other)
+
+
+def combine(folds: Sequence[FoldScore]) -> Score:
+    """V over the folds."""
+    return Score(float(np.mean([f.value for f in folds])), tuple(folds))
+
+
+def score_test(y: Sequence[Array], y_hat: Sequence[Array], metric: str, skip: int = 0) -> TestScore:
+    """The metric on the test set, the first `skip` samples of each block left out. Raises as
+    `score_fold`."""
+    for measured, simulated in zip(y, y_hat, strict=True):
+        check_reply(simulated, measured.shape)
+    measure = find_metric(metric).values
+    kept = [(a[skip:], b[skip:]) for a, b in zip(y, y_hat, strict=True)]
+    channels = measure(pooled([a for a, _ in kept]), pooled([b for _, b in kept]))
+    each = tuple(mean_of_known(measure(a, b)) for a, b in kept)
+    if np.isnan(pooled([a for a, _ in kept])).all(axis=0).any() or any(
+        np.isnan(a).all() for a, _ in kept
+    ):
+        raise UserError("an output or a record of the test was never measured where it is scored")
+    if not np.isfinite([*channels, *each]).all():
+        raise CandidateError(Reason.NOT_FINITE, f"the test's {metric} is not finite")
+    return TestScore(metric, float(np.mean(channels)), _t(channels), each)
+
+
+def _defined(values: Array) -> tuple[float | None, ...]:
+    return tuple(float(v) if math.isfinite(v) else None for v in values)
+
+
+def _t(values: Array) -> tuple[float, ...]:
+    return tuple(float(v) for v in values)
+
+
+# Mean Euclidean Error: one distance a group of outputs, at each step of a window.
+#
+# Busetto et al. (2026), nanodrone benchmark: at step h the distance of measured and simulated
+# vectors is averaged over all windows; attitude counts by the geodesic distance of its rotations.
+
+
+@dataclass(frozen=True)
+class GroupError:
+    """Mean distance of one group of outputs at steps 1..H, in its unit (rotations: rad).
+
+    Raises:
+        InternalError: when a number is not finite
+    """
+
+    name: str
+    steps: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.steps).all():
+            raise InternalError("a distance that is not finite was about to be recorded")
+
+    def at(self, step: int) -> float:
+        """Return the error at step 1..H."""
+        return self.steps[step - 1]
+
+    @property
+    def total(self) -> float:
+        """Sum over the steps."""
+        return float(sum(self.steps))
+
+
+@dataclass(frozen=True)
+class MeeTable:
+    """Table with a row for each group; `horizons` are the steps that tables show next to the
+    sum."""
+
+    horizons: tuple[int, ...]
+    groups: tuple[GroupError, ...]
+
+    def by_group(self) -> dict[str, dict[str, float]]:
+        """Group -> h10, h50, ..., sum."""
+        return {
+            g.name: {**{f"h{h}": g.at(h) for h in self.horizons}, "sum": g.total}
+            for g in self.groups
+        }
+
+
+def mee_table(
+    y: Sequence[Array],
+    y_hat: Sequence[Array],
+    outputs: Sequence[str],
+    groups: Sequence[OutputGroup],
+    horizons: Sequence[int],
+) -> MeeTable:
+    """Mean Euclidean Error over windows of one length.
+
+    Args:
+        y, y_hat: measured and simulated outputs, one (H, ny) array a window
+        outputs: the ny names
+        horizons: steps 1..H, none for the last alone
+
+    Raises:
+        CandidateError: for a reply of the wrong size or not finite
+    """
+    for measured, simulated in zip(y, y_hat, strict=True):
+        check_reply(simulated, measured.shape)
+    a, b = np.stack(list(y)), np.stack(list(y_hat))
+    found: list[GroupError] = []
+    for group in groups:
+        columns = [list(outputs).index(name) for name in group.outputs]
+        measure = geodesic if group.distance == "geodesic" else euclidean
+        distance = measure(a[..., columns], b[..., columns])
+        found.append(GroupError(group.name, tuple(_mean_of_steps(distance).tolist())))
+    return MeeTable(tuple(horizons) or (a.shape[1],), tuple(found))
+
+
+def _mean_of_steps(distance: Array) -> Array:
+    """(windows, H) -> (H,), over the windows in which all outputs of the group were measured.
+
+    Raises:
+        UserError: where a step has none
+    """
+    if not np.isnan(distance).any():
+        return distance.mean(axis=0)
+    never = np.isnan(distance).all(axis=0)
+    if never.any():
+        raise UserError(f"step {int(np.argmax(never)) + 1} is measured in no window")
+    return np.nanmean(distance, axis=0)
+
+
+def euclidean(a: Array, b: Array) -> Array:
+    """Distance of vectors (..., n) -> (...)."""
+    return np.linalg.norm(a - b, axis=-1)
+
+
+def geodesic(a: Array, b: Array) -> Array:
+    """Angle in rad, 0 to pi, of the rotation between two attitudes (..., 3), roll, pitch and yaw in
+    rad (Z-Y-X).
+
+    With the relative rotation's trace t and its antisymmetric part s it is arctan2(|s|, (t - 1)/2):
+    the usual arccos((t - 1)/2) loses half the digits near 0 and pi, and leaves its range by
+    rounding.
+    """
+    relative = np.swapaxes(rotation(a), -1, -2) @ rotation(b)
+    trace = np.trace(relative, axis1=-2, axis2=-1)
+    skew = (relative - np.swapaxes(relative, -1, -2)) / 2.0
+    sine = np.sqrt((skew**2).sum(axis=(-1, -2)) / 2.0)
+    return np.arctan2(sine, (trace - 1.0) / 2.0)
+
+
+def rotation(angles: Array) -> Array:
+    """Body-to-world matrices (..., 3, 3) = Rz(yaw) Ry(pitch) Rx(roll) of (..., 3) roll, pitch, yaw
+    in rad."""
+    (sr, sp, sy), (cr, cp, cy) = (np.moveaxis(f(angles), -1, 0) for f in (np.sin, np.cos))
+    rows = (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

@@ -1,0 +1,192 @@
+"""Content-addressed artifacts: store and verification."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from asia.data.trajectory import Array
+from asia.errors import UserError
+from asia.ledger.chain import write_whole, writing
+
+# Content-addressed artifacts: sources, models, simulations.
+
+
+_PART = 64 * 1024
+
+
+def without_artifacts(directory: Path) -> str:
+    """Describe the use of a run directory without artifacts."""
+    return (
+        f"{directory} has a ledger without artifacts, but this needs sources, models or "
+        f"simulations: restore the folder artifacts. asia status, show, report and verify work "
+        f"without it"
+    )
+
+
+class Store:
+    """`<run>/artifacts/<sha256>`; written and synced before a record names it."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+
+    @property
+    def kept(self) -> bool:
+        """Return whether there are artifacts at all; a ledger may be published without them."""
+        return self._directory.is_dir()
+
+    def put(self, data: bytes) -> str:
+        """Keep `data`; its sha256. Raises UserError when the disk refuses."""
+        digest = hashlib.sha256(data).hexdigest()
+        path = self._directory / digest
+        if path.exists():
+            return digest
+        write_whole(path, data)
+        return digest
+
+    def tidy(self) -> None:
+        """Remove what a killed process had begun to write; for the one that holds the ledger."""
+        with writing(self._directory):
+            for path in self._directory.glob(".*.new"):
+                path.unlink()
+
+    def get(self, digest: str) -> bytes:
+        """The bytes of an artifact. Raises UserError when it is gone or changed."""
+        path = f"{self._directory}/{digest}"
+        try:
+            data = _read(path)
+        except OSError as error:
+            if not self.kept:
+                raise UserError(without_artifacts(self._directory.parent)) from None
+            raise UserError(f"artifact {path} is missing ({error.strerror})") from None
+        if hashlib.sha256(data).hexdigest() != digest:
+            raise UserError(f"artifact {path} was changed after it was written")
+        return data
+
+    def text(self, digest: str) -> str:
+        """A source or a printed output."""
+        return self.get(digest).decode()
+
+    def put_arrays(self, arrays: Sequence[Array]) -> str:
+        """Raw little-endian float64, one array after the other."""
+        return self.put(b"".join(np.ascontiguousarray(a, "<f8").tobytes() for a in arrays))
+
+    def get_arrays(self, digest: str, shapes: Sequence[tuple[int, ...]]) -> tuple[Array, ...]:
+        """The arrays of `put_arrays`, whose shapes the caller knows."""
+        flat = np.frombuffer(self.get(digest), "<f8")
+        ends = np.cumsum([int(np.prod(s)) for s in shapes])
+        if len(ends) == 0 or ends[-1] != len(flat):
+            raise UserError(f"artifact {digest} has {len(flat)} numbers, expected {shapes}")
+        return tuple(
+            part.reshape(shape)
+            for part, shape in zip(np.split(flat, ends[:-1]), shapes, strict=True)
+        )
+
+
+def _read(path: str) -> bytes:
+    """Read a file in half the time of `Path.read_bytes`: a long search has a million small ones."""
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        parts = [os.read(fd, _PART)]
+        while len(parts[-1]) == _PART:
+            parts.append(os.read(fd, _PART))
+    finally:
+        os.close(fd)
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+# Verification of all artifacts that a ledger names, on all cores. A long search has a million of
+# them.
+
+
+_BATCH = 512
+_PIPE_BYTES = 1 << 20  # large enough that no helper idles while the reader waits for another
+# Reads names on stdin; ends with 1 at the first file whose sha256 is not its name, or that is gone.
+_HELPER = """
+import hashlib, os, sys
+os.chdir(sys.argv[1])
+for line in sys.stdin:
+    fd = os.open(line[:-1], os.O_RDONLY)
+    part = os.read(fd, 65536)
+    digest = hashlib.sha256(part)
+    while len(part) == 65536:
+        part = os.read(fd, 65536)
+        digest.update(part)
+    os.close(fd)
+    if digest.hexdigest() != line[:-1]:
+        sys.exit(1)
+"""
+
+
+class Artifacts:
+    """The artifacts named so far. Few are checked here, many by processes that end with this."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._records: dict[str, int] = {}
+        self._batch: list[str] = []
+        self._helpers: list[subprocess.Popen[str]] = []
+        self._batches = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        for helper in self._helpers:
+            helper.kill()
+            helper.communicate()
+
+    def __len__(self) -> int:
+        return len(self._records)
+
+    def add(self, digest: str, record: int) -> None:
+        """`record` names an artifact."""
+        if digest in self._records:
+            return
+        self._records[digest] = record
+        self._batch.append(digest)
+        if len(self._batch) == _BATCH:
+            self._hand_out()
+
+    def check(self) -> None:
+        """Raises UserError that names the first record one of whose artifacts does not hold."""
+        sound = not [1 for helper in self._helpers if _ended(helper)]
+        store = Store(self._directory)
+        for digest in self._batch if sound else self._records:
+            try:
+                store.get(digest)
+            except UserError as error:
+                where = f"event {self._records[digest]} of {self._directory.parent}"
+                raise UserError(f"{where}: {error}") from None
+
+    def _hand_out(self) -> None:
+        if not self._helpers:
+            self._helpers = [_helper(self._directory) for _ in range(os.cpu_count() or 1)]
+        stdin = self._helpers[self._batches % len(self._helpers)].stdin
+        assert stdin is not None
+        # One that found something has ended; its exit code says so later.
+        with suppress(BrokenPipeError):
+            stdin.write("".join(f"{digest}\n" for digest in self._batch))
+        self._batches += 1
+        self._batch = []
+
+
+def _helper(directory: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-I", "-S", "-c", _HELPER, str(directory)],
+        stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, pipesize=_PIPE_BYTES,
+    )  # fmt: skip
+
+
+def _ended(helper: subprocess.Popen[str]) -> int:
+    with suppress(BrokenPipeError):
+        helper.communicate()
+    return helper.returncode

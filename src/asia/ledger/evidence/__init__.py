@@ -1,1 +1,0 @@
-"""Evidence on an experiment besides its score, for agents and users alike."""

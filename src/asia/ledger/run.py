@@ -1,0 +1,245 @@
+"""A run directory opened for reading."""
+
+from __future__ import annotations
+
+import tomllib
+import traceback
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from asia._diagnostic import error_sentence
+from asia._text import one_line
+from asia.errors import UserError
+from asia.judge.scoring.outcome import Failure
+from asia.ledger.artifacts import Store
+from asia.ledger.chain import Line, in_use, ledger_of, read_lines, write_whole
+from asia.ledger.events import Stack, Started, TestedModel, Unsealed, Use
+from asia.ledger.view import SearchView, replay
+
+# A run directory opened for reading.
+
+
+ERROR = "error.txt"
+"""Name of the file next to the ledger with the error that stopped the search last."""
+
+RunState = Literal["running", "interrupted", "finished", "unsealed"]
+
+
+def state_of(view: SearchView, *, busy: bool) -> RunState:
+    """Return the state of a search.
+
+    Args:
+        view: the replayed ledger.
+        busy: true if a process holds the ledger.
+    """
+    if view.unsealed:
+        return "unsealed"
+    if busy:
+        return "running"
+    return "finished" if view.complete else "interrupted"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run directory opened for reading."""
+
+    directory: Path
+    view: SearchView
+    lines: tuple[Line, ...]
+    busy: bool
+
+    def __repr__(self) -> str:
+        best = self.view.best
+        value = f", best #{best.number} V={best.score.value:.6g}" if best and best.score else ""
+        count = len(self.view.experiments)
+        return f"Run('{self.directory}', {self.state}, {count} experiments{value})"
+
+    @property
+    def name(self) -> str:
+        """Name of the run."""
+        return self.directory.name
+
+    @property
+    def store(self) -> Store:
+        """Its artifacts."""
+        return Store(self.directory / "artifacts")
+
+    @property
+    def metric(self) -> str:
+        """The name of the metric. Raises UserError as `metric_of`."""
+        return metric_of(self.directory)
+
+    @property
+    def state(self) -> RunState:
+        """State of the search."""
+        return state_of(self.view, busy=self.busy)
+
+
+def open_run(directory: Path) -> Run:
+    """Read and verify a run. Raises UserError when it is not one or does not verify."""
+    ledger = ledger_of(directory)
+    lines = tuple(read_lines(ledger))
+    return Run(directory, replay(line.event for line in lines), lines, in_use(ledger))
+
+
+def keep_error(directory: Path, error: Exception) -> Path:
+    """Write the message of the error that stopped a search, and its traceback, next to the ledger.
+    Return the file.
+    """
+    path = directory / ERROR
+    lines = "".join(traceback.format_exception(error))
+    write_whole(path, f"{error_sentence(error)}\n\n{lines}".encode("utf-8", "replace"))
+    return path
+
+
+def error_of(directory: Path) -> str | None:
+    """The sentence of the error that ended the search last; None where none did."""
+    try:
+        return one_line((directory / ERROR).read_text("utf-8").partition("\n")[0]) or None
+    except (OSError, ValueError):
+        return None
+
+
+def metric_of(directory: Path) -> str:
+    """The name of a run's metric, from its lock file. Raises UserError when that cannot be read."""
+    path = directory / "problem.lock.toml"
+    try:
+        return tomllib.loads(path.read_text("utf-8"))["protocol"]["metric"]
+    except (OSError, ValueError, KeyError) as error:
+        raise UserError(
+            f"{path} cannot be read ({error}): the metric of the run is not known"
+        ) from None
+
+
+def find_run(runs: Path, name: str | None) -> Path:
+    """RUN is a path, a name below `runs`, or None for the newest. Raises UserError."""
+    if name is not None:
+        for path in (Path(name), runs / name):
+            if (path / "ledger.jsonl").is_file():
+                return path
+        known = ", ".join(sorted(p.parent.name for p in runs.glob("*/ledger.jsonl"))) or "none"
+        raise UserError(f"no run '{name}' under {runs}; there is: {known}")
+    found = list(runs.glob("*/ledger.jsonl"))
+    if not found:
+        raise UserError(f"no runs under {runs}; start one with: asia run PROBLEM")
+    return max(found, key=lambda p: p.stat().st_mtime).parent
+
+
+# The model to use of a search, as its ledger names it.
+
+
+@dataclass(frozen=True)
+class ModelToUse:
+    """The model to use and why."""
+
+    model: Use
+    """Name of the model."""
+    reason: str
+    """Why, in a sentence."""
+
+
+def model_to_use(view: SearchView) -> ModelToUse | None:
+    """The model that the search names. The ensemble while it goes on, and in a ledger of an older
+    version, which names none. None where no candidate has a score."""
+    if view.best is None:
+        return None
+    refitted = view.refitted
+    if refitted is None:
+        return ModelToUse("ensemble", "The search is not finished: there is no other model yet.")
+    if refitted.use is None:
+        reason = "The search is of an older version, which did not check the refit."
+        return ModelToUse("ensemble", reason)
+    return ModelToUse(refitted.use, refitted.reason)
+
+
+def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:
+    """Return the result of the sealed test for this model, or that of the ensemble if it has
+    none.
+    """
+    found = {"ensemble": record.ensemble, "refit": record.refit, "stack": record.stack}[use]
+    return record.ensemble if found is None else found
+
+
+def stack_words(stack: Stack) -> str:
+    """`#07 0.62, #03 0.38`: the members and their weights."""
+    return ", ".join(f"#{m.experiment:02d} {m.weight:.2f}" for m in stack.members)
+
+
+# Result of the expert at the same budget, for comparison with a search that costs money.
+
+
+# Agents without a control: the control itself, and those that are controls too.
+FREE = ("expert", "random", "random-paper", "bayes")
+CONTROL = "expert"
+
+
+@dataclass(frozen=True)
+class Control:
+    """`run` of the control agent and its best V within the first `experiments`; None while there is
+    no such run, or no score in it."""
+
+    run: str | None
+    value: float | None
+    experiments: int
+
+
+def control(directory: Path, start: Started, spent: int) -> Control | None:
+    """Return the control run of a search, or None for agents that need none.
+
+    Of several control runs in the same folder, the one with the same seed counts, else the first.
+
+    Args:
+        directory: run directory of the search.
+        start: first event of the search.
+        spent: number of experiments that the search has spent.
+    """
+    if start.agent in FREE or spent == 0:
+        return None
+    found = sorted(
+        ((other, place) for other, place in _siblings(directory) if _is_control(other, start)),
+        key=lambda pair: (pair[0].seed != start.seed, pair[0].run),
+    )
+    for other, place in found:
+        try:
+            view = open_run(place).view
+        except UserError:
+            continue
+        first = view.finished[:spent]
+        if len(first) == spent or view.stopped is not None:
+            values = [e.score.value for e in first if e.score]
+            return Control(other.run, min(values, default=None), spent)
+    return Control(None, None, spent)
+
+
+def control_text(found: Control, start: Started) -> str:
+    """Describe a control run in one line of text."""
+    if found.run is None:
+        return (
+            "not run yet; to run the expert, which needs no language model, at the same budget: "
+            f"asia run {start.problem} --experiments {found.experiments} --seed {start.seed}"
+        )
+    value = "no score" if found.value is None else f"V={found.value:.4f}"
+    return f"expert, the same {found.experiments} experiments: {value} ({found.run})"
+
+
+def _siblings(directory: Path) -> Iterator[tuple[Started, Path]]:
+    for ledger in sorted(directory.resolve().parent.glob("*/ledger.jsonl")):
+        if ledger.parent == directory.resolve():
+            continue
+        try:
+            first = next(read_lines(ledger), None)
+        except UserError:
+            continue
+        if first is not None and isinstance(first.event, Started):
+            yield first.event, ledger.parent
+
+
+def _is_control(other: Started, start: Started) -> bool:
+    return (
+        other.agent == CONTROL
+        and other.problem == start.problem
+        and other.protocol_digest == start.protocol_digest
+        and other.early_stopping == start.early_stopping
+    )

@@ -1,0 +1,502 @@
+"""View of a ledger: its events replayed into the state of a search."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from statistics import fmean, stdev
+
+from asia.errors import Reason, UserError
+from asia.judge.scoring.outcome import Failure, Score
+from asia.ledger.events import (
+    Ablated,
+    AblationFit,
+    Confirmed,
+    Evaluated,
+    Event,
+    Exchanged,
+    Extended,
+    GuardLooked,
+    HandedOver,
+    Landed,
+    Proposed,
+    Refitted,
+    Repeated,
+    Resumed,
+    RungScored,
+    SessionEnded,
+    SessionStarted,
+    Started,
+    Steered,
+    Stopped,
+    Unsealed,
+    Unsealing,
+    Usage,
+    Validated,
+    with_dossier,
+)
+
+# Replay of a ledger into a view of the search.
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One candidate and its result; `result` is None during its evaluation."""
+
+    proposed: Proposed
+    result: Evaluated | None = None
+    landed: Landed | None = None
+    """Its first fit, where that ended before its turn; None once it has a result."""
+
+    @property
+    def number(self) -> int:
+        """1-based."""
+        return self.proposed.experiment
+
+    @property
+    def score(self) -> Score | None:
+        """The score, when there is one."""
+        outcome = self.result.outcome if self.result else None
+        return outcome if isinstance(outcome, Score) else None
+
+    @property
+    def failure(self) -> Failure | None:
+        """The failure, when there is one."""
+        outcome = self.result.outcome if self.result else None
+        return outcome if isinstance(outcome, Failure) else None
+
+    @property
+    def seed_values(self) -> tuple[float, ...]:
+        """V from each seed, that of the search first; a single value where fits do not depend on
+        the seed, or none was repeated; () without a score."""
+        if self.score is None or self.result is None:
+            return ()
+        again = [r.value for r in self.result.retests if r.value is not None and not r.same]
+        return (self.score.value, *again)
+
+    @property
+    def kept(self) -> bool:
+        """Return whether the experiment became the incumbent."""
+        return self.result is not None and self.result.status == "keep"
+
+    @property
+    def lowest(self) -> bool:
+        """Return whether its own fit was the best so far, whatever was decided on its method."""
+        return self.result is not None and self.result.lowest
+
+
+def _is_lower(experiment: Experiment, other: Experiment) -> bool:
+    own, theirs = experiment.score, other.score
+    return own is not None and (theirs is None or own.value < theirs.value)
+
+
+@dataclass(frozen=True)
+class SearchView:
+    """State of a search, replayed from its ledger.
+
+    Attributes:
+        budget, hours: limits as last extended, which was after experiment `extended_after`.
+        handed_over: changes of the agent in a relay.
+        unsealing: true once the test was about to be opened.
+        notes: notes of the user.
+        looks, looked: evaluations on the guard records, and whether one was made since the search
+            stopped.
+        exchanges: requests to the language model.
+        sessions, begun: sessions that ended, and all that began.
+    """
+
+    started: Started
+    budget: int
+    hours: float | None
+    extended_after: int = 0
+    rungs: tuple[RungScored, ...] = ()
+    notes: tuple[Steered, ...] = ()
+    exchanges: tuple[Exchanged, ...] = ()
+    sessions: tuple[SessionEnded, ...] = ()
+    begun: tuple[SessionStarted, ...] = ()
+    experiments: tuple[Experiment, ...] = ()
+    stopped: Stopped | None = None
+    refitted: Refitted | None = None
+    looks: tuple[GuardLooked, ...] = ()
+    looked: bool = False
+    unsealing: Unsealing | None = None
+    unsealed: Unsealed | None = None
+    handed_over: tuple[HandedOver, ...] = ()
+    repeats: tuple[Repeated, ...] = ()
+    """Fits of candidates after the search, from other seeds."""
+    confirmed: Confirmed | None = None
+    """Last confirmation; None if the search continued since."""
+    ablation_fits: tuple[AblationFit, ...] = ()
+    """Fits of the winner with parts taken back, after the search."""
+    ablated: Ablated | None = None
+    """Last ablation; None if the search continued since."""
+    validated: tuple[Validated, ...] = ()
+    """The last dossier on what the folds held out, and on each new record; () since the search went
+    on."""
+
+    @property
+    def leg_after(self) -> int:
+        """Experiments that were made before the leg of the relay that proposes."""
+        return self.handed_over[-1].after if self.handed_over else 0
+
+    @property
+    def leg(self) -> int:
+        """The leg of the relay whose agent proposes, 1-based; 0 where one agent does."""
+        if self.handed_over:
+            return self.handed_over[-1].leg
+        return 1 if self.started.legs else 0
+
+    @property
+    def leg_end(self) -> int:
+        """The experiment after which the agent that proposes now does so no longer."""
+        legs = self.started.legs[: self.leg]
+        counts = [leg.experiments for leg in legs if leg.experiments is not None]
+        return min(self.budget, sum(counts)) if counts and len(counts) == len(legs) else self.budget
+
+    @property
+    def agent(self) -> str:
+        """The agent that proposes now."""
+        return self.started.legs[self.leg - 1].agent if self.leg else self.started.agent
+
+    @property
+    def finished(self) -> tuple[Experiment, ...]:
+        """Experiments with a result."""
+        return tuple(e for e in self.experiments if e.result is not None)
+
+    @property
+    def running(self) -> tuple[Experiment, ...]:
+        """Experiments that were proposed and have no result yet, the oldest first."""
+        return tuple(e for e in self.experiments if e.result is None)
+
+    @property
+    def pending(self) -> Experiment | None:
+        """The oldest of those without a result."""
+        return next((e for e in self.experiments if e.result is None), None)
+
+    @property
+    def incumbent(self) -> Experiment | None:
+        """Last kept experiment, which a candidate must beat significantly."""
+        kept = [e for e in self.finished if e.kept]
+        return kept[-1] if kept else None
+
+    @property
+    def bests(self) -> tuple[Experiment, ...]:
+        """All best experiments so far, oldest first. If one fit decides, those that were kept. With
+        retests, those whose own fit had the lowest V so far.
+        """
+        found: list[Experiment] = []
+        for e in self.finished:
+            held = bool(found) and found[-1].lowest and not _is_lower(e, found[-1])
+            if e.lowest or (e.kept and not held):
+                found.append(e)
+        return tuple(found)
+
+    @property
+    def best(self) -> Experiment | None:
+        """The experiment whose models are handed over."""
+        bests = self.bests
+        return bests[-1] if bests else None
+
+    @property
+    def failed_checks(self) -> tuple[str, ...]:
+        """`#02: check ... failed: ...`: diagnostics that raised an exception, a line each."""
+        found = [f"{rung.name}: {line}" for rung in self.rungs for line in rung.failed_checks]
+        found += [
+            f"#{e.number:02d}: {line}"
+            for e in self.finished
+            if e.result is not None
+            for line in e.result.failed_checks
+        ]
+        if self.refitted is not None:
+            found += [f"refit: {line}" for line in self.refitted.failed_checks]
+        if self.unsealed is not None:
+            found += [f"test: {line}" for line in self.unsealed.failed_checks]
+        return tuple(found)
+
+    @property
+    def complete(self) -> bool:
+        """Stopped, with the winner refitted and the guard looked at."""
+        refitted = self.refitted is not None or self.best is None
+        return self.stopped is not None and refitted and not self.guard_due
+
+    @property
+    def guard_due(self) -> bool:
+        """Return whether the guard records are to be evaluated now: not if the user stopped the
+        search, because it may be resumed.
+        """
+        ended = self.stopped is not None and self.stopped.reason != "user"
+        guarded = self.started.guard_digest is not None and self.best is not None
+        return ended and guarded and not self.looked
+
+    @property
+    def seconds(self) -> float:
+        """Time spent on evaluations, by the clock on the wall: what ran at the same time counts
+        once."""
+        results = (e.result for e in self.finished if e.result)
+        return sum(r.seconds if r.elapsed is None else r.elapsed for r in results)
+
+    @property
+    def v_name(self) -> str:
+        """Label of V in figures of this search. It differs with validation early stopping and with
+        held-out residuals, whose V must not be compared with leak-free ones.
+        """
+        marks = {
+            "validation early stopping": self.started.early_stopping == "validation",
+            "held-out residuals shown": self.started.residuals == "held_out",
+        }
+        found = ", ".join(text for text, there in marks.items() if there)
+        return f"V ({found})" if found else "V"
+
+    @property
+    def validation_scores(self) -> int:
+        """Scores on held-out parts given to candidates while they trained."""
+        return sum(e.result.validation_scores for e in self.finished if e.result)
+
+    @property
+    def usage(self) -> Usage | None:
+        """Usage of the agent's language model so far; None for agents without one. The cost is None
+        as soon as a part of it is not known.
+        """
+        parts = [e.usage for e in (*self.exchanges, *self.sessions)]
+        if not parts:
+            return None
+        known = [u for u in parts if u is not None]
+        costs = [u.cost for u in known]
+        return Usage(
+            sum(u.input_tokens for u in known),
+            sum(u.output_tokens for u in known),
+            sum(u.cached_tokens for u in known),
+            None if None in costs or not costs else sum(c for c in costs if c is not None),
+            sum(u.turns for u in known),
+        )
+
+    def experiment(self, number: int) -> Experiment:
+        """Raises UserError when there is no such experiment."""
+        for experiment in self.experiments:
+            if experiment.number == number:
+                return experiment
+        raise UserError(
+            f"run '{self.started.run}' has no experiment {number}; "
+            f"it has 1 to {len(self.experiments)}"
+        )
+
+
+class Replay:
+    """Folds events into a view, one at a time. Raises UserError for events that cannot follow one
+    another: no start or a second one, an experiment or a result that is there already."""
+
+    def __init__(self) -> None:
+        self._view: SearchView | None = None
+        self._experiments: dict[int, Experiment] = {}
+        self._rungs: list[RungScored] = []
+        self._notes: list[Steered] = []
+        self._repeats: dict[tuple[int, int], Repeated] = {}
+        self._ablation_fits: list[AblationFit] = []
+        self._exchanges: list[Exchanged] = []
+        self._sessions: list[SessionEnded] = []
+        self._begun: list[SessionStarted] = []
+
+    @property
+    def view(self) -> SearchView:
+        """Return the view after the last event.
+
+        Raises:
+            UserError: there was no event yet.
+        """
+        if self._view is None:
+            raise UserError("the ledger is empty: the search was stopped before it began")
+        return replace(
+            self._view,
+            rungs=tuple(self._rungs),
+            notes=tuple(self._notes),
+            repeats=tuple(self._repeats.values()),
+            ablation_fits=tuple(self._ablation_fits),
+            exchanges=tuple(self._exchanges),
+            sessions=tuple(self._sessions),
+            begun=tuple(self._begun),
+            experiments=tuple(self._experiments.values()),
+        )
+
+    def add(self, event: Event) -> None:
+        """The next event."""
+        if self._view is None:
+            if not isinstance(event, Started):
+                raise UserError("the ledger does not begin with the start of a search")
+            self._view = SearchView(event, event.experiments, event.hours)
+            return
+        match event:
+            case RungScored():
+                self._rungs.append(event)
+            case Proposed():
+                self._propose(event)
+            case Evaluated():
+                self._judge(event)
+            case Landed():
+                self._land(event)
+            case Steered():
+                self._notes.append(event)
+            case Repeated():
+                self._repeat(event)
+            case AblationFit():
+                self._ablation_fits.append(event)
+            case Exchanged():
+                self._exchanges.append(event)
+            case SessionStarted():
+                self._begun.append(event)
+            case SessionEnded():
+                self._sessions.append(event)
+            case Started():
+                raise UserError("the ledger starts twice")
+            case _:
+                self._view = _apply(self._view, event, len(self._experiments))
+
+    def _propose(self, event: Proposed) -> None:
+        if event.experiment in self._experiments:
+            raise UserError(f"the ledger has experiment {event.experiment} twice")
+        self._experiments[event.experiment] = Experiment(event)
+
+    def _judge(self, event: Evaluated) -> None:
+        known = self._experiments.get(event.experiment)
+        if known is None or known.result is not None:
+            raise UserError(
+                f"the ledger has two results of experiment {event.experiment}, or a result "
+                "before its proposal"
+            )
+        self._experiments[event.experiment] = Experiment(known.proposed, event)
+
+    def _land(self, event: Landed) -> None:
+        known = self._experiments.get(event.experiment)
+        if known is None or known.result is not None or known.landed is not None:
+            raise UserError(
+                f"the ledger has two first fits of experiment {event.experiment}, or one before "
+                "its proposal or after its result"
+            )
+        self._experiments[event.experiment] = replace(known, landed=event)
+
+    def _repeat(self, event: Repeated) -> None:
+        place = event.experiment, event.repeat
+        if place in self._repeats:
+            raise UserError(
+                f"the ledger has repeat {event.repeat} of experiment {event.experiment} twice"
+            )
+        self._repeats[place] = event
+
+
+def replay(events: Iterable[Event]) -> SearchView:
+    """Fold events into a view. Raises UserError when there is none, or as `Replay`."""
+    replayed = Replay()
+    for event in events:
+        replayed.add(event)
+    return replayed.view
+
+
+def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
+    """Apply an event that changes the state of the search."""
+    match event:
+        case Extended():
+            return replace(
+                _going_on(view),
+                budget=event.experiments,
+                hours=event.hours,
+                extended_after=experiments,
+            )
+        case HandedOver():
+            handed_over = (*view.handed_over, event)
+            return replace(view, handed_over=handed_over)
+        case Stopped():
+            return replace(view, stopped=event)
+        case Resumed():
+            return _going_on(view)
+        case Refitted():
+            return replace(view, refitted=event)
+        case GuardLooked():
+            return replace(view, looks=(*view.looks, event), looked=True)
+        case Validated():
+            return replace(view, validated=with_dossier(view.validated, event))
+        case Ablated():
+            return replace(view, ablated=event)
+        case Confirmed():
+            return replace(view, confirmed=event)
+        case Unsealing():
+            return replace(view, unsealing=event)
+        case Unsealed():
+            return replace(view, unsealed=event)
+        case _:
+            return view
+
+
+def _going_on(view: SearchView) -> SearchView:
+    """Return the view without the results of a finished search."""
+    return replace(
+        view, stopped=None, refitted=None, looked=False, confirmed=None, ablated=None, validated=()
+    )
+
+
+# Scores that agents may see.
+#
+# The Ladder (Blum and Hardt, ICML 2015): a score is reported only if it is lower than the last
+# reported one by a step, and then rounded to a grid of steps. So the information in the reported
+# scores of any number of candidates is bounded by the number of steps. V has no upper limit, so
+# the step is relative and the grid geometric. As in their parameter-free form, the gain must
+# exceed its own scatter. Here this is the scatter over parts of the held-out records, because the
+# errors of single samples are correlated in time.
+
+
+_DEVIATIONS = 3.0
+
+
+def beats(score: Score, view: SearchView) -> bool:
+    """Return whether a score is a new best.
+
+    It must be below V of the incumbent. With the Ladder it must be below the reported V by more
+    than the step, and better over the parts by three standard errors.
+    """
+    best = view.best.score if view.best else None
+    if best is None:
+        return True
+    step = view.started.ladder
+    if step is None:
+        return score.value < best.value
+    if not score.value < on_ladder(best.value, step) * (1.0 - step):
+        return False
+    return _stands_out([a - b for a, b in zip(_parts(best), _parts(score), strict=True)])
+
+
+def on_ladder(value: float, step: float) -> float:
+    """The nearest power of 1 - `step`."""
+    return (1.0 - step) ** round(math.log(value) / math.log1p(-step)) if value > 0 else 0.0
+
+
+def published(view: SearchView) -> SearchView:
+    """The view with the reported scores; unchanged without the Ladder. With it, an experiment that
+    was kept has its V on the grid. Any other with a score has the last reported V. None has scores
+    of its folds. A failure that depends on held-out outputs is reported, once a V was, as a score
+    that was not kept."""
+    step = view.started.ladder
+    if step is None:
+        return view
+    reported: float | None = None
+    experiments = list(view.experiments)
+    for i, experiment in enumerate(experiments):
+        result, score, failure = experiment.result, experiment.score, experiment.failure
+        hidden = failure is not None and failure.reason is Reason.RESTART
+        if result is None or not (score or (hidden and reported is not None)):
+            continue
+        if score and (reported is None or result.status == "keep"):
+            reported = on_ladder(score.value, step)
+        assert reported is not None
+        status = "discard" if hidden else result.status
+        result = replace(result, status=status, outcome=Score(reported, ()))
+        experiments[i] = replace(experiment, result=result)
+    return replace(view, experiments=tuple(experiments))
+
+
+def _parts(score: Score) -> list[float]:
+    return [part for fold in score.folds for part in fold.parts]
+
+
+def _stands_out(gains: Sequence[float]) -> bool:
+    if len(gains) < 2:
+        return False
+    return fmean(gains) > _DEVIATIONS * stdev(gains) / math.sqrt(len(gains))

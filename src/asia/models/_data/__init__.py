@@ -1,1 +1,0 @@
-"""Training records in the form that the models read."""

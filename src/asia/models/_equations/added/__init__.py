@@ -1,1 +1,0 @@
-"""Additions to the equations, and priors on their parameters."""

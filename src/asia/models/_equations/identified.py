@@ -1,0 +1,232 @@
+"""Results of a trained grey-box: parameters with their uncertainty, equations as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asia.candidate import ParameterEstimate, ParameterEstimates
+from asia.data.trajectory import Array
+from asia.models import uncertainty
+from asia.models._equations.config import GreyBoxStructure
+from asia.models._equations.fit import FittedEquations
+from asia.models._equations.simulate import Effects, Scales
+from asia.models._equations.simulation_error import SimulationError
+from asia.models._equations.starts import RecordSegments, Starts
+from asia.models._least_squares import TRIALS
+from asia.models._noise.model import ErrorWeighting
+from asia.problem.physics import Binary, Call, Name, Negative, Node, Number
+
+if TYPE_CHECKING:
+    from asia.models._equations.programs import CompiledSimulator
+
+
+# Estimates of the parameters of a trained grey-box, with their uncertainty.
+
+
+@dataclass(frozen=True)
+class Around:
+    """Trained grey-box with the records that it was fitted to."""
+
+    structure: GreyBoxStructure
+    """Structure of the fit."""
+    fitted: FittedEquations
+    """Result of the fit."""
+    segments: RecordSegments
+    """Records as the fit cut them."""
+    values: Callable[[Array], dict[str, float]]
+    """Named parameters at coordinates (size,)."""
+
+    def estimates(self, equations: Sequence[str]) -> ParameterEstimates:
+        """Estimate the uncertainty of the parameters.
+
+        Args:
+            equations: lines of the equations with the numbers put in.
+
+        Raises:
+            ValueError: if these are not the records of the fit.
+        """
+        # Import of JAX, which a trained model does not need.
+        from asia.models._equations.programs import CompiledSimulator
+
+        structure, segments = self.structure, self.segments
+        if self.fitted.x0 is None or self.fitted.x0.shape != (len(segments.u), structure.nx):
+            raise ValueError(
+                "grey-box: estimates need the records that the model was fitted to, as many as then"
+            )
+        error = self._error(CompiledSimulator(structure, segments.u, TRIALS), self.fitted.x0)
+        theta = error.theta0
+        e, jacobian, nuisance = error.jacobians(theta)
+        lengths = (self.segments.mask > 0).sum(axis=1)
+        residuals, jacobians, own = (
+            [part[:length] for part, length in zip(values, lengths, strict=True)]
+            for values in (e, jacobian, nuisance)
+        )
+        held, known, weight = error.penalties(theta)
+        covariance = uncertainty.sandwich(
+            residuals,
+            jacobians,
+            held,
+            own if nuisance.shape[-1] else None,
+            uncertainty.PriorPenalty(known, weight),
+        )
+        return uncertainty.estimates(covariance, self._report, self.fitted.z, equations)
+
+    def _error(self, simulate: CompiledSimulator, x0: Array) -> SimulationError:
+        structure, segments, fitted = self.structure, self.segments, self.fitted
+        shift = np.zeros((1, *x0.shape))
+        starts = Starts(fitted.z[None], shift, x0[None], fitted.scales.for_rows())
+        whiten = None
+        if fitted.noise is not None:
+            mask = segments.mask
+            if structure.measured:
+                mask = mask * (np.arange(mask.shape[1]) > 0)
+            whiten = ErrorWeighting.of(fitted.noise, structure.sampling_time, mask, fitted.huber)
+        active = np.ones(structure.layout.size)
+        return SimulationError(structure, segments, starts, active, simulate, whiten)
+
+    def _report(self, z: Array) -> list[ParameterEstimate]:
+        ranges = dict(zip(self.structure.equations.parameters, self.structure.ranges, strict=False))
+        learned = self.structure.learned
+        above = {n for n, p in zip(learned.names, learned.positive, strict=True) if p}
+        found: list[ParameterEstimate] = []
+        for name, value in self.values(z).items():
+            one = ParameterEstimate(name, value, math.nan, math.nan, math.nan)
+            if name in ranges:
+                one = replace(one, lower=ranges[name].min, upper=ranges[name].max)
+            elif name in above:
+                one = replace(one, lower=float(np.finfo(float).tiny))
+            found.append(one)
+        return found
+
+
+# Text of the equations of a trained grey-box, with the numbers put in.
+
+
+_LONGEST = 600
+_STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "**": 4}
+_OF_MINUS, _OF_NAMES = 3, 5
+
+
+def equation_lines(structure: GreyBoxStructure, scales: Scales, effect: Effects) -> list[str]:
+    """Definitions, dynamics, outputs, then the limits of states and the delays of inputs.
+
+    Args:
+        structure: grey-box.
+        scales: sizes of the signals, as arrays (n,).
+        effect: decoded coordinates, as arrays without rows.
+    """
+    system = structure.equations
+    values = dict(system.constants) | {
+        name: float(v) for name, v in zip(system.parameters, effect.parameters, strict=True)
+    }
+    lines = [f"{name} = {text(e.root, values)}" for name, e in system.definitions]
+    for i, (name, e) in enumerate(zip(system.states, system.dynamics, strict=True)):
+        added = _added(structure, scales, effect, i) if i < structure.nx_own else ""
+        lines.append(f"d({name})/dt = {text(e.root, values)}{added}")
+    for i, (name, e) in enumerate(zip(system.outputs, system.observation, strict=True)):
+        shown = text(e.root, values)
+        offset = float(effect.output_offset[i])
+        if shown != name or offset:
+            lines.append(f"{name} = {shown}{signed(offset) if offset else ''}")
+    lines += _limits(structure, effect)
+    if structure.config.input_delay:
+        lines += [
+            f"{name} acts {number(float(delay))} samples late"
+            for name, delay in zip(system.inputs, effect.delay, strict=True)
+        ]
+    return [line if len(line) <= _LONGEST else f"{line[:_LONGEST]} ..." for line in lines]
+
+
+def text(node: Node, values: Mapping[str, float]) -> str:
+    """Text of an expression, with `values` in the place of their names."""
+    return _text(node, values)[0]
+
+
+def number(value: float) -> str:
+    """Number with five digits."""
+    return f"{value:.5g}"
+
+
+def signed(value: float) -> str:
+    """Number with its sign as operator: ` + 0.5` or ` - 0.5`."""
+    return f" {'-' if value < 0 else '+'} {number(abs(value))}"
+
+
+def _text(node: Node, values: Mapping[str, float]) -> tuple[str, int]:
+    """Text of a tree, and the precedence of its operator."""
+    match node:
+        case Number(value):
+            return number(value), _OF_NAMES if value >= 0 else _OF_MINUS
+        case Name(name) if name in values:
+            return _text(Number(values[name]), values)
+        case Name(name):
+            return name, _OF_NAMES
+        case Negative(operand):
+            return f"-{_inside(operand, values, _OF_MINUS)}", _OF_MINUS
+        case Binary("-", Number(0.0), right):
+            return f"-{_inside(right, values, _OF_MINUS)}", _OF_MINUS
+        case Binary(symbol, left, right):
+            strength = _STRENGTH[symbol]
+            power = symbol == "**"
+            first = _inside(left, values, strength + power)
+            # a - (b + c), a / (b c): the right operand of a non-commutative operator keeps its
+            # parentheses.
+            second = _inside(right, values, strength + (symbol in "-/"))
+            return f"{first}{symbol}{second}" if power else _pair(first, symbol, second), strength
+        case Call(function, arguments):
+            return f"{function}({', '.join(text(a, values) for a in arguments)})", _OF_NAMES
+
+
+def _pair(first: str, symbol: str, second: str) -> str:
+    if symbol in "+-" and second.startswith("-"):
+        return f"{first} {'-' if symbol == '+' else '+'} {second[1:]}"
+    return f"{first} {symbol} {second}"
+
+
+def _inside(node: Node, values: Mapping[str, float], least: int) -> str:
+    shown, strength = _text(node, values)
+    return f"({shown})" if strength < least else shown
+
+
+def _added(structure: GreyBoxStructure, scales: Scales, effect: Effects, i: int) -> str:
+    """Terms that are added to the derivative of a state: linear term and offset in physical units,
+    the network by its size."""
+    config, own = structure.config, structure.nx_own
+    rate = float(scales.rate[i])
+    parts, constant = "", rate * float(effect.rate_offset[i])
+    if config.linear:
+        names = (*structure.equations.states[:own], *structure.equations.inputs)
+        center = np.concatenate([scales.x_center[:own], scales.u_center])
+        scale = np.concatenate([scales.x_scale[:own], scales.u_scale])
+        slopes: Array = rate * effect.linear[i] / scale
+        constant -= float(slopes @ center)
+        parts = "".join(
+            f"{signed(float(slope))} * {name}" for slope, name in zip(slopes, names, strict=True)
+        )
+    if constant:
+        parts += signed(constant)
+    if config.residual:
+        parts += f" + network of {config.residual} tanh units in states and inputs"
+    return parts
+
+
+def _limits(structure: GreyBoxStructure, effect: Effects) -> list[str]:
+    states: Sequence[str] = structure.equations.states
+    lines: list[str] = []
+    for i, name in enumerate(states):
+        low, high = structure.low[i], min(structure.high[i], float(effect.limits[i]))
+        sides = number(low) if math.isfinite(low) else "", number(high)
+        if not math.isfinite(high):
+            if sides[0]:
+                lines.append(f"{name} >= {sides[0]}")
+            continue
+        lines.append(f"{sides[0]} <= {name} <= {sides[1]}" if sides[0] else f"{name} <= {sides[1]}")
+        if float(effect.spill[i]) and i + 1 < structure.nx_own:
+            share = number(float(effect.spill[i]))
+            lines.append(f"of what {name} cannot hold, {share} times goes to {states[i + 1]}")
+    return lines

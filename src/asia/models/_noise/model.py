@@ -1,0 +1,607 @@
+"""Noise model of a residual: choice, estimate, whitening."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol, TypeAlias, get_args
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.signal import lfilter
+
+from asia.data.trajectory import Array
+from asia.errors import UserError
+from asia.models._arrays import AnyArray, namespace, scan
+from asia.models._config import check_choice, demand, owner
+from asia.models._numerics.records import spread
+
+# Settings of a training method for the noise of the outputs.
+
+
+NoiseKind: TypeAlias = Literal["white", "slow"]
+
+
+class NoiseSettings(Protocol):
+    """Settings of a training method that concern noise."""
+
+    @property
+    def noise_model(self) -> NoiseKind:
+        """Model of the residual of a simulation."""
+        ...
+
+    @property
+    def slow_time(self) -> float | None:
+        """Time constant of the slow part of the noise in s; None estimates it."""
+        ...
+
+    @property
+    def huber(self) -> float | None:
+        """Threshold on the innovations in their deviations; None is least squares."""
+        ...
+
+
+@dataclass(frozen=True)
+class NoiseChoice:
+    """Given and estimated parts of the noise model."""
+
+    slow: bool
+    """The noise has a slow part."""
+    time: float | None = None
+    """Time constant of the slow part in s; None estimates it."""
+    huber: float | None = None
+    """Threshold on the innovations, in their deviations, beyond which their cost grows in
+    proportion to them; None is least squares."""
+
+    @classmethod
+    def of(cls, method: NoiseSettings) -> NoiseChoice | None:
+        """Take the choice from a method; None where the method is plain least squares."""
+        slow = method.noise_model == "slow"
+        if not slow and method.huber is None:
+            return None
+        return cls(slow, method.slow_time, method.huber)
+
+
+def check_noise(method: NoiseSettings) -> None:
+    """Check the noise settings of a method.
+
+    Raises:
+        UserError: if a setting is out of its range.
+    """
+    check_choice(method, "noise_model", get_args(NoiseKind))
+    for name in ("slow_time", "huber"):
+        value = getattr(method, name)
+        demand(method, name, value is None or value > 0, "None or a positive number")
+    if method.slow_time is not None and method.noise_model != "slow":
+        raise UserError(
+            f"{owner(method)}: slow_time is the time constant of a slow disturbance; set "
+            'noise_model to "slow" with it, or leave it out'
+        )
+
+
+def refuse_noise(method: NoiseSettings, place: str) -> None:
+    """Refuse a noise model where a family cannot use one.
+
+    Args:
+        method: method with the settings.
+        place: family with its settings, for the message.
+
+    Raises:
+        UserError: if a noise model is configured.
+    """
+    if NoiseChoice.of(method) is not None:
+        raise UserError(
+            f"{place}: cannot weigh errors by a noise model; leave noise_model, slow_time and "
+            f"huber out of {owner(method)}"
+        )
+
+
+# Noise model of the residual, a slow disturbance plus white noise, and its whitening filter.
+#
+# The slow part is an Ornstein-Uhlenbeck process, the white part the noise of the sensor.
+# Innovations of the stationary Kalman filter of that model, divided by their deviations, are
+# white: generalised least squares minimises the sum of their squares. Written once for NumPy and
+# JAX. Source: Harvey, Forecasting, Structural Time Series Models and the Kalman Filter, 1989,
+# chapter 3.
+
+
+# Share of a prediction below which it no longer counts.
+_FORGOTTEN = 1e-30
+
+
+class ResidualNoise(NamedTuple):
+    """Sizes of the two parts for each output; JAX reads it as a tree of its arrays."""
+
+    time: AnyArray
+    """Time constant of the slow part in s (ny,)."""
+    slow: AnyArray
+    """Standard deviation of the slow part, in the unit of the residuals (ny,)."""
+    white: AnyArray
+    """Standard deviation of the white part (ny,)."""
+
+    @property
+    def variance(self) -> AnyArray:
+        """Variance of the residual (ny,)."""
+        return self.slow**2 + self.white**2
+
+
+class InnovationFilter(NamedTuple):
+    """Kalman filter of a noise model on given samples, (..., T, ny) each.
+
+    The prediction of the slow part follows s[k+1] = decay[k] s[k] + gain[k] e[k], s[0] = 0.
+    """
+
+    decay: AnyArray
+    gain: AnyArray
+    weight: AnyArray
+    """Reciprocal of the deviation of the innovation; 0 where a sample does not count."""
+
+
+def innovation_filter(
+    noise: ResidualNoise, sampling_time: AnyArray, mask: AnyArray
+) -> InnovationFilter:
+    """Make the Kalman filter for samples that count where mask (..., T) is positive.
+
+    A sample that does not count leaves the filter to its prediction, so that padding and gaps
+    change
+    no other innovation. Deviations must be positive in sum; all fields may have leading dimensions
+    that
+    fit those of `mask`.
+    """
+    xp = namespace(mask, *noise)
+    keep = xp.exp(-sampling_time / noise.time)
+    slow, white = noise.slow**2, noise.white**2
+    counts = xp.moveaxis(mask, -1, 0)[..., None] > 0
+
+    def step(predicted: AnyArray, here: AnyArray) -> tuple[AnyArray, AnyArray]:
+        variance = predicted + white
+        gain = xp.where(here, predicted / variance, 0.0)
+        after = keep**2 * (1.0 - gain) * predicted + (1.0 - keep**2) * slow
+        return after, xp.stack([gain, xp.where(here, variance**-0.5, 0.0)])
+
+    start = slow * xp.ones_like(counts[0] * slow)
+    _, found = scan(step, start, counts)
+    gain, weight = (xp.moveaxis(found[:, i], 0, -2) for i in range(2))
+    keep = keep[..., None, :]
+    return InnovationFilter(keep * (1.0 - gain), keep * gain, weight)
+
+
+def innovations(through: InnovationFilter, residual: AnyArray) -> AnyArray:
+    """Convert residuals (..., T, ny) to innovations in their deviations, of the same shape.
+
+    The filter's leading dimensions are those of the residuals, or fit them.
+    """
+    xp = namespace(residual, through.gain)
+    decay, predicted = through.decay, through.gain * residual
+    shift, samples = 1, residual.shape[-2]
+    # predicted[k] becomes the prediction for sample k + 1: recursive doubling, no loop over time.
+    while shift < samples:
+        carried = decay[..., shift:, :] * predicted[..., :-shift, :]
+        later = predicted[..., shift:, :] + carried
+        predicted = xp.concatenate([predicted[..., :shift, :], later], axis=-2)
+        longer = decay[..., shift:, :] * decay[..., :-shift, :]
+        decay = xp.concatenate([decay[..., :shift, :], longer], axis=-2)
+        shift *= 2
+        if xp is np and np.abs(decay).max() < _FORGOTTEN:
+            break
+    known = xp.concatenate([xp.zeros_like(predicted[..., :1, :]), predicted[..., :-1, :]], axis=-2)
+    return (residual - known) * through.weight
+
+
+def huber_root(error: AnyArray, threshold: float) -> AnyArray:
+    """Convert errors so that their square is Huber's loss: that of the error up to the threshold,
+    then growing in proportion to it."""
+    xp, size = namespace(error), abs(error)
+    tail = xp.sqrt(xp.maximum(2.0 * threshold * size - threshold**2, 1e-12))
+    return xp.where(size <= threshold, error, xp.sign(error) * tail)
+
+
+# Maximum likelihood of the noise model from the residuals of a fit, in NumPy.
+
+
+NOISE_ROUNDS = 3
+"""Greatest number of noise estimates, each followed by a fit."""
+LEAST_DEVIATION = 1e-6
+"""Share of the output's deviation below which a residual is rounding."""
+
+# Numbers of candidates: time constants, and ratios of the slow part to the white one, both spaced
+# logarithmically.
+_TIMES, _RATIOS = 9, 9
+_RATIO_LIMITS = (0.1, 100.0)
+# Shortest time constant in samples, longest one as a share of the longest segment, and least upper
+# bound of it in samples. A longer one would leave the level of the output without weight, which the
+# errors of a poor model favour.
+_FASTEST, _LONGEST_SHARE, _LEAST_LONGEST = 3.0, 0.25, 20.0
+# Rounds of a grid around the best candidate, each with half the spacing.
+_ROUNDS, _WAYS = 4, np.array([-1.0, 0.0, 1.0])
+_MOST_SAMPLES = 20_000
+_SCALE_ROUNDS = 12
+_SAME_SIZE, _SAME_TIME = 0.03, 0.1
+
+
+def estimate_noise(
+    residual: Array, mask: Array, sampling_time: float, choice: NoiseChoice, floor: Array
+) -> ResidualNoise:
+    """Estimate the noise from residuals.
+
+    Without a slow part its size is 0, and so it is where it does not raise the likelihood by more
+    than two parameters would by chance (Schwarz, Annals of Statistics 6(2), 1978).
+
+    Args:
+        residual: (S, T, ny).
+        mask: (S, T), positive where a residual counts.
+        sampling_time: in s.
+        choice: given and estimated parts.
+        floor: least deviation (ny,).
+    """
+    residual, mask = _some(residual, mask)
+    samples = max(float((mask > 0).sum()), 1.0)
+    search = _Search(residual, mask, sampling_time, choice.huber)
+    still = np.full((1, residual.shape[-1]), sampling_time)
+    plain, size = search(still, np.zeros_like(still))
+    white = ResidualNoise(still[0], np.zeros_like(floor), np.maximum(size[0], floor))
+    if not choice.slow:
+        return white
+    longest = max(_LONGEST_SHARE * float((mask > 0).sum(axis=1).max()), _LEAST_LONGEST)
+    ranges = (_FASTEST * sampling_time, longest * sampling_time), _RATIO_LIMITS
+    if choice.time is not None:
+        ranges = (choice.time, choice.time), _RATIO_LIMITS
+    at, likelihood, size = _best(search, [np.log(r) for r in ranges], residual.shape[-1])
+    time, ratio = np.exp(at)
+    time = time if choice.time is None else np.full_like(time, choice.time)
+    size = np.maximum(size, floor / np.sqrt(1.0 + ratio**2))
+    better = plain[0] - likelihood > np.log(samples)
+    return ResidualNoise(
+        np.where(better, time, white.time),
+        np.where(better, ratio * size, white.slow),
+        np.where(better, size, white.white),
+    )
+
+
+def _some(residual: Array, mask: Array) -> tuple[Array, Array]:
+    """Subset of long data: segments spread over them, and their first part."""
+    length = min(residual.shape[1], _MOST_SAMPLES)
+    rows = spread(len(residual), max(1, _MOST_SAMPLES // length))
+    return residual[rows, :length], mask[rows, :length]
+
+
+def _best(search: _Search, limits: list[Array], ny: int) -> tuple[Array, Array, Array]:
+    """Best candidate: logarithms of time constant and ratio (2, ny), the negative log likelihood
+    there (ny,) and the size of the white part (ny,)."""
+    axes = [np.linspace(a, b, n) for (a, b), n in zip(limits, (_TIMES, _RATIOS), strict=True)]
+    spacing = np.array([axis[1] - axis[0] for axis in axes])
+    grid = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")])
+    points = np.repeat(grid[:, :, None], ny, axis=2)
+    around = np.stack([a.ravel() for a in np.meshgrid(_WAYS, _WAYS, indexing="ij")])
+    low, high = (np.array([limit[i] for limit in limits])[:, None, None] for i in range(2))
+    each, rounds = np.arange(ny), 0
+    while True:
+        values, sizes = search(*np.exp(points))
+        best = values.argmin(axis=0)
+        at = points[:, best, each]
+        if rounds == _ROUNDS:
+            return at, values[best, each], sizes[best, each]
+        rounds, spacing = rounds + 1, 0.5 * spacing
+        points = np.clip(at[:, None] + (around * spacing[:, None])[:, :, None], low, high)
+
+
+class _Search:
+    """Negative log likelihood, its scale at its optimum, of candidates side by side."""
+
+    def __init__(
+        self, residual: Array, mask: Array, sampling_time: float, huber: float | None
+    ) -> None:
+        self._residual, self._mask, self._huber = residual, mask, huber
+        self._sampling_time = sampling_time
+
+    def __call__(self, time: Array, ratio: Array) -> tuple[Array, Array]:
+        """Evaluate candidates: time and ratio (G, ny) -> likelihoods and sizes of the white part
+        (G, ny)."""
+        wide = time[:, None], ratio[:, None]
+        unit = ResidualNoise(*wide, np.ones_like(wide[0]))
+        through = innovation_filter(unit, self._sampling_time, self._mask)
+        inside = self._mask[..., None] > 0
+        weight = np.where(inside, through.weight, 1.0)
+        error = innovations(through, self._residual)
+        axes, samples = (1, 2), max(float(inside.sum()), 1.0)
+        squares = (error**2).sum(axis=axes)
+        tiny = np.finfo(float).tiny
+        size = np.sqrt(np.maximum(squares / samples, tiny))
+        penalty = 0.5 * samples
+        if self._huber is not None:
+            for _ in range(_SCALE_ROUNDS):
+                scaled = np.abs(error) / size[:, None, None]
+                share = np.minimum(1.0, self._huber / np.maximum(scaled, tiny))
+                size = np.sqrt(np.maximum((share * error**2).sum(axis=axes) / samples, tiny))
+            scaled = np.abs(error) / size[:, None, None]
+            penalty = (0.5 * huber_root(scaled, self._huber) ** 2).sum(axis=axes)
+        return samples * np.log(size) - np.log(weight).sum(axis=axes) + penalty, size
+
+
+def settled(before: ResidualNoise | None, after: ResidualNoise) -> bool:
+    """Return whether two estimates in a row agree: deviations within 3 %, time constants within 10
+    % where there is a slow part."""
+    if before is None:
+        return False
+    unit = np.sqrt(after.variance)
+    sizes = [np.abs(a - b) < _SAME_SIZE * unit for a, b in zip(before[1:], after[1:], strict=True)]
+    times = np.abs(np.log(after.time / before.time)) < _SAME_TIME
+    return bool(np.all(sizes) and np.all(times | (after.slow < _SAME_SIZE * unit)))
+
+
+# Weighting of simulation errors by generalised least squares, in NumPy.
+
+
+@dataclass(frozen=True)
+class ErrorWeighting:
+    """Whitening of errors.
+
+    Under white noise of one output the result is the error as it was: a ridge
+    keeps the deviation that it has beside least squares with residuals of the same variance.
+    """
+
+    through: InnovationFilter
+    """Filter of the noise model."""
+    unit: float
+    """Deviation of the residuals, over the outputs in the root mean square."""
+    huber: float | None
+    """Threshold on the innovations in their deviations."""
+
+    @classmethod
+    def of(
+        cls, noise: ResidualNoise, sampling_time: float, mask: Array, huber: float | None
+    ) -> ErrorWeighting:
+        """Make the weighting of errors in the unit of the noise model, where mask (S, T) is
+        positive."""
+        unit = float(np.sqrt(noise.variance.mean()))
+        return cls(innovation_filter(noise, sampling_time, mask), unit, huber)
+
+    def __call__(self, error: Array, part: slice = slice(None)) -> Array:
+        """Whiten errors (..., S, T, ny) of some segments; the results are squared."""
+        found = innovations(InnovationFilter(*(a[part] for a in self.through)), error)
+        if self.huber is not None:
+            found = huber_root(found, self.huber)
+        return self.unit * found
+
+    def jacobian(self, error: Array, derivatives: Array) -> Array:
+        """Derivatives (S, T, ny, P) of the whitened errors, from those of the errors (S, T, ny)."""
+        # Column by column, so that the filter's temporary arrays are small.
+        columns = [innovations(self.through, column) for column in np.moveaxis(derivatives, -1, 0)]
+        found = self.unit * np.stack(columns, axis=-1)
+        if self.huber is None:
+            return found
+        white = innovations(self.through, error)
+        root = huber_root(white, self.huber)
+        tail = np.abs(white) > self.huber
+        slope = np.where(tail, self.huber / np.maximum(np.abs(root), self.huber), 1.0)
+        return slope[..., None] * found
+
+
+# Autoregressive processes of the residuals of a fit, for its uncertainty.
+#
+# Their order is found by Burg's method (Kay, Modern Spectral Estimation, 1988, section 7.5) and
+# the criterion of Hannan and Quinn (Journal of the Royal Statistical Society B 41(2), 1979).
+# Residuals are without the part of the noise that the fit absorbed, most of all where that is
+# slow: the coefficients are those of restricted maximum likelihood, which uses only the part that
+# no change of the fitted coordinates explains (Harville, Journal of the American Statistical
+# Association 72, 1977).
+
+
+_MOST_LAGS = 30
+# Greatest number of lags as a share of the record length: more would be fitted to chance.
+_SHARE_OF_LAGS = 0.1
+# Share of the initial response below which a filter has forgotten.
+_PROCESS_FORGOTTEN = 1e-3
+# Samples after which the correlation of any residual has vanished.
+_LONG = 4096
+# Least length of a record that is filtered block by block, and length of a block.
+_MANY, _BLOCK = 65_536, 8192
+# Limit on values times lags of one restricted likelihood, and on its lags: on longer records the
+# fit absorbs hardly any noise.
+_MOST_WORK, _MOST_RESTRICTED_LAGS = 5_000_000, 8
+_STABLE = 0.999
+
+
+@dataclass(frozen=True)
+class ResidualProcess:
+    """Autoregressive processes, one an output, with correlated innovations."""
+
+    filters: tuple[Array, ...]
+    """Filter (1, a_1, ...) of each output."""
+    covariance: Array
+    """Covariance (ny, ny) of the innovations."""
+    restricted: bool
+    """The noise that the fit absorbed is taken into account."""
+
+    @staticmethod
+    def of(
+        residuals: Sequence[Array],
+        jacobians: Sequence[Array],
+        nuisance: Sequence[Array] | None = None,
+    ) -> ResidualProcess:
+        """Fit the processes to residuals.
+
+        Args:
+            residuals: (T, ny) of each record.
+            jacobians: derivatives (T, ny, P) of each record by all that was fitted to them.
+            nuisance: derivatives (T, ny, Q) by the record's own unknowns.
+        """
+        outputs = range(residuals[0].shape[1])
+        segments = [[e[:, i] for e in residuals] for i in outputs]
+        filters = tuple(burg(some) for some in segments)
+        own = 0 if nuisance is None else nuisance[0].shape[-1] * len(nuisance)
+        work = sum(e.size for e in residuals) * (jacobians[0].shape[-1] + own)
+        lags = max(len(a) for a in filters) - 1
+        restricted = work * lags <= _MOST_WORK and lags <= _MOST_RESTRICTED_LAGS
+        columns = [[np.zeros((len(e), 0)) for e in residuals] for _ in outputs]
+        if restricted:
+            columns = [_columns(jacobians, nuisance, i) for i in outputs]
+            filters = tuple(map(_restricted, filters, segments, columns))
+        white = [_innovations(*each, lags) for each in zip(filters, segments, columns, strict=True)]
+        rank = columns[0][0].shape[1] / len(filters)
+        samples = np.stack(white, axis=1)
+        freedom = max(len(samples) - rank, 1.0)
+        return ResidualProcess(filters, samples.T @ samples / freedom, restricted)
+
+    def innovations_of(self, jacobian: Array) -> Array:
+        """Filtered derivatives (L + T, ny, P): the sum over time of their products with innovations
+        has the covariance of J'e.
+
+        The first L rows belong to innovations before the record, which its residuals remember.
+        """
+        before = max(_memory(a, len(jacobian)) for a in self.filters)
+        padded = np.concatenate([np.zeros((before, *jacobian.shape[1:])), jacobian])
+        reverse = padded[::-1]
+        columns = [lfilter([1.0], a, reverse[:, i], axis=0) for i, a in enumerate(self.filters)]
+        return np.stack(columns, axis=1)[::-1]
+
+    def middle(self, jacobian: Array) -> Array:
+        """Covariance (P, P) of J'e of one record."""
+        if len(jacobian) > _MANY:
+            return self._middle_by_blocks(jacobian)
+        found = self.innovations_of(jacobian)
+        return np.einsum("tip,ij,tjq->pq", found, self.covariance, found)
+
+    def _middle_by_blocks(self, jacobian: Array) -> Array:
+        """Covariance of J'e block by block, from the end of the record back: the filters go on from
+        block to block."""
+        before = max(_memory(a, len(jacobian)) for a in self.filters)
+        parameters = jacobian.shape[-1]
+        memories = [np.zeros((len(a) - 1, parameters)) for a in self.filters]
+        found = np.zeros((parameters, parameters))
+        for first in range(0, len(jacobian) + before, _BLOCK):
+            reverse = jacobian[::-1][first : first + _BLOCK]
+            missing = min(first + _BLOCK, len(jacobian) + before) - first - len(reverse)
+            reverse = np.concatenate([reverse, np.zeros((missing, *jacobian.shape[1:]))])
+            columns = list[Array]()
+            for i, a in enumerate(self.filters):
+                column, memories[i] = lfilter([1.0], a, reverse[:, i], axis=0, zi=memories[i])
+                columns.append(column)
+            white = np.stack(columns, axis=1)
+            found += np.einsum("tip,ij,tjq->pq", white, self.covariance, white, optimize=True)
+        return found
+
+    def independent(self, samples: int) -> float:
+        """Number of independent samples that give a variance with the same relative error
+        (Bartlett)."""
+        return samples * float(np.mean([_variance_share(a) for a in self.filters]))
+
+
+def burg(segments: Sequence[Array]) -> Array:
+    """Filter (1, a_1, ...) that whitens the segments (T,), its order by the criterion of Hannan and
+    Quinn."""
+    longest = max(len(segment) for segment in segments)
+    samples = sum(len(segment) for segment in segments)
+    most = min(_MOST_LAGS, int(_SHARE_OF_LAGS * longest))
+    forward, backward = [np.array(p) for p in segments], [np.array(p) for p in segments]
+    power = sum(float(p @ p) for p in segments) / samples
+    best, chosen = samples * np.log(max(power, 1e-300)), np.ones(1)
+    a, penalty = np.ones(1), 2.0 * np.log(np.log(max(samples, 16)))
+    for order in range(1, most + 1):
+        pairs = [(f[1:], b[:-1]) for f, b in zip(forward, backward, strict=True) if len(f) > 1]
+        energy = sum(float(f @ f + b @ b) for f, b in pairs)
+        if energy <= 0 or power <= 0:
+            break
+        k = -2.0 * sum(float(f @ b) for f, b in pairs) / energy
+        a = np.concatenate([a, [0.0]])
+        a = a + k * a[::-1]
+        forward, backward = [f + k * b for f, b in pairs], [b + k * f for f, b in pairs]
+        power *= 1.0 - k * k
+        criterion = samples * np.log(max(power, 1e-300)) + penalty * order
+        if criterion < best:
+            best, chosen = criterion, a
+    return chosen
+
+
+def _memory(a: Array, most: int) -> int:
+    """Number of samples after which an impulse through 1/a has decayed."""
+    if len(a) == 1:
+        return 0
+    impulse = np.zeros(most)
+    impulse[0] = 1.0
+    response = np.abs(lfilter([1.0], a, impulse))
+    large = np.flatnonzero(response > _PROCESS_FORGOTTEN * response.max())
+    return int(large[-1]) + 1
+
+
+def _variance_share(a: Array) -> float:
+    """Reciprocal of the sum of the squared correlations of the process 1/a at all lags."""
+    impulse = np.zeros(_LONG)
+    impulse[0] = 1.0
+    response = lfilter([1.0], a, impulse)
+    spectrum = np.abs(np.fft.rfft(response, 2 * _LONG)) ** 2
+    correlation = np.fft.irfft(spectrum)
+    return float(correlation[0] ** 2 / (correlation**2).sum())
+
+
+def _columns(
+    jacobians: Sequence[Array], nuisance: Sequence[Array] | None, output: int
+) -> list[Array]:
+    """Derivatives (T, K) of one output in each record, those by a record's own unknowns in separate
+    columns."""
+    found = [j[:, output] for j in jacobians]
+    if nuisance is None:
+        return found
+    own, count = nuisance[0].shape[-1], len(nuisance)
+    wide = [np.zeros((len(part), own * count)) for part in found]
+    for k, (part, block) in enumerate(zip(wide, nuisance, strict=True)):
+        part[:, k * own : (k + 1) * own] = block[:, output]
+    return [np.hstack(both) for both in zip(found, wide, strict=True)]
+
+
+def _restricted(a: Array, segments: Sequence[Array], columns: Sequence[Array]) -> Array:
+    """Filter of restricted maximum likelihood, of the same order."""
+    order = len(a) - 1
+    if not order:
+        return a
+
+    def criterion(points: Array) -> float:
+        through = _filter(_STABLE * np.tanh(points))
+        e, x = _filtered(through, segments, columns, order)
+        left, sizes, _ = np.linalg.svd(x, full_matrices=False)
+        kept = sizes > 1e-7 * sizes.max(initial=1e-300)
+        e = e - left[:, kept] @ (left[:, kept].T @ e)
+        rest = max(len(e) - int(kept.sum()), 1)
+        return rest * float(np.log(max(e @ e, 1e-300))) + 2.0 * float(np.log(sizes[kept]).sum())
+
+    start = np.arctanh(np.clip(_reflections(a) / _STABLE, -0.9999, 0.9999))
+    found = minimize(criterion, start, method="BFGS", options={"maxiter": 30, "gtol": 1e-3})
+    better = np.isfinite(found.fun) and found.fun < criterion(start)
+    return _filter(_STABLE * np.tanh(found.x)) if better else a
+
+
+def _filtered(
+    a: Array, segments: Sequence[Array], columns: Sequence[Array], lags: int
+) -> tuple[Array, Array]:
+    """Residuals (N,) and columns (N, K) through a filter, without the samples before which the past
+    is missing."""
+    lags = min(lags, min(map(len, segments)) - 1)
+    e = np.concatenate([lfilter(a, [1.0], segment)[lags:] for segment in segments])
+    if not columns[0].shape[1]:
+        return e, np.zeros((len(e), 0))
+    return e, np.concatenate([lfilter(a, [1.0], part, axis=0)[lags:] for part in columns])
+
+
+def _innovations(a: Array, segments: Sequence[Array], columns: Sequence[Array], lags: int) -> Array:
+    """Filtered residuals (N,) without the part that a change of the columns explains."""
+    e, x = _filtered(a, segments, columns, lags)
+    return e - x @ np.linalg.lstsq(x, e, rcond=1e-7)[0] if x.shape[1] else e
+
+
+def _filter(reflections: Array) -> Array:
+    """Filter (1, a_1, ...) from reflection coefficients: stable where these are within 1."""
+    a = np.ones(1)
+    for k in reflections:
+        a = np.concatenate([a, [0.0]])
+        a = a + k * a[::-1]
+    return a
+
+
+def _reflections(a: Array) -> Array:
+    """Inverse of `_filter` (Levinson's recursion backwards)."""
+    found: list[float] = []
+    while len(a) > 1:
+        k = float(a[-1])
+        found.append(k)
+        a = ((a - k * a[::-1]) / max(1.0 - k * k, 1e-12))[:-1]
+    return np.array(found[::-1])

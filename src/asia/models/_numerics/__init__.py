@@ -1,0 +1,1 @@
+"""Training records as arrays: scaling, windows, segments, lags."""

@@ -1,0 +1,506 @@
+"""Training records as the models see them: z-scored, cut into windows, padded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.candidate import Context
+from asia.data.trajectory import Array, Trajectory
+from asia.errors import UserError
+from asia.models._arrays import AnyArray, namespace
+
+# Z-scores: signals leave physical units inside a model and come back at its border.
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Mean and standard deviation of each channel, in physical units."""
+
+    u_mean: Array
+    """(nu,)."""
+    u_std: Array
+    """(nu,), 1 for a constant channel."""
+    y_mean: Array
+    """(ny,)."""
+    y_std: Array
+    """(ny,), 1 for a constant channel."""
+
+    @classmethod
+    def of(cls, trajectories: Sequence[Trajectory]) -> Scaling:
+        """Statistics over all samples of all records; a constant channel is only shifted."""
+        u = np.concatenate([t.u for t in trajectories])
+        y = np.concatenate([t.y for t in trajectories])
+        return cls(u.mean(axis=0), _spread(u), y.mean(axis=0), _spread(y))
+
+    def inputs(self, u: Array) -> Array:
+        """Scale inputs (..., nu) in physical units to z-scores."""
+        return (u - self.u_mean) / self.u_std
+
+    def outputs(self, y: Array) -> Array:
+        """Scale outputs (..., ny) in physical units to z-scores."""
+        return (y - self.y_mean) / self.y_std
+
+    def physical(self, y: Array) -> Array:
+        """Convert outputs (..., ny) from z-scores to physical units."""
+        return y * self.y_std + self.y_mean
+
+
+def _spread(values: Array) -> Array:
+    std = values.std(axis=0)
+    # A constant channel has rounding noise for a standard deviation; dividing by it would amplify.
+    constant = std <= 1e-12 * np.maximum(1.0, np.abs(values.mean(axis=0)))
+    return np.where(constant, 1.0, std)
+
+
+# Cuts of records, and padding of segments of unequal length to one array.
+
+
+Indices = NDArray[np.intp]
+
+
+def laid_end_to_end(samples: int, span: int, overlap: bool = True) -> Indices:
+    """First samples of segments of `span` samples that cover `samples`, one after the other.
+
+    The last segment ends with the samples and overlaps its neighbour where `span` does not divide
+    them; without `overlap` it is shorter instead.
+    """
+    starts = np.arange(0, samples, span)
+    return np.minimum(starts, max(samples - span, 0)) if overlap else starts
+
+
+def spread(count: int, most: int) -> Indices:
+    """Choose at most `most` of the numbers 0 .. count-1, spread evenly over them."""
+    return np.linspace(0, count - 1, min(most, count)).round().astype(np.intp)
+
+
+def rows(starts: Sequence[int] | Indices, length: int) -> Indices:
+    """Samples (N, length) of the segments that begin at `starts`."""
+    return np.asarray(starts)[:, None] + np.arange(length)
+
+
+def padded(values: Array, length: int, how: Literal["constant", "edge"] = "constant") -> Array:
+    """Pad values (T, ...) to `length` rows, with zeros or by repeating the last row."""
+    missing = [(0, length - len(values))] + [(0, 0)] * (values.ndim - 1)
+    return np.pad(values, missing, mode=how)
+
+
+def side_by_side(segments: Sequence[Array], how: Literal["constant", "edge"] = "constant") -> Array:
+    """Stack segments (T_i, ...) -> (N, T, ...), padded to the longest."""
+    longest = max(len(segment) for segment in segments)
+    return np.stack([padded(segment, longest, how) for segment in segments])
+
+
+# Training records: z-scored, cut into past windows, padded to one shape.
+
+
+# Least share of measured past windows at which the others are left out.
+_ENOUGH = 0.1
+_SINGLE = np.float32
+
+
+@dataclass(frozen=True)
+class ScaledTrajectory:
+    """Trajectory in z-scores."""
+
+    u: Array
+    """(T, nu), as they act."""
+    y: Array
+    """(T, ny)."""
+    weight: Array
+    """(T,), 0 where a sample does not count."""
+    measured_u: Array
+    """(T, nu), the inputs as past windows show them, where u is delayed."""
+    counts: Array
+    """(T,), 0 where an output was not measured; the `weight` of a whole fit."""
+    filled: bool = False
+    """Outputs that were not measured are those of a model."""
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    def part(self, first: int, length: int) -> ScaledTrajectory:
+        """Cut `length` samples from `first` on."""
+        rows = slice(first, first + length)
+        return ScaledTrajectory(
+            self.u[rows],
+            self.y[rows],
+            self.weight[rows],
+            self.measured_u[rows],
+            self.counts[rows],
+            self.filled,
+        )
+
+    def with_delay(self, delay: int) -> ScaledTrajectory:
+        """Delay the inputs of the record; the first input is held backwards."""
+        if delay == 0:
+            return self
+        held = np.repeat(self.u[:1], delay, axis=0)
+        return replace(self, u=np.concatenate([held, self.u])[: len(self)])
+
+
+ScaledData: TypeAlias = Sequence[ScaledTrajectory]
+"""All records of a fit."""
+
+
+def past_length(context: Context) -> int:
+    """Number of samples before the first simulated one."""
+    return max(context.n_past_u, context.n_past_y)
+
+
+def window_size(context: Context) -> int:
+    """Length of the flattened past window."""
+    return context.n_past_u * context.nu + context.n_past_y * context.ny
+
+
+def check(trajectories: Sequence[Trajectory], context: Context) -> None:
+    """Check that there is something to simulate and every record has the right channels.
+
+    Raises:
+        UserError: if not.
+    """
+    if not trajectories:
+        raise UserError("no training records: a model needs at least one trajectory")
+    for t in trajectories:
+        if t.u.shape[1] != context.nu or t.y.shape[1] != context.ny:
+            raise UserError(
+                f"record '{t.name}': {t.u.shape[1]} inputs and {t.y.shape[1]} outputs, "
+                f"expected {context.nu} and {context.ny}"
+            )
+        if len(t) <= past_length(context):
+            raise UserError(
+                f"record '{t.name}': {len(t)} samples leave nothing to simulate after a past "
+                f"window of {past_length(context)}; give a longer record or a shorter window"
+            )
+
+
+def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledTrajectory]:
+    """Scale all samples of each record to z-scores. A sample counts where every output was
+    measured."""
+    found: list[ScaledTrajectory] = []
+    for t in trajectories:
+        u, y = scaling.inputs(t.u), scaling.outputs(t.y)
+        counts = measured_samples(t)
+        found.append(ScaledTrajectory(u, y, counts, u, counts))
+    return found
+
+
+def measured_samples(record: Trajectory) -> Array:
+    """Mask (T,): 1 where every output was measured, else 0; read-only where all were."""
+    if record.missing is None:
+        return np.broadcast_to(np.float64(1.0), len(record))
+    return np.asarray(record.measured.all(axis=1), dtype=np.float64)
+
+
+def refuse_gaps(trajectories: Sequence[Trajectory]) -> None:
+    """Refuse records with outputs that were not measured: the correlation of the residuals in time
+    would be unknown there.
+
+    Raises:
+        ValueError: if there are such outputs.
+    """
+    if any(t.missing is not None for t in trajectories):
+        raise ValueError("standard errors need records in which every output was measured")
+
+
+def window(past_u: AnyArray, past_y: AnyArray) -> AnyArray:
+    """Flatten past windows: past_u (B, npu, nu), past_y (B, npy, ny) -> (B, npu*nu + npy*ny),
+    z-scored alike."""
+    flat = [past.reshape(past.shape[0], past.shape[1] * past.shape[2]) for past in (past_u, past_y)]
+    return namespace(*flat).concatenate(flat, axis=1)
+
+
+def windows(record: ScaledTrajectory, context: Context) -> Array:
+    """Past windows (T - past_length, d) before each sample from `past_length` on."""
+    return windows_before(record, np.arange(past_length(context), len(record)), context)
+
+
+def window_rows(records: ScaledData, context: Context) -> list[Indices | slice]:
+    """Rows of each record's `windows` that contain only measured outputs; all rows of all records
+    if too few do."""
+    past = past_length(context)
+    if all(r.counts.all() for r in records):
+        return [slice(None)] * len(records)
+    found: list[Indices | slice] = []
+    for r in records:
+        lost = np.concatenate([[0], np.cumsum(r.counts == 0)])
+        rows = np.arange(past, len(r))
+        found.append(np.flatnonzero(lost[rows] == lost[rows - context.n_past_y]))
+    enough = _ENOUGH * sum(max(0, len(r) - past) for r in records)
+    few = sum(len(rows) for rows in found if not isinstance(rows, slice)) < enough
+    return [slice(None)] * len(records) if few else found
+
+
+def windows_before(record: ScaledTrajectory, rows: Indices, context: Context) -> Array:
+    """Past windows (N, d) before samples (N,), none before `past_length`."""
+    back_u = rows[:, None] + np.arange(-context.n_past_u, 0)
+    back_y = rows[:, None] + np.arange(-context.n_past_y, 0)
+    return window(record.measured_u[back_u], record.y[back_y])
+
+
+def holdout_records(count: int, fraction: float) -> list[int]:
+    """Choose records to hold out whole, spread over four or more; none of fewer."""
+    left_out = round(fraction * count)
+    if count < 4 or left_out < 1:
+        return []
+    return [int((i + 0.5) * count / left_out) for i in range(left_out)]
+
+
+def holdout_masks(
+    records: ScaledData, fraction: float, blocks: int = 8, shortest: int = 0
+) -> list[NDArray[np.bool_]]:
+    """Masks (T,) of each record, True where held out: `blocks` segments spread over it, fewer where
+    they would have less than `shortest` samples.
+
+    A simulated output depends only on inputs, so a sample whose weight is zero is unseen even
+    though the simulation runs through it.
+    """
+    masks: list[NDArray[np.bool_]] = []
+    for record in records:
+        length = len(record)
+        period = max(length / blocks, 4.0, min(shortest / fraction, length))
+        phase = np.arange(length) % period
+        masks.append((phase >= (1 - fraction) / 2 * period) & (phase < (1 + fraction) / 2 * period))
+    return masks
+
+
+def reweighted(
+    records: ScaledData, masks: Sequence[NDArray[np.bool_]], keep: bool
+) -> list[ScaledTrajectory]:
+    """Keep the weight of records only where the mask equals `keep`."""
+    return [replace(r, weight=r.weight * (m == keep)) for r, m in zip(records, masks, strict=True)]
+
+
+def shortened(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:
+    """Cut the first part of each record, about `samples` in total.
+
+    The fraction is the same for all, but no less than `shortest` samples where the record has them;
+    of
+    many records only some are used, spread over them.
+    """
+    if sum(len(r) for r in records) <= samples:
+        return list(records)
+    most = max(3, samples // shortest)
+    kept = [records[i] for i in spread(len(records), most)]
+    fraction = samples / sum(len(r) for r in kept)
+    return [r.part(0, max(shortest, round(fraction * len(r)))) for r in kept]
+
+
+def contiguous_splits(
+    records: ScaledData, parts: int, shortest: int
+) -> list[tuple[list[ScaledTrajectory], list[ScaledTrajectory]]]:
+    """Pairs (kept, left out): whole records left out in turn when there are at least `parts`, else
+    segments of each record of at least `shortest` samples."""
+    if len(records) >= parts:
+        segments = list(records)
+        groups = [list(range(i, len(segments), parts)) for i in range(parts)]
+    else:
+        segments = []
+        membership: list[int] = []
+        for r in records:
+            count = max(1, min(parts, len(r) // max(shortest, 1)))
+            for i, rows in enumerate(np.array_split(np.arange(len(r)), count)):
+                segments.append(r.part(int(rows[0]), len(rows)))
+                membership.append(i)
+        groups = [[k for k, m in enumerate(membership) if m == i] for i in sorted(set(membership))]
+    if len(groups) < 2:
+        return [(segments, segments)]
+    return [
+        ([p for k, p in enumerate(segments) if k not in g], [segments[k] for k in g])
+        for g in groups
+    ]
+
+
+@dataclass(frozen=True)
+class PaddedBatch:
+    """Trajectories padded to one length, in single precision, as networks are trained."""
+
+    window: AnyArray
+    """Past window of each (R, d)."""
+    u: AnyArray
+    """(R, T, nu)."""
+    y: AnyArray
+    """(R, T, ny)."""
+    weight: AnyArray
+    """(R, T), zero in the padding."""
+    lengths: tuple[int, ...]
+    """Samples of each, without the padding."""
+    past_u: AnyArray
+    """Inputs as past windows show them (R, n_past_u + T, nu): sample k's window begins at k."""
+    past_y: AnyArray
+    """Outputs likewise (R, n_past_y + T, ny)."""
+
+    def windows_at(self, record: Indices, sample: Indices) -> AnyArray:
+        """Past windows (N, d) before samples (N,) of records (N,)."""
+        length = self.u.shape[1]
+        each = (
+            p[record[:, None], rows(sample, p.shape[1] - length)]
+            for p in (self.past_u, self.past_y)
+        )
+        return window(*each)
+
+
+def batch(records: ScaledData, context: Context) -> PaddedBatch:
+    """Pad the simulated part of each record to the longest."""
+    skip = past_length(context)
+    first = np.array([skip])
+    past_u, past_y = (
+        _single([getattr(r, name)[skip - past :] for r in records])
+        for name, past in (("measured_u", context.n_past_u), ("y", context.n_past_y))
+    )
+    return PaddedBatch(
+        window=np.concatenate([windows_before(r, first, context) for r in records], dtype=_SINGLE),
+        u=past_u[:, context.n_past_u :]
+        if all(r.u is r.measured_u for r in records)
+        else _single([r.u[skip:] for r in records]),
+        y=past_y[:, context.n_past_y :],
+        weight=batch_weight(records, context),
+        lengths=tuple(len(r) - skip for r in records),
+        past_u=past_u,
+        past_y=past_y,
+    )
+
+
+def batch_weight(records: ScaledData, context: Context) -> AnyArray:
+    """Weight of a batch of these records."""
+    return _single([r.weight[past_length(context) :] for r in records])
+
+
+def _single(segments: Sequence[Array]) -> AnyArray:
+    single: list[AnyArray] = [np.asarray(segment, _SINGLE) for segment in segments]
+    return side_by_side(single)
+
+
+def delayed(past: Array, future: Array, delay: int) -> Array:
+    """Inputs (B, H, nu) that act during the simulation.
+
+    Args:
+        past: measured past inputs (B, n_past_u, nu); before the first one it is held backwards.
+        future: inputs (B, H, nu).
+        delay: in samples.
+    """
+    known = np.concatenate([past, future], axis=1)
+    rows = np.arange(past.shape[1], known.shape[1]) - delay
+    return known[:, np.maximum(rows, 0)]
+
+
+def delayed_inputs(
+    scaling: Scaling, delay: int, past: Array, u: Array, first: int, stop: int
+) -> Array:
+    """Scaled inputs (B, stop - first, nu) that act from sample `first` on.
+
+    Args:
+        scaling: scaling of the signals.
+        delay: in samples.
+        past: past inputs (B, n_past_u, nu) in physical units.
+        u: inputs (B, H, nu) in physical units.
+        first: first sample.
+        stop: sample after the last.
+    """
+    begin = max(first - delay, 0)
+    known, part = scaling.inputs(past), scaling.inputs(u[:, begin:stop])
+    return delayed(known, part, delay)[:, first - begin :]
+
+
+# Training windows: segments of the protocol's horizon, each with its own past window.
+
+
+# Greatest number of segments from one record: few long ones, so that slow modes show.
+_MOST_SEGMENTS = 4
+
+
+class HorizonWindows(NamedTuple):
+    """Windows side by side, z-scored; JAX reads it as a tree of its arrays."""
+
+    features: Any
+    """Past windows, flattened (W, d)."""
+    u: Any
+    """Inputs after them (W, H, nu)."""
+    y: Any
+    """Outputs after them (W, H, ny)."""
+    weight: Any = None
+    """(W, H), 0 where an output was not measured; None where all samples count."""
+
+    def each(self, change: Callable[[Any], Any]) -> HorizonWindows:
+        """Apply a function to every array."""
+        return HorizonWindows(*(None if a is None else change(a) for a in self))
+
+
+def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWindows:
+    """Cut at most about `most` windows of `context.horizon` samples (of the longest record, where
+    all are shorter), evenly spread over the records and of every record the same share."""
+    past = past_length(context)
+    longest = max(len(r) for r in records) - past
+    horizon = min(context.horizon or longest, longest)
+    usable = [r for r in records if len(r) - past >= horizon]
+    places = [len(r) - past - horizon + 1 for r in usable]
+    stride = max(1, -(-sum(places) // max(most, 1)))
+    features: list[Array] = []
+    u: list[Array] = []
+    y: list[Array] = []
+    counts: list[Array] = []
+    for r, count in zip(usable, places, strict=True):
+        starts = np.arange((count - 1) % stride // 2, count, stride)
+        simulated = rows(past + starts, horizon)
+        features.append(windows(r, context)[starts])
+        u.append(r.u[simulated])
+        y.append(r.y[simulated])
+        counts.append(r.counts[simulated])
+    weight = _weight(np.concatenate(counts))
+    return HorizonWindows(np.concatenate(features), np.concatenate(u), np.concatenate(y), weight)
+
+
+def whole_windows(records: ScaledData, context: Context, horizon: int, most: int) -> HorizonWindows:
+    """Cut at most about `most` windows of `horizon` samples that lie end to end in each record,
+    none cut by its end, spread over all records."""
+    past = past_length(context)
+    counts = [(len(r) - past) // horizon for r in records]
+    stride = max(1, round(sum(max(count, 1) for count in counts) / most))
+    places = [(i, k * horizon) for i, count in enumerate(counts) for k in range(count)][::stride]
+    features = [windows(r, context) for r in records]
+    segments = [records[i].part(past + k, horizon) for i, k in places]
+    return HorizonWindows(
+        np.stack([features[i][k] for i, k in places]),
+        np.stack([segment.u for segment in segments]),
+        np.stack([segment.y for segment in segments]),
+        _weight(np.stack([segment.counts for segment in segments])),
+    )
+
+
+def mean_square(error: Array, weight: Array | None) -> float:
+    """Mean square of errors (W, H, ny) where weight (W, H) is 1."""
+    if weight is None:
+        return float((error**2).mean())
+    total = max(float(weight.sum()) * error.shape[-1], 1.0)
+    return float((weight[..., None] * error**2).sum()) / total
+
+
+def _weight(counts: Array) -> Array | None:
+    return None if counts.all() else counts
+
+
+def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTrajectory]:
+    """Choose segments of up to about `samples` samples in all.
+
+    These are the records themselves where they hold no more, else segments of at least `shortest`
+    samples (where a record has them), evenly spread over each record, of very many records only
+    over
+    some.
+    """
+    total = sum(len(r) for r in records)
+    if total <= samples:
+        return list(records)
+    most = max(1, samples // shortest)
+    kept = [records[i] for i in spread(len(records), most)]
+    share = samples / sum(len(r) for r in kept)
+    segments: list[ScaledTrajectory] = []
+    for r in kept:
+        count = int(np.clip(share * len(r) // shortest, 1, _MOST_SEGMENTS))
+        length = min(len(r), max(shortest, int(share * len(r) / count)))
+        starts = np.linspace(0, len(r) - length, count).round().astype(int)
+        segments += [r.part(int(start), length) for start in starts]
+    return segments

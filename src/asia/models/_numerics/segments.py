@@ -1,0 +1,305 @@
+"""Segments and chunks of records that training simulates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data.trajectory import Array, Trajectory
+from asia.models._arrays import AnyArray, namespace
+from asia.models._numerics.records import (
+    PaddedBatch,
+    ScaledData,
+    contiguous_splits,
+    laid_end_to_end,
+    past_length,
+    rows,
+    side_by_side,
+    spread,
+    window,
+)
+
+# Segments over which a model is simulated for its fit or choice, and the error on them.
+#
+# With a horizon they are windows of that length, as the model will be evaluated; without one they
+# are whole records.
+
+
+# Longest segment in samples. Longer records are cut and their segments simulated side by side: the
+# time of a loop grows with its length.
+_LONGEST = 4000
+_MOST_SAMPLES = 40_000
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Segments side by side, z-scored, padded with zeros where the weight is zero."""
+
+    past_u: Array
+    """Inputs before each (S, n_past_u, nu)."""
+    past_y: Array
+    """Outputs before each (S, n_past_y, ny)."""
+    u: Array
+    """(S, H, nu)."""
+    y: Array
+    """(S, H, ny)."""
+    weight: Array
+    """(S, H)."""
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+
+class ScaledSimulator(Protocol):
+    """Fitted model in z-scores."""
+
+    def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate as `simulate` of a model does, all z-scored."""
+        ...
+
+
+def segments(
+    records: ScaledData, context: Context, samples: int = _MOST_SAMPLES
+) -> Stretches | None:
+    """Segments of the records after their past windows, about `samples` in total.
+
+    They are evenly spread where there are more.
+
+    Returns:
+        None where every record is too short for one.
+    """
+    past = past_length(context)
+    places = [(r, first) for r in records for first in _firsts(len(r), past, context.horizon)]
+    if not places:
+        return None
+    longest = context.horizon or _LONGEST
+    lengths = [min(longest, len(r) - first) for r, first in places]
+    most = max(1, samples // max(lengths))
+    chosen = spread(len(places), most)
+    cuts = [(*places[i], places[i][1] + lengths[i]) for i in chosen]
+    return Stretches(
+        np.stack([r.measured_u[k - context.n_past_u : k] for r, k, _ in cuts]),
+        np.stack([r.y[k - context.n_past_y : k] for r, k, _ in cuts]),
+        side_by_side([r.u[k:end] for r, k, end in cuts]),
+        side_by_side([r.y[k:end] for r, k, end in cuts]),
+        side_by_side([r.counts[k:end] for r, k, end in cuts]),
+    )
+
+
+def simulation_error(simulate: ScaledSimulator, data: Stretches) -> float:
+    """Weighted mean squared error over samples and channels, infinite where it diverges."""
+    with np.errstate(all="ignore"):
+        misfit = simulate(data.past_u, data.past_y, data.u) - data.y
+        total = float((data.weight[..., None] * misfit**2).sum())
+    total /= max(float(data.weight.sum()) * data.y.shape[-1], 1.0)
+    return total if np.isfinite(total) else float("inf")
+
+
+def left_out_error(
+    records: ScaledData,
+    context: Context,
+    fit: Callable[[ScaledData], Sequence[ScaledSimulator]],
+    shortest: int,
+) -> Array:
+    """Mean over splits of the log of the mean squared simulation error on the samples left out.
+
+    Whole records are left out when there are at least three, else segments of them of at least
+    `shortest` samples.
+
+    Args:
+        records: records in z-scores.
+        context: context of the fit.
+        fit: makes simulators from the kept samples.
+        shortest: least samples of a segment.
+
+    Returns:
+        One number for each simulator; infinite where one diverges.
+    """
+    logs: list[list[float]] = []
+    for kept, left in contiguous_splits(records, 3, shortest):
+        data = segments(left, context)
+        if data is None or not kept:
+            continue
+        logs.append([np.log(simulation_error(s, data) + 1e-300) for s in fit(kept)])
+    return np.mean(logs, axis=0) if logs else np.zeros(1)
+
+
+def window_segments(
+    trajectories: Sequence[Trajectory], context: Context, most: int
+) -> list[Trajectory]:
+    """Cut past window and horizon as separate records, `most` of them spread evenly; the records
+    themselves where the protocol has no horizon."""
+    if context.horizon is None:
+        return list(trajectories)
+    past, horizon = past_length(context), context.horizon
+    places = [(t, k - past) for t in trajectories for k in _firsts(len(t), past, horizon)]
+    kept = [places[i] for i in spread(len(places), most)]
+    return [t[k : k + past + horizon] for t, k in kept]
+
+
+def _firsts(length: int, past: int, horizon: int | None) -> list[int]:
+    """First simulated samples; the last window ends with the record."""
+    starts = laid_end_to_end(length - past, horizon or _LONGEST, overlap=horizon is not None)
+    return (past + starts).tolist()
+
+
+# Simulations of one training step: whole records, chunks laid end to end, or chunks at random
+# places.
+#
+# All arrays are z-scored float32, in NumPy but for random chunks; T is the length of a simulation,
+# B the number that run in parallel.
+
+
+class Simulations(NamedTuple):
+    """Simulations to compare with measurements."""
+
+    window: AnyArray
+    """Past window of each (B, d)."""
+    u: AnyArray
+    """(B, T, nu)."""
+    y: AnyArray
+    """Measured outputs (B, T, ny)."""
+    weight: AnyArray
+    """(B, T), 0 where a sample does not count."""
+
+
+class Places(NamedTuple):
+    """Trajectories, and the permitted starts of chunks in them."""
+
+    u: AnyArray
+    """(R, T, nu)."""
+    y: AnyArray
+    """(R, T, ny)."""
+    weight: AnyArray
+    """(R, T)."""
+    past_u: AnyArray
+    """(R, n_past_u + T, nu), see `PaddedBatch`."""
+    past_y: AnyArray
+    """(R, n_past_y + T, ny)."""
+    ends: AnyArray
+    """Number of starts in each record and those before it (R,)."""
+    moves: AnyArray
+    """(R,), 0 where all starts of a record are its first sample, else 1."""
+    share: AnyArray | None = None
+    """Probability (S,) that a chunk starts at one of the starts up to each; None: uniform."""
+
+    def at(self, picked: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Records and samples of starts, both as `picked`."""
+        xp = namespace(picked)
+        record = xp.searchsorted(self.ends, picked, side="right")
+        before = xp.where(record > 0, self.ends[record - 1], 0)
+        return record, (picked - before) * self.moves[record]
+
+
+def whole(batch: PaddedBatch) -> Simulations:
+    """Convert each record to one simulation."""
+    arrays = (batch.window, batch.u, batch.y, batch.weight)
+    return Simulations(*(np.asarray(a, np.float32) for a in arrays))
+
+
+def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
+    """Cut chunks of `length` samples end to end, in time order within each record.
+
+    The last chunk of a record ends with it, overlapping its neighbour, or without `overlap` is
+    padded.
+    """
+    length = min(length, batch.u.shape[1])
+    begins = [laid_end_to_end(total, length, overlap) for total in batch.lengths]
+    record, begin = np.repeat(np.arange(len(begins)), [*map(len, begins)]), np.concatenate(begins)
+    samples = rows(begin, length)
+    inside = samples < batch.u.shape[1]
+    at = record[:, None], np.minimum(samples, batch.u.shape[1] - 1)
+    weight = batch.weight[at] * inside
+    arrays = batch.windows_at(record, begin), batch.u[at], batch.y[at], weight
+    return Simulations(*(np.asarray(a, np.float32) for a in arrays))
+
+
+def tracks(batch: PaddedBatch, length: int, count: int | None, washout: int) -> Simulations:
+    """Cut long segments to be read side by side in chunks of `length` samples: T is a multiple of
+    it.
+
+    Args:
+        batch: records.
+        length: samples of a chunk.
+        count: number of segments of equal length, approximately; None: one a record.
+        washout: samples before the loss counts.
+    """
+    longest = batch.u.shape[1]
+    if count is not None:
+        longest = min(longest, -(-sum(batch.lengths) // count))
+    window, u, y, weight = laid(batch, longest, overlap=False)
+    weight[:, :washout] = 0.0
+    spare = -u.shape[1] % length
+
+    def padded(values: AnyArray) -> AnyArray:
+        return np.pad(values, [(0, 0), (0, spare)] + [(0, 0)] * (values.ndim - 2))
+
+    return Simulations(window, padded(u), padded(y), padded(weight))
+
+
+def places(batch: PaddedBatch, length: int) -> Places:
+    """Permit every start from which a whole chunk fits.
+
+    A shorter record starts at its first sample, as often as it has samples, so that it is drawn as
+    often.
+    """
+    own = np.asarray(batch.lengths)
+    short = own < length
+    counts = np.where(short, own, own - length + 1)
+    if short.all():
+        counts = np.ones_like(own)
+    ends, moves = (np.asarray(a, np.int32) for a in (np.cumsum(counts), ~short))
+    return Places(batch.u, batch.y, batch.weight, batch.past_u, batch.past_y, ends, moves)
+
+
+def gently(p: Places, length: int, power: float) -> Places:
+    """Draw chunks in proportion to their amplitude to the power -`power`."""
+    moved = np.diff(p.y, axis=1) * (p.weight[:, 1:, None] > 0)
+    size = np.sqrt((moved**2).mean(axis=(0, 1)))
+    squares = ((moved / np.where(size > 0, size, 1.0)) ** 2).mean(axis=-1)
+    total = np.concatenate([np.zeros((len(squares), 1)), np.cumsum(squares, axis=1)], axis=1)
+    record, first = p.at(np.arange(p.ends[-1]))
+    last = np.minimum(first + length, total.shape[1]) - 1
+    amplitude = np.sqrt((total[record, last] - total[record, first]) / np.maximum(last - first, 1))
+    drawn = np.maximum(amplitude, 1e-3 * amplitude.max() + 1e-12) ** -power
+    return p._replace(share=np.asarray(np.cumsum(drawn / drawn.sum()), np.float32))
+
+
+def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> Simulations:
+    """Draw chunks with JAX.
+
+    Args:
+        p: records and permitted starts.
+        length: samples of a chunk.
+        count: number of chunks; None: as many as cover the records once, but at most 128.
+        key: random key of JAX.
+    """
+    import jax
+
+    length = min(length, p.u.shape[1])
+    if count is None:
+        count = max(1, min(128, p.u.shape[0] * p.u.shape[1] // length))
+    if p.share is None:
+        picked = jax.random.randint(key, (count,), 0, p.ends[-1])
+    else:
+        at = jax.numpy.searchsorted(p.share, jax.random.uniform(key, (count,)))
+        picked = jax.numpy.minimum(at, p.ends[-1] - 1)
+    record, first = p.at(picked)
+
+    def cut(values: AnyArray, samples: int) -> AnyArray:
+        """Cut the chunk itself: a cut of a whole record would copy that for each chunk."""
+        size = (1, samples, *values.shape[2:])
+
+        def one(record: AnyArray, first: AnyArray) -> AnyArray:
+            start = (record, first, *[0] * (values.ndim - 2))
+            return jax.lax.dynamic_slice(values, start, size)[0]
+
+        return jax.vmap(one)(record, first)
+
+    total = p.u.shape[1]
+    past = (cut(values, values.shape[1] - total) for values in (p.past_u, p.past_y))
+    return Simulations(window(*past), *(cut(v, length) for v in (p.u, p.y, p.weight)))

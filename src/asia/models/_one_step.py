@@ -1,0 +1,387 @@
+"""Models that predict one step ahead and are simulated on their own output."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement, product
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.candidate import Context
+from asia.data.trajectory import Array
+from asia.errors import UserError
+from asia.models._arrays import AnyArray, namespace
+from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
+from asia.models._numerics.lags import (
+    FreeRun,
+    Lags,
+    OutputRange,
+    fit_history,
+    lagged_inputs,
+    regressors,
+)
+from asia.models._numerics.records import (
+    ScaledData,
+    ScaledTrajectory,
+    Scaling,
+    past_length,
+    shortened,
+)
+from asia.models._numerics.segments import Stretches, left_out_error, simulation_error
+
+# Polynomial one-step models, linear in their parameters: products of lagged signals.
+#
+# A product is a row of indices into [1, z], z the regressors, so that a row of zeros is the
+# constant and products of lower degree are padded with zeros.
+
+
+Terms = NDArray[np.intp]
+
+# Numbers in a block of Jacobian rows.
+_BLOCK = 4_000_000
+# Limit on the products in a Gauss-Newton matrix, and on its samples, at least and at most.
+_WORK = 1e10
+_SAMPLES = (1000, 10_000)
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """Sums of products of regressors."""
+
+    terms: Terms
+    """Rows of indices (M, degree)."""
+    theta: Array
+    """Coefficients (M, ny)."""
+    used: NDArray[np.bool_]
+    """Mask of the free coefficients (M, ny)."""
+
+    def __call__(self, z: AnyArray) -> AnyArray:
+        """Predict (B, d) -> (B, ny)."""
+        return products(z, self.terms) @ self.theta
+
+
+@dataclass(frozen=True)
+class PolynomialRun(FreeRun):
+    """Polynomial in free run."""
+
+    one_step: Polynomial
+
+
+def all_terms(size: int, degree: int) -> Terms:
+    """All products of up to `degree` of `size` regressors, the constant first."""
+    rows = combinations_with_replacement(range(size + 1), degree)
+    return np.array(list(rows), dtype=np.intp).reshape(-1, degree)
+
+
+def products(z: AnyArray, terms: Terms) -> AnyArray:
+    """Evaluate products: z (..., d) -> (..., M)."""
+    full = namespace(z).concatenate([np.ones((*z.shape[:-1], 1)), z], axis=-1)
+    result = full[..., terms[:, 0]]
+    for column in terms.T[1:]:
+        result = result * full[..., column]
+    return result
+
+
+def equations(
+    records: ScaledData, lags: Lags, terms: Terms, most: int = 60_000_000
+) -> tuple[Array, Array]:
+    """Regression matrix (N, M) and targets (N, ny) of all records; evenly spread rows of it if it
+    has more than `most` numbers."""
+    stride = max(1, -(-sum(len(r) for r in records) * len(terms) // most))
+    pairs = [regressors(r, lags) for r in records if len(r) > lags.memory]
+    z = np.concatenate([x[::stride] for x, _ in pairs])
+    return products(z, terms), np.concatenate([y[::stride] for _, y in pairs])
+
+
+def solve(gram: Array, cross: Array, ridge: float) -> Array:
+    """Ridge regression with columns scaled to unit size: gram (M, M), cross (M, ny) -> (M, ny)."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    normal = gram / np.outer(scale, scale) + ridge * np.eye(len(gram))
+    return np.linalg.lstsq(normal, cross / scale[:, None], rcond=1e-13)[0] / scale[:, None]
+
+
+def refine(
+    start: PolynomialRun, data: Stretches, method: LevenbergMarquardt, ridge: float
+) -> tuple[PolynomialRun, list[float]]:
+    """Refine by Levenberg-Marquardt on the simulation error.
+
+    The gradient of a simulated output obeys a linear recursion in the model's own derivatives
+    (Narendra and Parthasarathy, IEEE Trans. Neural Networks 1(1), 1990).
+
+    Args:
+        start: model at the start.
+        data: segments.
+        method: settings.
+        ridge: weight of the squared distance of the coefficients from their start against the
+            error.
+
+    Returns:
+        The refined model, and the root of the cost by iteration.
+    """
+    model = start.one_step
+    origin = model.theta[model.used]
+
+    def polynomial(coefficients: Array) -> Polynomial:
+        theta = model.theta.copy()
+        theta[model.used] = coefficients
+        return replace(model, theta=theta)
+
+    def cost(points: Array) -> Array:
+        coefficients = points[0, 0]
+        run = replace(start, one_step=polynomial(coefficients))
+        moved = coefficients - origin
+        return np.array([[simulation_error(run, data) + ridge * float(moved @ moved)]])
+
+    def linearise(theta: Array) -> NormalEquations:
+        normal, gradient = _normal(start, polynomial(theta[0]), data)
+        normal += ridge * np.eye(len(normal))
+        gradient += ridge * (theta[0] - origin)
+        return NormalEquations(cost(theta[:, None])[:, 0], normal[None], gradient[None])
+
+    method = replace(method, tolerance=max(method.tolerance, 1e-9))
+    found = minimise(cost, linearise, origin[None], method, SEQUENTIAL)
+    history = found.history[0]
+    return replace(start, one_step=polynomial(found.theta[0])), [
+        float(np.sqrt(c)) for c in history[np.r_[True, np.diff(history) < 0]]
+    ]
+
+
+def refinement_samples(run: PolynomialRun) -> int:
+    """Number of samples whose Gauss-Newton matrix is still cheap to make."""
+    used = run.one_step.used
+    return int(np.clip(_WORK / (used.shape[1] * used.sum() ** 2), *_SAMPLES))
+
+
+def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[Array, Array]:
+    """Gauss-Newton matrix (P, P) and half the gradient (P,) of the mean squared error."""
+    old_u, old_y = start.history(data.past_u, data.past_y, data.u)
+    lags, limits = start.history.lags, start.limits
+    drive = lagged_inputs(np.concatenate([old_u, data.u], axis=1), lags)
+    batch, ny = len(data), data.y.shape[2]
+    rows, columns = np.nonzero(model.used)
+    free = np.arange(len(rows))
+    slope = _Slope(model, lags.outputs * ny)
+    past = old_y[:, ::-1].reshape(batch, -1)
+    sensitivity = np.zeros((batch, past.shape[1], len(rows)))
+    normal, gradient = np.zeros((len(rows), len(rows))), np.zeros(len(rows))
+    jacobian: list[Array] = []
+    misfit: list[Array] = []
+    block = max(1, _BLOCK // (batch * ny * len(rows)))
+    for k in range(data.u.shape[1]):
+        z = np.concatenate([past, drive[:, k]], axis=1)
+        phi, by_past = slope(z)
+        free_y = phi @ model.theta
+        y = np.clip(free_y, limits.low, limits.high)
+        change = by_past @ sensitivity
+        change[:, columns, free] += phi[:, rows]
+        change *= (y == free_y)[..., None]
+        past = np.concatenate([y, past], axis=1)[:, : past.shape[1]]
+        sensitivity = np.concatenate([change, sensitivity], axis=1)[:, : past.shape[1]]
+        jacobian.append(change * data.weight[:, k, None, None])
+        misfit.append((y - data.y[:, k]) * data.weight[:, k, None])
+        if len(jacobian) == block or k + 1 == data.u.shape[1]:
+            stacked = np.concatenate(jacobian).reshape(-1, len(rows))
+            normal += stacked.T @ stacked
+            gradient += stacked.T @ np.concatenate(misfit).ravel()
+            jacobian, misfit = [], []
+    total = max(float(data.weight.sum()) * ny, 1.0)
+    return normal / total, gradient / total
+
+
+class _Slope:
+    """Products and the derivative of the outputs with respect to the lagged outputs."""
+
+    def __init__(self, model: Polynomial, past: int) -> None:
+        self._terms, self._past, self._ny = model.terms, past, model.theta.shape[1]
+        degree = model.terms.shape[1]
+        self._maps: list[Array] = []
+        for p in range(degree):
+            hit = model.terms[:, p : p + 1] == np.arange(1, past + 1)
+            full = hit[:, None, :] * model.theta[:, :, None]
+            self._maps.append(full.reshape(len(full), -1))
+
+    def __call__(self, z: Array) -> tuple[Array, Array]:
+        full = np.concatenate([np.ones((len(z), 1)), z], axis=1)
+        factors = [full[:, column] for column in self._terms.T]
+        total = np.zeros((len(z), self._ny * self._past))
+        phi = np.ones_like(factors[0])
+        for factor in factors:
+            phi = phi * factor
+        for p, map_ in enumerate(self._maps):
+            others = np.ones_like(factors[0])
+            for q, factor in enumerate(factors):
+                if q != p:
+                    others = others * factor
+            total += others @ map_
+        return phi, total.reshape(len(z), self._ny, self._past)
+
+
+# Common parts of the families that predict one step ahead and are used in free run.
+
+
+C = TypeVar("C")
+
+RIDGES = (1e-9, 1e-7, 1e-5, 1e-4, 1e-3, 1e-2)
+# Samples for choices of lags, which take hundreds of fits; this many distinguish candidates.
+_SELECTION_SAMPLES = 6000
+
+
+@dataclass(frozen=True)
+class FreeRunModel(Generic[C]):
+    """Input-output model used in free run."""
+
+    config: C
+    """Settings of the family."""
+    run: FreeRun | None = None
+    """Model in free run; None before training."""
+    scaling: Scaling | None = None
+    """Scaling from physical units to z-scores; None before training."""
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate in physical units.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Outputs (B, H, ny).
+
+        Raises:
+            UserError: before training.
+        """
+        run, s = self._trained()
+        return s.physical(run(s.inputs(past_u), s.outputs(past_y), s.inputs(u)))
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """Initial state, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
+        run, s = self._trained()
+        return run.initial(s.inputs(past_u), s.outputs(past_y), s.inputs(u))
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """Advance by one sample, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
+        run, s = self._trained()
+        state, y = run.step(state, s.inputs(u))
+        return state, s.physical(y)
+
+    def _trained(self) -> tuple[FreeRun, Scaling]:
+        if self.run is None or self.scaling is None:
+            raise UserError("input-output model: not trained yet; call train first")
+        return self.run, self.scaling
+
+
+@dataclass(frozen=True)
+class LagChoice:
+    """Lags and delay, or limits of their choice: the fewest parameters within the tolerance of the
+    best."""
+
+    outputs: int | None
+    """Number of lagged outputs; None: chosen from 1..max_order."""
+    inputs: int | None
+    """Number of lagged inputs; None: chosen from 1..max_order."""
+    delay: int | None
+    """Delay in samples; None: chosen from 0..max_delay."""
+    max_order: int
+    """Greatest number of lags tried."""
+    max_delay: int = 10
+    """Greatest delay tried."""
+    tolerance: float = 0.03
+    """Relative tolerance of the root mean squared error."""
+
+
+def linear_run(
+    records: ScaledData, lags: Lags, context: Context, ridge: float, margin: float
+) -> PolynomialRun:
+    """Fit an ARX model by ridge regression, limited to the training range widened by `margin`
+    times."""
+    ny, nu = records[0].y.shape[1], records[0].u.shape[1]
+    terms = all_terms(lags.outputs * ny + lags.inputs * nu, 1)
+    x, y = equations(records, lags, terms)
+    theta = solve(x.T @ x, x.T @ y, ridge)
+    model = Polynomial(terms, theta, np.ones(theta.shape, bool))
+    return PolynomialRun(
+        model, fit_history(records, lags, context), OutputRange.of(records, margin)
+    )
+
+
+def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lags:
+    """Choose the lags of a linear model by its simulation error on samples left out of the fit."""
+    part = selection(records, context, choice.max_order)
+    highest = max(1, min(choice.max_order, min(len(r) for r in part) // 12))
+    delay = choice.delay
+    if delay is None:
+        few = [Lags(min(2, highest), min(2, highest), d) for d in range(choice.max_delay + 1)]
+        delay = _best(few, _errors(part, context, few), 0.01).delay
+    counts = range(1, highest + 1)
+    numbers = product(
+        counts if choice.outputs is None else (choice.outputs,),
+        counts if choice.inputs is None else (choice.inputs,),
+    )
+    lags = [Lags(a, b, delay) for a, b in numbers]
+    if len(lags) == 1:
+        return lags[0]
+    ny, nu = context.ny, context.nu
+    lags.sort(key=lambda item: item.outputs * ny + item.inputs * nu)
+    return _best(lags, _errors(part, context, lags), choice.tolerance)
+
+
+def selection(records: ScaledData, context: Context, max_order: int) -> list[ScaledTrajectory]:
+    """Records for choices: parts long enough to leave something to simulate."""
+    shortest = 3 * (past_length(context) + (context.horizon or 0)) + 12 * max_order
+    return shortened(
+        [r for r in records if len(r) > past_length(context)], _SELECTION_SAMPLES, shortest
+    )
+
+
+def choose_ridge(
+    records: ScaledData,
+    context: Context,
+    fit: Callable[[ScaledData, float], FreeRun],
+    shortest: int,
+) -> float:
+    """Choose the ridge with the least simulation error on samples left out of the fit."""
+    errors = left_out_error(
+        records, context, lambda kept: [fit(kept, ridge) for ridge in RIDGES], shortest
+    )
+    return RIDGES[int(np.argmin(errors))]
+
+
+def usable(records: ScaledData, lags: Lags) -> None:
+    """Check that a record is long enough for the lags.
+
+    Raises:
+        UserError: if none is.
+    """
+    if all(len(r) <= lags.memory for r in records):
+        raise UserError(
+            f"training records: the longest has {max(len(r) for r in records)} samples, the model "
+            f"needs {lags.memory} before the first it can predict; use fewer lags"
+        )
+
+
+def _errors(records: ScaledData, context: Context, lags: Sequence[Lags]) -> Array:
+    usable(records, max(lags, key=lambda item: item.memory))
+    shortest = 2 * past_length(context) + 4 * max(item.memory for item in lags)
+    return left_out_error(
+        records,
+        context,
+        lambda kept: [linear_run(kept, item, context, 1e-7, 10.0) for item in lags],
+        shortest,
+    )
+
+
+def _best(lags: Sequence[Lags], errors: Array, tolerance: float) -> Lags:
+    limit = errors.min() + 2 * np.log1p(tolerance)
+    return lags[int(np.argmax(errors <= limit))]

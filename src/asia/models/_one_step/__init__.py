@@ -1,1 +1,0 @@
-"""Models that predict one step ahead, used in free run."""

@@ -1,0 +1,562 @@
+"""Linear systems with static functions in feedback: regressors, starts, fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from asia.candidate import Context
+from asia.data.trajectory import Array
+from asia.models._arrays import tree_size
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models._linear.fit import LinearFit
+from asia.models._linear.system import LinearSystem
+from asia.models._numerics.records import ScaledData, ScaledTrajectory, Scaling
+from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
+from asia.models._state_space.model import FittedStateSpace, fit_segments, past_fit, window_samples
+from asia.models._state_space.structure import StateSpaceStructure
+
+# Search for the regressors of static functions in feedback, by the residual of the linear model.
+#
+# They are searched among inputs, outputs, combinations of them and of the states. The states are
+# those of the linear model, and those of an observer that corrects them by the measured output, so
+# that a function in a loop is read at the true state of the system. For given signals the
+# functions and the places where they act follow by least squares, so that many regressors can be
+# evaluated.
+
+
+# Samples for the evaluation of regressors, random signals tried, best ones varied, and the size of
+# the variation in each round.
+_EVALUATED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 80, 4, (0.5, 0.25, 0.12), 10
+# Sets of regressors evaluated together, and the greatest size of their arrays.
+_BATCH, _NUMBERS = 16, 3e7
+# Ridge of the functions' weights, relative to the size of their factors.
+_RIDGE = 1e-4
+# Assumed sensor noise of the observer, as a share of the output's variance, in addition to the
+# model's error.
+_SENSOR = 0.01
+# Least correlation of signals that count as equal.
+_ALIKE = 0.97
+# Relative size below which a direction of the linear terms is rounding.
+RANK = 1e-7
+
+
+class Reading(NamedTuple):
+    """Regressors of the functions, with the error that they leave."""
+
+    directions: Array
+    """(n + nu, m)."""
+    observed: bool
+    """The states are the observer's."""
+    error: float
+    """Mean squared error that remains."""
+
+
+class PreparedRecord(NamedTuple):
+    """Record prepared for the evaluation of regressors."""
+
+    x0: Array
+    """Initial state (n,) of the linear model."""
+    u: Array
+    """(T, nu)."""
+    states: tuple[Array, Array]
+    """(T, n), by the linear model and by the observer."""
+    residual: Array
+    """Residual (T, ny) of the linear model."""
+    terms: Array
+    """Effects (T ny, p) of B, D, the offset and the initial state; see `_linear_terms`."""
+    basis: Array
+    """Orthonormal basis (T ny, q) of `terms`."""
+    weight: Array
+    """(T,)."""
+
+    def read(self, directions: Array, observed: bool) -> Array:
+        """Signals (T, m) in directions (n - integrators + nu, m)."""
+        some = len(directions) - self.u.shape[1]
+        return self.states[observed][:, :some] @ directions[:some] + self.u @ directions[some:]
+
+
+def prepared_records(records: ScaledData, found: LinearFit) -> list[PreparedRecord]:
+    """Prepare the first samples of each record."""
+    each = max(_EVALUATED // len(records), 200)
+    return [
+        _record(found.system, x0, r.part(0, min(each, len(r))))
+        for r, x0 in zip(records, found.x0, strict=True)
+    ][: max(_EVALUATED // 200, 1)]
+
+
+def _record(system: LinearSystem, x0: Array, record: ScaledTrajectory) -> PreparedRecord:
+    states, outputs = (found[0] for found in system.simulate(x0[None], record.u[None]))
+    residual = (record.y - outputs) * record.weight[:, None]
+    observed = _observed(system, x0, record, float(np.mean(residual**2)))
+    terms = _linear_terms(system, record)
+    basis = orthonormal(terms)
+    return PreparedRecord(x0, record.u, (states, observed), residual, terms, basis, record.weight)
+
+
+def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: float) -> Array:
+    """States (T, n) of a Kalman filter that attributes most of the error to a disturbance of the
+    states."""
+    n, ny = system.order, len(system.c)
+    wander = max(error, 1e-9) * (system.b @ system.b.T + 1e-3 * np.eye(n))
+    noise = (_SENSOR * error + 1e-6) * np.eye(ny)
+    try:
+        p = solve_discrete_are(system.a.T, system.c.T, wander, noise)
+    except (np.linalg.LinAlgError, ValueError):
+        return system.simulate(x0[None], record.u[None])[0][0]
+    gain = p @ system.c.T @ np.linalg.inv(system.c @ p @ system.c.T + noise)
+    states, x = np.empty((len(record), n)), x0
+    for k in range(len(record)):
+        wrong = record.y[k] - system.c @ x - system.d @ record.u[k] - system.offset
+        x = x + record.weight[k] * (gain @ wrong)
+        states[k] = x
+        x = system.a @ x + system.b @ record.u[k]
+    return states
+
+
+def responses(system: LinearSystem, signals: Array) -> Array:
+    """Outputs (T, ny, s, n + ny) to signals (T, s) that act on each state and on each output."""
+    length, s = signals.shape
+    n, ny = system.order, len(system.c)
+    found = np.zeros((length, ny, s, n + ny))
+    state = np.zeros((s * n, n))
+    each, at = np.tile(np.eye(n), (s, 1)), system.a.T
+    for k in range(length):
+        found[k, :, :, :n] = (system.c @ state.T).reshape(ny, s, n)
+        state = state @ at + np.repeat(signals[k], n)[:, None] * each
+    for i in range(ny):
+        found[:, i, :, n + i] = signals
+    return found
+
+
+def _linear_terms(system: LinearSystem, record: ScaledTrajectory) -> Array:
+    """Effects (T ny, n nu + ny nu + ny + n) of B, D, the offset and the initial state on the
+    outputs."""
+    length, n, ny = len(record), system.order, len(system.c)
+    forced = responses(system, record.u).reshape(length * ny, -1)
+    constant = np.tile(np.eye(ny), (length, 1))
+    free = system.simulate(np.eye(n), np.zeros((n, length, record.u.shape[1])))[1] - system.offset
+    columns = np.hstack([forced, constant, free.transpose(1, 2, 0).reshape(length * ny, n)])
+    return columns * np.repeat(record.weight, ny)[:, None]
+
+
+def orthonormal(columns: Array) -> Array:
+    left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    return left[:, sizes > RANK * sizes[0]]
+
+
+class RegressorSearch:
+    """Search for the regressors of one fit."""
+
+    def __init__(
+        self,
+        structure: StateSpaceStructure,
+        system: LinearSystem,
+        records: Sequence[PreparedRecord],
+        rng: np.random.Generator,
+    ) -> None:
+        self.structure, self.system, self.records, self.rng = structure, system, records, rng
+        self.m = structure.channels or 1
+        # Number of states that may be read: a drifting state visits each level only once.
+        self.free = structure.order - structure.integrators
+        # Common random units of all regressors, so that only the regressors differ.
+        self.drawn = rng.standard_normal((self.m, structure.hidden)), rng.random(structure.hidden)
+
+    def best(self, count: int, observed: bool) -> list[Reading]:
+        """Best regressors that differ from each other, the least error first."""
+        pool = self.evaluated([(d, observed) for d in [*self._known(), *self._random()]])
+        for size in _ROUNDS:
+            pool.sort(key=lambda r: r.error)
+            kept = self._different(pool, _KEPT)
+            moved = [
+                (self._varied(r.directions, size), r.observed) for r in kept for _ in range(_VARIED)
+            ]
+            pool = [*kept, *self.evaluated(moved)]
+        pool.sort(key=lambda r: r.error)
+        return self._different(pool, count)
+
+    def _known(self) -> list[Array]:
+        """Directions that systems often have: inputs, outputs, and those that change an output."""
+        n, nu, s = self.structure.order, self.structure.nu, self.system
+        change = np.hstack([s.c @ (s.a - np.eye(n)), s.c @ s.b])
+        rows = np.vstack([np.eye(n + nu), np.hstack([s.c, s.d]), change])
+        rows = np.delete(rows, range(self.free, n), axis=1)
+        rows = rows[np.abs(rows).sum(axis=1) > 0]
+        if self.m == 1:
+            return [row[:, None] for row in rows]
+        pairs = [self.rng.choice(len(rows), self.m, replace=False) for _ in range(3 * len(rows))]
+        return [rows[p].T for p in pairs]
+
+    def _random(self) -> list[Array]:
+        size = (self.free + self.structure.nu, self.m)
+        return [self.rng.standard_normal(size) / self._sizes()[:, None] for _ in range(_DRAWN)]
+
+    def _sizes(self) -> Array:
+        states = np.concatenate([r.states[0][:, : self.free] for r in self.records])
+        spread = np.hstack(
+            [states.std(axis=0), np.concatenate([r.u for r in self.records]).std(axis=0)]
+        )
+        return np.where(spread > 1e-9, spread, 1.0)
+
+    def _varied(self, directions: Array, size: float) -> Array:
+        sizes = self._sizes()[:, None]
+        unit = directions * sizes
+        unit = unit / np.linalg.norm(unit, axis=0)
+        return (unit + size * self.rng.standard_normal(unit.shape)) / sizes
+
+    def _different(self, pool: Sequence[Reading], count: int) -> list[Reading]:
+        chosen: list[tuple[Reading, Array]] = []
+        for regressors in pool:
+            z = self._read(regressors.directions, regressors.observed)
+            z = (z - z.mean(axis=0)) / z.std(axis=0)
+            alike = (np.linalg.svd(z.T @ other / len(z))[1].min() > _ALIKE for _, other in chosen)
+            if not any(alike):
+                chosen.append((regressors, z))
+            if len(chosen) == count:
+                break
+        return [regressors for regressors, _ in chosen]
+
+    def evaluated(self, candidates: Sequence[tuple[Array, bool]]) -> list[Reading]:
+        """Evaluate regressors; those without any variation are left out."""
+        found: list[Reading] = []
+        s, longest = self.structure, max(len(r.u) for r in self.records)
+        each = longest * s.ny * s.hidden * (s.order + s.ny)
+        batch = int(np.clip(_NUMBERS / each, 1, _BATCH))
+        for first in range(0, len(candidates), batch):
+            part: list[tuple[Array, bool, dict[str, Array]]] = []
+            for d, o in candidates[first : first + batch]:
+                scaled = self._scaled(d, o)
+                if scaled is not None:
+                    part.append((scaled, o, self.layer(scaled, o)))
+            grams = self.normal([(d, o, layer) for d, o, layer in part]) if part else []
+            for (d, o, _), (gram, rhs, power) in zip(part, grams, strict=True):
+                weights = np.linalg.solve(gram, rhs)
+                found.append(Reading(d, o, power - float(rhs @ weights)))
+        return [r for r in found if np.isfinite(r.error)]
+
+    def _read(self, directions: Array, observed: bool) -> Array:
+        """Signals (T, m) of all records."""
+        return np.concatenate([r.read(directions, observed) for r in self.records])
+
+    def _scaled(self, directions: Array, observed: bool) -> Array | None:
+        """Scale the directions so that each signal has unit size; None where that is impossible."""
+        z = self._read(directions, observed)
+        size = z.std(axis=0)
+        return None if (size < 1e-9).any() or not np.isfinite(size).all() else directions / size
+
+    def layer(self, directions: Array, observed: bool) -> dict[str, Array]:
+        """Weights w1 (m, h) and b1 (h,) of units that cover the range of the signals."""
+        z = self._read(directions, observed)
+        h, (normal, uniform) = self.structure.hidden, self.drawn
+        if self.m == 1:
+            centres = np.quantile(z[:, 0], np.linspace(0.03, 0.97, h))[:, None]
+            gaps = (centres[-1, 0] - centres[0, 0]) / max(h - 1, 1)
+            w1 = np.full((1, h), 1.0 / max(gaps, 1e-3))
+        else:
+            centres = z[(uniform * len(z)).astype(int)]
+            w1 = normal * (1.5 / np.linalg.norm(normal, axis=0))
+        return {"w1": w1, "b1": -(centres * w1.T).sum(axis=1)}
+
+    def normal(
+        self, candidates: Sequence[tuple[Array, bool, dict[str, Array]]]
+    ) -> list[tuple[Array, Array, float]]:
+        """Normal equations of each set of regressors.
+
+        Returns:
+            Gram matrix (h (n + ny), ...) with ridge, right-hand side and the mean square of the
+            residual to explain.
+        """
+        h, n_act = self.structure.hidden, self.structure.order + self.structure.ny
+        size = h * n_act
+        grams = [np.zeros((size, size)) for _ in candidates]
+        sides = [np.zeros(size) for _ in candidates]
+        power, samples = 0.0, 0
+        for r in self.records:
+            units = [
+                np.tanh(r.read(d, o) @ layer["w1"] + layer["b1"]) for d, o, layer in candidates
+            ]
+            every = responses(self.system, np.hstack(units))
+            weight = np.repeat(r.weight, self.structure.ny)[:, None]
+            rest = r.residual.ravel()
+            rest = rest - r.basis @ (r.basis.T @ rest)
+            power, samples = power + float(rest @ rest), samples + len(rest)
+            for i in range(len(candidates)):
+                columns = every[:, :, i * h : (i + 1) * h].reshape(len(rest), size) * weight
+                columns -= r.basis @ (r.basis.T @ columns)
+                grams[i] += columns.T @ columns
+                sides[i] += columns.T @ rest
+        mean = [np.trace(g) / size for g in grams]
+        return [
+            ((g + _RIDGE * m * np.eye(size)) / samples, s / samples, power / samples)
+            for g, m, s in zip(grams, mean, sides, strict=True)
+        ]
+
+
+# Starts of a linear system with static functions in feedback, inferred from the linear model.
+#
+# The residual of the best linear model is explained by static functions of a few signals that act
+# on its states and outputs. Sources: Schoukens and Toth, On the initialization of nonlinear LFR
+# model identification with the best linear approximation, IFAC 2020; Floren, Noel and Swevers,
+# Inference and learning of nonlinear LFR state-space models, arXiv 2503.14409.
+
+
+_ALTERNATIONS = 15
+# Shares of the functions that are tried.
+_SCALES = (1.0, 0.5, 0.2)
+
+
+def feedback_starts(
+    structure: StateSpaceStructure,
+    found: LinearFit,
+    records: ScaledData,
+    count: int,
+    rng: np.random.Generator,
+) -> list[dict[str, Any]]:
+    """Find up to `count` starting points whose functions read different signals, the best first."""
+    search = RegressorSearch(structure, found.system, prepared_records(records, found), rng)
+    starts = _Starts(search)
+    # Signals read from the observer explain an output by itself, so starts with both kinds of
+    # states are simulated and compared.
+    each = [
+        sorted((starts.start(r) for r in search.best(count, observed)), key=_by_error)
+        for observed in (False, True)
+    ]
+    first = sorted((some[0] for some in each if some), key=_by_error)
+    later = sorted((one for some in each for one in some[1:]), key=_by_error)
+    return [params for _, params in [*first, *later][:count]]
+
+
+def _by_error(start: tuple[float, dict[str, Any]]) -> float:
+    return start[0]
+
+
+class _Starts:
+    """Starting points of one fit."""
+
+    def __init__(self, search: RegressorSearch) -> None:
+        self.search, self.structure, self.system = search, search.structure, search.system
+
+    def start(self, regressors: Reading) -> tuple[float, dict[str, Any]]:
+        """Make a starting point: the share of the functions that simulates best, with its linear
+        terms.
+
+        Returns:
+            The error of its simulation, and its parameters.
+        """
+        layer = self.search.layer(regressors.directions, regressors.observed)
+        ((gram, rhs, _),) = self.search.normal(
+            [(regressors.directions, regressors.observed, layer)]
+        )
+        w2, act = self._factors(gram, rhs)
+        found: list[tuple[float, dict[str, Any]]] = []
+        for scale in _SCALES:
+            moved = self._moved(regressors, layer, scale * w2 @ act)
+            params = self.structure.start(moved, self.search.rng)
+            params |= {"read": regressors.directions, "act": act, "f": {**layer, "w2": scale * w2}}
+            found.append((self._error(params), params))
+        return min(found, key=lambda one: one[0])
+
+    def _moved(self, regressors: Reading, layer: dict[str, Array], theta: Array) -> LinearSystem:
+        """Linear system that goes with functions of weights theta (h, n + ny)."""
+        s, nu = self.system, self.structure.nu
+        n, ny = s.order, len(s.c)
+        some = (n + ny) * nu + ny
+        gram, side = np.zeros((some, some)), np.zeros(some)
+        for r in self.search.records:
+            units = np.tanh(
+                r.read(regressors.directions, regressors.observed) @ layer["w1"] + layer["b1"]
+            )
+            both = responses(s, units @ theta)
+            # Signal i acts only on state or output i.
+            explained = np.einsum("tyii->ty", both) * r.weight[:, None]
+            rest, terms, start = (
+                (r.residual - explained).ravel(),
+                r.terms[:, :some],
+                r.terms[:, some:],
+            )
+            start = orthonormal(start)
+            terms = terms - start @ (start.T @ terms)
+            gram, side = gram + terms.T @ terms, side + terms.T @ rest
+        found = np.linalg.lstsq(gram, side, rcond=RANK)[0]
+        change = found[: (n + ny) * nu].reshape(nu, n + ny).T
+        return LinearSystem(
+            s.a, s.b + change[:n], s.c, s.d + change[n:], s.offset + found[some - ny :]
+        )
+
+    def _error(self, params: dict[str, Any]) -> float:
+        """Sum of squared errors of simulations from the best initial states for the linear
+        system."""
+        total, n = 0.0, self.structure.order
+        with np.errstate(all="ignore"):
+            for r in self.search.records:
+                y = self.structure.simulate(params, r.x0[None], r.u[None])[1][0]
+                line = self.system.simulate(r.x0[None], r.u[None])[1][0]
+                rest = (r.residual - (y - line) * r.weight[:, None]).ravel()
+                start = orthonormal(r.terms[:, -n:])
+                rest = rest - start @ (start.T @ rest)
+                total += float(rest @ rest)
+        return total if np.isfinite(total) else np.inf
+
+    def _factors(self, gram: Array, rhs: Array) -> tuple[Array, Array]:
+        """Last layer (h, m) and effects of the functions (m, n + ny), by alternating least
+        squares."""
+        h, n_act, m = self.structure.hidden, self.structure.order + self.structure.ny, self.search.m
+        theta = np.linalg.solve(gram, rhs).reshape(h, n_act)
+        left, sizes, right = np.linalg.svd(theta, full_matrices=False)
+        m = min(m, len(sizes))
+        act, g4 = right[:m], gram.reshape(h, n_act, h, n_act)
+        w2, side = left[:, :m] * sizes[:m], rhs.reshape(h, n_act)
+        for _ in range(_ALTERNATIONS):
+            g = np.einsum("kilj,ai,bj->kalb", g4, act, act).reshape(h * m, h * m)
+            b = np.einsum("ki,ai->ka", side, act).ravel()
+            w2 = np.linalg.lstsq(g, b, rcond=1e-12)[0].reshape(h, m)
+            g = np.einsum("kilj,ka,lb->aibj", g4, w2, w2).reshape(m * n_act, m * n_act)
+            b = np.einsum("ki,ka->ai", side, w2).ravel()
+            act = np.linalg.lstsq(g, b, rcond=1e-12)[0].reshape(m, n_act)
+        size = np.linalg.norm(act, axis=1)
+        size = np.where(size > 1e-12, size, 1.0)
+        w2, act = w2 * size, act / size[:, None]
+        if m < self.search.m:
+            w2 = np.pad(w2, ((0, 0), (0, self.search.m - m)))
+            act = np.vstack(
+                [act, self.search.rng.standard_normal((self.search.m - m, n_act)) / np.sqrt(n_act)]
+            )
+        return w2, act
+
+
+# Fits of linear systems with static functions in feedback, from several linear models.
+
+
+_LINEAR, _FUNCTIONS = ("a", "b", "c", "d", "offset"), ("f", "read", "act")
+# Share of the iterations that every start gets, and number of starts that are continued.
+_TRIED, _GO_ON = 0.25, 2
+
+
+class LinearCore(NamedTuple):
+    """Linear model that fits begin with."""
+
+    found: LinearFit
+    """Fitted model."""
+    delay: int
+    """Delay of its inputs, in samples."""
+    records: ScaledData
+    """Records of its fit, inputs delayed."""
+
+
+@dataclass(frozen=True)
+class FeedbackOptions:
+    """Options of the fits, apart from the method."""
+
+    channels: int
+    """Number of signals that the functions read, and of those that they give."""
+    hidden: int
+    """Number of tanh units."""
+    ridge: float
+    """Ridge of the functions."""
+    linear_ridge: float
+    """Ridge of the linear system."""
+    encoder: int
+    """Number of tanh units of the map from past windows to states."""
+    integrators: int
+    """Number of states whose pole is held at 1."""
+    pieces: bool
+    """Begin the fits with short segments of the records."""
+
+
+class _Fit(NamedTuple):
+    """Unfinished fit."""
+
+    core: LinearCore
+    structure: StateSpaceStructure
+    start: dict[str, object]
+    now: StateFit
+    expected_error: float
+    """Final prediction error: estimate of the error on new records."""
+
+
+def fit_feedback(
+    cores: Sequence[LinearCore],
+    options: FeedbackOptions,
+    scaling: Scaling,
+    context: Context,
+    method: LevenbergMarquardt,
+) -> FittedStateSpace:
+    """Best of the fits from `method.starts` starts for each linear model."""
+    fits = _Fits(options, context, method)
+    tried = sorted(
+        (one for core in cores for one in fits.begun(core)), key=lambda t: t.expected_error
+    )
+    best = min((fits.ended(one) for one in tried[:_GO_ON]), key=lambda t: t.expected_error)
+    each = best.structure, best.now, best.core.records, context, options.encoder
+    if window_samples(context):
+        encoder, how = past_fit(*each)
+        starts = (how,)
+    else:
+        encoder, starts = state_encoder(*each), ()
+    members = ((best.now.params, encoder),)
+    return FittedStateSpace(best.structure, members, best.core.delay, scaling, None, starts)
+
+
+class _Fits:
+    """Fits of one model, with their common settings."""
+
+    def __init__(
+        self, options: FeedbackOptions, context: Context, method: LevenbergMarquardt
+    ) -> None:
+        self.options, self.context, self.method = options, context, method
+        first = max(1, round(_TRIED * method.iterations))
+        self.first = replace(method, iterations=first, noise_model="white")
+        self.rest = replace(method, iterations=max(0, method.iterations - first))
+
+    def begun(self, core: LinearCore) -> list[_Fit]:
+        """Run the first iterations from each start."""
+        structure = self._structure(core)
+        rng = np.random.default_rng(self.context.seed)
+        starts = feedback_starts(structure, core.found, core.records, self.method.starts, rng)
+        begin = [StateFit(core.found.x0, start, np.inf, np.zeros(0)) for start in starts]
+        if self.options.pieces:
+            begin = fit_segments(
+                structure, core.found.system, starts, core.records, core.found.x0,
+                self._ridges(core), self.first, self.context.log, self.context.sampling_time,
+            )  # fmt: skip
+        both = zip(starts, begin, strict=True)
+        return [self._fitted(core, structure, s, b, self.first) for s, b in both]
+
+    def ended(self, one: _Fit) -> _Fit:
+        """Run the remaining iterations."""
+        return self._fitted(one.core, one.structure, one.start, one.now, self.rest)
+
+    def _structure(self, core: LinearCore) -> StateSpaceStructure:
+        o, order = self.options, core.found.system.order
+        nu, ny = self.context.nu, self.context.ny
+        return StateSpaceStructure(
+            order, nu, ny, "state", "tanh", o.hidden, 2, o.channels, integrators=o.integrators
+        )
+
+    def _ridges(self, core: LinearCore) -> dict[str, float]:
+        ridge = dict.fromkeys(_LINEAR, self.options.linear_ridge)
+        ridge |= dict.fromkeys(_FUNCTIONS, self.options.ridge)
+        return {**ridge, "x0": core.found.error / sum(len(r) for r in core.records)}
+
+    def _fitted(
+        self,
+        core: LinearCore,
+        structure: StateSpaceStructure,
+        start: dict[str, object],
+        now: StateFit,
+        method: LevenbergMarquardt,
+    ) -> _Fit:
+        """Continue a fit; the ridge holds it to its start."""
+        samples = of_records(core.records, core.found.x0)
+        one = fit_states(
+            structure, [start], samples, self._ridges(core), method, self.context.log,
+            self.context.sampling_time, [now.params], [now.x0],
+        )[0]  # fmt: skip
+        count = sum(float(r.weight.sum()) for r in core.records) * structure.ny
+        # Akaike's final prediction error penalises further states.
+        p = min(float(tree_size(one.params)), 0.9 * count)
+        return _Fit(core, structure, start, one, one.cost * (count + p) / (count - p))

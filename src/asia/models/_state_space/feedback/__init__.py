@@ -1,1 +1,0 @@
-"""Linear systems with static functions in feedback: regressors of the functions, starts, fits."""

@@ -1,0 +1,763 @@
+"""Trained neural state-space models and their fits: starts, segments, past window, Adam,
+Levenberg-Marquardt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data.relations import Transport, find_transport
+from asia.data.trajectory import Array, Signal, Trajectory
+from asia.errors import UserError
+from asia.models._arrays import AnyArray, bounded, namespace, scan
+from asia.models._config import Progress
+from asia.models._least_squares import (
+    DampingSchedule,
+    LevenbergMarquardt,
+    NormalEquations,
+    minimise,
+    traced_minimum,
+)
+from asia.models._linear.fit import LinearFit, Refinement, refine
+from asia.models._linear.system import LinearSystem
+from asia.models._networks.network import outputs_of
+from asia.models._networks.structure import Cell
+from asia.models._numerics.encoder import Encoder, affine, fit_encoder
+from asia.models._numerics.records import (
+    ScaledData,
+    Scaling,
+    delayed,
+    past_length,
+    side_by_side,
+    spread,
+    window,
+    window_rows,
+    window_size,
+    windows,
+)
+from asia.models._numerics.symmetry import SignalTransformations
+from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
+from asia.models._state_space.programs import StateSamples
+from asia.models._state_space.structure import StateSpaceStructure
+from asia.models._steps import first_of_line, median, through_line
+from asia.models.methods import Adam
+
+# Fit of the initial state of a state-space model to the past window.
+#
+# The map from past windows to states errs by more than the sensor, and where small differences
+# grow that error dominates the simulation. So the state at the first sample of the window is taken
+# from the map, and moved until the model simulates the window: the state of greatest posterior
+# probability, by Gauss-Newton steps, with the errors of map and model on the training records as
+# deviations.
+
+
+_DIFFERENCE = 1e-5
+# Least deviations, of a state relative to its spread and of an output in z-scores.
+_LEAST_STATE, _LEAST_OUTPUT = 1e-3, 1e-4
+_METHOD = LevenbergMarquardt(iterations=8, damping=1e-3, tolerance=0.0)
+_SCHEDULE = DampingSchedule((1.0,), 0.2, 10.0, 0.0, float("inf"), retries=False)
+
+
+@dataclass(frozen=True)
+class PastFit:
+    """Settings of the fit of a state to the past window."""
+
+    samples: int
+    """Number of last samples of the window that are used."""
+    x_deviation: Array
+    """Deviation (n,) of the state that the map predicts before these samples."""
+    y_deviation: Array
+    """Deviation (ny,) of the model's output."""
+
+
+def window_samples(context: Context) -> int:
+    """Number of samples of the past window in which inputs and outputs are known."""
+    return min(context.n_past_u, context.n_past_y)
+
+
+def past_fit(
+    structure: StateSpaceStructure,
+    fit: StateFit,
+    records: ScaledData,
+    context: Context,
+    hidden: int,
+) -> tuple[Encoder, PastFit]:
+    """Map from the past window to the state before its last samples, and settings of the fit to
+    them."""
+    skip, back = past_length(context), window_samples(context)
+    features, states, errors = list[Array](), list[Array](), list[Array]()
+    for record, x0, at in zip(records, fit.x0, window_rows(records, context), strict=True):
+        if len(record) > skip:
+            x, y = structure.simulate(fit.params, x0[None], record.u[None])
+            features.append(windows(record, context)[at])
+            states.append(x[0, skip - back : len(record) - back][at])
+            errors.append((y[0] - record.y)[record.counts > 0])
+    encoder = fit_encoder(features, states, hidden, context.seed)
+    left = np.concatenate([encoder(f) - x for f, x in zip(features, states, strict=True)])
+    spread = np.concatenate(states).std(axis=0)
+    x_deviation = np.maximum(_rms(left), np.maximum(_LEAST_STATE * spread, 1e-9))
+    y_deviation = np.maximum(_rms(np.concatenate(errors)), _LEAST_OUTPUT)
+    return encoder, PastFit(back, x_deviation, y_deviation)
+
+
+def _rms(values: Array) -> Array:
+    return np.sqrt((values**2).mean(axis=0))
+
+
+def fitted_state(
+    structure: StateSpaceStructure,
+    params: Mapping[str, Any],
+    how: PastFit,
+    guess: AnyArray,
+    u: AnyArray,
+    y: AnyArray,
+) -> AnyArray:
+    """Fit the state of each window separately; NumPy or JAX.
+
+    Args:
+        structure: equations of the model.
+        params: parameters.
+        how: settings.
+        guess: guess (B, n) of the state at the first of `how.samples` samples.
+        u: z-scored inputs (B, samples + 1, nu).
+        y: z-scored outputs (B, samples, ny).
+
+    Returns:
+        The state (B, n) after the samples.
+    """
+    xp, (batch, n) = namespace(guess, u, y), guess.shape
+    ways = _DIFFERENCE * np.concatenate([np.zeros((1, n)), np.diag(how.x_deviation)])
+
+    def residuals(x: AnyArray) -> AnyArray:
+        """Weighted residuals (B, K, samples ny + n) at states (B, K, n)."""
+        points = x.shape[1]
+        held, measured = xp.repeat(u[:, :-1], points, axis=0), xp.repeat(y, points, axis=0)
+        found = structure.simulate(params, x.reshape(batch * points, n), held)[1]
+        error = ((found - measured) / how.y_deviation).reshape(batch, points, -1)
+        return xp.concatenate([error, (x - guess[:, None]) / how.x_deviation], axis=2)
+
+    def cost(x: AnyArray) -> AnyArray:
+        return (residuals(x) ** 2).sum(axis=2)
+
+    def linearise(x: AnyArray) -> NormalEquations:
+        found = residuals(x[:, None] + ways)
+        slope = (found[:, 1:] - found[:, :1]) / (_DIFFERENCE * how.x_deviation[:, None])
+        slope, residual = (xp.where(xp.isfinite(a), a, 0.0) for a in (slope, found[:, 0]))
+        return NormalEquations(
+            (found[:, 0] ** 2).sum(axis=1),
+            slope @ slope.swapaxes(1, 2) + 1e-12 * np.eye(n),
+            (slope @ residual[:, :, None])[:, :, 0],
+        )
+
+    with np.errstate(all="ignore"):
+        if xp is np:
+            x = minimise(cost, linearise, guess, _METHOD, _SCHEDULE).theta
+        else:
+            x = traced_minimum(cost, linearise, guess, _METHOD, _SCHEDULE)
+        return structure.simulate(params, x, u)[0][:, -1]
+
+
+# Fitted neural state-space model, and its simulation.
+
+
+@dataclass(frozen=True)
+class FittedStateSpace:
+    """Result of training a neural state-space model."""
+
+    structure: StateSpaceStructure
+    """Equations of the model."""
+    members: tuple[tuple[dict[str, Any], Encoder], ...]
+    """Parameters as `StateSpaceStructure` reads them, in z-scores, and the map from the past
+    window to the initial state."""
+    delay: int
+    """Delay of the inputs, in samples."""
+    scaling: Scaling
+    """Scaling from physical units to z-scores."""
+    turns: SignalTransformations | None = None
+    """Symmetries over which simulations are averaged; None: none."""
+    starts: tuple[PastFit, ...] = ()
+    """Fit of the initial state of each member to the past window; () where the encoder gives it."""
+    transport: Transport | None = None
+    """Transport of the inputs to their place of action; None: at once."""
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate in physical units: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B,
+        H, nu) -> (B, H, ny)."""
+        if self.transport is not None:
+            past_u, u = carried_windows(self.transport, past_u, u)
+        if self.turns is None:
+            return self._simulated(past_u, past_y, u)
+        return self.turns.averaged(self._simulated, past_u, past_y, u)
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """States of the members and the inputs that the delay holds back; before them the
+        content of the pipe, where there is one."""
+        if self.transport is not None:
+            pipe, leaving, acting = _entered(self.transport, past_u, u)
+            return pipe, replace(self, transport=None).initial(leaving, past_y, acting)
+        if self.turns is not None:
+            return self.turns.initial(replace(self, turns=None), past_u, past_y, u)
+        past, first = self.scaling.inputs(past_u), self.scaling.inputs(u)
+        starts = self._starts(past, self.scaling.outputs(past_y), first)
+        return starts, first_of_line(past, first, self.delay)
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """Advance by one sample; the output is the median over the members."""
+        if self.transport is not None:
+            pipe, inner = state
+            pipe, acting = _through(self.transport, pipe, u)
+            inner, y = replace(self, transport=None).step(inner, acting)
+            return (pipe, inner), y
+        if self.turns is not None:
+            return self.turns.step(replace(self, turns=None), state, u)
+        structure, (states, line) = self.structure, state
+        line, acting = through_line(line, self.scaling.inputs(u))
+        after, outputs = list[AnyArray](), list[AnyArray]()
+        for x, (params, _) in zip(states, self.members, strict=True):
+            x, w = structure.split(params, x, structure.input(params, acting))
+            after.append(x)
+            outputs.append(structure.output(params, w))
+        return (after, line), self.scaling.physical(median(outputs))
+
+    def _starts(self, past: AnyArray, y: AnyArray, u: AnyArray) -> list[AnyArray]:
+        """State of each member (B, n) at the first sample.
+
+        Args:
+            past: z-scored past inputs (B, n_past_u, nu).
+            y: z-scored past outputs (B, n_past_y, ny).
+            u: first input (B, nu).
+        """
+        features = window(past, y)
+        if self.structure.lags is not None:
+            return [features @ self.structure.lags.selection()] * len(self.members)
+        known = namespace(past, u).concatenate([past, u[:, None]], axis=1)
+        states: list[AnyArray] = []
+        for i, (params, encoder) in enumerate(self.members):
+            x = encoder(features)
+            if i < len(self.starts):
+                how = self.starts[i]
+                rows = np.arange(past.shape[1] - how.samples, past.shape[1] + 1) - self.delay
+                held = known[:, np.maximum(rows, 0)]
+                x = fitted_state(self.structure, params, how, x, held, y[:, -how.samples :])
+            states.append(x)
+        return states
+
+    def _simulated(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        past, future = self.scaling.inputs(past_u), self.scaling.inputs(u)
+        starts = self._starts(past, self.scaling.outputs(past_y), future[:, 0])
+        inputs, cell = delayed(past, future, self.delay), _StartedCell(self.structure)
+        outputs = [
+            outputs_of(cell, params, x, inputs)
+            for (params, _), x in zip(self.members, starts, strict=True)
+        ]
+        return self.scaling.physical(median(outputs))
+
+
+@dataclass(frozen=True)
+class StateCell:
+    """Cell of the model for Adam and for simulation: see `asia.models._networks.structure.Cell`."""
+
+    structure: StateSpaceStructure
+    """Equations of the model."""
+
+    def initial(self, params: Any, window: AnyArray) -> AnyArray:
+        """State from the encoder, or the past window itself."""
+        if self.structure.lags is not None:
+            return window @ self.structure.lags.selection().astype(window.dtype)
+        p = params["encoder"]
+        bent = namespace(window).tanh(window @ p["inner"] + p["shift"])
+        return window @ p["weights"] + bent @ p["outer"] + p["bias"]
+
+    def step(self, params: Any, state: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Next state and output before r."""
+        return self.structure.split(params, state, self.structure.input(params, u))
+
+    def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
+        """Output after the static function r."""
+        del u
+        return self.structure.output(params, features)
+
+
+@dataclass(frozen=True)
+class _StartedCell(StateCell):
+    """Cell of the model that receives its states in place of the past window."""
+
+    def initial(self, params: Any, window: AnyArray) -> AnyArray:
+        """Return the states."""
+        del params
+        return window
+
+
+def carried_windows(transport: Transport, past_u: Array, u: Array) -> tuple[Array, Array]:
+    """Inputs of the past window (B, n_past_u, nu) and after it (B, H, nu) at the outlet of the
+    pipe, with the pace as an additional input."""
+    known = np.concatenate([past_u, u], axis=1)
+    leaving = np.stack([transport.carried(one) for one in known])
+    return leaving[:, : past_u.shape[1]], leaving[:, past_u.shape[1] :]
+
+
+def carried_records(
+    records: Sequence[Trajectory], context: Context, pace: int
+) -> tuple[Transport, list[Trajectory], Context]:
+    """Estimate the pipe from records.
+
+    Returns:
+        The pipe, the records at its outlet, and their context.
+
+    Raises:
+        UserError: if input `pace` has values that are not positive.
+    """
+    try:
+        transport = find_transport(records, pace).transport
+    except ValueError as error:
+        raise UserError(f"neural_ss.Config: {error}; set transport to None") from error
+    name = context.inputs[pace]
+    inputs = (*context.inputs, Signal(f"{name.name}, not carried", name.unit))
+    behind = [replace(r, u=transport.carried(r.u)) for r in records]
+    return transport, behind, replace(context, inputs=inputs)
+
+
+def _entered(transport: Transport, past_u: AnyArray, u: AnyArray) -> tuple[Any, AnyArray, AnyArray]:
+    """Fill the pipe from the past window.
+
+    The pipe holds the inputs of the samples in which its content entered (B, length, nu), the
+    oldest
+    first, and the amounts (B, length) that have passed since these began.
+
+    Returns:
+        The pipe at the first sample, its outlet during the past window (B, n_past_u, nu + 1), and
+        its outlet at the first sample (B, nu + 1).
+    """
+    xp, length = namespace(past_u, u), transport.longest + 1
+    first = past_u[:, 0] if past_u.shape[1] else u
+    pace = xp.maximum(first[:, transport.pace], transport.least_pace)
+    pipe = xp.repeat(first[:, None], length, axis=1), pace[:, None] * np.arange(length, 0.0, -1.0)
+    leaving: AnyArray = xp.zeros((len(u), 0, u.shape[1] + 1))
+    if past_u.shape[1]:
+        pipe, leaving = scan(partial(_through, transport), pipe, past_u.swapaxes(0, 1))
+        leaving = leaving.swapaxes(0, 1)
+    return pipe, leaving, _through(transport, pipe, u)[1]
+
+
+def _through(transport: Transport, pipe: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+    """Advance the pipe by inputs u (B, nu); its outlet during this sample is (B, nu + 1). One
+    sample of `Transport.carried`."""
+    xp, (held, since) = namespace(u), pipe
+    pace = xp.maximum(u[:, transport.pace], transport.least_pace)[:, None]
+    known = xp.concatenate([held, u[:, None]], axis=1)
+    began = xp.concatenate([since, xp.zeros_like(pace)], axis=1)
+    amount = xp.concatenate([since[:, :-1] - since[:, 1:], since[:, -1:], pace], axis=1)
+
+    def left(most: AnyArray) -> AnyArray:
+        """Share of each sample's amount that lies further back than this amount."""
+        return bounded((began - most) / amount, 0.0, 1.0)
+
+    share = left(transport.volume - pace) - left(np.asarray(transport.volume))
+    mixed = (share[:, :, None] * known).sum(axis=1) / share.sum(axis=1)[:, None]
+    acting = xp.concatenate([mixed, u[:, transport.pace, None]], axis=1)
+    return (known[:, 1:], began[:, 1:] + pace), acting
+
+
+# Fit of a neural state-space model by Adam, with its map from past windows to states.
+
+
+def encoded(
+    params: dict[str, Any], start: Encoder, hidden: int, context: Context
+) -> dict[str, Any]:
+    """Add an encoder that starts as `start`, with `hidden` tanh functions without effect."""
+    rng = np.random.default_rng(context.seed + 1)
+    d = window_size(context)
+    inner = rng.standard_normal((d, hidden)) / np.sqrt(max(d, 1))
+    bend = {"inner": inner, "shift": rng.uniform(-1.0, 1.0, hidden)}
+    outer = np.zeros((hidden, len(start.bias)))
+    encoder = {"weights": start.weights, "bias": start.bias, **bend, "outer": outer}
+    return {**params, "encoder": encoder}
+
+
+def fit_by_adam(
+    cell: Cell,
+    params: dict[str, Any],
+    records: ScaledData,
+    context: Context,
+    method: Adam,
+    copies: int,
+) -> Any:
+    """Train in single precision."""
+    from asia.models._networks.training import fit
+
+    trained = fit(cell, _cast(params, np.float32), records, context, method, copies=copies)
+    return _cast(trained, np.float64)
+
+
+def fit_encoded(
+    cell: Cell,
+    params: dict[str, Any],
+    records: ScaledData,
+    context: Context,
+    method: Adam,
+    copies: int,
+) -> tuple[dict[str, Any], Encoder]:
+    """Train parameters with an encoder, which is returned separately."""
+    trained = fit_by_adam(cell, params, records, context, method, copies)
+    return trained, Encoder(**trained.pop("encoder"))
+
+
+def _cast(tree: Mapping[str, Any], dtype: type[np.floating[Any]]) -> dict[str, Any]:
+    return {
+        name: _cast(v, dtype) if isinstance(v, Mapping) else np.asarray(v, dtype)
+        for name, v in tree.items()
+    }
+
+
+# Fits that begin with short segments of the records, each with its own initial state.
+#
+# Over a whole record the simulation error of a system in which small differences grow has many
+# local minima; over segments it has few. The segments grow to the whole records. Sources: Ribeiro,
+# Tiels, Umenberger, Schon and Aguirre, Automatica 121, 2020; Bock, multiple shooting, 1981.
+
+
+class _Lengths(NamedTuple):
+    """Lengths of the segments."""
+
+    shortest: int
+    """Least number of samples of the first segments."""
+    by_state: int
+    """Number of samples for each state of the model."""
+    growth: int
+    """Factor from one length to the next."""
+
+
+# Lengths of the segments. Segments of a whole period already miss the minimum of a strong
+# oscillator, but elements of friction and play show only in segments with a reversal.
+_SMOOTH, _WITH_ELEMENTS = _Lengths(20, 4, 3), _Lengths(40, 8, 4)
+# Greatest number of segments.
+_MOST = 60
+# Iterations on segments, the ridge of their states, and that of the first guess of these.
+_ITERATIONS, _STATE_RIDGE, _GUESS_RIDGE = 25, 1e-6, 1e-3
+
+
+class _Segment(NamedTuple):
+    """Position of a segment."""
+
+    record: int
+    start: int
+
+
+def fit_segments(
+    structure: StateSpaceStructure,
+    system: LinearSystem,
+    starts: Sequence[dict[str, Any]],
+    records: ScaledData,
+    x0: Array,
+    ridge: dict[str, float],
+    method: LevenbergMarquardt,
+    log: Progress,
+    sampling_time: float,
+) -> list[StateFit]:
+    """Fit the segments from each start.
+
+    Returns:
+        Parameters, and initial states (R, n) of whole records: of the first segment of a record,
+        else x0 (R, n), those of the linear system.
+    """
+    lengths = _WITH_ELEMENTS if structure.size > structure.order else _SMOOTH
+    length = max(lengths.shortest, lengths.by_state * structure.size)
+    segments = _spread(records, length)
+    few = replace(method, iterations=min(method.iterations, _ITERATIONS))
+    ridge = {**ridge, "x0": _STATE_RIDGE}
+    first = [_guess(structure, system, records, segment, length) for segment in segments]
+    states, fits = [np.array(first)] * len(starts), list[StateFit]()
+    begin: Sequence[dict[str, Any]] = starts
+    while any(2 * len(r) >= 3 * length for r in records):
+        fits = [
+            fit_states(
+                structure, [start], _cut(records, segments, length, known), ridge, few, log,
+                sampling_time, begin=[params],
+            )[0]
+            for start, params, known in zip(starts, begin, states, strict=True)
+        ]  # fmt: skip
+        begin = [one.params for one in fits]
+        length *= lengths.growth
+        kept = _thinned(segments, length)
+        whole = [_initial(segments, one.x0, x0) for one in fits]
+        states = [one.x0[kept] for one in fits]
+        segments = [segments[i] for i in kept]
+        fits = [one._replace(x0=x) for one, x in zip(fits, whole, strict=True)]
+    return fits
+
+
+def _spread(records: ScaledData, length: int) -> list[_Segment]:
+    """Choose at most `_MOST` successive segments, spread over the records, the first samples of
+    each record among them."""
+    every = [
+        [_Segment(i, start) for start in range(0, max(len(r) - length // 2, 1), length)]
+        for i, r in enumerate(records)
+    ]
+    first = [segments[0] for segments in every[:_MOST]]
+    later = [segment for segments in every for segment in segments[1:]]
+    room = _MOST - len(first)
+    chosen = [later[i] for i in spread(len(later), room)] if later and room else []
+    return sorted([*first, *chosen])
+
+
+def _thinned(segments: Sequence[_Segment], length: int) -> list[int]:
+    """Choose the segments to keep so that segments of this length do not overlap."""
+    kept: list[int] = []
+    for i, segment in enumerate(segments):
+        last = segments[kept[-1]] if kept else None
+        if last is None or last.record != segment.record or segment.start - last.start >= length:
+            kept.append(i)
+    return kept
+
+
+def _cut(
+    records: ScaledData, segments: Sequence[_Segment], length: int, states: Array
+) -> StateSamples:
+    """Cut the samples of the segments, with their states to be found from `states`."""
+    u, y, weight = (
+        side_by_side([getattr(records[p.record], n)[p.start : p.start + length] for p in segments])
+        for n in ("u", "y", "weight")
+    )
+    return StateSamples(states, u, y, weight, known=False)
+
+
+def _guess(
+    structure: StateSpaceStructure,
+    system: LinearSystem,
+    records: ScaledData,
+    segment: _Segment,
+    length: int,
+) -> Array:
+    """State (n,) from which the linear system simulates the first samples of the segment best."""
+    n, few = system.order, min(length, max(10, 3 * system.order))
+    part = slice(segment.start, segment.start + few)
+    u, y = records[segment.record].u[part], records[segment.record].y[part]
+    _, forced = system.simulate(np.zeros((1, n)), u[None])
+    rows, row = list[Array](), system.c
+    for _ in range(len(u)):
+        rows.append(row)
+        row = row @ system.a
+    seen = np.concatenate(rows)
+    gram = seen.T @ seen
+    held = gram + _GUESS_RIDGE * max(float(np.trace(gram)) / n, 1e-12) * np.eye(n)
+    state = np.linalg.solve(held, seen.T @ (y - forced[0]).ravel())
+    return np.pad(state, (0, structure.size - n))
+
+
+def _initial(segments: Sequence[_Segment], found: Array, x0: Array) -> Array:
+    """Initial states (R, n) of whole records."""
+    states = x0.copy()
+    for segment, state in zip(segments, found, strict=True):
+        if segment.start == 0:
+            states[segment.record] = state
+    return states
+
+
+# Starting points of neural state-space models, which simulate as the linear model does.
+
+
+# Stiffness of the elements of a start, by turns, for motions of unit size, and width of a play.
+_STIFFNESS = (30.0, 2.0, 0.5)
+_WIDTH = 0.5
+# Samples for the size of the signals that elements act on.
+_SIZED = 4000
+
+
+def symmetric(
+    found: LinearFit, records: ScaledData, copies: int, refinement: Refinement
+) -> LinearFit:
+    """Refine the linear model on records and their transformations, so that it is symmetric;
+    transformed records start at rest."""
+    x0 = np.zeros((len(records), found.system.order))
+    x0[::copies] = found.x0
+    return refine(records, replace(found, x0=x0), refinement)
+
+
+def with_elements(structure: StateSpaceStructure, found: LinearFit) -> LinearFit:
+    """Add elements at rest to the initial states of the linear model."""
+    more = structure.size - structure.order
+    return replace(found, x0=np.pad(found.x0, ((0, 0), (0, more))))
+
+
+def encoded_at_rest(structure: StateSpaceStructure, encoder: Encoder) -> Encoder:
+    """Affine encoder of the linear model's state, with elements at rest."""
+    more = structure.size - structure.order
+    return affine(np.pad(encoder.weights, ((0, 0), (0, more))), np.pad(encoder.bias, (0, more)))
+
+
+def starts_of(
+    structure: StateSpaceStructure,
+    found: LinearFit,
+    records: ScaledData,
+    count: int,
+    scaling: Scaling,
+    rng: np.random.Generator,
+) -> list[dict[str, Any]]:
+    """Make so many starting points."""
+    s = found.system
+    starts = [structure.start(s, rng) for _ in range(count)]
+    if structure.size == structure.order:
+        return starts
+    u, zero = records[0].u[:_SIZED], -scaling.y_mean / scaling.y_std
+    states = s.simulate(found.x0[:1, : s.order], u[None])[0][0]
+    for number, start in enumerate(starts):
+        if structure.friction:
+            some = number * structure.friction
+            start["dry"] = _friction(s, states, zero, range(some, some + structure.friction), rng)
+        if structure.play:
+            some = number * structure.play
+            start["play"] = _play(s, states, u, range(some, some + structure.play), rng)
+    return starts
+
+
+def _friction(
+    system: LinearSystem, states: Array, zero: Array, turns: range, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Elements of friction without effect, one for each number in `turns`.
+
+    The directions are the difference of the output, the output, and random ones, in turn.
+
+    Args:
+        system: linear system.
+        states: states (T, n) of the linear system, which give the sizes.
+        zero: outputs at rest (ny,).
+        turns: numbers of the elements.
+        rng: random generator.
+    """
+    n, ny, count = system.order, len(system.c), len(turns)
+    difference = system.c @ (np.eye(n) - np.linalg.pinv(system.a))
+    known = [*((row, 0.0) for row in difference), *zip(system.c, system.offset - zero, strict=True)]
+    rows: list[tuple[Array, float]] = []
+    for turn in turns:
+        cycle = turn % (len(known) + 1)
+        rows.append(known[cycle] if cycle < len(known) else (rng.standard_normal(n), 0.0))
+    w, bias = np.stack([row for row, _ in rows], axis=1), np.array([b for _, b in rows])
+    sizes = _sizes(states @ w)
+    stiffness = [_STIFFNESS[k % len(_STIFFNESS)] for k in range(turns.start // count, turns.stop)]
+    return {
+        "w": w / sizes,
+        "b": bias / sizes,
+        "g": np.zeros((count, n)),
+        "h": np.zeros((count, ny)),
+        "stiff": np.log(stiffness[:count]),
+        "uneven": np.zeros(count),
+        "extra": np.zeros(count),
+        "narrow": np.full(count, np.log(5.0)),
+    }
+
+
+def _play(
+    system: LinearSystem, states: Array, u: Array, turns: range, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Elements of play without effect, one for each number in `turns`.
+
+    The directions are the inputs, the outputs, and random ones, in turn, and each round of them has
+    half the width of the one before.
+
+    Args:
+        system: linear system.
+        states: states (T, n) of the linear system.
+        u: inputs (T, nu).
+        turns: numbers of the elements.
+        rng: random generator.
+    """
+    n, nu, count = system.order, u.shape[1], len(turns)
+    known = [np.eye(n + nu)[n + j] for j in range(nu)]
+    known += [np.concatenate([row, np.zeros(nu)]) for row in system.c]
+    rows: list[Array] = []
+    for turn in turns:
+        cycle = turn % (len(known) + 1)
+        rows.append(known[cycle] if cycle < len(known) else rng.standard_normal(n + nu))
+    both = np.stack(rows, axis=1)
+    width = _WIDTH * 0.5 ** (turns.start // (len(known) + 1) % 3)
+    both = both / (_sizes(np.hstack([states, u]) @ both) * width)
+    return {
+        "w": both[:n],
+        "wu": both[n:],
+        "g": np.zeros((count, n)),
+        "h": np.zeros((count, len(system.c))),
+    }
+
+
+def _sizes(values: Array) -> Array:
+    """Standard deviation of each column."""
+    found = values.std(axis=0)
+    return np.where(found > 1e-9, found, 1.0)
+
+
+# Fits of a neural state-space model by Levenberg-Marquardt, with maps from past windows to states.
+
+
+@dataclass(frozen=True)
+class LmOptions:
+    """Options of the fits, apart from the method."""
+
+    ridge: dict[str, float]
+    """Ridge of each top-level parameter name."""
+    members: int
+    """Number of fits that are kept."""
+    hidden: int
+    """Number of tanh units of the map from past windows to states."""
+    pieces: bool
+    """Begin the fits with short segments of the records."""
+    past_fit: bool
+    """Fit initial states to the past window."""
+    seed: int
+    """Seed of the starts."""
+
+
+@dataclass(frozen=True)
+class FittedMembers:
+    """Best fits of a model."""
+
+    members: tuple[tuple[dict[str, Any], Encoder], ...]
+    """Parameters, and the map from past windows to states, of each fit."""
+    starts: tuple[PastFit, ...]
+    """Fits of the initial states to the past window; () where the map gives them."""
+    cost: float
+    """Least cost."""
+
+
+def fit_members(
+    structure: StateSpaceStructure,
+    found: LinearFit,
+    records: ScaledData,
+    scaling: Scaling,
+    context: Context,
+    method: LevenbergMarquardt,
+    options: LmOptions,
+) -> FittedMembers:
+    """Fit from `method.starts` starting points, one where all are the same. Each start simulates
+    as the linear model."""
+    rng = np.random.default_rng(options.seed)
+    count = method.starts if structure.starts_vary else 1
+    starts = starts_of(structure, found, records, count, scaling, rng)
+    ridge = {**options.ridge, "x0": found.error / sum(len(r) for r in records)}
+    samples = of_records(records, with_elements(structure, found).x0)
+    log, time = context.log, context.sampling_time
+    fits = list[StateFit]()
+    if options.pieces:
+        before = fit_segments(
+            structure, found.system, starts, records, samples.x0, ridge, method, log, time
+        )
+        begin, x0 = [one.params for one in before], [one.x0 for one in before]
+        fits = fit_states(structure, starts, samples, ridge, method, log, time, begin=begin, x0=x0)
+        # One start begins with whole records, since segments may mislead too.
+        starts = starts[:1]
+    fits += fit_states(structure, starts, samples, ridge, method, log, time)
+    fits.sort(key=lambda one: one.cost)
+    members, how = list[tuple[dict[str, Any], Encoder]](), list[PastFit]()
+    for one in fits[: options.members]:
+        if options.past_fit and window_samples(context):
+            encoder, fitted = past_fit(structure, one, records, context, options.hidden)
+            how.append(fitted)
+        else:
+            encoder = state_encoder(structure, one, records, context, options.hidden)
+        members.append((one.params, encoder))
+    return FittedMembers(tuple(members), tuple(how), fits[0].cost)

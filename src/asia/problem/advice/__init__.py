@@ -1,1 +1,0 @@
-"""Advice of `asia check` about the data, next to their figures."""

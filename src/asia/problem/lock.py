@@ -1,0 +1,184 @@
+"""Resolved problem of a run: its text, its digests, and changes since."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from asia.data.trajectory import data_digest
+from asia.errors import UserError
+from asia.problem.physics import Physics
+from asia.problem.problem import Problem, Seal
+from asia.problem.protocol import ProtocolRule
+from asia.problem.protocol_table import groups_table, protocol_table
+from asia.problem.schema import DigestTable
+from asia.problem.symmetry import Symmetry
+from asia.problem.toml import toml_text
+
+# sha256 digests of the inputs of a search.
+
+
+# Tables that count only where they hold something: a digest outlives additions to the rules.
+_LATER = ("priors", "corrections")
+
+
+def protocol_digest(problem: Problem) -> str:
+    """Return the sha256 (hex) of the protocol with its defaults filled in.
+
+    Absent settings do not count, so that a digest survives additions to the rules.
+    """
+    rule = asdict(problem.protocol)
+    if problem.protocol.residuals == ProtocolRule.residuals:
+        del rule["residuals"]
+    return _of_json(_present(rule))
+
+
+def physics_digest(physics: Physics) -> str:
+    """Hex sha256 of the equations, ranges, bounds, and the priors and corrections there are."""
+    tables = asdict(physics)
+    return _of_json({k: v for k, v in tables.items() if v or k not in _LATER})
+
+
+def symmetry_digest(symmetry: Symmetry) -> str:
+    """Hex sha256 of the generators."""
+    return _of_json({name: dict(generator) for name, generator in symmetry.items()})
+
+
+def text_digest(text: str) -> str:
+    """Hex sha256 of the text as UTF-8."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _present(value: Any) -> Any:
+    """Mappings without their entries that are None or an empty tuple."""
+    if isinstance(value, dict):
+        return {k: _present(v) for k, v in value.items() if v is not None and v != ()}
+    if isinstance(value, tuple):
+        return [_present(v) for v in value]
+    return value
+
+
+def _of_json(value: Any) -> str:
+    return text_digest(json.dumps(value, sort_keys=True))
+
+
+# Lock file: the resolved problem of a run as text, and the changes since.
+
+
+_PARTS = (
+    "description", "notes", "strategies", "baseline", "physics", "symmetry", "protocol",
+)  # fmt: skip
+_HEADER = "# Written by ASIA when the run began. A change in here, or in the data, ends the run.\n"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A key of the lock, its value there and its value now; None is absent."""
+
+    key: str
+    before: Any
+    now: Any
+
+    def __str__(self) -> str:
+        if self.key.startswith("digests."):
+            return f"{self.key.removeprefix('digests.')} changed"
+        return f"{self.key} was {self.before!r}, is {self.now!r}"
+
+
+def lock_text(problem: Problem, seal: Seal) -> str:
+    """TOML with absolute data paths, defaults filled in, texts and digests.
+
+    `load_lock` restores the problem from it.
+    """
+    return _HEADER + toml_text(_tables(problem, seal))
+
+
+def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Difference, ...]:
+    """Return the differences between a problem and the lock at `path`.
+
+    The location of files does not count, their values do.
+
+    Raises:
+        UserError: when the lock cannot be read
+    """
+    try:
+        before = dict(_flat(tomllib.loads(path.read_text(encoding="utf-8"))))
+    except (OSError, ValueError, RecursionError) as error:
+        raise UserError(f"cannot read {path}: {error}") from error
+    now = dict(_flat(tomllib.loads(lock_text(problem, seal))))
+    texts = {"description", "notes", "strategies", "baseline"}
+    moved = {"data.train", "data.test", "data.guard", "data.sealed.file", *texts}
+    keys = [k for k in {**before, **now} if k not in moved and before.get(k) != now.get(k)]
+    return tuple(Difference(k, before.get(k), now.get(k)) for k in keys)
+
+
+def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
+    """Raise UserError that names every part whose digest is not the expected one."""
+    found = _digests(problem, None)
+    changed = [f"the {part}" for part in _PARTS if found[part] != getattr(expected, part)]
+    train = found["train"]
+    if len(train) != len(expected.train):
+        changed.append("the number of training records")
+    else:
+        pairs = zip(problem.train, train, expected.train, strict=True)
+        changed += [f"training record '{t.name}'" for t, now, was in pairs if now != was]
+    if changed:
+        raise UserError(
+            f"{path}: {', '.join(changed)} changed since the run began: put it back, or start a "
+            "new run"
+        )
+
+
+def _digests(problem: Problem, test: str | None) -> dict[str, Any]:
+    return {
+        "train": [data_digest([t]) for t in problem.train],
+        "test": test,
+        "description": text_digest(problem.description),
+        "notes": text_digest(problem.notes) if problem.notes else None,
+        "strategies": text_digest(problem.strategies) if problem.strategies else None,
+        "baseline": None if problem.baseline is None else text_digest(problem.baseline),
+        "physics": None if problem.physics is None else physics_digest(problem.physics),
+        "symmetry": symmetry_digest(problem.symmetry) if problem.symmetry else None,
+        "protocol": protocol_digest(problem),
+    }
+
+
+def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
+    test = problem.test.source
+    data = {**problem.data.to_toml(), **(test.to_toml() if test else {})}
+    guard = data.pop("guard", None)
+    return {
+        "name": problem.name,
+        "description": problem.description,
+        "notes": problem.notes or None,
+        "strategies": problem.strategies or None,
+        "baseline": problem.baseline,
+        "sampling_time": problem.channels.sampling_time,
+        "inputs": [asdict(s) for s in problem.channels.inputs],
+        "outputs": [asdict(s) for s in problem.channels.outputs],
+        "data": {
+            **data,
+            "groups": groups_table(problem.protocol),
+            "guard": guard,
+            "period": problem.period,
+        },
+        "protocol": protocol_table(problem.protocol),
+        "budget": asdict(problem.budget),
+        "physics": None if problem.physics is None else asdict(problem.physics),
+        "preprocess": asdict(problem.preprocess) if problem.preprocess else None,
+        "symmetry": {k: dict(v) for k, v in problem.symmetry.items()} or None,
+        "digests": {**_digests(problem, seal.sha256), "guard": seal.guard},
+    }
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value

@@ -1,1 +1,0 @@
-"""New problems from records, and the encryption of their test records."""

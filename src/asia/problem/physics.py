@@ -1,0 +1,508 @@
+"""Equations from the problem file: types, parser, checks."""
+
+from __future__ import annotations
+
+import ast
+import operator
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import isfinite, pi
+from types import MappingProxyType
+from typing import Annotated, Any, TypeVar
+
+from annotated_types import MinLen
+
+from asia._syntax import expression_tree
+from asia._text import nearest
+from asia.errors import UserError
+
+# Equations of a problem file with the ranges of their parameters.
+
+
+@dataclass(frozen=True)
+class ParameterRange:
+    """Search range of a physical parameter."""
+
+    min: float
+    """The least starting value; above 0 the range is searched on a log scale."""
+    max: float
+    """The largest starting value."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Physical range of a state."""
+
+    min: float | None = None
+    """The least value; None is open."""
+    max: float | None = None
+    """The largest value; None is open."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior of a combination of parameters: a normal distribution."""
+
+    mean: float
+    """The most probable value, in the unit of the combination."""
+    deviation: float
+    """Standard deviation, above 0, in the same unit."""
+    reason: str = ""
+    """Reason for the prior, in words."""
+
+
+@dataclass(frozen=True)
+class Correction:
+    """An unknown effect at a place in the equations, learned from the records."""
+
+    scale: float
+    """Typical size, above 0, in the unit of its equation."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Equations of a problem.
+
+    Expressions are text in the names of states, inputs, parameters, constants and definitions;
+    `expressions.py` lists what they may hold.
+    """
+
+    states: Annotated[tuple[str, ...], MinLen(1)]
+    """Names of the states."""
+    dynamics: Mapping[str, str]
+    """Time derivative of every state."""
+    parameters: Mapping[str, ParameterRange] = field(default_factory=dict[str, ParameterRange])
+    """Ranges of the numbers that are fitted."""
+    constants: Mapping[str, float] = field(default_factory=dict[str, float])
+    """Known numbers."""
+    definitions: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Named intermediate expressions."""
+    observation: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Outputs from states; default: the state of the same name."""
+    bounds: Mapping[str, Bounds] = field(default_factory=dict[str, Bounds])
+    """Physical ranges of states, which the simulator keeps to."""
+    priors: Mapping[str, Prior] = field(default_factory=dict[str, Prior])
+    """Priors of parameters, by an expression in them and in constants."""
+    corrections: Mapping[str, Correction] = field(default_factory=dict[str, Correction])
+    """Names in the equations that represent unknown effects: 0 until a model learns them."""
+
+
+# Physics expressions: text, through an `ast` whitelist, to a small tree of our own.
+#
+# Nothing in the text is ever executed. The tree knows no array library: the evaluating code
+# supplies the values of its names and the functions.
+
+
+T = TypeVar("T")
+
+_OF_ONE = (
+    "sqrt", "exp", "log", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh",
+    "sigmoid", "softplus", "abs", "sign",
+)  # fmt: skip
+FUNCTIONS: Mapping[str, tuple[int, int | None]] = MappingProxyType(
+    dict.fromkeys(_OF_ONE, (1, 1))
+    | {"arctan2": (2, 2), "min": (2, None), "max": (2, None), "clip": (3, 3)}
+)
+"""Functions an expression may call, with their least and greatest number of arguments."""
+
+NAMED_NUMBERS: Mapping[str, float] = MappingProxyType({"pi": pi})
+"""Names reserved for numbers."""
+
+_LONGEST = 4000
+
+
+@dataclass(frozen=True)
+class Number:
+    """A literal."""
+
+    value: float
+
+
+@dataclass(frozen=True)
+class Name:
+    """A symbol: state, input, parameter, constant or definition."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Negative:
+    """Unary minus."""
+
+    operand: Node
+
+
+@dataclass(frozen=True)
+class Binary:
+    """One of + - * / **."""
+
+    symbol: str
+    left: Node
+    right: Node
+
+
+@dataclass(frozen=True)
+class Call:
+    """A function of the table."""
+
+    function: str
+    arguments: tuple[Node, ...]
+
+
+Node = Number | Name | Negative | Binary | Call
+
+_SYMBOLS: Mapping[type[ast.operator], str] = MappingProxyType(
+    {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+)
+_OPERATIONS: Mapping[str, Callable[[Any, Any], Any]] = MappingProxyType(
+    {
+        "+": operator.add,
+        "-": operator.sub,
+        "*": operator.mul,
+        "/": operator.truediv,
+        "**": operator.pow,
+    }
+)
+
+
+@dataclass(frozen=True)
+class Expression:
+    """Parsed expression; `text` is the source text, `names` the symbols in it."""
+
+    text: str
+    root: Node
+    names: frozenset[str]
+
+    def evaluate(self, values: Mapping[str, T], functions: Mapping[str, Callable[..., T]]) -> T:
+        """The value, with `values` for every name and `functions` for every function of the
+        table that the expression calls. Works for floats, NumPy and JAX arrays alike."""
+        return _evaluate(self.root, values, functions)
+
+
+def parse_expression(text: str, where: str) -> Expression:
+    """Parse `text`; `where` names its field in messages.
+
+    Raises:
+        UserError: when the text does not parse, holds anything except names, numbers, + - * /
+            **, parentheses and calls of the table's functions, or is longer than 4000
+            characters
+    """
+    if len(text) > _LONGEST:
+        raise UserError(
+            f"{where}: the expression has {len(text)} characters, at most {_LONGEST} are "
+            "allowed; split it into [physics.definitions]"
+        )
+    if "^" in text:
+        power = text.replace("^", "**")
+        raise UserError(f"{where}: '^' is not a power: write ** as in '{power}'")
+    try:
+        tree = expression_tree(text.strip())
+        root = _convert(tree.body, where)
+        names = frozenset(_names(root))
+    except (SyntaxError, ValueError) as error:
+        product = _with_product(text)
+        advice = f": write '{product}'" if product else ""
+        raise UserError(
+            f"{where}: '{text}' is not an expression ({error.args[0]}){advice}"
+        ) from None
+    except (RecursionError, MemoryError):
+        raise UserError(
+            f"{where}: the expression is nested too deeply; split it into [physics.definitions]"
+        ) from None
+    return Expression(text, root, names)
+
+
+def _with_product(text: str) -> str | None:
+    """The text with `*` between factors side by side, such as `b w1`, and parentheses behind the
+    name of a function; None where that does not make it an expression."""
+    changed = re.sub(r"(?<=[\w)])\s+(?=[A-Za-z_(])|(?<=\))(?=[\w(])", "*", text.strip())
+    changed = re.sub(r"(?<![\w.])(\d+\.?\d*)(?=(?![eE][-+]?\d)[A-Za-z_(])", r"\1*", changed)
+    called = "|".join(FUNCTIONS)
+    changed = re.sub(rf"\b({called})\*(\w+)", r"\1(\2)", changed)
+    if changed == text.strip():
+        return None
+    try:
+        expression_tree(changed)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return None
+    return changed
+
+
+def _convert(node: ast.expr, where: str) -> Node:
+    match node:
+        case ast.Constant(value=bool() | str() | bytes() | complex() | None):
+            raise UserError(f"{where}: {ast.unparse(node)} is not a real number")
+        case ast.Constant(value=int() | float() as value):
+            return _literal(value, where)
+        case ast.Name(id=name):
+            return Number(NAMED_NUMBERS[name]) if name in NAMED_NUMBERS else Name(name)
+        case ast.UnaryOp(op=ast.UAdd()):
+            return _convert(node.operand, where)
+        case ast.UnaryOp(op=ast.USub()):
+            operand = _convert(node.operand, where)
+            return Number(-operand.value) if isinstance(operand, Number) else Negative(operand)
+        case ast.BinOp(op=op) if type(op) in _SYMBOLS:
+            left, right = _convert(node.left, where), _convert(node.right, where)
+            return _binary(_SYMBOLS[type(op)], left, right, where)
+        case ast.Call():
+            return _call(node, where)
+        case _:
+            raise UserError(
+                f"{where}: '{ast.unparse(node)}' is not allowed; an expression holds names, "
+                "numbers, + - * / **, parentheses and function calls"
+            )
+
+
+def _literal(value: float, where: str) -> Number:
+    try:
+        return _number(float(value), where)
+    except OverflowError:
+        raise UserError(f"{where}: a number in the expression is too large") from None
+
+
+def _number(value: float, where: str) -> Number:
+    if not isfinite(value):
+        raise UserError(f"{where}: a number in the expression is too large")
+    return Number(value)
+
+
+def _binary(symbol: str, left: Node, right: Node, where: str) -> Node:
+    if isinstance(left, Number) and isinstance(right, Number):
+        try:
+            value = _OPERATIONS[symbol](left.value, right.value)
+        except (ZeroDivisionError, OverflowError) as error:
+            raise UserError(
+                f"{where}: {left.value} {symbol} {right.value} has no value ({error})"
+            ) from None
+        if isinstance(value, complex):
+            raise UserError(f"{where}: {left.value} {symbol} {right.value} is not a real number")
+        return _number(value, where)
+    if symbol == "**" and right == Number(0.5):
+        return Call("sqrt", (left,))
+    return Binary(symbol, left, right)
+
+
+def _call(node: ast.Call, where: str) -> Call:
+    if not isinstance(node.func, ast.Name):
+        raise UserError(f"{where}: '{ast.unparse(node.func)}' cannot be called")
+    name = node.func.id
+    if name not in FUNCTIONS:
+        product = ""
+        if len(node.args) == 1 and not node.keywords:
+            product = f"; for a product write '{name}*({ast.unparse(node.args[0])})'"
+        raise UserError(
+            f"{where}: there is no function '{name}'{nearest(name, FUNCTIONS)}{product}"
+        )
+    least, greatest = FUNCTIONS[name]
+    count = len(node.args)
+    starred = any(isinstance(argument, ast.Starred) for argument in node.args)
+    if node.keywords or starred or count < least or (greatest is not None and count > greatest):
+        expected = f"{least}" if greatest == least else f"{least} or more"
+        raise UserError(
+            f"{where}: '{ast.unparse(node)}': {name} takes {expected} plain "
+            f"argument{'s' if expected != '1' else ''}"
+        )
+    return Call(name, tuple(_convert(argument, where) for argument in node.args))
+
+
+def _names(node: Node) -> set[str]:
+    match node:
+        case Number():
+            return set()
+        case Name(name):
+            return {name}
+        case Negative(operand):
+            return _names(operand)
+        case Binary(_, left, right):
+            return _names(left) | _names(right)
+        case Call(_, arguments):
+            return set[str]().union(*(_names(argument) for argument in arguments))
+
+
+def _evaluate(
+    node: Node, values: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]
+) -> Any:
+    match node:
+        case Number(value):
+            return value
+        case Name(name):
+            return values[name]
+        case Negative(operand):
+            return -_evaluate(operand, values, functions)
+        case Binary("**", left, Number(power)) if power.is_integer() and abs(power) <= 64:
+            # A whole exponent keeps derivatives at zero finite in JAX.
+            return _evaluate(left, values, functions) ** int(power)
+        case Binary(symbol, left, right):
+            a = _evaluate(left, values, functions)
+            return _OPERATIONS[symbol](a, _evaluate(right, values, functions))
+        case Call(function, arguments):
+            return functions[function](*(_evaluate(a, values, functions) for a in arguments))
+
+
+# Checks of the `[physics]` section, before anything is spent on it.
+
+
+def check_physics(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+    """Raise UserError, naming the field, at the first thing that does not fit together.
+
+    Args:
+        inputs, outputs: the signal names of the problem
+    """
+    symbols = _symbols(physics, inputs)
+    _check_ranges(physics)
+    _check_priors(physics)
+    _check_keys(physics, outputs)
+    for where, text in _expressions(physics):
+        _check_names(parse_expression(text, where), where, symbols)
+    _check_corrections(physics)
+    definition_order(physics)
+
+
+def definition_order(physics: Physics) -> tuple[str, ...]:
+    """Names of the definitions, each after those it uses.
+
+    Raises:
+        UserError: on a cycle
+    """
+    uses = {
+        name: parse_expression(text, f"[physics.definitions] {name}").names
+        & physics.definitions.keys()
+        for name, text in physics.definitions.items()
+    }
+    ordered: list[str] = []
+    while len(ordered) < len(uses):
+        ready = [name for name in uses if name not in ordered and uses[name] <= set(ordered)]
+        if not ready:
+            cycle = sorted(set(uses) - set(ordered))
+            raise UserError(
+                f"[physics.definitions]: {', '.join(cycle)} refer to each other in a circle; "
+                "write one of them in terms of states, inputs and parameters only"
+            )
+        ordered.extend(ready)
+    return tuple(ordered)
+
+
+def _symbols(physics: Physics, inputs: Sequence[str]) -> set[str]:
+    """Everything an expression may name; refuses names that clash or cannot be written."""
+    if not physics.states:
+        raise UserError("[physics] states: at least one state is needed")
+    owners: dict[str, str] = dict.fromkeys(FUNCTIONS, "a function")
+    owners |= dict.fromkeys(NAMED_NUMBERS, "a number with a fixed name")
+    groups = (
+        ("an input", inputs, "inputs"),
+        ("a state", physics.states, "[physics] states"),
+        ("a parameter", physics.parameters, "[physics.parameters]"),
+        ("a constant", physics.constants, "[physics.constants]"),
+        ("a definition", physics.definitions, "[physics.definitions]"),
+        ("a correction", physics.corrections, "[physics.corrections]"),
+    )
+    for kind, names, where in groups:
+        for name in names:
+            # An input whose name is not an identifier is of use to black-box models only.
+            if not name.isidentifier() and kind != "an input":
+                raise UserError(
+                    f"{where}: '{name}' cannot be written in an expression; use letters, digits "
+                    "and underscores"
+                )
+            if name in owners:
+                raise UserError(f"{where}: '{name}' is already {owners[name]}; choose another name")
+            owners[name] = kind
+    return set(owners) - set(FUNCTIONS) - set(NAMED_NUMBERS)
+
+
+def _check_ranges(physics: Physics) -> None:
+    for name, value in physics.parameters.items():
+        if not (isfinite(value.min) and isfinite(value.max) and value.min < value.max):
+            raise UserError(
+                f"[physics.parameters] {name}: min {value.min} must be below max {value.max}, "
+                "both finite"
+            )
+    for name, constant in physics.constants.items():
+        if not isfinite(constant):
+            raise UserError(f"[physics.constants] {name}: expected a finite number")
+    for name, bounds in physics.bounds.items():
+        if name not in physics.states:
+            raise UserError(
+                f"[physics.bounds] {name}: there is no such state"
+                f"{nearest(name, set(physics.states))}"
+            )
+        low, high = bounds.min, bounds.max
+        if low is not None and high is not None and not low < high:
+            raise UserError(f"[physics.bounds] {name}: min {low} must be below max {high}")
+
+
+def _check_priors(physics: Physics) -> None:
+    known = {*physics.parameters, *physics.constants}
+    for text, prior in physics.priors.items():
+        where = f"[physics.priors] {text}"
+        expression = parse_expression(text, where)
+        _check_names(expression, where, known)
+        if not expression.names & set(physics.parameters):
+            raise UserError(f"{where}: names no parameter; write an expression in parameters")
+        if not (isfinite(prior.mean) and isfinite(prior.deviation) and prior.deviation > 0):
+            raise UserError(
+                f"{where}: expected a finite mean and a deviation above 0, got {prior.mean} and "
+                f"{prior.deviation}"
+            )
+
+
+def _check_corrections(physics: Physics) -> None:
+    used = {n for where, text in _expressions(physics) for n in parse_expression(text, where).names}
+    for name, correction in physics.corrections.items():
+        if name not in used:
+            raise UserError(
+                f"[physics.corrections] {name}: no equation uses it; write it where the unknown "
+                "effect enters"
+            )
+        if not (isfinite(correction.scale) and correction.scale > 0):
+            raise UserError(
+                f"[physics.corrections] {name}: expected a scale above 0, its typical size"
+            )
+
+
+def _check_keys(physics: Physics, outputs: Sequence[str]) -> None:
+    for name in physics.states:
+        if name not in physics.dynamics:
+            raise UserError(f"[physics.dynamics] {name}: missing; give d/dt of every state")
+    for name in physics.dynamics:
+        if name not in physics.states:
+            raise UserError(
+                f"[physics.dynamics] {name}: there is no such state"
+                f"{nearest(name, set(physics.states))}"
+            )
+    for name in physics.observation:
+        if name not in outputs:
+            raise UserError(
+                f"[physics.observation] {name}: there is no such output"
+                f"{nearest(name, set(outputs))}"
+            )
+    for name in outputs:
+        if name not in physics.observation and name not in physics.states:
+            raise UserError(
+                f"[physics.observation] {name}: missing; no state has this output's name, so say "
+                "how it follows from the states"
+            )
+
+
+def _expressions(physics: Physics) -> list[tuple[str, str]]:
+    sections: tuple[tuple[str, Mapping[str, str]], ...] = (
+        ("definitions", physics.definitions),
+        ("dynamics", physics.dynamics),
+        ("observation", physics.observation),
+    )
+    return [
+        (f"[physics.{section}] {name}", text)
+        for section, entries in sections
+        for name, text in entries.items()
+    ]
+
+
+def _check_names(expression: Expression, where: str, symbols: set[str]) -> None:
+    for name in sorted(expression.names - symbols):
+        what = "is a function: call it with its argument" if name in FUNCTIONS else None
+        raise UserError(
+            f"{where}: '{name}' {what}"
+            if what
+            else f"{where}: undefined symbol '{name}'{nearest(name, symbols)}"
+        )

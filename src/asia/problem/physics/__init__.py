@@ -1,1 +1,0 @@
-"""Equations of a problem file: allowed content and checks."""

@@ -1,0 +1,260 @@
+"""Problem and prior knowledge, without any test output."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from asia._text import one_line
+from asia.data.arrays import name_signals, one_a_record, read_arrays
+from asia.data.preprocess import Preprocess
+from asia.data.sources.source import Channels, Source
+from asia.data.trajectory import Array, Signal, Trajectory
+from asia.problem.budget import Budget
+from asia.problem.physics import Physics
+from asia.problem.protocol import ProtocolRule
+from asia.problem.protocol_table import groups_table, protocol_table
+from asia.problem.symmetry import Symmetry
+from asia.problem.toml import toml_text
+
+# A problem as the rest of ASIA sees it, and handles to its data. Holds no test outputs.
+
+
+@dataclass(frozen=True)
+class TestSource:
+    """Handle that opens the test records; it never holds their values."""
+
+    source: Source | None
+    """Source of the test records; None when the problem has no test data."""
+    sha256: str | None = None
+    """Expected digest of the data, known once they were sealed."""
+
+
+@dataclass(frozen=True)
+class Seal:
+    """Public facts about the test records before they are opened."""
+
+    sha256: str | None
+    """Digest of all values; None when the problem has no test data."""
+    names: tuple[str, ...] = ()
+    """Names of the records."""
+    lengths: tuple[int, ...] = ()
+    """Number of samples of each record."""
+    shared_samples: int = 0
+    """Test samples inside runs of consecutive samples, inputs and outputs, that also occur in a
+    training record."""
+    outside_inputs: tuple[int, ...] = ()
+    """Test samples of each input beyond the range of the training records; empty if not known."""
+    guard: str | None = None
+    """Digest of the guard records; None without any."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Identification problem: records, signals, protocol, budget and physics."""
+
+    name: str
+    """Part of the run's name."""
+    description: str
+    """The system in plain English; "" for none."""
+    sampling_time: float
+    """s."""
+    inputs: tuple[Signal, ...]
+    """The inputs, in the order of `Trajectory.u`."""
+    outputs: tuple[Signal, ...]
+    """The outputs, in the order of `Trajectory.y`."""
+    train: tuple[Trajectory, ...]
+    """The records the search may use."""
+    data: Source
+    """Source of the training and guard records."""
+    test: TestSource
+    """Handle for the one opener of test data."""
+    protocol: ProtocolRule
+    """Rule for V and the test metric."""
+    budget: Budget
+    """Limits of the search."""
+    physics: Physics | None = None
+    """Equations from the problem file."""
+    baseline: str | None = None
+    """Source of the problem's own first candidate."""
+    truth: tuple[Array, ...] | None = None
+    """Noise-free outputs (T, ny) of the training records; for simulated systems only."""
+    warnings: tuple[str, ...] = ()
+    """Doubts about the data, in plain words."""
+    preprocess: Preprocess = field(default_factory=Preprocess)
+    """Preprocessing of every record before the search sees it."""
+    recorded: Channels | None = None
+    """Signals and sampling time before that; None where nothing is done."""
+    notes: str = ""
+    """Notes on such systems from the literature, for agents that read."""
+    strategies: str = ""
+    """Suggested strategies in plain words, for agents that read."""
+    guard_sha256: str | None = None
+    """Expected digest of the guard records, known once a run has begun."""
+    symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
+    """Changes of the signals that leave the system's laws as they are."""
+    period: int | None = None
+    """Samples after which the inputs repeat, as declared."""
+
+    @classmethod
+    def from_arrays(
+        cls,
+        u: Any,
+        y: Any,
+        *,
+        sampling_time: float | None = None,
+        directory: Path | str,
+        inputs: Sequence[str | Signal] | None = None,
+        outputs: Sequence[str | Signal] | None = None,
+        test_u: Any = None,
+        test_y: Any = None,
+        name: str | None = None,
+        description: str = "",
+        baseline: str | None = None,
+        groups: Mapping[str, Sequence[str]] | None = None,
+        protocol: ProtocolRule | Mapping[str, Any] | None = None,
+        budget: Budget | Mapping[str, Any] | None = None,
+        physics: Physics | Mapping[str, Any] | None = None,
+        symmetry: Symmetry | None = None,
+    ) -> Problem:
+        """Make a problem from records in memory, and write it to `directory` so that runs can
+        resume, verify and unseal.
+
+        The records are called train1, train2 and so on, and test1, unless `groups` names them. Time
+        stamps, gaps and missing values are treated as `asia init` treats those of files; `warnings`
+        lists the changes. A second call with the same arguments loads the existing directory.
+
+        Args:
+            u, y: inputs (T, nu) and outputs (T, ny) in physical units; arrays or data frames,
+                or lists of them with one item a record
+            sampling_time: s; None for that of the time index of the data frames
+            test_u, test_y: the same for the test
+            inputs, outputs: names, or `Signal`s with units; columns of these names are taken
+                out of data frames
+            name: name of the problem; that of the directory by default
+            protocol, budget, physics, symmetry: tables as in problem.toml, or objects
+            baseline: source of the first candidate
+
+        Raises:
+            UserError: for arguments that make no problem, and when the directory holds other
+                data or settings; nothing is overwritten
+        """
+        us, ys = one_a_record(u), one_a_record(y)
+        test_us, test_ys = ([] if v is None else one_a_record(v) for v in (test_u, test_y))
+        signals = name_signals(inputs, us[0], "u"), name_signals(outputs, ys[0], "y")
+        # The module makes problems: imported above, it would close a circle.
+        arrays = import_module("asia.problem.from_arrays")
+        least = arrays.least_segment(protocol)
+        train = read_arrays(us, ys, *signals, sampling_time, "train", "train", least)
+        step = train.records[0].sampling_time
+        test = read_arrays(test_us, test_ys, *signals, step, "test", "test")
+        given = arrays.ArrayProblem(
+            name=name or Path(directory).resolve().name,
+            train=train.records,
+            test=test.records,
+            inputs=signals[0],
+            outputs=signals[1],
+            sampling_time=step,
+            description=description,
+            baseline=baseline,
+            groups=groups,
+            protocol=protocol,
+            budget=budget,
+            physics=physics,
+            symmetry=symmetry,
+        )
+        problem = arrays.save_problem(given, Path(directory))
+        return replace(problem, warnings=(*train.notes, *test.notes, *problem.warnings))
+
+    @property
+    def channels(self) -> Channels:
+        """Channels of the data to read, as they were recorded."""
+        return self.recorded or Channels(self.inputs, self.outputs, self.sampling_time)
+
+
+def prepared(problem: Problem, records: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
+    """Records as they were read, as the search sees them."""
+    channels = problem.channels
+    return problem.preprocess.records(records, channels.inputs, channels.outputs)
+
+
+def kept_places(problem: Problem) -> tuple[Path, ...]:
+    """Files and folders that neither candidates nor agents may read: plain test records, or the key
+    of encrypted ones, and guard records.
+
+    Raises:
+        UserError: for data that are not on this machine
+    """
+    source = problem.test.source
+    test = () if source is None else source.places("test")
+    return (*test, *problem.data.places("guard"))
+
+
+def record_places(problem: Problem) -> tuple[Path, ...]:
+    """Return the files and folders with the training records, which workers must not read.
+
+    Raises:
+        UserError: as `kept_places`
+    """
+    return problem.data.places("train")
+
+
+# Training view of a problem: its training records, never its test.
+
+
+_HEADER = (
+    "# Written by ASIA: the problem that candidates are judged on, with its training records.\n"
+    "# A change in here changes nothing but what your own tools compute.\n"
+)
+
+
+def training_text(problem: Problem, names: Sequence[str]) -> str:
+    """problem.toml over CSV files `data/NAME.csv`, a name for each training record in their order;
+    `load_problem` gives the same records, folds and metric. It names neither test nor source."""
+    called = {t.name: name for t, name in zip(problem.train, names, strict=True)}
+    groups = groups_table(problem.protocol) or {}
+    budget = problem.budget
+    tables = {
+        "name": problem.name,
+        "sampling_time": problem.sampling_time,
+        "inputs": [asdict(s) for s in problem.inputs],
+        "outputs": [asdict(s) for s in problem.outputs],
+        "data": {
+            "train": [f"data/{name}.csv" for name in names],
+            "groups": {k: [called[name] for name in v] for k, v in groups.items()} or None,
+        },
+        "protocol": protocol_table(problem.protocol),
+        "budget": {"fit_seconds": budget.fit_seconds, "memory_mb": budget.memory_mb},
+        "physics": None if problem.physics is None else asdict(problem.physics),
+        "symmetry": {k: dict(v) for k, v in problem.symmetry.items()} or None,
+    }
+    return _HEADER + toml_text(tables)
+
+
+# Prior knowledge of a problem file next to the equations, as lines for users and agents.
+
+
+_TEXT = 400
+
+
+def prior_lines(physics: Physics) -> Iterator[str]:
+    """One a prior: the combination of parameters, its value and the reason."""
+    for text, prior in physics.priors.items():
+        reason = f": {one_line(prior.reason, _TEXT)}" if prior.reason else ""
+        yield f"{one_line(text, _TEXT)} = {prior.mean:g} +- {prior.deviation:g}{reason}"
+
+
+def correction_lines(physics: Physics) -> Iterator[str]:
+    """One a place in the equations where an unknown effect enters, with its typical size."""
+    for name, correction in physics.corrections.items():
+        yield f"{name}: unknown, about {correction.scale:g} large"
+
+
+def symmetry_lines(symmetry: Symmetry) -> Iterator[str]:
+    """Describe each generator: every signal and the signal that replaces it."""
+    for name, generator in symmetry.items():
+        changes = ", ".join(f"{signal} -> {value}" for signal, value in generator.items())
+        yield f"{name.replace('_', ' ')}: {one_line(changes, 2 * _TEXT)}"

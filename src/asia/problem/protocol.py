@@ -1,0 +1,466 @@
+"""Protocol: folds, windows, past windows, horizon."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from asia.data.trajectory import LEAST_RANGE, Array, Trajectory, filled, spread_of
+from asia.errors import UserError
+
+# The rules of judgement: folds, past windows, horizon, metric.
+
+
+EarlyStopping = Literal["inner", "validation"]
+FoldKind = Literal["contiguous", "forward", "tail", "leave_one_group_out"]
+Feedback = Literal["exact", "ladder"]
+ShownResidual = Literal["train", "held_out"]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Training records held out together, by name."""
+
+    name: str
+    """Name of the group."""
+    records: tuple[str, ...]
+    """Names of its records."""
+
+
+@dataclass(frozen=True)
+class FoldRule:
+    """Rule for the samples that each fold holds out."""
+
+    kind: FoldKind = "contiguous"
+    """`contiguous`: each record is cut into blocks, and a fold holds out one block of each record;
+    `forward`: the same with one block more, and only what lies before the held-out block trains,
+    so that the first block is never held out; `tail`: the same within the last `tail` samples of
+    each record, the samples before them always train; `leave_one_group_out`: a fold holds out
+    the records of one group."""
+    count: int = 2
+    """The number of folds."""
+    groups: tuple[Group, ...] = ()
+    """The groups; () for folds of another kind."""
+    gap: int | None = None
+    """Samples next to a held-out block that do not train; None for none."""
+    tail: int | None = None
+    """Samples at the end of each record that `tail` folds hold out; None for folds of another
+    kind."""
+
+
+@dataclass(frozen=True)
+class OutputGroup:
+    """Outputs whose error is one distance at each step: `euclidean`, or `geodesic` between the
+    rotations given by roll, pitch and yaw (Z-Y-X, rad)."""
+
+    name: str
+    """Name of the group."""
+    outputs: tuple[str, ...]
+    """Names of its outputs."""
+    distance: Literal["euclidean", "geodesic"] = "euclidean"
+    """Distance measure."""
+
+
+@dataclass(frozen=True)
+class TestRule:
+    """Rule for the metrics of the sealed test."""
+
+    metrics: tuple[str, ...] = ("rmse",)
+    """Names of the metrics, in physical units."""
+    skip: int = 0
+    """Samples after the past window that are left out."""
+    groups: tuple[OutputGroup, ...] = ()
+    """Groups of the Mean Euclidean Error table."""
+    horizons: tuple[int, ...] = ()
+    """Steps of a window that this table prints, 1 being the first."""
+    unit: str | None = None
+    """The unit of the official figures, such as `mV`; None where they are in the output's."""
+    unit_factor: float | None = None
+    """Factor from the output's unit to `unit`; None for 1."""
+    figures: tuple[Group, ...] = ()
+    """The official figures, each the mean over test records that match its names or wildcards; ()
+    where each test record is a figure of its own."""
+
+
+@dataclass(frozen=True)
+class ProtocolRule:
+    """Rule for V and the test metric, frozen and hashed before the first experiment."""
+
+    kind: Literal["simulation", "windows"] = "simulation"
+    """`simulation` of whole blocks, or `windows` of `horizon` samples, each started from its own
+    past window."""
+    folds: FoldRule = FoldRule()
+    """Samples that each fold holds out."""
+    past_inputs: int = 10
+    """Input samples that a model sees before it simulates."""
+    past_outputs: int = 10
+    """Output samples that a model sees before it simulates."""
+    metric: str = "rmse"
+    """Name of the metric of V."""
+    early_stopping: EarlyStopping = "inner"
+    """`inner`, or `validation` as in Piga and Forgione, where a candidate may ask for its score on
+    the held-out samples while it trains; V is then not leak-free."""
+    horizon: int | None = None
+    """Samples of a window; None for whole blocks."""
+    test: TestRule = TestRule()
+    """Rule for the metrics of the sealed test."""
+    ladder: float | None = None
+    """The share of V by which a new best must be better before agents see its score; None where
+    they see every V."""
+    residuals: ShownResidual = "train"
+    """Samples whose residuals agents see: of the training records, or of the held-out ones too, to
+    which a model can then be fitted by hand."""
+
+    @property
+    def past(self) -> int:
+        """Samples before the first simulated one."""
+        return max(self.past_inputs, self.past_outputs)
+
+
+# Cut points of folds and windows in records, in 0-based samples.
+
+
+@dataclass(frozen=True)
+class Excerpt:
+    """Contiguous samples of a record."""
+
+    record: int
+    samples: range
+
+
+@dataclass(frozen=True)
+class FoldCut:
+    """Held-out and training samples of one fold; the past windows before a block are not part of
+    it."""
+
+    held_out: tuple[Excerpt, ...]
+    train: tuple[Excerpt, ...]
+
+
+def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> list[FoldCut]:
+    """The folds of records of these names and lengths; empty parts where a record is too short."""
+    records = range(len(names))
+    if rule.folds.kind == "leave_one_group_out":
+        return [
+            FoldCut(
+                tuple(
+                    Excerpt(i, range(rule.past, lengths[i]))
+                    for i in records
+                    if names[i] in group.records
+                ),
+                tuple(
+                    Excerpt(i, range(lengths[i])) for i in records if names[i] not in group.records
+                ),
+            )
+            for group in rule.folds.groups
+        ]
+    cuts = [blocks(length, rule) for length in lengths]
+    return [
+        FoldCut(
+            tuple(Excerpt(i, cuts[i][k]) for i in records),
+            tuple(
+                Excerpt(i, rest) for i in records for rest in rests(lengths[i], cuts[i][k], rule)
+            ),
+        )
+        for k in range(rule.folds.count)
+    ]
+
+
+def blocks(length: int, rule: ProtocolRule) -> list[range]:
+    """Return the held-out block of each fold, empty where the record is too short.
+
+    The samples after the first past window (in tail folds: the tail) are split into `block_count`
+    parts; the first parts are one sample longer when the length does not divide. In forward folds
+    the first part trains only.
+    """
+    count = block_count(rule)
+    start = rule.past
+    if rule.folds.tail is not None:
+        start = max(start, length - rule.folds.tail)
+    size, longer = divmod(max(length - start, 0), count)
+    edges = [start + k * size + min(k, longer) for k in range(count + 1)]
+    return [range(start, stop) for start, stop in pairwise(edges)][count - rule.folds.count :]
+
+
+def block_count(rule: ProtocolRule) -> int:
+    """Into how many blocks a record is cut."""
+    return rule.folds.count + (rule.folds.kind == "forward")
+
+
+def rests(length: int, block: range, rule: ProtocolRule) -> list[range]:
+    """Return the samples that train while `block` is held out.
+
+    These are the samples before the block and, except in forward and tail folds, after it, without
+    the gap. A part is kept if it is long enough for its own past window and one more case.
+    """
+    gap = rule.folds.gap or 0
+    parts = [range(rule.past, block.start - gap)]
+    if rule.folds.kind == "contiguous":
+        parts.append(range(block.stop + gap, length))
+    return [part for part in parts if len(part) >= rule.past + least_case(rule)]
+
+
+def least_case(rule: ProtocolRule) -> int:
+    """Samples of the shortest case."""
+    return rule.horizon if rule.horizon is not None else 1
+
+
+def windows(samples: range, rule: ProtocolRule) -> list[range]:
+    """The cases that cover `samples`: all of them at once, or windows of `horizon`, one after the
+    other, the last of which ends with them and may overlap its neighbour; none when too short."""
+    if rule.horizon is None:
+        return [samples] if samples else []
+    if len(samples) < rule.horizon:
+        return []
+    last = samples.stop - rule.horizon
+    starts = [*range(samples.start, last, rule.horizon), last]
+    return [range(start, start + rule.horizon) for start in starts]
+
+
+# Training samples, simulated samples and past windows of each fold.
+
+
+# Share of a past window that was measured, and the part of a block in which that is looked for.
+_STARTS = ((1.0, 0.25), (0.75, 0.25), (0.5, 0.5))
+
+
+@dataclass(frozen=True)
+class Case:
+    """One thing to simulate. It holds no output after the past window, so that a candidate may
+    have it."""
+
+    name: str
+    """Name of the record."""
+    past_u: Array
+    """Inputs of the past window (n_past_u, nu)."""
+    past_y: Array
+    """Outputs of the past window (n_past_y, ny)."""
+    u: Array
+    """Inputs of the samples to simulate (H, nu)."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Case together with the outputs that the evaluator keeps."""
+
+    case: Case
+    """Data that a candidate receives."""
+    y: Array
+    """The measured outputs (H, ny), NaN where none was measured."""
+    record: int
+    """Number of the record among those that were cut, 0-based."""
+    start: int
+    """The first simulated sample in that record, 0-based."""
+
+    @property
+    def stop(self) -> int:
+        """One past the last sample, 0-based."""
+        return self.start + len(self.y)
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Training records and held-out blocks of one fold."""
+
+    index: int
+    """Number of the fold, 0-based."""
+    train: tuple[Trajectory, ...]
+    """Records that the models of this fold are fitted to."""
+    validation: tuple[Block, ...]
+    """Held-out blocks, those of each record in time order."""
+    scale: Array
+    """Standard deviation (ny,), ddof 0, of each output over the training samples; with a horizon
+    over the concatenated training windows."""
+    followed: tuple[bool, ...] = ()
+    """For each held-out block, whether later samples of its record train."""
+    offsets: tuple[int, ...] = ()
+    """For each training record, its first sample in the record that it was cut from; () where each
+    is a whole record."""
+
+
+def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: int = 0) -> Block:
+    """The block `record[start:stop]` with the past windows just before it."""
+    if start < rule.past:
+        raise UserError(
+            f"record '{record.name}': simulation cannot start at sample {start + 1}, "
+            f"the past window needs {rule.past} samples before it"
+        )
+    case = Case(
+        name=record.name,
+        past_u=record.u[start - rule.past_inputs : start],
+        past_y=_past_outputs(record, start, rule.past_outputs),
+        u=record.u[start:stop],
+    )
+    return Block(case, record.measured_y[start:stop], index, start)
+
+
+def _past_outputs(record: Trajectory, start: int, count: int) -> Array:
+    """The `count` outputs before `start`.
+
+    Where one was not measured it is filled from samples before `start` alone, so that none of those
+    to simulate shows.
+
+    Raises:
+        UserError: where there is none
+    """
+    window = record.y[start - count : start]
+    if record.missing is None or not record.missing[start - count : start].any():
+        return window
+    known = record.measured_y[:start]
+    never = np.isnan(known).all(axis=0)
+    if never.any():
+        raise UserError(
+            f"record '{record.name}': output {int(np.argmax(never)) + 1} is not measured before "
+            f"sample {start + 1}, where a simulation starts from past outputs: cut the record so "
+            "that it begins with a measured sample"
+        )
+    return filled(known)[start - count :]
+
+
+def whole(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Block, ...]:
+    """Each record from its first past window to its end: one block, or one for each window.
+
+    Windows follow each other every `horizon` samples; the last one ends with the record and may
+    overlap its neighbour, so that N samples give ceil((N - past) / horizon) of them.
+    """
+    parts = [Excerpt(i, range(rule.past, len(r))) for i, r in enumerate(records)]
+    return _blocks(records, parts, rule)
+
+
+def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold, ...]:
+    """Make the folds of a problem's training records.
+
+    Contiguous: each record is split by `array_split` after its first past window. Block k of every
+    record is held out in fold k; the samples before and after it train, as records of their own. A
+    training record too short to hold its own past window and one case is left out.
+
+    Forward: one part more; part k + 1 is held out in fold k, and the samples before it train. Tail:
+    as forward, with all parts in the last `folds.tail` samples. The samples of `folds.gap` next to
+    a held-out part train nothing.
+
+    Leave one group out: the records of group k are held out in fold k; all others train whole.
+
+    Raises:
+        UserError: when a fold has nothing to train on or an output is constant in it
+    """
+    least = 1 if rule.folds.kind == "tail" else 2
+    if rule.folds.count < least:
+        raise UserError(
+            f"protocol.folds.count is {rule.folds.count}: at least {least} folds are needed"
+        )
+    found = splits([r.name for r in records], [len(r) for r in records], rule)
+    for part in (part for split in found for part in split.held_out):
+        if len(part.samples) < least_case(rule):
+            record = records[part.record]
+            raise UserError(
+                f"record '{record.name}': {len(record)} samples are too few for "
+                f"{rule.folds.count} folds after a past window of {rule.past}"
+            )
+    folds: list[Fold] = []
+    for k, split in enumerate(found):
+        parts = [part for part in split.train if _is_measured(records, part)]
+        train = tuple(records[p.record].alone(p.samples.start, p.samples.stop) for p in parts)
+        held_out = _blocks(records, split.held_out, rule)
+        _check_measured(held_out, k)
+        last = {p.record: p.samples.stop for p in parts}
+        followed = tuple(last.get(block.record, 0) > block.stop for block in held_out)
+        offsets = tuple(p.samples.start for p in parts)
+        folds.append(Fold(k, train, held_out, _scale(train, rule, k), followed, offsets))
+    return tuple(folds)
+
+
+def _is_measured(records: Sequence[Trajectory], part: Excerpt) -> bool:
+    """Return whether each output was measured in it at least once."""
+    missing = records[part.record].missing
+    own = slice(part.samples.start, part.samples.stop)
+    return missing is None or not missing[own].all(axis=0).any()
+
+
+def _after_first_outputs(
+    records: Sequence[Trajectory], part: Excerpt, rule: ProtocolRule
+) -> Excerpt:
+    """Skip the start of an excerpt until all samples of a past window were measured.
+
+    This start lies within the first quarter of the excerpt. Without such a start, three quarters or
+    half of the samples suffice; without that, each output must have been measured before. A past
+    window of filled outputs is a bad initial state for any model, so that V would measure the gaps.
+    """
+    missing = records[part.record].missing
+    if missing is None or not rule.past_outputs:
+        return part
+    first = max(part.samples.start, int(missing.argmin(axis=0).max()) + 1)
+    counts = np.concatenate([np.zeros((1, missing.shape[1])), np.cumsum(~missing, axis=0)])
+    places = np.arange(first, part.samples.start + (len(part.samples) + 1) // 2)
+    shown = counts[places] - counts[np.maximum(places - rule.past_outputs, 0)]
+    for share, within in _STARTS:
+        near = places < part.samples.start + within * len(part.samples)
+        enough = near & (shown >= share * rule.past_outputs).all(axis=1)
+        if enough.any():
+            return Excerpt(part.record, range(int(places[np.argmax(enough)]), part.samples.stop))
+    return Excerpt(part.record, range(first, part.samples.stop))
+
+
+def _check_measured(blocks: Sequence[Block], index: int) -> None:
+    never = np.isnan(np.concatenate([b.y for b in blocks])).all(axis=0) if blocks else np.array([])
+    if never.any():
+        raise UserError(
+            f"output {int(np.argmax(never)) + 1} is never measured in what fold {index + 1} holds "
+            "out: leave the output out or use fewer folds"
+        )
+
+
+def _blocks(
+    records: Sequence[Trajectory], parts: Sequence[Excerpt], rule: ProtocolRule
+) -> tuple[Block, ...]:
+    return tuple(
+        cut(records[part.record], window.start, window.stop, rule, part.record)
+        for part in parts
+        for window in windows(_after_first_outputs(records, part, rule).samples, rule)
+    )
+
+
+def _scale(train: Sequence[Trajectory], rule: ProtocolRule, index: int) -> Array:
+    if not train:
+        raise UserError(f"fold {index + 1} has no training record longer than the past window")
+    if rule.horizon is None:
+        samples = [t.measured_y for t in train]
+    else:
+        samples = [b.y for b in whole(train, rule)]
+    y = np.concatenate(samples)
+    moves = np.nanmax(y, axis=0) - np.nanmin(y, axis=0) > LEAST_RANGE
+    if not moves.all():
+        channel = int(np.argmin(moves)) + 1
+        raise UserError(
+            f"output {channel} is constant over the training samples of fold {index + 1}: "
+            "its error cannot be normalised; leave the channel out or use fewer folds"
+        )
+    return spread_of(y)
+
+
+def fold_names(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[str, ...]:
+    """Name the held-out samples of each fold, for example `chirp: 8 records` or `block 1 of 2:
+    samples 6 to 515 of run1`; samples are counted from 1."""
+    if rule.folds.kind == "leave_one_group_out":
+        return tuple(
+            f"{group.name}: {_counted(group.records)}"
+            for group, _ in zip(rule.folds.groups, folds, strict=True)
+        )
+    return tuple(f"block {f.index + 1} of {len(folds)}: {_excerpts(f)}" for f in folds)
+
+
+def _counted(records: Sequence[str]) -> str:
+    return f"record {records[0]}" if len(records) == 1 else f"{len(records)} records"
+
+
+def _excerpts(fold: Fold) -> str:
+    """The held-out samples of one record, or of how many."""
+    records = {block.record for block in fold.validation}
+    if len(records) > 1:
+        return f"of each of {len(records)} records"
+    blocks = fold.validation
+    first, last = min(b.start for b in blocks) + 1, max(b.stop for b in blocks)
+    return f"samples {first} to {last} of {blocks[0].case.name}"

@@ -1,1 +1,0 @@
-"""Traces of an attack and the verdict on them."""

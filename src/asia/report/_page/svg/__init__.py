@@ -1,1 +1,0 @@
-"""Drawings of the page: small SVG in its colours, the same bytes for the same numbers."""

@@ -1,1 +1,0 @@
-"""Pictures of what is computed about a finished model."""

@@ -1,0 +1,1 @@
+"""Report page of a run: one HTML file with everything, offline."""

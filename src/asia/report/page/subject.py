@@ -1,0 +1,187 @@
+"""Content of a page: one run with numbers that know their source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from asia.errors import InternalError
+from asia.judge.scoring.outcome import Score
+from asia.ledger.events import Evaluated, Event
+from asia.ledger.run import Run
+from asia.ledger.view import Experiment, SearchView
+from asia.problem.problem import Problem
+from asia.problem.protocol import Fold, make_folds
+from asia.report.page.html import ONE, Html, follow, tag, write_number
+
+# Subject of a report page: one run, with numbers that carry their sources.
+
+
+@dataclass(frozen=True)
+class Detail:
+    """Limits on the length of the page of a long search."""
+
+    sources: int
+    """Maximum number of experiments with their changed source on the page."""
+    stories: int
+    """Maximum number of experiments with a hypothesis and a fold table; the others have a row."""
+    rows: int
+    """Maximum number of listed experiments."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The run of a page."""
+
+    run: Run
+    """The run."""
+    problem: Problem | None
+    """Its problem with the training data; None where the ledger came without its artifacts."""
+    detail: Detail
+    """Level of detail."""
+
+    @property
+    def view(self) -> SearchView:
+        """View of the search from its ledger."""
+        return self.run.view
+
+    @cached_property
+    def _places(self) -> dict[int, int]:
+        return {id(line.event): line.seq for line in self.run.lines}
+
+    @cached_property
+    def folds(self) -> Sequence[Fold]:
+        """The folds; () without the data."""
+        return () if self.problem is None else make_folds(self.problem.train, self.problem.protocol)
+
+    @cached_property
+    def lineage(self) -> tuple[int, ...]:
+        """Numbers of the winner and of all that it was made from, the first one first; () without
+        a winner."""
+        found: list[int] = []
+        here = self.view.best
+        while here is not None and here.number not in found:
+            found.append(here.number)
+            parent = here.proposed.parent
+            here = None if parent is None else self.view.experiment(parent)
+        return tuple(reversed(found))
+
+    @cached_property
+    def told(self) -> tuple[Experiment, ...]:
+        """The experiments on the page: all; in a long search those that were kept, the winner's
+        lineage and the last ones."""
+        return self._chosen(self.detail.rows)
+
+    @cached_property
+    def with_source(self) -> frozenset[int]:
+        """Numbers of the experiments whose changed source is on the page."""
+        return frozenset(e.number for e in self._chosen(self.detail.sources))
+
+    @cached_property
+    def with_story(self) -> frozenset[int]:
+        """Numbers of the experiments with a hypothesis and a fold table."""
+        return frozenset(e.number for e in self._chosen(self.detail.stories))
+
+    def _chosen(self, most: int) -> tuple[Experiment, ...]:
+        every = self.view.experiments
+        if len(every) <= most:
+            return every
+        bests = {e.number for e in self.view.bests}
+        order = sorted(
+            every, key=lambda e: (e.number not in self.lineage, e.number not in bests, -e.number)
+        )
+        return tuple(sorted(order[:most], key=lambda e: e.number))
+
+    def place(self, event: Event) -> int:
+        """Sequence number of an event of the run."""
+        try:
+            return self._places[id(event)]
+        except KeyError:
+            raise InternalError(f"report: this '{event.event}' is not in the ledger") from None
+
+    def number(self, event: Event, path: str, form: str) -> Html:
+        """A number as an event has it, such as `outcome.value`."""
+        return self.made(ONE, form, (event, path))
+
+    def made(self, rule: str, form: str, *parts: tuple[Event, str]) -> Html:
+        """A number made of several, by one of `numbers.RULES`."""
+        values: list[Any] = []
+        names: list[str] = []
+        for event, path in parts:
+            try:
+                values += follow(event, path)
+            except (KeyError, IndexError, AttributeError, ValueError) as error:
+                raise InternalError(f"report: '{event.event}' has no {path}: {error!r}") from error
+            names.append(f"{self.place(event)}:{path}")
+        return write_number(values, " ".join(names), rule, form)
+
+    def over(self, kind: str, path: str, rule: str, form: str) -> Html:
+        """A number made of all events of a kind, such as the sum of `seconds` of `evaluated`."""
+        values: list[Any] = []
+        for line in self.run.lines:
+            if line.event.event == kind:
+                values += follow(line.event, path)
+        return write_number(values, f"{kind}:{path}", rule, form)
+
+    def setting(self, path: str, form: str) -> Html | None:
+        """A number of the problem's lock file; None where it names none."""
+        try:
+            values = follow(self._lock, path)
+        except (KeyError, IndexError):
+            return None
+        return write_number(values, f"lock:{path}", ONE, form)
+
+    @cached_property
+    def _lock(self) -> dict[str, Any]:
+        import tomllib
+
+        path = self.run.directory / "problem.lock.toml"
+        return tomllib.loads(path.read_text("utf-8")) if path.exists() else {}
+
+    def v(self, experiment: Experiment) -> Html:
+        """V of an experiment that has a score."""
+        return self.number(result_of(experiment), "outcome.value", "error")
+
+    def name(self, experiment: Experiment) -> Html:
+        """`#07`."""
+        return self.number(experiment.proposed, "experiment", "number")
+
+    def rung(self, name: str) -> tuple[Event, float] | None:
+        """Return a reference model's event with its V; None without a score."""
+        for reference in self.view.rungs:
+            if reference.name == name and isinstance(reference.outcome, Score):
+                return reference, reference.outcome.value
+        return None
+
+
+def result_of(experiment: Experiment) -> Evaluated:
+    """The result of an experiment that has one."""
+    assert experiment.result is not None
+    return experiment.result
+
+
+# The one contract of the page's sections.
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page: one module below `sections`, and one line in its `__init__`."""
+
+    key: str
+    """Its anchor."""
+    title: str
+    """Its heading."""
+    write: Callable[[Subject], Html | None]
+    """Function that writes the section below its title; None if the run has nothing for it. Numbers
+    come from `Subject.number` and similar methods, foreign texts go through `html.said`; the audit
+    refuses a page with any other digit.
+    """
+
+
+def used_no_test(after_unsealing: bool) -> Html | None:
+    """Return the note on evidence that was computed after the test was opened."""
+    if not after_unsealing:
+        return None
+    return tag("p", "This was computed after the sealed test had been opened, without using it.")

@@ -1,0 +1,217 @@
+"""Pictures of published results with our own among them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from asia.data.trajectory import Array, Signal
+from asia.report.drawing.style import (
+    BLUE,
+    INK,
+    ORANGE,
+    QUIET,
+    RED,
+    SHADE,
+    entitle,
+    panel_legend,
+    picture_width,
+    plain,
+    quantity,
+    quiet_grid,
+)
+from asia.report.published import Board, Entry
+
+# Published results of several benchmarks, and ours among them, in one picture.
+
+
+_ROW = 0.24
+_MARGINS = 1.1
+# Results beyond this many times the best are drawn at the edge.
+_WORST = 1_000.0
+
+
+@dataclass(frozen=True)
+class _Row:
+    label: str
+    published: tuple[float, ...]
+    ours: float | None
+    words: str
+
+
+def draw_boards(boards: Sequence[Board], title: str) -> Figure:
+    """A row for each official figure: published test RMSE over the lowest of them, and ours where
+    the test was opened. boards: with one published result or more each."""
+    rows = [row for board in boards for row in _rows(board)]
+    figure = Figure(figsize=(picture_width(), _MARGINS + _ROW * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    _draw(axes, rows)
+    entitle(figure, title if len(title) < 70 else plain(title, 70))
+    figure.supxlabel(
+        "Published: nonlinearbenchmark.org; red: the model to use, where the test was opened",
+        x=0.01,
+        ha="left",
+        fontsize=7.0,
+        color=QUIET,
+    )
+    return figure
+
+
+def _rows(board: Board) -> list[_Row]:
+    found: list[_Row] = []
+    for index, name in enumerate(board.names):
+        values = [e.figures[index] for e in board.entries if index < len(e.figures)]
+        published = tuple(sorted(v for v in values if v is not None))
+        if not published:
+            continue
+        ours = board.standings[index] if index < len(board.standings) else None
+        label = board.problem if len(board.names) == 1 else f"{board.problem}: {name}"
+        text = f"best {published[0]:g} {board.unit}"
+        if ours is not None:
+            text += f", ours {ours.figure.value:.3g}: {ours.rank} of {ours.among}"
+        found.append(_Row(label, published, ours.figure.value if ours else None, text))
+    return found
+
+
+def _draw(axes: Axes, rows: Sequence[_Row]) -> None:
+    for y, row in enumerate(rows):
+        best = row.published[0]
+        ratios = [min(v / best, _WORST) for v in row.published]
+        axes.plot(ratios, [y] * len(ratios), "o", mfc="white", mec=BLUE, ms=4.0, mew=0.9)
+        if row.ours is not None:
+            ratio = min(max(row.ours / best, 1 / _WORST), _WORST)
+            axes.plot([ratio], [y], "D", color=RED, ms=6.0, zorder=5)
+        axes.annotate(
+            row.words,
+            xy=(1.01, y),
+            xycoords=("axes fraction", "data"),
+            va="center",
+            fontsize=7.0,
+            color=QUIET if row.ours is None else RED,
+            annotation_clip=False,
+        )
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.set_yticks(range(len(rows)), [plain(row.label, 44) for row in rows], fontsize=7.0)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.axvline(1.0, color=QUIET, lw=0.8, dashes=(3, 2), zorder=0)
+    axes.set_xlabel("Test RMSE / lowest published one")
+    quiet_grid(axes)
+
+
+# Our test error among the published ones: box plot and histogram.
+
+
+def draw_standing(
+    entries: Sequence[Entry],
+    ours: float,
+    output: Signal,
+    run: str,
+    mark: tuple[str, float] | None = None,
+) -> Figure:
+    """Published test RMSE with our mark. ours: test RMSE in the unit of `output`; mark: another
+    one to point out, with its name."""
+    values = np.array([e.test_rmse for e in entries])
+    figure = Figure(figsize=(picture_width(), 3.1), layout="constrained")
+    box, bars = figure.subplots(1, 2, width_ratios=(1.0, 2.1))
+    label = f"Test RMSE [{plain(output.unit, 16)}]" if output.unit else "Test RMSE"
+    _box(box, values, ours)
+    box.set_ylabel(label)
+    if mark is not None:
+        box.plot([1.0], [mark[1]], "D", mfc="white", mec=ORANGE, mew=1.6, ms=6.5, zorder=4)
+        bars.axvline(mark[1], color=ORANGE, lw=1.4, dashes=(1.5, 1.5))
+        text = f"{plain(mark[0], 20)}: {quantity(mark[1], output.unit)}"
+        (point,) = bars.plot([mark[1]], [0.0], "D", mfc="white", mec=ORANGE, mew=1.6, ms=6.5)
+        point.set(clip_on=False, zorder=4, label=text)
+    _histogram(bars, values, ours, quantity(ours, output.unit))
+    bars.set_xlabel(label)
+    if mark is not None:
+        panel_legend(bars, 4.0)
+    lower = int((values < ours).sum())
+    entitle(
+        figure,
+        f"{plain(run, 40)}: {lower} of {len(values)} published results have a lower test RMSE",
+    )
+    figure.supxlabel(_sources(entries), x=0.01, ha="left", fontsize=7.0, color=QUIET)
+    return figure
+
+
+def _box(axes: Axes, values: Array, ours: float) -> None:
+    line = {"color": INK, "linewidth": 0.9}
+    axes.boxplot(
+        values,
+        widths=0.4,
+        whis=1.5,
+        showfliers=False,
+        patch_artist=True,
+        boxprops={"facecolor": SHADE, "edgecolor": INK, "linewidth": 0.9},
+        medianprops={"color": INK, "linewidth": 1.6},
+        whiskerprops=line,
+        capprops=line,
+    )
+    axes.plot(_beside(values), values, "o", mfc="white", mec=BLUE, ms=4.0, mew=0.9, zorder=3)
+    axes.plot([1.0], [ours], "D", color=RED, ms=7.0, zorder=5)
+    axes.set_xlim(0.6, 1.7)
+    axes.set_ylim(0.0, max(values.max(), ours) * 1.08)
+    axes.set_xticks([])
+    quiet_grid(axes)
+
+
+def _histogram(axes: Axes, values: Array, ours: float, mark: str) -> None:
+    top, width = max(values.max(), ours), _bin_width(values)
+    axes.hist(
+        values, np.arange(0.0, top + 2 * width, width).tolist(), fc="#9fc3dd", ec="white", lw=0.8
+    )
+    axes.axvline(ours, color=RED, lw=1.6, dashes=(4, 2))
+    axes.plot([ours], [0.0], "D", color=RED, ms=7.0, clip_on=False, zorder=5)
+    axes.set_xlim(0.0, top * 1.05)
+    axes.set_ylabel("Published results")
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
+    quiet_grid(axes)
+    left = ours < 0.7 * top
+    axes.annotate(
+        f"this run\n{mark}",
+        xy=(ours, 0.97),
+        xycoords=("data", "axes fraction"),
+        xytext=(6.0 if left else -6.0, 0.0),
+        textcoords="offset points",
+        ha="left" if left else "right",
+        va="top",
+        color=RED,
+        fontweight="bold",
+        bbox={"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85},
+    )
+
+
+def _beside(values: Array) -> list[float]:
+    """x positions right of the box that keep close values apart."""
+    reach = (values.max() - values.min()) / 25.0
+    placed: list[tuple[float, float]] = []
+    columns: dict[int, float] = {}
+    for index in np.argsort(values, kind="stable"):
+        value, x = float(values[index]), 1.3
+        while any(abs(value - v) < reach and x == at for v, at in placed):
+            x = round(x + 0.07, 2)
+        placed.append((value, x))
+        columns[int(index)] = x
+    return [columns[i] for i in range(len(values))]
+
+
+def _bin_width(values: Array) -> float:
+    """Freedman and Diaconis (1981), rounded to 1, 2 or 5 times a power of ten."""
+    spread = np.subtract(*np.percentile(values, [75, 25])) or values.max()
+    width = 2.0 * spread / len(values) ** (1 / 3)
+    power = 10.0 ** np.floor(np.log10(width))
+    return float(min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(m * power - width)) * power)
+
+
+def _sources(entries: Sequence[Entry]) -> str:
+    years = sorted({e.year for e in entries})
+    return (
+        f"Published: {len(entries)} results from {years[0]} to {years[-1]}, nonlinearbenchmark.org"
+    )

@@ -1,1 +1,0 @@
-"""Access to data hidden from the search: test records and guard records."""

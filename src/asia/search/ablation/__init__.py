@@ -1,1 +1,0 @@
-"""Ablation of the winner: fits with parts of its changes reverted."""

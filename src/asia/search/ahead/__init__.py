@@ -1,1 +1,0 @@
-"""Several experiments at a time: proposed ahead of results, recorded in the order of proposal."""

@@ -1,1 +1,0 @@
-"""The decision on a candidate, and on the end of a search."""

@@ -1,0 +1,366 @@
+"""A search again from its ledger, with no network: the agent is asked again with the same view, its
+candidates are evaluated again, and all is compared with what was recorded."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+from asia.agents.registry import recorded_agents
+from asia.agents.view import Agent, AgentStoppedError, AgentView, Attached, DivergedError, Proposal
+from asia.errors import InternalError, UserError
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.references import LINEAR, score_references
+from asia.judge.sandbox.availability import probe
+from asia.judge.sandbox.layers.gpu import gpu_nodes
+from asia.judge.sandbox.levels import LEVELS
+from asia.judge.sandbox.types import Isolation
+from asia.judge.scoring.outcome import Failure, Outcome, Score
+from asia.ledger.artifacts import Store, without_artifacts
+from asia.ledger.events import (
+    Evaluated,
+    Event,
+    Exchanged,
+    HandedOver,
+    HandOverReason,
+    Proposed,
+    RungScored,
+    Started,
+    Status,
+    Stopped,
+    StopReason,
+)
+from asia.ledger.run import Run, open_run
+from asia.ledger.verification import check_lock
+from asia.ledger.view import SearchView, replay
+from asia.problem.load import load_lock
+from asia.problem.problem import Problem
+from asia.search.agent_views import agent_view, as_bytes, problem_facts
+from asia.search.loop import judge
+from asia.search.rules import stop_reason
+from asia.search.run import LOCK, environment, environment_changes, make_evaluator
+
+OutcomeAgreement = Literal["same", "close", "differs", "exempt", "unfinished"]
+ProposalAgreement = Literal["same", "differs", "taken", "none"]
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """Replay of one experiment, reference model or stop."""
+
+    name: str
+    """Name of the step, for example `#07` or `stop`."""
+    outcome: OutcomeAgreement
+    """`same` is bitwise the same, `close` within the tolerance, `exempt` where the deadline
+    affected it."""
+    proposal: ProposalAgreement = "none"
+    """Agreement of the proposal: `taken` from the ledger without an agent to ask, `none` for a
+    reference model.
+    """
+    status: Status | None = None
+    """Status of the experiment in the ledger."""
+    V: float | None = None
+    """The value in the ledger."""
+    again: float | None = None
+    """The value now."""
+    apart: float | None = None
+    """Relative difference of the two; None without two scores."""
+    detail: str = ""
+    """Description of the difference."""
+
+    @property
+    def agrees(self) -> bool:
+        """Return whether the replay agrees with the ledger."""
+        return self.outcome != "differs" and self.proposal != "differs"
+
+
+@dataclass(frozen=True)
+class ReplayReport:
+    """Result of a replay."""
+
+    run: str
+    """Name of the run."""
+    tolerance: float
+    """Relative difference of V up to which outcomes agree; 0 for bitwise."""
+    exchanges: int = 0
+    """Answers of a language model that the ledger holds."""
+    items: tuple[Replayed, ...] = ()
+    """Replayed steps in order."""
+    notes: tuple[str, ...] = ()
+    """Differences between this machine and the recorded one."""
+
+    @property
+    def agrees(self) -> bool:
+        """Return whether all steps agree."""
+        return all(item.agrees for item in self.items)
+
+    @property
+    def apart(self) -> float:
+        """Largest relative difference of two scores."""
+        return max((item.apart for item in self.items if item.apart is not None), default=0.0)
+
+
+def replay_run(
+    directory: Path, on_item: Callable[[Replayed], None], tolerance: float = 0.0
+) -> ReplayReport:
+    """Replay a finished or interrupted run; nothing is written.
+
+    tolerance: relative difference of V and of its folds up to which outcomes agree; 0 asks for
+    bitwise equality. Raises UserError when the run does not verify, when its data changed, or when
+    the package of its agent is missing.
+    """
+    run = open_run(directory)
+    started = run.view.started
+    if not run.store.kept:
+        raise UserError(without_artifacts(directory))
+    check_lock(directory, started)
+    problem = load_lock(directory / LOCK)
+    agents = recorded_agents(started)
+    level, notes = _level(started)
+    again = replace(run.view, started=replace(started, isolation=level.value))
+    replaying = _Replaying(run, problem, make_evaluator(problem, again), agents, tolerance, on_item)
+    replaying.run_all()
+    answered = sum(200 <= e.status < 300 for e in run.view.exchanges)
+    return ReplayReport(run.name, tolerance, answered, tuple(replaying.items), notes)
+
+
+@dataclass
+class _Replaying:
+    """A replay under way."""
+
+    run: Run
+    problem: Problem
+    evaluator: Evaluator
+    agents: tuple[Agent | None, ...]
+    tolerance: float
+    on_item: Callable[[Replayed], None]
+    items: list[Replayed] = field(default_factory=list[Replayed])
+
+    def run_all(self) -> None:
+        """Replay every event in order, each with the view before it."""
+        events = [line.event for line in self.run.lines]
+        journals = self._journals()
+        self._references([event for event in events if isinstance(event, RungScored)])
+        asked: dict[int, Replayed] = {}
+        for place, event in enumerate(events):
+            match event:
+                case Proposed():
+                    before = replay(events[:place])
+                    for journal in journals:
+                        journal.experiments = len(before.experiments)
+                    asked[event.experiment] = self._propose(event, before)
+                case Evaluated():
+                    item = asked.pop(event.experiment)
+                    self._add(self._evaluate(item, event, replay(events[:place])))
+                case HandedOver():
+                    self._end(f"hand-over to {event.agent}", event.reason, replay(events[:place]))
+                case Stopped(reason="exhausted") if self.agents[-1] is not None:
+                    self._end("stop", event.reason, replay(events[:place]))
+                case _:
+                    pass
+        for item in asked.values():
+            self._add(replace(item, outcome="unfinished"))
+
+    def _journals(self) -> list[_ReplayJournal]:
+        """Return a journal for each agent, with its own exchanges, attached to the agent."""
+        relay, exchanges = bool(self.run.view.started.legs), self.run.view.exchanges
+        journals: list[_ReplayJournal] = []
+        for place, agent in enumerate(self.agents):
+            own = tuple(e for e in exchanges if e.leg == (place + 1 if relay else 0))
+            journals.append(_ReplayJournal(self.run.store, own))
+            if isinstance(agent, Attached):
+                agent.attach(journals[-1])
+        return journals
+
+    def _agent(self, before: SearchView) -> Agent | None:
+        """Return the agent that proposed at this point; None if candidates were submitted from
+        outside.
+        """
+        return self.agents[max(0, before.leg - 1)]
+
+    def _add(self, item: Replayed) -> None:
+        self.items.append(item)
+        self.on_item(item)
+
+    def _references(self, recorded: list[RungScored]) -> None:
+        metric, truth = self.problem.protocol.metric, self.problem.truth
+        again = {r.name: r.outcome for r in score_references(self.evaluator, metric, truth, set())}
+        for rung in recorded:
+            item = Replayed(f"rung {rung.name}", "same")
+            if isinstance(rung.outcome, Failure) and rung.outcome.reason.status == "timeout":
+                self._add(replace(item, outcome="exempt", detail="the deadline affected it"))
+            elif rung.name not in again:
+                detail = "this version has no such reference model"
+                self._add(replace(item, outcome="differs", detail=detail))
+            else:
+                self._add(self._compare(item, rung.outcome, again[rung.name]))
+
+    def _propose(self, event: Proposed, before: SearchView) -> Replayed:
+        """Ask again, and compare every word of the answer."""
+        item = Replayed(f"#{event.experiment:02d}", "same", "taken")
+        if event.phase == "baseline":
+            same = as_bytes(self.problem.baseline or LINEAR) == self._source(event)
+            detail = "" if same else "the baseline differs"
+            return replace(item, proposal="same" if same else "differs", detail=detail)
+        agent = self._agent(before)
+        if agent is None:
+            return item
+        try:
+            proposal = agent.propose(self._seen(before))
+        except DivergedError as error:
+            return replace(item, proposal="differs", detail=str(error))
+        except AgentStoppedError as end:
+            detail = f"the agent ends the search here: {end.detail}"
+            return replace(item, proposal="differs", detail=detail)
+        if proposal is None:
+            return replace(item, proposal="differs", detail="the agent has no proposal here")
+        different = self._different(event, proposal)
+        return replace(
+            item,
+            proposal="differs" if different else "same",
+            detail=f"the proposal differs in {', '.join(different)}" if different else "",
+        )
+
+    def _seen(self, before: SearchView) -> AgentView:
+        """The agent's view, with the budget of that time."""
+        budget = replace(self.problem.budget, experiments=before.budget, hours=before.hours)
+        facts = problem_facts(replace(self.problem, budget=budget))
+        return agent_view(facts, before, self.run.store)
+
+    def _different(self, event: Proposed, proposal: Proposal) -> list[str]:
+        pairs = {
+            "source": (self._source(event), as_bytes(proposal.source)),
+            "family": (event.family, proposal.family),
+            "title": (event.title, proposal.title),
+            "hypothesis": (event.hypothesis, proposal.hypothesis),
+            "expectation": (event.expected, proposal.expected),
+            "parent": (event.parent, proposal.parent),
+        }
+        return [what for what, (there, here) in pairs.items() if there != here]
+
+    def _source(self, event: Proposed) -> bytes:
+        return self.run.store.get(event.source)
+
+    def _evaluate(self, item: Replayed, event: Evaluated, view: SearchView) -> Replayed:
+        item = replace(item, status=event.status, V=_value(event.outcome))
+        if event.duplicate_of is not None:
+            twin = next(i for i in self.items if i.name == f"#{event.duplicate_of:02d}")
+            again = replace(item, outcome=twin.outcome, again=twin.again, apart=twin.apart)
+            return _with_detail(again, f"twin of {twin.name}")
+        if event.deadline:
+            return _with_detail(replace(item, outcome="exempt"), "the deadline affected it")
+        proposed = view.experiment(event.experiment).proposed
+        source = self.run.store.text(proposed.source)
+        judged = judge(self.evaluator, source, view, over=proposed.over)
+        item = self._compare(item, event.outcome, judged.evaluation.outcome)
+        if item.outcome != "same":
+            return item
+        if judged.status != event.status:
+            text = f"the decision is {judged.status} now"
+            return _with_detail(replace(item, outcome="differs"), text)
+        if judged.retests != event.retests and not self.tolerance:
+            text = "the result with another seed differs"
+            return _with_detail(replace(item, outcome="differs"), text)
+        return item
+
+    def _end(self, name: str, reason: HandOverReason | StopReason, before: SearchView) -> None:
+        """The end of a leg or of the search: the agent, or the rule, must end it again."""
+        agent = self._agent(before)
+        match reason:
+            case "exhausted" if agent is not None:
+                ended = self._ends(agent, before)
+            case "planned":
+                ended = stop_reason(before, self.problem.budget) == "budget"
+            case "saturated":
+                ended = stop_reason(before, self.problem.budget) == "saturated" or (
+                    agent is not None and self._ends(agent, before)
+                )
+            case _:
+                self._add(Replayed(name, "same", "taken", detail=reason))
+                return
+        item = Replayed(name, "same" if ended else "differs", "same")
+        self._add(item if ended else _with_detail(item, "the agent continues here"))
+
+    def _ends(self, agent: Agent, before: SearchView) -> bool:
+        """Return whether the agent has no proposal or ends the search."""
+        try:
+            return agent.propose(self._seen(before)) is None
+        except AgentStoppedError:
+            return True
+
+    def _compare(self, item: Replayed, there: Outcome, here: Outcome) -> Replayed:
+        item = replace(item, V=_value(there), again=_value(here))
+        if isinstance(there, Failure) or isinstance(here, Failure):
+            same = _kind(there) == _kind(here)
+            detail = "" if same else f"{_kind(here)} now, {_kind(there)} then"
+            return _with_detail(replace(item, outcome="same" if same else "differs"), detail)
+        apart = _apart(there, here)
+        item = replace(item, apart=apart)
+        if there == here:
+            return item
+        close = apart <= self.tolerance
+        return _with_detail(
+            replace(item, outcome="close" if close else "differs"),
+            f"V {there.value!r} then, {here.value!r} now",
+        )
+
+
+@dataclass
+class _ReplayJournal:
+    """The ledger as an agent reads it in a replay; nothing can be added."""
+
+    store: Store
+    exchanges: tuple[Exchanged, ...]
+    experiments: int = 0
+
+    def record(self, event: Event) -> None:
+        """Raises InternalError."""
+        raise InternalError(f"a replay was about to record '{event.event}'")
+
+    def put(self, data: bytes) -> str:
+        """The name these bytes would have."""
+        return hashlib.sha256(data).hexdigest()
+
+    def get(self, name: str) -> bytes:
+        """Bytes of the run."""
+        return self.store.get(name)
+
+    def interrupted(self) -> bool:
+        """Nobody interrupts a replay."""
+        return False
+
+
+def _level(started: Started) -> tuple[Isolation, tuple[str, ...]]:
+    """The isolation to evaluate at, and what is not as it was."""
+    expected, found = Isolation(started.isolation), probe().level
+    level = expected if expected is found or not LEVELS[expected].confined else found
+    notes = () if level is expected else (f"isolation {level.value} here, {expected.value} then",)
+    gpu = started.environment.get("GPU", "") if gpu_nodes() else ""
+    here = environment(started.agent, *(leg.agent for leg in started.legs), gpu=gpu)
+    changes = environment_changes(started.environment, here)
+    return level, (*notes, *changes)
+
+
+def _value(outcome: Outcome) -> float | None:
+    return outcome.value if isinstance(outcome, Score) else None
+
+
+def _kind(outcome: Outcome) -> str:
+    if isinstance(outcome, Score):
+        return "a score"
+    return f"{outcome.reason.value} in fold {outcome.fold}"
+
+
+def _apart(there: Score, here: Score) -> float:
+    """Largest difference of V and of the folds, relative to the larger one."""
+    pairs = [(there.value, here.value)]
+    pairs += [(a.value, b.value) for a, b in zip(there.folds, here.folds, strict=True)]
+    return max(abs(b - a) / max(a, b) if a != b else 0.0 for a, b in pairs)
+
+
+def _with_detail(item: Replayed, detail: str) -> Replayed:
+    parts = [part for part in (item.detail, detail) if part]
+    return replace(item, detail="; ".join(parts))

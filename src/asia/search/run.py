@@ -1,0 +1,494 @@
+"""Open or resume a run directory and search."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import math
+import platform
+import secrets
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import get_args
+
+from asia._plugins import parts
+from asia.agents.registry import packages_of
+from asia.agents.relay import check_relay_budget, relay_budget
+from asia.agents.view import Agent
+from asia.candidate import check_source, installed_libraries
+from asia.errors import CandidateError, SandboxError, UserError
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.references import LINEAR
+from asia.judge.evaluation.relations import SuspicionKind
+from asia.judge.evaluation.results import derive_seed
+from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor, remote_executor_of
+from asia.judge.sandbox.availability import chosen_gpu, probe
+from asia.judge.sandbox.layers.environment import shown_in
+from asia.judge.sandbox.layers.gpu import gpu_nodes
+from asia.judge.sandbox.levels import LEVELS
+from asia.judge.sandbox.types import Isolation, Probe
+from asia.ledger.artifacts import Store
+from asia.ledger.chain import Chain, write_whole
+from asia.ledger.events import RESUMABLE, Extended, Leg, Resumed, Started
+from asia.ledger.exports import write_exports
+from asia.ledger.run import ERROR, keep_error
+from asia.ledger.verification import check_lock
+from asia.ledger.view import SearchView
+from asia.problem.budget import Budget
+from asia.problem.lock import lock_differences, lock_text, protocol_digest
+from asia.problem.problem import Problem, Seal, kept_places, record_places
+from asia.problem.protocol import EarlyStopping, Fold, fold_names, make_folds
+from asia.problem.protocol_table import check_feedback
+from asia.problem.seal import guard_digest, seal
+from asia.search.loop import Loop, OnEvent
+from asia.search.pending import check_steps_ahead, check_ways
+
+# Environment that outcomes and prompts depend on: Python, packages, model library.
+
+
+PACKAGES = ("cloudpickle", "asia-sysid")
+
+
+def environment(*agents: str, gpu: str = "") -> dict[str, str]:
+    """Return the environment that outcomes and prompts may depend on.
+
+    Args:
+        gpu: device of the candidates besides the processor.
+
+    Returns:
+        Python, platform, versions of packages and plugins, and the digest of the model library.
+
+    Raises:
+        UserError: as `asia._plugins.parts`.
+    """
+    names = (
+        *installed_libraries(),
+        *PACKAGES,
+        *(package for name in agents for package in packages_of(name)),
+    )
+    versions = {name: importlib.metadata.version(name) for name in names}
+    plugged = {part.package: part.version for part in parts()}
+    python = {"python": platform.python_version(), "platform": platform.platform()}
+    card = {"GPU": gpu} if gpu else {}
+    return {**python, **plugged, **versions, **card, "asia.models": _library_digest()}
+
+
+@cache
+def _library_digest() -> str:
+    """12 hexadecimal digits of the sources of `asia.models`."""
+    digest = hashlib.sha256()
+    root = Path(__file__).parents[1] / "models"
+    for path in sorted(root.rglob("*.py")):
+        digest.update(f"{path.relative_to(root).as_posix()}\n".encode() + path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def environment_changes(there: Mapping[str, str], here: Mapping[str, str]) -> tuple[str, ...]:
+    """Describe the differences between the recorded and the present environment, one sentence
+    each.
+    """
+    return tuple(
+        f"{name} {here.get(name, 'missing')} here, {there.get(name, _absent(name))} then"
+        for name in sorted({**there, **here})
+        if here.get(name) != there.get(name)
+    )
+
+
+def _absent(name: str) -> str:
+    return "not recorded" if name == "asia.models" else "missing"
+
+
+# Check that hidden data lie outside every folder that candidates and agents can read.
+
+
+def check_run_is_hidden(problem: Problem, directory: Path, level: Isolation) -> None:
+    """Raises UserError when the run directory, a record or the key of the test lies in a folder
+    that every worker can read. A level that confines nothing hides nothing, and nothing is checked
+    there."""
+    if not LEVELS[level].confined:
+        return
+    for path in (directory, *record_places(problem), *kept_places(problem)):
+        check_hidden_from_workers(path)
+
+
+def check_hidden_from_workers(path: Path) -> None:
+    """Raises UserError when `path` lies in a folder that every worker can read."""
+    folder = shown_in(path)
+    if folder is not None:
+        raise UserError(
+            f"{path} lies in {folder}, which every candidate can read, because it holds the "
+            "interpreter, its libraries or the package of a part: keep runs, data and keys "
+            "elsewhere"
+        )
+
+
+def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
+    """Raises UserError when a folder that an agent is to be shown holds the test data or their
+    key."""
+    hidden = [path.resolve() for path in kept_places(problem)]
+    for path in shown:
+        real = path.resolve()
+        for place in hidden:
+            if real == place or real in place.parents or place in real.parents:
+                raise UserError(
+                    f"{path} would show the agent {place}, which contains test data or "
+                    "their key: give a smaller folder"
+                )
+
+
+# Open or resume a run directory and search.
+
+
+LOCK = "problem.lock.toml"
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A run directory ready to be searched: nothing was written yet."""
+
+    problem: Problem
+    """Problem to solve."""
+    directory: Path
+    """Run directory, which may not exist yet."""
+    lock: str
+    """Text of the lock file: the problem resolved, with digests of its data."""
+    started: Started
+    """The first line of the ledger, as it would be written now."""
+    resumes: bool
+    """True if the run exists already."""
+
+
+def prepare(
+    problem: Problem,
+    agent_name: str,
+    *,
+    seed: int,
+    runs: Path,
+    name: str | None = None,
+    isolation: Isolation | None = None,
+    isolation_strict: bool = False,
+    agent_settings: Mapping[str, str] | None = None,
+    legs: Sequence[Leg] = (),
+    parallel: int = 1,
+    stop_folds: bool = False,
+    device: str = "cpu",
+) -> Prepared:
+    """Check everything a search needs and compare it with an existing run. Writes nothing.
+
+    Args:
+        problem: the problem to solve.
+        agent_name: name of the agent.
+        seed: seed of the search.
+        runs: folder of run directories.
+        name: name of the run.
+        isolation: isolation level of candidates.
+        isolation_strict: true to fit the folds of a candidate sequentially.
+        agent_settings: settings of the agent's proposals besides its name.
+        legs: legs of a relay, as `legs_of` its agent.
+        parallel: number of concurrent experiments.
+        stop_folds: true to prune the remaining folds of a candidate that is far behind the best.
+        device: `gpu` for candidates that train networks on one, `auto` for a GPU if there is one.
+
+    Raises:
+        UserError: the folds cannot be made, the test does not fit, the legs do not fit into the
+            budget, the run exists with other settings, several experiments are requested with
+            sequential folds, or JAX does not reach the requested GPU.
+    """
+    folds = _check(problem, legs, parallel, strict=isolation_strict, stop_folds=stop_folds)
+    sealed = replace(seal(problem), guard=guard_digest(problem))
+    directory = runs / (name or _default_name(problem, agent_name, seed))
+    found = _probe(problem, directory, isolation)
+    lock = lock_text(problem, sealed)
+    started = Started(
+        run=directory.name,
+        problem=problem.name,
+        agent=agent_name,
+        seed=seed,
+        experiments=problem.budget.experiments,
+        hours=problem.budget.hours,
+        outputs=tuple(s.name for s in problem.outputs),
+        lock_digest=hashlib.sha256(lock.encode()).hexdigest(),
+        protocol_digest=protocol_digest(problem),
+        test_digest=sealed.sha256,
+        isolation=found.level.value,
+        isolation_notes=found.notes,
+        environment=environment(agent_name, *(leg.agent for leg in legs)),
+        early_stopping=problem.protocol.early_stopping,
+        residuals=problem.protocol.residuals,
+        agent_settings=dict(agent_settings or {}),
+        ladder=problem.protocol.ladder,
+        guard_digest=sealed.guard,
+        isolation_strict=isolation_strict,
+        folds=fold_names(folds, problem.protocol),
+        legs=_recorded_legs(legs),
+        retests=_retests(problem),
+        parallel=parallel,
+        stop_folds=stop_folds,
+    )
+    resumes = _resumes(problem, sealed, directory)
+    return Prepared(problem, directory, lock, _on(device, started, found), resumes)
+
+
+def _on(device: str, started: Started, found: Probe) -> Started:
+    """Return the start event with the isolation, a salt, and the GPU if workers reach the requested
+    one.
+    """
+    gpu, notes = chosen_gpu(device, found.level)
+    return replace(
+        started,
+        layers=tuple(layer.value for layer in found.layers),
+        salt=secrets.token_hex(16),
+        isolation_notes=(*started.isolation_notes, *notes),
+        device="gpu" if gpu else "cpu",
+        environment={**started.environment, **({"GPU": gpu} if gpu else {})},
+    )
+
+
+def _retests(problem: Problem) -> int:
+    """The Ladder has a floor of its own, and retests would say by their time what is kept."""
+    return 0 if problem.protocol.ladder is not None else problem.budget.retests
+
+
+def _default_name(problem: Problem, agent_name: str, seed: int) -> str:
+    rule = problem.protocol
+    setting = "" if rule.early_stopping == "inner" else "-validation"
+    setting += "" if rule.residuals == "train" else "-residuals"
+    return f"{problem.name}-{agent_name}-s{seed}{setting}"
+
+
+def search(
+    prepared: Prepared,
+    agent: Agent,
+    on_event: OnEvent,
+    on_start: Callable[[SearchView], None],
+    executor: Executor | None = None,
+) -> SearchView:
+    """Run or resume to the end of the budget; the finished view.
+
+    Unfinished runs resume, finished ones return at once, a larger budget extends. Raises UserError
+    when the run is in use, belongs to another agent or seed, or was unsealed.
+    """
+    directory, problem = prepared.directory, prepared.problem
+    check_steps_ahead(prepared.started.parallel, agent)
+    with Chain(directory / "ledger.jsonl") as chain:
+        if not chain.lines:
+            write_whole(directory / LOCK, prepared.lock.encode())
+            chain.append(prepared.started)
+        view = chain.view
+        check_lock(directory, view.started)
+        check_same_search(view, prepared.started)
+        evaluator = make_evaluator(problem, view, executor)
+        loop = Loop(
+            problem=problem,
+            baseline=problem.baseline or LINEAR,
+            agent=agent,
+            evaluator=evaluator,
+            chain=chain,
+            store=Store(directory / "artifacts"),
+            directory=directory,
+            on_event=on_event,
+        )
+        loop.store.tidy()
+        # A search that was killed behind its last event has not written them.
+        write_exports(directory, view)
+        on_start(view)
+        expected = prepared.started
+        if (expected.experiments, expected.hours) != (view.budget, view.hours):
+            loop.record(Extended(expected.experiments, expected.hours))
+        stopped = loop.view.stopped
+        if stopped is not None and stopped.reason in RESUMABLE and view.unsealing is None:
+            loop.record(Resumed())
+        # A standby worker that starts during a fit could receive information through its timing.
+        sequential = view.started.isolation_strict or remote_executor_of(executor) is not None
+        ready = nullcontext() if sequential else evaluator.ready_workers(view.started.parallel)
+        (directory / ERROR).unlink(missing_ok=True)
+        try:
+            with ready:
+                return loop.run()
+        except Exception as error:
+            path = keep_error(directory, error)
+            error.add_note(f"the traceback is in {path}; the same command resumes the search")
+            raise
+
+
+def make_evaluator(
+    problem: Problem,
+    view: SearchView,
+    executor: Executor | None = None,
+    folds: Sequence[Fold] | None = None,
+    without: Collection[SuspicionKind] = (),
+) -> Evaluator:
+    """The evaluator of a run, at the isolation its ledger records. folds: in place of the
+    problem's own; without: as in `Evaluator`."""
+    rule = problem.protocol
+    runs_on = executor or LocalExecutor()
+    context = search_context(problem, derive_seed(view.started.seed, "search"))
+    return Evaluator(
+        folds=make_folds(problem.train, rule) if folds is None else folds,
+        records=problem.train,
+        context=context,
+        rule=rule,
+        budget=problem.budget,
+        isolation=Isolation(view.started.isolation),
+        executor=SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
+        salt=view.started.salt,
+        without=without,
+        problem=view.started.lock_digest,
+        # Elsewhere a finished search is still read: most models simulate without JAX.
+        gpu=view.started.device == "gpu" and bool(gpu_nodes()),
+    )
+
+
+def with_early_stopping(problem: Problem, setting: str) -> Problem:
+    """The problem with this setting instead of its file's. Raises UserError for another word, or
+    one that the protocol's feedback rules out."""
+    for known in get_args(EarlyStopping):
+        if setting == known:
+            rule = replace(problem.protocol, early_stopping=known)
+            check_feedback(rule)
+            return replace(problem, protocol=rule)
+    raise UserError(
+        f"early stopping '{setting}': expected {' or '.join(get_args(EarlyStopping))}; "
+        "choose one, or leave it out for the problem's own"
+    )
+
+
+def with_relay_budget(problem: Problem, legs: Sequence[Leg]) -> Problem:
+    """Return the problem with the sum of the legs' experiments as its budget, if it allows as many;
+    for a search without a given number of experiments.
+    """
+    total = relay_budget(legs) if legs else None
+    if total is None or total > problem.budget.experiments:
+        return problem
+    return replace(problem, budget=replace(problem.budget, experiments=total))
+
+
+def check_baseline(problem: Problem) -> None:
+    """Raises UserError when the problem's baseline.py is not a candidate."""
+    if problem.baseline is None:
+        return
+    try:
+        check_source(problem.baseline)
+    except CandidateError as error:
+        raise UserError(f"baseline.py of problem '{problem.name}': {error.reason.advice}") from None
+
+
+def _recorded_legs(legs: Sequence[Leg]) -> tuple[Leg, ...]:
+    """Return the legs without the number of the last one, which is the budget's: a larger budget
+    extends it.
+    """
+    return (*legs[:-1], *(replace(leg, experiments=None) for leg in legs[-1:]))
+
+
+def _check(
+    problem: Problem, legs: Sequence[Leg], parallel: int, *, strict: bool, stop_folds: bool
+) -> tuple[Fold, ...]:
+    """The folds of a problem whose baseline and budget are in order."""
+    check_ways(problem.protocol, parallel, strict=strict, stop_folds=stop_folds)
+    check_baseline(problem)
+    _check_budget(problem.budget)
+    if legs:
+        check_relay_budget(legs, problem.budget.experiments)
+    return make_folds(problem.train, problem.protocol)
+
+
+def _check_budget(budget: Budget) -> None:
+    """The file's schema checks a budget that was read; this one may come from anywhere."""
+    if budget.experiments < 1:
+        raise UserError(f"a budget of {budget.experiments} experiments: at least 1 is needed")
+    if budget.hours is not None and not budget.hours > 0:
+        raise UserError(f"a budget of {budget.hours:g} hours: more than 0 are needed")
+
+
+def _probe(problem: Problem, directory: Path, wanted: Isolation | None) -> Probe:
+    """The isolation that works here and hides the run from candidates."""
+    try:
+        found = probe(wanted)
+    except SandboxError as error:
+        raise UserError(f"{error}; omit --isolation to use the strongest available level") from None
+    check_run_is_hidden(problem, directory, found.level)
+    return found
+
+
+def _resumes(problem: Problem, sealed: Seal, directory: Path) -> bool:
+    """Return whether the run exists. The budget may grow; all other settings must be equal."""
+    if not ((directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()):
+        return False
+    found = lock_differences(problem, sealed, directory / LOCK)
+    different = [d for d in found if d.key not in ("budget.experiments", "budget.hours")]
+    # A run from before there were retests goes on by the rule in its ledger.
+    different = [d for d in different if not (d.key == "budget.retests" and d.before is None)]
+    if different:
+        raise UserError(
+            f"{directory} was started with other settings ({different[0]}); only the number of "
+            "experiments and the hours can grow: choose another --name"
+        )
+    return True
+
+
+def check_same_search(view: SearchView, wanted: Started) -> None:
+    """Raises UserError unless `wanted` asks for the same search, or for more of it."""
+    start = view.started
+    if start.lessons is not None:
+        raise UserError(
+            f"run '{start.run}' was started with lessons, which this version does not support: "
+            "choose another --name"
+        )
+    for what, there, now in (
+        ("agent", start.agent, wanted.agent),
+        ("seed", start.seed, wanted.seed),
+        ("isolation", start.isolation_words, wanted.isolation_words),
+        ("--parallel", start.parallel, wanted.parallel),
+        ("--device", start.device, wanted.device),
+        ("--stop-folds", *("on" if s.stop_folds else "off" for s in (start, wanted))),
+    ):
+        if there != now:
+            raise UserError(
+                f"run '{start.run}' has {what} {there}, not {now}: choose another --name"
+            )
+    lost = [layer for layer in start.layers if layer not in wanted.layers]
+    if lost:
+        raise UserError(
+            f"run '{start.run}' started with a layer of isolation that is not available "
+            f"({', '.join(lost)}): continue it where it started, or choose another --name"
+        )
+    for settings in _other_settings(start, wanted):
+        for what in dict.fromkeys([*settings[0], *settings[1]]):
+            there, now = (s.get(what, "its default") for s in settings)
+            if there != now:
+                raise UserError(
+                    f"run '{start.run}' has an agent with {what} {there}, not {now}: choose "
+                    "another --name"
+                )
+    for what, there, now in (
+        ("experiments", view.budget, wanted.experiments),
+        ("hours", _hours(view.hours), _hours(wanted.hours)),
+    ):
+        if now < there:
+            has = f"{there:g} {what}" if math.isfinite(there) else f"no limit of {what}"
+            raise UserError(
+                f"run '{start.run}' has {has}, and a budget can only grow: ask for at least that, "
+                "or choose another --name"
+            )
+    grows = wanted.experiments > view.budget or _hours(wanted.hours) > _hours(view.hours)
+    if view.unsealing and grows:
+        raise UserError(
+            f"run '{start.run}' was unsealed, which ended the search: choose another --name"
+        )
+
+
+def _other_settings(
+    there: Started, now: Started
+) -> Iterator[tuple[Mapping[str, str], Mapping[str, str]]]:
+    """The settings of each agent, those of its leg in a relay; the names are the same."""
+    yield there.agent_settings, now.agent_settings
+    for one, other in zip(there.legs, now.legs, strict=True):
+        yield one.settings, other.settings
+
+
+def _hours(value: float | None) -> float:
+    return math.inf if value is None else value

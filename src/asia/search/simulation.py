@@ -1,0 +1,435 @@
+"""Simulation with the models of a run, in the sandbox."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import get_args, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia._text import one_line
+from asia.data.trajectory import Array, filled
+from asia.errors import CandidateError, UserError
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.scoring.bands import (
+    Bands,
+    ErrorSizes,
+    HeldOutErrors,
+    Region,
+    error_sizes,
+    output_bands,
+    region_of,
+)
+from asia.ledger.artifacts import Store
+from asia.ledger.events import Use
+from asia.ledger.run import Run, model_to_use, open_run
+from asia.ledger.view import Experiment, SearchView
+from asia.problem.load import load_lock
+from asia.problem.problem import Problem
+from asia.problem.protocol import Block, Case, Fold, ProtocolRule, cut, whole
+from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
+from asia.search.run import LOCK, make_evaluator
+
+# Stored models that make up a final model.
+
+
+@dataclass(frozen=True)
+class FinalMember:
+    """Stored models of one candidate; the mean of their simulations counts with a weight."""
+
+    source: str
+    """Artifact of the candidate."""
+    models: tuple[str, ...]
+    """Artifacts of the models."""
+    weight: float = 1.0
+    """Its share; those of all members add up to 1."""
+
+
+def final_members(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
+    """Return the members of a final model.
+
+    Raises:
+        UserError: the search has no such model.
+    """
+    run, best, refitted = view.started.run, view.best, view.refitted
+    if best is None:
+        raise UserError(f"run '{run}' has no scored model")
+    if use == "ensemble":
+        return (fold_models(best),)
+    if use == "refit":
+        if refitted is None or refitted.model is None:
+            why = f": {refitted.detail}" if refitted and refitted.detail else ""
+            raise UserError(f"run '{run}' has no refitted model{why}")
+        return (FinalMember(best.proposed.source, (refitted.model,)),)
+    if refitted is None or refitted.stack is None:
+        raise UserError(
+            f"run '{run}' has no stack: it is made at the end of a search, where several "
+            "candidates together have a lower V than one"
+        )
+    members = refitted.stack.members
+    return tuple(fold_models(view.experiment(m.experiment), m.weight) for m in members)
+
+
+def has_model(view: SearchView, use: Use) -> bool:
+    """Return whether the search has this final model."""
+    try:
+        return bool(final_members(view, use))
+    except UserError:
+        return False
+
+
+def fold_models(experiment: Experiment, weight: float = 1.0) -> FinalMember:
+    """The fold models of a scored experiment."""
+    assert experiment.result is not None
+    models = tuple(fold.model for fold in experiment.result.folds)
+    return FinalMember(experiment.proposed.source, models, weight)
+
+
+# Bands of a final model, from the held-out simulations that the ledger keeps.
+
+
+BAND_LEVEL = 0.9
+"""Coverage of the bands that are drawn and recorded."""
+
+# Share of the differences between the fold models. Held-out errors already contain the variance
+# of a fold model; the full differences would count it twice.
+_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class BandBasis:
+    """Data for the output bands of one final model."""
+
+    errors: tuple[HeldOutErrors, ...]
+    """Held-out errors of the fold models behind the model, NaN for unmeasured outputs."""
+    simulated: tuple[tuple[Array, ...], ...]
+    """Their simulations (H, ny) of each held-out block, one tuple a fold."""
+    region: Region
+    """Region of all training records."""
+    windows: bool
+    """True if the protocol simulates windows, so that errors depend on the step."""
+
+    @cached_property
+    def _sizes(self) -> ErrorSizes:
+        return error_sizes(self.errors, by_step=self.windows)
+
+    def around(
+        self, case: Case, folds: Array, y_hat: Array, level: float
+    ) -> tuple[Bands, NDArray[np.bool_]]:
+        """Bands at the level, and whether each sample (H,) is outside the region of validity,
+        where the bands are wider in proportion to the distance. folds: the simulations (K, H, ny)
+        of the fold models; y_hat (H, ny) that of the final model, which the bands always hold."""
+        centres = y_hat + _SHARE * (folds - folds.mean(axis=0))
+        distance = self.region.distance(case.past_u, case.u, y_hat)
+        wider = np.maximum(distance, 1.0)
+        found = output_bands(self._sizes, centres, level, wider)
+        bands = Bands(np.minimum(found.lower, y_hat), np.maximum(found.upper, y_hat))
+        return bands, distance > 1.0
+
+
+def models_behind(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
+    """The fold models that say how wrong a final model is: of a stack its members', otherwise the
+    winner's."""
+    return final_members(view, "stack" if use == "stack" else "ensemble")
+
+
+def band_basis(evaluator: Evaluator, view: SearchView, store: Store, use: Use) -> BandBasis:
+    """The basis for the bands of a final model that the search has."""
+    if use == "stack" and view.refitted is not None and view.refitted.stack is not None:
+        weights = {m.experiment: m.weight for m in view.refitted.stack.members}
+    else:
+        assert view.best is not None
+        weights = {view.best.number: 1.0}
+    parts = [(view.experiment(number), weight) for number, weight in weights.items()]
+    simulated = tuple(_simulated(fold, parts, store) for fold in evaluator.folds)
+    errors = tuple(
+        HeldOutErrors(tuple(b.y - y for b, y in zip(fold.validation, y_hat, strict=True)))
+        for fold, y_hat in zip(evaluator.folds, simulated, strict=True)
+    )
+    region = region_of([(r.u, r.y) for r in evaluator.records])
+    return BandBasis(errors, simulated, region, evaluator.horizon is not None)
+
+
+def _simulated(
+    fold: Fold, parts: Sequence[tuple[Experiment, float]], store: Store
+) -> tuple[Array, ...]:
+    """The weighted simulations of what a fold holds out."""
+    shapes = [block.y.shape for block in fold.validation]
+    total = [np.zeros(shape) for shape in shapes]
+    for experiment, weight in parts:
+        assert experiment.result is not None
+        kept = store.get_arrays(experiment.result.folds[fold.index].y_hat, shapes)
+        for sum_, y_hat in zip(total, kept, strict=True):
+            sum_ += weight * y_hat
+    return tuple(total)
+
+
+# Use what a search found: simulate with its models, in the sandbox they were made in.
+
+
+@dataclass(frozen=True)
+class BandedSimulation:
+    """A simulation with its output bands."""
+
+    y_hat: Array
+    """Simulated outputs (H, ny), physical units."""
+    lower: Array
+    """Lower edge of the bands (H, ny)."""
+    upper: Array
+    """Upper edge of the bands (H, ny)."""
+    level: float
+    """The share of measured outputs that the bands are meant to hold."""
+    outside: NDArray[np.bool_]
+    """Mask of the samples (H,) outside the region of validity: a signal is far beyond its training
+    range, an input changes faster than it did there, or inputs and simulated outputs are together
+    farther from the mean than 99 % of the training samples. The bands are wider there.
+    """
+
+
+@overload
+def simulate(
+    directory: Path | str,
+    past_u: Array,
+    past_y: Array,
+    u: Array,
+    model: Use | None = None,
+) -> Array: ...
+
+
+@overload
+def simulate(
+    directory: Path | str,
+    past_u: Array,
+    past_y: Array,
+    u: Array,
+    model: Use | None = None,
+    *,
+    bands: float,
+) -> BandedSimulation: ...
+
+
+def simulate(
+    directory: Path | str,
+    past_u: Array,
+    past_y: Array,
+    u: Array,
+    model: Use | None = None,
+    *,
+    bands: float | None = None,
+) -> Array | BandedSimulation:
+    """Open-loop simulation with the winner of a run.
+
+    past_u (n_past_u, nu), past_y (n_past_y, ny): the samples just before the first simulated one;
+    u (H, nu); physical units -> y_hat (H, ny). With [preprocess] all are in the units and at the
+    rate of the records: past_u then has n_past_u decimate + the longest delay samples, past_y
+    n_past_y decimate. model: `ensemble`, the mean of the winner's fold
+    models; `refit`, the winner fitted on all training records; `stack`, a weighted mean of several
+    experiments; None for the one that the search names as the model to use. bands: a level such as
+    0.9, to have a `BandedSimulation` with the bands that hold this share of the measured outputs.
+    Raises UserError for a wrong shape or level or when the run has no such model, CandidateError
+    when the simulation fails.
+    """
+    run = open_run(Path(directory))
+    named = _named(run, model)
+    members = final_members(run.view, named)
+    if bands is not None and not 0.0 < bands < 1.0:
+        raise UserError(f"bands is {bands}, expected a share between 0 and 1, such as 0.9")
+    problem = load_lock(run.directory / LOCK)
+    block = _block(run, problem, past_u, past_y, u)
+    evaluator = make_evaluator(problem, run.view)
+    each = _simulate_simulated(evaluator, run, members, block)
+    y_hat = each.mean(axis=0)
+    done = problem.preprocess
+    if bands is None:
+        return done.back(y_hat, problem.channels.outputs, len(u))
+    behind = models_behind(run.view, named)
+    folds = each if behind == members else _simulate_simulated(evaluator, run, behind, block)
+    basis = band_basis(evaluator, run.view, run.store, named)
+    found, outside = basis.around(block.case, folds, y_hat, bands)
+    mean, lower, upper = (
+        done.back(edge, problem.channels.outputs, len(u))
+        for edge in (y_hat, found.lower, found.upper)
+    )
+    outside = np.repeat(outside, done.decimate)[: len(u)]
+    return BandedSimulation(mean, lower, upper, bands, outside)
+
+
+def simulate_cases(
+    directory: Path | str, cases: Sequence[tuple[Array, Array, Array]], model: Use | None = None
+) -> list[Array]:
+    """Simulate several cases (past_u, past_y, u) at once, see `simulate`. Return y_hat (H, ny) of
+    each.
+    """
+    run = open_run(Path(directory))
+    named = _named(run, model)
+    problem = load_lock(run.directory / LOCK)
+    blocks = [_block(run, problem, *case, record=k) for k, case in enumerate(cases)]
+    evaluator = make_evaluator(problem, run.view)
+    members = final_members(run.view, named)
+    done, outputs = problem.preprocess, problem.channels.outputs
+    simulated = simulate_members(evaluator, run, members, blocks)
+    return [
+        done.back(each.mean(axis=0), outputs, len(case[2]))
+        for each, case in zip(simulated, cases, strict=True)
+    ]
+
+
+def _block(
+    run: Run, problem: Problem, past_u: Array, past_y: Array, u: Array, record: int = 0
+) -> Block:
+    """Return a case as a block.
+
+    Args:
+        record: true if cases of different records may be simulated at once.
+
+    Raises:
+        UserError: an array has the wrong shape.
+    """
+    rule, nu, ny = problem.protocol, len(problem.inputs), len(problem.outputs)
+    done, every = problem.preprocess, problem.preprocess.decimate
+    for name, array, shape in (
+        ("past_u", past_u, (rule.past_inputs * every + done.longest_delay, nu)),
+        ("past_y", past_y, (rule.past_outputs * every, ny)),
+        ("u", u, (len(u), nu)),
+    ):
+        if np.shape(array) != shape:
+            raise UserError(f"{name} has shape {np.shape(array)}, expected {shape}")
+    before, past, after = (np.asarray(a, np.float64) for a in (past_u, past_y, u))
+    if np.isnan(past).all(axis=0).any() and len(past):
+        raise UserError("past_y has an output without a measured sample: give a later start")
+    past = filled(past)
+    if done:
+        # The last input is held until a whole number of samples that a model receives.
+        held = np.repeat(after[-1:], -len(after) % every, axis=0)
+        whole = done.inputs(np.concatenate([before, after, held]), problem.channels.inputs)
+        before, after = whole[: rule.past_inputs], whole[rule.past_inputs :]
+        past = done.outputs(past, problem.channels.outputs)
+    case = Case(run.name, before, past, after)
+    return Block(case, np.zeros((len(after), ny)), record=record, start=0)
+
+
+def _simulate_simulated(
+    evaluator: Evaluator, run: Run, members: Sequence[FinalMember], block: Block
+) -> Array:
+    """Simulations (K, H, ny) whose mean is that of the members: one a fold, or that of a refit."""
+    return simulate_members(evaluator, run, members, [block])[0]
+
+
+def simulate_members(
+    evaluator: Evaluator, run: Run, members: Sequence[FinalMember], blocks: Sequence[Block]
+) -> list[Array]:
+    """Return for each block simulations (K, H, ny) whose mean is that of the members.
+
+    Raises:
+        CandidateError: a member fails.
+    """
+    total = [np.zeros((1, *block.y.shape)) for block in blocks]
+    for member in members:
+        models = [run.store.get(one) for one in member.models]
+        replies = evaluator.simulate(run.store.text(member.source), models, blocks)
+        for place, each in enumerate(zip(*replies, strict=True)):
+            total[place] = total[place] + member.weight * np.stack(each)
+    return total
+
+
+def _named(run: Run, model: Use | None) -> Use:
+    """The model that is asked for, or else the one to use. Raises UserError where there is none."""
+    known = get_args(Use)
+    if model is not None and model not in known:
+        raise UserError(f"model is {model!r}, expected None or one of {', '.join(known)}")
+    chosen = model_to_use(run.view)
+    if chosen is None:
+        raise UserError(f"run '{run.name}' has no scored model")
+    return model or chosen.model
+
+
+# A bounded part of what an experiment's models simulate, made anew from the stored models in the
+# sandbox: no ledger has to hold it.
+
+
+_MOST_RECORDS = 4
+_MOST_SAMPLES = 4000
+_MOST_WINDOWS = 24
+_MOST_VALUES = 400_000
+_TITLE = 200
+
+
+def simulated_excerpts(run: Run, number: int) -> SimulatedCases:
+    """Training cases of each fold of experiment `number` and, where the problem shows residuals of
+    the held-out part, held-out ones. Raises UserError where it has no models."""
+    experiment = run.view.experiment(number)
+    result, score = experiment.result, experiment.score
+    if result is None or score is None:
+        raise UserError(f"experiment {number} has no score, so there is nothing to draw")
+    problem = load_lock(run.directory / LOCK)
+    evaluator = make_evaluator(problem, run.view)
+    parts = (1 + (problem.protocol.residuals == "held_out")) * len(evaluator.folds)
+    most = _MOST_VALUES // parts // (2 * len(problem.outputs) + len(problem.inputs))
+    cases: list[SimulatedCase] = []
+    for index, fold in enumerate(evaluator.folds):
+        blocks = training_excerpt(fold, problem.protocol, most)
+        y_hat = _excerpt(run, evaluator, experiment, index, blocks)
+        cases += simulated_cases(fold, blocks, y_hat, held_out=False)
+        if problem.protocol.residuals == "held_out":
+            shapes = [block.y.shape for block in fold.validation]
+            stored = run.store.get_arrays(result.folds[index].y_hat, shapes)
+            places = _spread(fold.validation, problem.protocol, most)
+            chosen = [fold.validation[k] for k in places], [stored[k] for k in places]
+            cases += simulated_cases(fold, *chosen, held_out=True)
+    return SimulatedCases(
+        title=f"Experiment {number}, {_title(experiment)}",
+        sampling_time=problem.sampling_time,
+        windows=problem.protocol.horizon is not None,
+        inputs=problem.inputs,
+        outputs=problem.outputs,
+        cases=tuple(cases),
+    )
+
+
+def _title(experiment: Experiment) -> str:
+    """The whole hypothesis where the title is its beginning, up to a few lines."""
+    title, hypothesis = experiment.proposed.title, experiment.proposed.hypothesis
+    whole = hypothesis.startswith(title.removesuffix("…"))
+    return one_line(hypothesis if whole else title, _TITLE)
+
+
+def training_excerpt(fold: Fold, rule: ProtocolRule, most: int = _MOST_SAMPLES) -> list[Block]:
+    """Some cases of the records that a fold trains on, of `most` samples in all."""
+    if rule.horizon is not None:
+        blocks = whole(fold.train, rule)
+        return [blocks[k] for k in _spread(blocks, rule, most)]
+    records = fold.train[:_MOST_RECORDS]
+    each = min(most // len(records), _MOST_SAMPLES)
+    return [
+        cut(record, rule.past, min(len(record), rule.past + each), rule, k)
+        for k, record in enumerate(records)
+    ]
+
+
+def _spread(blocks: Sequence[Block], rule: ProtocolRule, most: int) -> list[int]:
+    """Return the indices of the chosen blocks: some windows, evenly spaced, or the first complete
+    records.
+    """
+    if rule.horizon is None:
+        ends = np.cumsum([len(block.y) for block in blocks[:_MOST_RECORDS]])
+        return list(range(max(1, int((ends <= most).sum()))))
+    count = max(1, min(_MOST_WINDOWS, most // rule.horizon, len(blocks)))
+    return np.unique(np.linspace(0, len(blocks) - 1, count).round().astype(int)).tolist()
+
+
+def _excerpt(
+    run: Run, evaluator: Evaluator, experiment: Experiment, index: int, blocks: Sequence[Block]
+) -> tuple[Array, ...]:
+    assert experiment.result is not None
+    source = run.store.text(experiment.proposed.source)
+    model = run.store.get(experiment.result.folds[index].model)
+    try:
+        return evaluator.simulate(source, [model], blocks)[0]
+    except CandidateError as error:
+        raise UserError(
+            f"the model of fold {index + 1} cannot be simulated again: {error.reason.advice}"
+        ) from None

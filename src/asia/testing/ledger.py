@@ -1,0 +1,173 @@
+"""Conformance suite for ledgers."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol, Self
+
+from asia.errors import Reason, UserError
+from asia.judge.scoring.outcome import Failure, FoldScore, Score
+from asia.ledger.chain import Line
+from asia.ledger.events import (
+    Again,
+    Evaluated,
+    Event,
+    Extended,
+    Proposed,
+    RefitCheck,
+    RefitStart,
+    Refitted,
+    Resumed,
+    RungScored,
+    Stack,
+    StackMember,
+    Started,
+    Steered,
+    Stopped,
+)
+from asia.ledger.view import SearchView
+
+_PLACES = 40
+
+
+class OpenLedger(Protocol):
+    """A ledger open for writing; use it as a context manager."""
+
+    @property
+    def lines(self) -> Sequence[Line]:
+        """All records."""
+        ...
+
+    @property
+    def view(self) -> SearchView:
+        """The records replayed."""
+        ...
+
+    def append(self, event: Event) -> None:
+        """Write one event. Raises UserError where that is not possible."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *raised: object) -> None: ...
+
+
+def check_ledger(open_ledger: Callable[[Path], OpenLedger]) -> None:
+    """Write, reopen and damage ledgers.
+
+    Checked: events come back as they were written, in order, after reopening too; the view is that
+    of the events; a second writer is refused with a UserError; a last record cut anywhere is passed
+    over, the others stay and the next one follows them; a byte changed anywhere before is a
+    UserError, and so is a record taken out.
+
+    Args:
+        open_ledger: of the path of a file, which need not exist
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "run", "ledger.jsonl")
+        _check_events(open_ledger, path)
+        _check_one_writer(open_ledger, path)
+        _check_torn_tail(open_ledger, path)
+        _check_damage(open_ledger, path)
+
+
+def _check_events(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
+    events = made_up_events()
+    with open_ledger(path) as ledger:
+        for event in events:
+            ledger.append(event)
+        assert [line.event for line in ledger.lines] == events, "events changed in writing"
+    with open_ledger(path) as ledger:
+        assert [line.event for line in ledger.lines] == events, "events changed in reading"
+        assert [line.seq for line in ledger.lines] == list(range(len(events))), "seq must count"
+        best = ledger.view.best
+        assert best is not None, "the view lost the incumbent"
+        assert best.number == 1, "the view is not that of the events"
+
+
+def _check_one_writer(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
+    with open_ledger(path):
+        assert _refused(open_ledger, path), "two writers at once"
+    assert not _refused(open_ledger, path), "a ledger that was closed is still held"
+
+
+def _check_torn_tail(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
+    whole, events = path.read_bytes(), made_up_events()
+    last = whole.rstrip(b"\n").rfind(b"\n") + 1
+    step = max((len(whole) - last) // _PLACES, 1)
+    for cut in range(last, len(whole), step):
+        path.write_bytes(whole[:cut])
+        with open_ledger(path) as ledger:
+            kept = [line.event for line in ledger.lines]
+            assert kept == events[:-1], f"cut {len(whole) - cut} bytes before its end: not repaired"
+            ledger.append(events[-1])
+        with open_ledger(path) as ledger:
+            assert len(ledger.lines) == len(events), "the record after a repair was lost"
+    path.write_bytes(whole)
+
+
+def _check_damage(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
+    whole = path.read_bytes()
+    last = whole.rstrip(b"\n").rfind(b"\n") + 1
+    for place in range(0, last, max(last // _PLACES, 1)):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1
+        path.write_bytes(damaged)
+        assert _refused(open_ledger, path), f"byte {place} was changed and nobody noticed"
+    first, _, rest = whole.partition(b"\n")
+    path.write_bytes(first + b"\n" + rest.partition(b"\n")[2])
+    assert _refused(open_ledger, path), "a record was taken out and nobody noticed"
+    path.write_bytes(whole)
+
+
+def _refused(open_ledger: Callable[[Path], OpenLedger], path: Path) -> bool:
+    try:
+        with open_ledger(path):
+            return False
+    except UserError:
+        return True
+
+
+def made_up_events() -> list[Event]:
+    """A search with an event of most kinds."""
+    fold = FoldScore(0.4, (0.4,), (0.1,), (50.0,), (0.75,))
+    score, digest = Score(0.4, (fold, fold)), "0" * 64
+    failure = Failure(Reason.CRASH, "Traceback\nValueError: \u03b1 \x07", 1)
+    return [
+        Started(
+            run="made up",
+            problem="made up",
+            agent="nobody",
+            seed=0,
+            experiments=3,
+            hours=None,
+            outputs=("y",),
+            lock_digest=digest,
+            protocol_digest=digest,
+            test_digest=None,
+            isolation="process",
+            isolation_notes=("a note",),
+            environment={"python": "3"},
+        ),
+        RungScored("linear model", score),
+        Proposed(1, None, "explore", "linear", "first", "h", "e", digest, "1"),
+        Evaluated(1, "keep", score, (), None, 1.0),
+        Steered("look \u201chere\u201d\n"),
+        Proposed(2, 1, "refine", "linear", "second", "h", "e", digest, "2"),
+        Evaluated(2, "crash", failure, (), None, 1.0),
+        Stopped("user"),
+        Resumed(),
+        Extended(5, None),
+        Refitted(
+            1,
+            None,
+            "it failed",
+            Again(2, 1.04),
+            check=RefitCheck((0.1, None), 0.1, None, (RefitStart(1.2, 1.1, "far off"),)),
+            stack=Stack((StackMember(1, 0.75), StackMember(2, 0.25)), 0.4, (0.3, 0.5)),
+            use="stack",
+            reason="Several models together are better.",
+        ),
+    ]

@@ -1,1 +1,0 @@
-"""Pages of the live view: HTML from snapshots of runs."""

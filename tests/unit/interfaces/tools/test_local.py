@@ -1,0 +1,173 @@
+"""tools.py of a workspace computes what the evaluator computes."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.errors import CandidateError, Reason, UserError
+from asia.interfaces.workspace.tools import WorkspaceTools, main
+from asia.interfaces.workspace.workspace import write_folder
+from asia.judge.sandbox.layers.environment import REPEATABLE
+from asia.ledger.run import Run, open_run
+from asia.problem.load import load_problem
+from asia.search.run import prepare, search
+from tests.unit.search.toy import Scripted, arx, write_problem
+
+GREYBOX = """
+from asia.models import greybox
+from asia.models.methods import LevenbergMarquardt
+
+
+def fit(trajectories, context):
+    model = greybox.build(greybox.Config(), context)
+    return greybox.train(model, trajectories, context, LevenbergMarquardt(iterations=5, starts=1))
+"""
+SEEDED = arx(2).replace(
+    "    context.log(",
+    "    weights = weights * (1 + 1e-3 * np.random.default_rng(context.seed).normal())\n"
+    "    context.log(",
+)
+
+
+def judged(problem: Path | str, source: str, root: Path, seed: int) -> Run:
+    """A run whose baseline is this candidate."""
+    loaded = replace(load_problem(problem), baseline=source)
+    loaded = replace(loaded, budget=replace(loaded.budget, experiments=1))
+    prepared = prepare(loaded, "scripted", seed=seed, runs=root / "runs")
+    search(prepared, Scripted(()), lambda event, view: None, lambda view: None)
+    write_folder(root / "work", loaded, 1, seed=seed)
+    return open_run(prepared.directory)
+
+
+def windows(directory: Path) -> Path:
+    """The toy in windows of 20 samples, two records, each a group."""
+    write_problem(directory)
+    rows = (directory / "train.csv").read_text().splitlines()
+    (directory / "a b.csv").write_text("\n".join([rows[0], *rows[40:]]) + "\n")
+    text = (directory / "problem.toml").read_text()
+    text = text.replace('train = ["train.csv"]', 'train = ["train.csv", "a b.csv"]')
+    text = text.replace(
+        "[protocol]\n",
+        '[data.groups]\nfirst = ["train"]\nsecond = ["a b"]\n[protocol]\nkind = "windows"\n'
+        'horizon = 20\nfolds = { kind = "leave_one_group_out" }\n',
+    )
+    (directory / "problem.toml").write_text(text)
+    return directory
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["simulation", "windows"])
+def test_the_score_is_the_evaluators(tmp_path: Path, kind: str) -> None:
+    """Bit for bit: of a candidate that draws random numbers."""
+    make = write_problem if kind == "simulation" else windows
+    run = judged(make(tmp_path / "toy"), SEEDED, tmp_path, seed=7)
+    found = WorkspaceTools(tmp_path / "work", seed=7).evaluate("candidate.py")
+    best = run.view.best
+    assert best is not None
+    assert best.score is not None
+    assert tuple(one.score for one in found) == best.score.folds
+    other = WorkspaceTools(tmp_path / "work", seed=8).evaluate("candidate.py")
+    assert other[0].score != best.score.folds[0]
+
+
+@pytest.mark.slow
+def test_the_script_prints_the_evaluators_score(tmp_path: Path) -> None:
+    run = judged("two_tanks_sim", GREYBOX, tmp_path, seed=0)
+    script = [sys.executable, "tools.py"]
+    done = subprocess.run(
+        script, cwd=tmp_path / "work", capture_output=True, text=True, check=True, env=os.environ
+    )
+    best = run.view.best
+    assert best is not None
+    assert best.score is not None
+    assert done.stdout.startswith(f"V = {best.score.value:.6f}\n")
+    assert "k1" in done.stdout
+
+
+@pytest.fixture
+def tools(tmp_path: Path) -> WorkspaceTools:
+    write_folder(tmp_path / "work", load_problem(windows(tmp_path / "toy")), 3)
+    return WorkspaceTools(tmp_path / "work", seed=0)
+
+
+def test_the_folder_has_the_problem_but_not_its_test(tmp_path: Path, tools: WorkspaceTools) -> None:
+    original = load_problem(tmp_path / "toy")
+    assert tools.problem.test.source is None
+    assert [t.name for t in tools.problem.train] == ["train", "a_b"]
+    for one, other in zip(tools.problem.train, original.train, strict=True):
+        assert one.y.tobytes() == other.y.tobytes()
+        assert one.u.tobytes() == other.u.tobytes()
+    assert "test" not in (tmp_path / "work" / "problem.toml").read_text().replace(
+        "protocol.test", ""
+    )
+
+
+def test_folds_of_your_own(tools: WorkspaceTools) -> None:
+    assert [len(fold.train) for fold in tools.blocks(3)] == [2, 4, 2]
+    (fold,) = tools.hold_out(["a_b"])
+    assert [t.name for t in fold.train] == ["train"]
+    assert {block.case.name for block in fold.validation} == {"a_b"}
+    with pytest.raises(UserError, match="no record 'a b'; did you mean 'a_b'"):
+        tools.hold_out(["a b"])
+    with pytest.raises(UserError, match="leave one or more to train on"):
+        tools.hold_out(["a_b", "train"])
+    (found,) = tools.evaluate("candidate.py", [fold])
+    assert np.isfinite(found.score.value)
+
+
+@pytest.mark.slow
+def test_the_command_scores_one_fold_and_draws_it(
+    tools: WorkspaceTools, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in REPEATABLE.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(sys, "argv", ["tools.py", "--fold", "2", "--plot"])
+    with pytest.raises(SystemExit) as end:
+        main(tools)
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    assert "folds of your own or not all of them" in said
+    assert "  fold 2: " in said
+    assert "  fold 1: " not in said
+    assert "held-out part" not in said
+    for name in ("plots/tools.png", "plots/tools-residuals.png"):
+        assert f"picture {name}" in said
+        assert (tools.folder / name).read_bytes().startswith(b"\x89PNG")
+    monkeypatch.setattr(sys, "argv", ["tools.py", "--fold", "3"])
+    with pytest.raises(SystemExit) as end:
+        main(tools)
+    assert end.value.code == 2
+    assert "there is no fold 3" in capsys.readouterr().err
+
+
+def test_what_the_evaluator_refuses_is_refused(tmp_path: Path, tools: WorkspaceTools) -> None:
+    candidate = tmp_path / "work" / "candidate.py"
+    candidate.write_text("x = 1\n")
+    with pytest.raises(CandidateError, match="contract"):
+        tools.evaluate("candidate.py")
+    candidate.write_text(arx(2).replace("[:, k0:]", "[:, k0 + 1:]"))
+    with pytest.raises(CandidateError) as caught:
+        tools.evaluate("candidate.py")
+    assert caught.value.reason is Reason.WRONG_LENGTH
+
+
+def test_the_early_stopping_score_is_given(tmp_path: Path) -> None:
+    write_problem(tmp_path / "toy")
+    problem = tmp_path / "toy" / "problem.toml"
+    problem.write_text(
+        problem.read_text().replace("[protocol]\n", '[protocol]\nearly_stopping = "validation"\n')
+    )
+    asks = arx(2).replace(
+        "    return Model(weights)",
+        "    model = Model(weights)\n    model.asked = context.validation_score(model)\n"
+        "    return model",
+    )
+    write_folder(tmp_path / "work", load_problem(tmp_path / "toy"), 3)
+    (tmp_path / "work" / "candidate.py").write_text(asks)
+    for one in WorkspaceTools(tmp_path / "work", seed=0).evaluate():
+        assert one.model.asked == pytest.approx(one.score.value, rel=1e-3)  # type: ignore[attr-defined]

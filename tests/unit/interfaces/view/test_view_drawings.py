@@ -1,0 +1,46 @@
+"""The curve of a long search on the page."""
+
+from __future__ import annotations
+
+import pytest
+
+from asia.report.page.svg import NARROW, WIDE, BestSoFar, Point, draw_best, draw_progress
+
+
+def points(count: int) -> list[Point]:
+    """Every tenth is kept, every seventh of the others fails."""
+    found: list[Point] = []
+    for n in range(1, count + 1):
+        kept = n % 10 == 1
+        value = None if not kept and n % 7 == 0 else (1.0 if kept else 1.2) / n**0.2
+        status = "keep" if kept else "discard" if value else "invalid"
+        found.append(Point(n, value, status, f"title {n}", "", "", status == "keep"))
+    return found
+
+
+@pytest.mark.parametrize("size", [WIDE, NARROW])
+def test_every_experiment_of_a_long_search_is_drawn(size) -> None:
+    many = points(1000)
+    drawn = draw_progress(many, [], "V", "alt", size)
+    kept = [p for p in many if p.status == "keep"]
+    failed = [p for p in many if p.value is None]
+    assert drawn.count('class="kept"') == len(kept)
+    assert drawn.count("h0") == len(many) - len(kept) - len(failed)
+    assert drawn.count("v7") == len(failed)
+    assert "title 991" in drawn or size is NARROW
+
+
+def test_each_experiment_of_a_short_search_has_its_title() -> None:
+    drawn = draw_progress(points(100), [], "V", "alt", WIDE)
+    assert drawn.count("<title>") == 100
+    assert "h0" not in drawn
+
+
+def test_two_searches_are_two_lines() -> None:
+    first = BestSoFar("<first>", ((1, 1.0), (4, 0.5)), 8)
+    drawn = draw_best([first, BestSoFar("none", (), 0)], "V", "alt", WIDE)
+    assert drawn.count('class="best"') == 1
+    assert 'class="best second"' not in drawn
+    assert "&lt;first&gt;" in drawn
+    both = draw_best([first, BestSoFar("other", ((1, 20.0),), 2)], "V", "alt", WIDE)
+    assert 'class="best second"' in both

@@ -1,0 +1,247 @@
+"""What stands on the live pages."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+
+from asia.agents import reads_notes
+from asia.errors import UserError
+from asia.interfaces.view.followed import RunFolder
+from asia.interfaces.view.pages import steering_panel
+from asia.ledger.chain import Chain
+from asia.ledger.events import Leg
+from asia.ledger.run import open_run
+from asia.problem.problem import Problem
+from asia.report.page.page import audit
+from tests.unit.report.made_up import append_test
+
+from .conftest import ATTACK, TOKEN, make_run
+
+POST = {"x-asia-token": TOKEN}
+PAIR = "/compare?run=made&run=made"
+SECTIONS = ("verdict", "model", "accuracy", "test", "use", "integrity", "reproduce")
+
+
+def test_the_list_has_every_run(client: TestClient, runs: Path, problem: Problem) -> None:
+    make_run(runs / "other", problem, (("only", None),))
+    (runs / "torn").mkdir()
+    (runs / "torn" / "ledger.jsonl").write_text("{}\n")
+    page = client.get("/").text
+    assert re.findall(r'<a href="/runs/(\w+)">', page) == ["torn", "other", "made"]
+    assert "two_tanks_sim" in page
+    assert "4 of 4" in page
+    assert "cannot be read" in page
+    assert re.findall(r'<span class="state (\w+)">', page) == ["finished", "interrupted"]
+
+
+def test_a_run_that_another_process_writes_is_running(client: TestClient, runs: Path) -> None:
+    with Chain(runs / "made" / "ledger.jsonl"):
+        assert '<span class="state running">' in client.get("/").text
+        assert '<span class="state running">' in client.get("/runs/made").text
+
+
+def test_the_page_of_a_run_has_its_experiments_the_last_one_first(client: TestClient) -> None:
+    page = client.get("/runs/made").text
+    assert re.findall(r'<li id="e(\d)" class="(\w+)">', page) == [
+        ("4", "other"),
+        ("3", "failed"),
+        ("2", "kept"),
+        ("1", "kept"),
+    ]
+    assert 'href="/runs/made/experiments/4"' in page
+
+
+@pytest.mark.parametrize(
+    "address", ["", "/curve", "/rows", "/sections/verdict", "/experiments/2", "/experiments/2/part"]
+)
+def test_what_a_candidate_says_is_text(client: TestClient, address: str) -> None:
+    page = client.get(f"/runs/made{address}").text
+    assert ATTACK[:8] not in page.replace('<script src="/static/', "")
+    assert "<img" not in page
+    assert "&lt;script&gt;" in page
+
+
+def test_every_number_of_the_live_pages_is_the_ledgers(client: TestClient, runs: Path) -> None:
+    """As those of the report, which the same check refuses otherwise."""
+    lines = len(open_run(runs / "made").lines)
+    pages = ["/runs/made/curve", "/runs/made/rows", *(f"/runs/made/sections/{k}" for k in SECTIONS)]
+    pages += [f"/runs/made/experiments/{number}/part" for number in (1, 2, 3, 4)]
+    checked = [audit(client.get(address).text, runs / "made", lines) for address in pages]
+    assert sum(checked) > 50
+
+
+def test_sections_without_matter_are_empty(client: TestClient) -> None:
+    for key in ("confirmation", "progress", "experiments", "nothing"):
+        assert client.get(f"/runs/made/sections/{key}").status_code == 204
+
+
+def test_test_figures_are_shown_once_the_test_is_open_and_not_before(
+    client: TestClient, runs: Path, problem: Problem
+) -> None:
+    addresses = [
+        "/",
+        "/runs/made",
+        "/runs/made/experiments/2",
+        PAIR,
+        *(f"/runs/made/sections/{key}" for key in SECTIONS),
+    ]
+    assert client.get("/runs/made/sections/test").status_code == 204
+    before = "".join(client.get(address).text for address in addresses)
+    append_test(runs / "made", problem, 1)
+    opened = open_run(runs / "made").view.unsealed
+    assert opened is not None
+    figure = f"{opened.ensemble.scores[0].value:.4g}"
+    assert figure not in before
+    assert figure in client.get("/runs/made/sections/test").text
+    assert figure in client.get(PAIR).text
+    assert "not opened" in before
+    assert "sealed, never opened" in before
+
+
+def test_no_address_gives_artifacts_or_files(client: TestClient, runs: Path) -> None:
+    run = open_run(runs / "made")
+    artifact = run.view.experiments[0].proposed.source
+    for address in (
+        f"/runs/made/artifacts/{artifact}",
+        "/runs/made/ledger.jsonl",
+        "/runs/..%2fruns%2fmade",
+        "/runs/made%00",
+        "/static/..%2f_app.py",
+        "/static/_app.py",
+    ):
+        assert client.get(address).status_code in (404, 405), address
+
+
+@pytest.mark.parametrize("name", ["..", ".", "", "../runs/made", "made/../made", "made\0", "none"])
+def test_only_a_folder_of_the_folder_itself_is_a_run(runs: Path, name: str) -> None:
+    folder = RunFolder(runs / "made")
+    (runs / "made" / "inner").mkdir()
+    with pytest.raises(UserError, match="no run"):
+        folder.get(name)
+
+
+def test_a_run_that_is_not_there_is_named(client: TestClient) -> None:
+    answer = client.get("/runs/none")
+    assert answer.status_code == 404
+    assert "no run &#x27;none&#x27;" in answer.text or "no run 'none'" in answer.text
+
+
+def test_an_experiment_has_its_story_simulations_and_source(client: TestClient) -> None:
+    page = client.get("/runs/made/experiments/4").text
+    for words in ("because", "discard", "Held-out simulations", "candidate.py", "# last"):
+        assert words in page
+    assert 'href="/runs/made/experiments/3"' in page
+    assert 'href="/runs/made/experiments/5"' not in page
+    assert page.count('class="zoomable"') == 2
+    failed = client.get("/runs/made/experiments/3").text
+    assert 'class="zoomable"' not in failed
+    assert client.get("/runs/made/experiments/5").status_code == 404
+
+
+def test_a_part_of_a_simulation_is_drawn_again(client: TestClient) -> None:
+    """With the times of its own samples, 4 s apart."""
+    address = "/runs/made/experiments/4/overlays/1"
+    whole, part = client.get(address).text, client.get(f"{address}?first=100&last=110").text
+    lines = [re.findall(r'd="M([^"]*)" class="line measured"', text)[0] for text in (whole, part)]
+    assert [line.count("L") > 100 for line in lines] == [True, False]
+    assert lines[1].count("L") == 10
+    assert lines[1].startswith("0 ")
+    times = [float(t) for t in re.findall(r'<span style="left:[^"]*">([\d.]+)<', part)]
+    assert 38 < min(times) <= max(times) < 44
+    beyond = client.get(f"{address}?first=100000&last=200000")
+    assert beyond.status_code == 200
+    assert client.get("/runs/made/experiments/4/overlays/2").status_code == 404
+    assert client.get("/runs/made/experiments/3/overlays/0").status_code == 404
+
+
+def test_two_runs_stand_side_by_side(client: TestClient, runs: Path, problem: Problem) -> None:
+    make_run(runs / "other", problem, (("only", 0.25),))
+    page = client.get("/compare?run=made&run=other").text
+    assert page.count('data-stream="/runs/') == 2
+    assert page.count('class="zoomable"') == 4
+    assert "0.2500" in page
+    assert "0.5000" in page
+    assert "do not compare" not in page
+    assert client.get("/compare?run=made").status_code == 404
+    assert client.get("/compare?run=made&run=none").status_code == 404
+
+
+def test_runs_of_other_problems_are_not_compared_without_a_word(
+    client: TestClient, runs: Path, problem: Problem
+) -> None:
+    make_run(runs / "other", replace(problem, name="another"), (("only", 0.25),))
+    assert "do not compare" in client.get("/compare?run=made&run=other").text
+
+
+def test_a_run_without_its_artifacts_has_what_the_ledger_says(
+    client: TestClient, runs: Path
+) -> None:
+    (runs / "made" / "artifacts").rename(runs / "made" / "elsewhere")
+    for address in ("/runs/made", "/runs/made/experiments/2", PAIR):
+        page = client.get(address)
+        assert page.status_code == 200
+        assert 'class="zoomable"' not in page.text
+
+
+def test_a_run_without_its_records_says_so(client: TestClient, runs: Path) -> None:
+    lock = runs / "made" / "problem.lock.toml"
+    lock.write_text(lock.read_text().replace("simulated:two_tanks", "no_such:source"))
+    assert "No simulations, because the records are missing" not in client.get("/runs/made").text
+    assert client.get("/runs/made/experiments/2").status_code == 200
+    assert "No simulations, because the records are missing" in client.get("/runs/made").text
+
+
+def test_a_long_list_comes_in_pieces(client: TestClient) -> None:
+    first = client.get("/runs/made/rows?most=3").text
+    assert re.findall(r'<li id="e(\d)"', first) == ["4", "3", "2"]
+    assert 'data-before="2"' in first
+    rest = client.get("/runs/made/rows?before=2&most=99999999").text
+    assert re.findall(r'<li id="e(\d)"', rest) == ["1"]
+    assert "<button" not in rest
+
+
+def test_a_note_reaches_the_search(client: TestClient, runs: Path) -> None:
+    answer = client.post("/runs/made/steer", content="the pump saturates", headers=POST)
+    assert answer.json()["words"].startswith("noted: recorded when the search continues")
+    (note,) = (runs / "made" / "control").glob("steer-*.txt")
+    assert note.read_text() == "the pump saturates"
+    assert client.post("/runs/made/steer", content=" ", headers=POST).status_code == 409
+    assert client.post("/runs/made/steer", content="x" * 30_000, headers=POST).status_code == 409
+
+
+def test_a_running_search_is_paused_and_stopped(client: TestClient, runs: Path) -> None:
+    folder = runs / "made" / "control"
+    for what in ("pause", "stop"):
+        answer = client.post(f"/runs/made/{what}", headers=POST)
+        assert answer.status_code == 409
+        assert f"there is nothing to {what}" in answer.json()["words"]
+    with Chain(runs / "made" / "ledger.jsonl"):
+        assert client.post("/runs/made/pause", headers=POST).status_code == 200
+        assert (folder / "pause").exists()
+        assert client.post("/runs/made/continue", headers=POST).status_code == 200
+        assert not (folder / "pause").exists()
+        assert client.post("/runs/made/stop", headers=POST).status_code == 200
+        assert (folder / "stop").exists()
+    assert client.post("/runs/made/anything", headers=POST).status_code == 409
+
+
+def test_the_box_for_notes_is_off_where_the_agent_reads_none(
+    client: TestClient, runs: Path
+) -> None:
+    assert "reads no notes" not in client.get("/runs/made").text
+    started = open_run(runs / "made").view.started
+    for agent, reads in (("random", False), ("bayes", False), ("expert", True), ("own", True)):
+        assert reads_notes(replace(started, agent=agent)) is reads
+    relay = (Leg("random", 2), Leg("expert", None))
+    assert reads_notes(replace(started, agent="random*2+expert", legs=relay))
+    for deaf in ("random", ""):
+        text = str(steering_panel("made", running=True, deaf=deaf))
+        assert ("The agent 'random' reads no notes." in text) is bool(deaf)
+        boxes = re.findall(r"<textarea[^>]*>|<button[^>]*submit[^>]*>", text)
+        assert len(boxes) == 2
+        assert all(("disabled" in box) is bool(deaf) for box in boxes)

@@ -1,0 +1,31 @@
+"""Families of the library are not suspected, even when they are hardly fitted: linear, polynomial,
+Gaussian process, reservoir, and in single precision recurrent, convolutional, attention."""
+
+import types
+
+import pytest
+
+from asia.agents.library.registry import all_families
+from asia.problem.protocol import ProtocolRule, make_folds
+from asia.testing.family import family_problem, smallest_source
+from tests.unit.judge.evaluation.relations import Model, suspicions_of
+
+CHOSEN = {"linear", "narx", "gp_narx", "esn", "recurrent", "cnn", "transformer"}
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        pytest.param(r, id=r.name, marks=pytest.mark.slow if r.kind == "network" else ())
+        for r in all_families()
+        if r.name in CHOSEN
+    ],
+)
+def test_a_family_is_not_suspected(row):
+    record, context = family_problem(row)
+    rule = ProtocolRule(past_inputs=5, past_outputs=5)
+    held = make_folds([record], rule)[1]
+    module = types.ModuleType(row.name)
+    exec(smallest_source(row, record, context), module.__dict__)
+    model = Model(module.fit(held.train, context).simulate)
+    assert suspicions_of(model, held.validation, held.scale, None) == ()

@@ -1,0 +1,108 @@
+"""Trivial references on windows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from asia.candidate import Context
+from asia.data import Signal, Trajectory
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.references import constant_velocity, find_rates, score_references
+from asia.judge.executors import LocalExecutor
+from asia.judge.sandbox.types import Isolation
+from asia.judge.scoring.outcome import Score
+from asia.problem import Budget
+from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds
+
+HOLD = """
+import numpy as np
+
+class Hold:
+    def simulate(self, past_u, past_y, u):
+        assert u.shape[0] in (2, 8) and u.shape[1] <= 10
+        return np.repeat(past_y[:, -1:], u.shape[1], axis=1)
+
+def fit(trajectories, context):
+    assert context.horizon == 10
+    return Hold()
+"""
+
+
+def carts() -> list[Trajectory]:
+    """Position, velocity and a third output; the velocity is slow against a window."""
+    records: list[Trajectory] = []
+    for k in range(4):
+        t = 0.1 * np.arange(41)
+        phase = t / 5 + k
+        v = np.cos(phase)
+        y = np.stack([5 * np.sin(phase), v, np.sin(37 * t + k)], axis=1)
+        records.append(Trajectory(np.sin(t)[:, None], y, 0.1, f"cart{k}"))
+    return records
+
+
+def evaluator(rule: ProtocolRule, records: list[Trajectory]) -> Evaluator:
+    context = Context(
+        inputs=(Signal("u"),),
+        outputs=(Signal("p"), Signal("v"), Signal("w")),
+        sampling_time=0.1,
+        n_past_u=rule.past_inputs,
+        n_past_y=rule.past_outputs,
+        horizon=rule.horizon,
+        metric=rule.metric,
+    )
+    budget, level = Budget(fit_seconds=60.0), Isolation.PROCESS
+    folds = make_folds(records, rule)
+    return Evaluator(folds, records, context, rule, budget, level, LocalExecutor())
+
+
+def windows(past: int) -> ProtocolRule:
+    groups = (Group("a", ("cart0", "cart1")), Group("b", ("cart2", "cart3")))
+    folds = FoldRule("leave_one_group_out", 2, groups)
+    return ProtocolRule("windows", folds, 0, past, "mae", "inner", 10)
+
+
+def rungs(rule: ProtocolRule) -> dict[str, float]:
+    found = score_references(evaluator(rule, carts()), rule.metric, None, {"linear model"})
+    return {r.name: r.outcome.value for r in found if isinstance(r.outcome, Score)}
+
+
+def test_a_rate_is_found_among_the_outputs_and_used() -> None:
+    fold = make_folds(carts(), windows(1))[0]
+    assert find_rates(fold, 10) == (1, None, None)
+    block = fold.validation[0]
+    y_hat = constant_velocity(block, (1, None, None), 0.1)
+    position, velocity, third = block.case.past_y[-1]
+    assert y_hat[:, 0] == pytest.approx(position + 0.1 * velocity * np.arange(1, 11))
+    assert np.array_equal(y_hat[:, 1:], np.tile([velocity, third], (10, 1)))
+    found = rungs(windows(1))
+    assert list(found) == ["training mean", "last output held", "constant velocity"]
+    assert found["constant velocity"] < found["last output held"]
+
+
+def test_two_past_outputs_tell_a_velocity() -> None:
+    block = make_folds(carts(), windows(3))[0].validation[0]
+    past = block.case.past_y
+    y_hat = constant_velocity(block, (None, None, None), 0.1)
+    assert y_hat[0] == pytest.approx(past[-1] + (past[2] - past[0]) / 2)
+    assert y_hat[9] == pytest.approx(past[-1] + 10 * (past[2] - past[0]) / 2)
+
+
+def test_no_velocity_where_nothing_tells_one() -> None:
+    alone = [Trajectory(t.u, t.y[:, 2:], 0.1, t.name) for t in carts()]
+    found = evaluator(windows(1), alone)
+    names = [r.name for r in score_references(found, "mae", None, {"linear model"})]
+    assert names == ["training mean", "last output held"]
+    long = ProtocolRule(past_inputs=2, past_outputs=2)
+    assert list(rungs(long)) == ["training mean", "last output held"]
+
+
+def test_a_candidate_is_judged_on_windows() -> None:
+    """The held-out windows come two a request, those it was trained on all at once."""
+    found = evaluator(windows(1), carts())
+    evaluation = found.evaluate(HOLD)
+    assert isinstance(evaluation.outcome, Score)
+    assert evaluation.outcome.value == pytest.approx(rungs(windows(1))["last output held"])
+    assert [len(f.y_hat) for f in evaluation.folds] == [8, 8]
+    assert evaluation.folds[0].y_hat[0].shape == (10, 3)
+    assert found.objection(HOLD, evaluation.folds) is None

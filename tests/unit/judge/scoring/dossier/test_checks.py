@@ -1,0 +1,257 @@
+"""Each check passes a sound model and flags the defect it is there for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import signal
+from scipy.signal import lfilter
+
+from asia.data import Array
+from asia.judge.scoring.bands import region_of
+from asia.judge.scoring.checks.check import Cause, Check, Verdict, most_serious, summary
+from asia.judge.scoring.checks.errors import (
+    check_bands,
+    check_overfit,
+    check_region,
+    check_steps_ahead,
+    no_bands,
+)
+from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
+from asia.judge.scoring.checks.residual import residual_checks
+from asia.judge.scoring.checks.response import (
+    HORIZONS,
+    LinearResponse,
+    check_frequency_response,
+    check_gain,
+    check_long_run,
+    check_responses,
+    check_spectrum,
+    frequency_response_of,
+    impulse_response,
+    poles,
+)
+from asia.judge.scoring.residuals import cross_correlation
+
+B, A = [0.0, 0.2, 0.1], [1.0, -1.3, 0.5]
+SAMPLES = 1200
+
+
+def simulations(y_hat: Array, y: Array, u: Array) -> SimulatedBlocks:
+    cut = zip(np.array_split(u, 3), np.array_split(y, 3), np.array_split(y_hat, 3), strict=True)
+    blocks = tuple(
+        SimulatedBlock(a[:, None], b[:, None], c[:, None], 0, 400 * k)
+        for k, (a, b, c) in enumerate(cut)
+    )
+    return SimulatedBlocks(blocks, ("valve",), ("level",), 0.5)
+
+
+@pytest.fixture
+def random() -> np.random.Generator:
+    return np.random.default_rng(3)
+
+
+def held_steps(random: np.random.Generator) -> Array:
+    return np.repeat(random.uniform(-1, 1, SAMPLES // 8), 8) + 0.2 * random.standard_normal(SAMPLES)
+
+
+def flagged(checks: tuple[Check, ...]) -> set[Cause | None]:
+    return {c.cause for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)}
+
+
+def all_checks(found: SimulatedBlocks) -> tuple[Check, ...]:
+    return (*residual_checks(found), check_gain(found), check_frequency_response(found, ()))
+
+
+def test_a_sound_model_under_coloured_noise_passes(random: np.random.Generator) -> None:
+    u = held_steps(random)
+    y_hat = signal.lfilter(B, A, u)
+    noise = signal.lfilter([0.05], [1.0, -0.95], random.standard_normal(SAMPLES))
+    checks = all_checks(simulations(y_hat, y_hat + noise, u))
+    assert flagged(checks) == set()
+    assert summary(checks) == "pass 7, doubt 0, fail 0"
+
+
+@pytest.mark.parametrize(
+    ("defect", "cause"),
+    [
+        (lambda y, t: np.concatenate([np.zeros(4), y[:-4]]), Cause.DYNAMICS),
+        (lambda y, t: signal.lfilter([0.3], [1.0, -0.7], y), Cause.DYNAMICS),
+        (lambda y, t: np.minimum(y, 0.3), Cause.STATIC),
+        (lambda y, t: y + 1e-3 * t, Cause.DRIFT),
+        (lambda y, t: y - 0.3 * np.sign(np.gradient(y)), Cause.FRICTION),
+        (lambda y, t: -y, Cause.SIGN),
+    ],
+    ids=["delay", "lag", "saturation", "drift", "friction", "sign"],
+)
+def test_the_missing_dynamics_are_named_first(defect, cause, random) -> None:
+    u = held_steps(random)
+    y_hat = signal.lfilter(B, A, u)
+    y = defect(y_hat, np.arange(SAMPLES)) + 0.02 * random.standard_normal(SAMPLES)
+    checks = all_checks(simulations(y_hat, y, u))
+    worst = most_serious(checks)
+    assert worst is not None
+    assert worst.cause is cause, worst.sentence
+    assert summary(checks).endswith(worst.sentence)
+
+
+def test_the_sentence_names_input_output_and_lags(random: np.random.Generator) -> None:
+    u = random.standard_normal(SAMPLES)
+    y_hat = np.zeros(SAMPLES)
+    y = np.concatenate([np.zeros(5), u[:-5]]) + 0.1 * random.standard_normal(SAMPLES)
+    check = residual_checks(simulations(y_hat, y, u))[1]
+    assert check.verdict is Verdict.FAIL
+    assert "the residual of level follows valve at lag 5" in check.sentence
+
+
+def test_a_negligible_effect_passes(random: np.random.Generator) -> None:
+    u = held_steps(random)
+    y_hat = signal.lfilter(B, A, u)
+    late = np.concatenate([np.zeros(1), u[:-1]])
+    assert flagged(all_checks(simulations(y_hat, y_hat + 1e-3 * late, u))) == set()
+
+
+def test_correlations_are_those_of_scipy(random: np.random.Generator) -> None:
+    e, u = random.standard_normal((2, 300))
+    e, u = e - e.mean(), u - u.mean()
+    wanted = signal.correlate(e, u, "full")[299 - 25 : 299 + 26]
+    wanted /= np.sqrt(np.sum(e**2) * np.sum(u**2))
+    np.testing.assert_allclose(cross_correlation([e], [u], 25), wanted, rtol=0, atol=1e-10)
+
+
+def test_the_linearised_frequency_response_is_that_of_the_linear_system() -> None:
+    size, omega = 1e-3, np.linspace(0.01, 3.0, 50)
+    base = np.full(900, 0.7)
+    settled = 400
+    up, down = base.copy(), base.copy()
+    up[settled:] += size
+    down[settled:] -= size
+    answers = [signal.lfilter(B, A, x)[settled:, None] for x in (up, down)]
+    impulse = impulse_response(*answers, size)
+    wanted = signal.freqz(B, A, omega)[1]
+    np.testing.assert_allclose(frequency_response_of(impulse, omega)[:, 0], wanted, atol=1e-8)
+    np.testing.assert_allclose(poles(impulse)[:2], np.roots(A)[[0, 1]], atol=1e-6)
+    one = LinearResponse("middle inputs", "valve", impulse)
+    assert one.settled
+    assert one.step[-1, 0] == pytest.approx(sum(B) / sum(A), abs=1e-9)
+    check = check_responses([one], ["level"], 0.5)
+    assert check.verdict is Verdict.SHOWN
+    assert "static gain 1.5 on level, slowest pole 0.65 ± 0.27" in check.sentence
+
+
+def test_the_same_response_by_python_control() -> None:
+    import control
+
+    omega = np.linspace(0.01, 3.0, 50)
+    impulse = signal.lfilter(B, A, np.eye(1, 600)[0])[:, None]
+    system = control.tf(B, A, True)
+    wanted = np.array([system(np.exp(1j * w)) for w in omega])
+    np.testing.assert_allclose(frequency_response_of(impulse, omega)[:, 0], wanted, atol=1e-8)
+
+
+def test_a_long_run() -> None:
+    low, high = np.array([-1.0]), np.array([1.0])
+    t = np.arange(HORIZONS * 100.0)
+    wave = np.sin(t)[:, None]
+    assert check_long_run(wave, low, high).verdict is Verdict.PASS
+    rising = wave + 1e-3 * 1.01 ** t[:, None]
+    assert check_long_run(rising, low, high).cause is Cause.UNSTABLE
+    ramp = check_long_run(wave + 0.02 * t[:, None], low, high)
+    assert (ramp.verdict, ramp.cause) == (Verdict.DOUBT, None)
+    assert check_long_run(None, low, high).verdict is Verdict.FAIL
+
+
+def test_errors_that_grow_where_the_model_was_not_fitted() -> None:
+    assert check_overfit([0.1, 0.1], [0.12, 0.11]).verdict is Verdict.PASS
+    assert check_overfit([0.1, 0.1], [0.1, 0.5]).verdict is Verdict.PASS
+    assert check_overfit([0.1, 0.1], [0.2, 0.18]).verdict is Verdict.DOUBT
+    assert check_overfit([0.1, 0.1], [0.3, 0.4]).cause is Cause.OVERFIT
+
+
+def test_a_record_outside_the_region(random: np.random.Generator) -> None:
+    u = held_steps(random)
+    y = signal.lfilter(B, A, u)
+    region = region_of([(u[:, None], y[:, None])])
+    assert check_region(simulations(y, y, u), region).verdict is Verdict.PASS
+    far = check_region(simulations(6 * y, y, 6 * u), region)
+    assert far.verdict is Verdict.FAIL
+    assert "outside the region of the training records, first at " in far.sentence
+
+
+def test_steps_ahead_against_the_last_output() -> None:
+    small, large = np.full((5, 20, 1), 0.1), np.full((5, 20, 1), 0.4)
+    assert check_steps_ahead(small, large, np.ones(1)).verdict is Verdict.PASS
+    assert check_steps_ahead(large, small, np.ones(1)).verdict is Verdict.DOUBT
+
+
+def test_the_error_spectrum_is_shown_with_the_noise(random: np.random.Generator) -> None:
+    u = held_steps(random)
+    y = signal.lfilter(B, A, u)
+    found = simulations(y, y + 0.1 * y.std() * random.standard_normal(SAMPLES), u)
+    check = check_spectrum(found, [0.1])
+    assert check.verdict is Verdict.SHOWN
+    assert "noise 10 %" in check.sentence
+    assert len(check.curves) == 2
+
+
+def test_bands_that_hold_too_little() -> None:
+    names = ("a", "b", "c", "d")
+    good = check_bands(np.array([0.91, 0.84, 0.9, 1.0]), names, 0.9)
+    assert good.verdict is Verdict.PASS
+    assert good.sentence == "90 % output bands contained at least: b 84 %, c 90 %, a 91 %"
+    assert check_bands(np.array([0.79]), ("a",), 0.9).verdict is Verdict.DOUBT
+    assert check_bands(np.array([0.45]), ("a",), 0.9).verdict is Verdict.FAIL
+    assert no_bands("why").verdict is Verdict.ABSENT
+
+
+def test_the_gain_of_the_data_is_drawn_where_it_is_clear(random: np.random.Generator) -> None:
+    u = held_steps(random)
+    y_hat = signal.lfilter(B, A, u)
+    slow = signal.lfilter([0.02], [1.0, -0.98], u)
+    noisy = slow + 0.05 * random.standard_normal(SAMPLES)
+    check = check_frequency_response(simulations(slow, noisy, u), ())
+    assert check.curves[0].name == "valve to level, data, coherence above 0.5"
+    assert "agrees with the data within statistical error" in check.sentence
+    clear = check_frequency_response(simulations(y_hat, y_hat, u), ())
+    assert 0 < len(check.curves[0].x) < len(clear.curves[0].x)
+
+
+def _gain_changes(sizes: tuple[float, float], noise: float = 0.02) -> SimulatedBlocks:
+    """Held-out halves of a first-order lag; the model of each half has the gain of the other."""
+    rng = np.random.default_rng(3)
+    blocks: list[SimulatedBlock] = []
+    for k, own in enumerate(sizes):
+        u = np.repeat(rng.uniform(-1, 1, 60), 10)[:, None]
+        x = np.asarray(lfilter([0.2], [1.0, -0.8], u, axis=0))
+        y = own * x + noise * rng.standard_normal(x.shape)
+        blocks.append(SimulatedBlock(u, y, sizes[1 - k] * x, 0, 600 * k))
+    return SimulatedBlocks(tuple(blocks), ("u",), ("y",), 1.0)
+
+
+def test_a_larger_held_out_error_is_called_drift_where_the_parts_need_other_parameters() -> None:
+    found = check_overfit([0.1, 0.1], [0.3, 0.3], _gain_changes((1.0, 1.4)))
+    assert found.cause is Cause.PARAMETERS
+    assert "drift" in found.sentence
+    assert check_overfit([0.1, 0.1], [0.11, 0.1], _gain_changes((1.0, 1.0))).cause is None
+    named = check_overfit([0.1, 0.1], [0.3, 0.3], apart=("R",))
+    assert named.cause is Cause.PARAMETERS
+    assert "R differs between the folds by more than noise explains" in named.sentence
+
+
+def test_a_larger_held_out_error_is_called_overfit_where_too_many_parameters_fit_noise() -> None:
+    """An impulse response of 60 samples, fitted to 90 noisy ones in each half."""
+    rng = np.random.default_rng(5)
+    u = rng.standard_normal((240, 1))
+    y = np.asarray(lfilter([0.2], [1.0, -0.8], u, axis=0)) + 0.2 * rng.standard_normal((240, 1))
+    past = np.concatenate([np.roll(u, k, axis=0) for k in range(60)], axis=1)
+    halves = (slice(60, 150), slice(150, 240))
+    blocks: list[SimulatedBlock] = []
+    train, held = [], []
+    for fit, judge in (halves, halves[::-1]):
+        gains = np.linalg.lstsq(past[fit], y[fit], rcond=None)[0]
+        train.append(float(np.std(y[fit] - past[fit] @ gains)))
+        held.append(float(np.std(y[judge] - past[judge] @ gains)))
+        blocks.append(SimulatedBlock(u[judge], y[judge], past[judge] @ gains, 0, judge.start))
+    found = check_overfit(train, held, SimulatedBlocks(tuple(blocks), ("u",), ("y",), 1.0))
+    assert found.cause is Cause.OVERFIT
+    assert "too many parameters or too few samples" in found.sentence
