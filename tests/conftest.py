@@ -20,11 +20,9 @@ QUICK = Path(__file__).parent / "quick"
 _RUNG = "asia.judge.evaluation.references.LINEAR"
 _LONG = (
     "agents",
-    "bench",
-    "cli",
+    "assurance",
+    "interfaces",
     "contract",
-    "drive",
-    "mcp",
     "models",
     "redteam",
     "report",

@@ -110,7 +110,7 @@ def test_a_target_of_another_package(tmp_path: Path) -> None:
         check_export_target(find_target("copy"))
         with pytest.raises(UserError, match="calls itself 'copy': give it the name of its entry"):
             find_target("copy2")
-        with pytest.raises(UserError, match=r"is 3, expected an asia\.export\.Target"):
+        with pytest.raises(UserError, match=r"is 3, expected an asia\.export\.target\.Target"):
             find_target("number")
         with pytest.raises(UserError, match="'numpi' is unknown; did you mean 'numpy'"):
             find_target("numpi")

@@ -37,7 +37,7 @@ def unpainted(figure: ModuleType) -> None:
 
 
 CHANGES: dict[str, Callable[[ModuleType], None]] = {
-    "asia.search": quick_rung,
+    "asia.search.run": quick_rung,
     "matplotlib.figure": unpainted,
 }
 

@@ -78,11 +78,11 @@ def test_a_layer_that_cannot_be_left_out_is_refused(words, said):
 
 @needs_level
 def test_the_command_leaves_out_one_check(monkeypatch):
-    from asia.assurance import redteam
+    from asia.assurance.redteam import suite
 
     asked: list[tuple[str, ...]] = []
     monkeypatch.setattr(
-        redteam,
+        suite,
         "without_checks",
         lambda at, attacks, kinds, on_result: asked.append((*kinds,)) or (),
     )

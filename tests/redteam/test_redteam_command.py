@@ -54,12 +54,12 @@ def test_the_command_fails_when_something_gets_through(monkeypatch):
 
 @needs_level
 def test_the_command_fails_when_an_attack_does_not_work(monkeypatch):
-    from asia.assurance import redteam
     from asia.assurance.redteam import suite as _suite
+    from asia.assurance.redteam.outside import outer_sandbox
 
     blocked = Finding(2, str(ONE_LEVEL), AttackVerdict.BLOCKED, ("landlock",), "")
     clumsy = Finding(2, OFF, AttackVerdict.BLOCKED, ("parent",), "no score")
-    monkeypatch.setattr(redteam, "why_no_outer", lambda: None)
+    monkeypatch.setattr(outer_sandbox, "why_no_outer", lambda: None)
     monkeypatch.setattr(_suite, "attack_candidate", lambda attack, level, executor: blocked)
     monkeypatch.setattr(_suite, "inside", lambda job, nested: iter([clumsy]))
     done = run("--only", "2", "--level", str(ONE_LEVEL))

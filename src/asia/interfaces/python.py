@@ -22,8 +22,8 @@ from asia.export.pipeline import export as export_model
 from asia.judge.scoring.outcome import fit_index
 from asia.ledger.events import Evaluated, Event, Use
 from asia.ledger.evidence import IdentifiedParameter, identified
-from asia.ledger.exports import error_value
 from asia.ledger.run import Run, find_run, model_to_use, open_run
+from asia.ledger.text import error_value
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem

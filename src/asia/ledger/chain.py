@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import hashlib
 import json
 import os
@@ -445,6 +444,8 @@ def _read(path: Path) -> tuple[list[Line], Position]:
 
 def _locked(fd: int, path: Path) -> bool:
     """Take the exclusive lock. `in_use` holds a shared one for a moment, which is no search."""
+    import fcntl  # no module of Windows, where the command line says what to do
+
     for attempt in range(_LOCK_ATTEMPTS):
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -462,6 +463,8 @@ def _locked(fd: int, path: Path) -> bool:
 
 def in_use(path: Path) -> bool:
     """Return whether a search holds the ledger."""
+    import fcntl
+
     with path.open("rb") as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -28,8 +28,8 @@ from asia.judge.scoring.checks.records import listed
 from asia.judge.scoring.confirmation import least_significant_difference
 from asia.judge.scoring.residuals import Diagnostics, Evidence, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
-from asia.ledger.exports import error_value
 from asia.ledger.run import Run
+from asia.ledger.text import error_value
 from asia.ledger.view import Experiment, SearchView
 
 # Agreement and disagreement between the folds of one experiment.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from base64 import b64encode
 from pathlib import Path
 
-from asia.ledger.exports import error_value
 from asia.ledger.run import model_to_use, open_run
+from asia.ledger.text import error_value
 from asia.ledger.view import Experiment
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem

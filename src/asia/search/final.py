@@ -27,8 +27,8 @@ from asia.judge.scoring.outcome import Failure, score_fold
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Again, RefitCheck, RefitStart, Refitted, Stack, StackMember
 from asia.ledger.evidence import put_estimates
-from asia.ledger.exports import error_line, error_value
 from asia.ledger.run import ModelToUse
+from asia.ledger.text import error_line, error_value
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.metrics import find_metric
 from asia.problem.protocol import Fold

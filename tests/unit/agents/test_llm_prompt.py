@@ -20,7 +20,7 @@ from asia.agents.llm.prompt import (
     task_of,
 )
 from asia.data import Signal
-from asia.ledger.exports import error_line
+from asia.ledger.text import error_line
 from asia.problem import Prior
 from asia.testing import check_agent
 

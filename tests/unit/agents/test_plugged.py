@@ -37,9 +37,11 @@ def build(config, context): ...
 def train(model, trajectories, context, method): ...
 """
 CARD = """
-from asia.agents.library.card import Card; from asia.agents.library.family import Family; from
-asia.agents.library.move import Move; from asia.agents.library.recipe import Recipe; from
-asia.agents.library.space import Space, Span
+from asia.agents.library.card import Card
+from asia.agents.library.family import Family
+from asia.agents.library.move import Move
+from asia.agents.library.recipe import Recipe
+from asia.agents.library.space import Space, Span
 
 def start(facts):
     return Recipe("static_gain", (("gain", 1.0),), "LeastSquares", (("ridge", None),))

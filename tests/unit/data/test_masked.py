@@ -166,7 +166,7 @@ def test_intake_keeps_gaps_of_outputs_and_cuts_gaps_of_inputs(tmp_path: Path) ->
         first, second = found.records
         assert (len(first), len(second)) == (99, 18)
         assert np.flatnonzero(~first.measured[:, 0]).tolist() == [19]
-        assert "1 of 99 output values were not measured" in " ".join(found.notes)
+        assert "1 of 117 output values were not measured" in " ".join(found.notes)
     made = init_problem(tmp_path / "p", train=[path], test=[], inputs=["u"], outputs=["y"])
     problem = load_problem(made.path.parent)
     assert problem.train[0].missing is not None

@@ -10,8 +10,9 @@ from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain, read_lines
 from asia.ledger.events import Retest, Started, Unsealed, adapter
 from asia.ledger.events import TestedModel as Record
-from asia.ledger.exports import describe_result, journal, results_table
+from asia.ledger.exports import journal, results_table
 from asia.ledger.run import find_run, open_run
+from asia.ledger.text import describe_result
 from asia.ledger.verification import verify
 from asia.search.run import check_same_search
 

@@ -5,9 +5,10 @@ from typing import Any, cast
 
 import pytest
 
-from asia import ledger
 from asia.assurance.bench.suite import SUITE
-from asia.judge import scoring
+from asia.judge.scoring.outcome import TestScore as Scored
+from asia.ledger.events import TestedModel as Recorded
+from asia.ledger.events import Unsealed
 from asia.problem import protocol
 from asia.problem.load import builtin_problems
 from asia.problem.problem import Problem
@@ -84,11 +85,11 @@ def test_an_equal_result_is_not_above() -> None:
 
 
 def figures_of(values: dict[str, float], rule: protocol.TestRule) -> tuple[OfficialFigure, ...]:
-    score = scoring.TestScore("rmse", 9.9, (9.9,), tuple(values.values()))
-    model = ledger.TestedModel((score,), "0" * 64)
+    score = Scored("rmse", 9.9, (9.9,), tuple(values.values()))
+    model = Recorded((score,), "0" * 64)
     record = cast(Any, SimpleNamespace(trajectories=tuple(values), horizon=None))
     problem = cast(Any, SimpleNamespace(protocol=protocol.ProtocolRule(test=rule)))
-    return official_figures(cast(Problem, problem), cast(ledger.Unsealed, record), model)
+    return official_figures(cast(Problem, problem), cast(Unsealed, record), model)
 
 
 def test_each_record_is_a_figure_in_the_official_unit() -> None:

@@ -13,12 +13,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from asia import ledger
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.errors import InternalError
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.confirmation import Attribution, ExpectedError, Interval
 from asia.ledger.chain import Chain
+from asia.ledger.events import (
+    Ablated,
+    Confirmed,
+    ConfirmedCandidate,
+    ConfirmedPair,
+    LeftOut,
+    RecordedCheck,
+    Refitted,
+    Validated,
+)
+from asia.ledger.events import (
+    TestBands as Bands,
+)
+from asia.ledger.evidence import identified, put_curves, put_estimates
 from asia.ledger.run import Run, open_run
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
@@ -252,7 +265,7 @@ def test_the_bands_of_the_test_stand_beside_what_they_are_meant_to_hold(
     assert 'id="bands"' not in page_of(run)
     opened = run.view.unsealed
     assert opened is not None
-    bands = ledger.TestBands("ensemble", 0.9, (0.873,), 0.02, opened.measured, opened.measured)
+    bands = Bands("ensemble", 0.9, (0.873,), 0.02, opened.measured, opened.measured)
     other = run.directory.with_name("banded")
     shutil.copytree(run.directory, other)
     (other / "ledger.jsonl").unlink()
@@ -280,9 +293,9 @@ def test_what_was_identified_stands_on_the_page_with_its_uncertainty(
     )
     correlation = np.array([[1.0, -0.987], [-0.987, 1.0]])
     found = ParameterEstimates(rows, correlation, ("d(x)/dt = -0.25 * sqrt(x) <b>",))
-    name = ledger.put_estimates(run.store, found)
+    name = put_estimates(run.store, found)
     with Chain(run.directory / "ledger.jsonl") as chain:
-        chain.append(ledger.Refitted(4, None, "made up", estimates=name))
+        chain.append(Refitted(4, None, "made up", estimates=name))
     page = page_of(open_run(run.directory))
     part = page[page.index('id="identified"') :]
     for words in ("-0.25 * sqrt(x) &lt;b&gt;", "0.2264", "0.2736", "1/s", "-0.987", "upper end"):
@@ -300,13 +313,13 @@ def test_an_interval_by_folds_or_by_a_missing_effect_is_on_the_page(
         ParameterEstimate("R", 1.0, 0.01, 0.98, 1.02, "Ohm", 0.1, 10.0),
         ParameterEstimate("b", 2.0, 0.01, 1.98, 2.02, "", -9.0, 9.0, misfit_error=0.5),
     )
-    name = ledger.put_estimates(run.store, ParameterEstimates(rows, np.eye(2)))
+    name = put_estimates(run.store, ParameterEstimates(rows, np.eye(2)))
     with Chain(run.directory / "ledger.jsonl") as chain:
-        chain.append(ledger.Refitted(4, None, "made up", estimates=name))
+        chain.append(Refitted(4, None, "made up", estimates=name))
     run = open_run(run.directory)
     page = page_of(run)
     part = page[page.index('id="identified"') :]
-    quoted = ledger.identified(run)
+    quoted = identified(run)
     assert quoted is not None
     low, high = quoted.parameters[0].interval or (0.0, 0.0)
     assert low < 0.8
@@ -331,9 +344,9 @@ def test_the_verdict_has_the_doubts_of_the_validation(
 ) -> None:
     run = make_run()
     assert 'class="stamp shown">A model was found, not validated<' in page_of(run)
-    check = ledger.RecordedCheck("motion", verdict, "a sentence", "friction is missing", weight)
-    curves = ledger.put_curves(run.store, ())
-    event = ledger.Validated(4, "ensemble", "", "", (check,), curves, 1, 0, 0)
+    check = RecordedCheck("motion", verdict, "a sentence", "friction is missing", weight)
+    curves = put_curves(run.store, ())
+    event = Validated(4, "ensemble", "", "", (check,), curves, 1, 0, 0)
     with Chain(run.directory / "ledger.jsonl") as chain:
         chain.append(event)
     page = page_of(open_run(run.directory))
@@ -344,15 +357,15 @@ def test_the_verdict_has_the_doubts_of_the_validation(
 def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:
     directory = make_run().directory
     assert 'id="confirmation"' not in page_of(open_run(directory))
-    interval = ledger.ConfirmedPair(4, 2, Interval(0.3, -0.1, 0.7))
-    found = ledger.Confirmed(
+    interval = ConfirmedPair(4, 2, Interval(0.3, -0.1, 0.7))
+    found = Confirmed(
         winner=4,
         seeds=5,
         tried=3,
         level=0.95,
         candidates=(
-            ledger.ConfirmedCandidate(4, 0.2, Interval(0.25, 0.2, 0.3), 0.01, 4, 1, False, 1, 2),
-            ledger.ConfirmedCandidate(2, 0.5, Interval(0.5, 0.4, 0.6), 0.0, 1, 0, True, 1, 2),
+            ConfirmedCandidate(4, 0.2, Interval(0.25, 0.2, 0.3), 0.01, 4, 1, False, 1, 2),
+            ConfirmedCandidate(2, 0.5, Interval(0.5, 0.4, 0.6), 0.0, 1, 0, True, 1, 2),
         ),
         pairs=(interval, replace(interval, difference=Interval(0.3, 0.1, 0.7))),
         noise=0.01,
@@ -381,8 +394,8 @@ def test_an_ablation_has_its_section_and_its_picture(make_run: Callable[..., Run
         Interval(0.06, 0, 0),
         Interval(0.03, 0, 0),
     )
-    left_out = ledger.LeftOut(2, Interval(0.123, 0.1, 0.15)), ledger.LeftOut(4, detail="7 of 8")
-    found = ledger.Ablated(4, 1, 3, Attribution(*parts), "", left_out)
+    left_out = LeftOut(2, Interval(0.123, 0.1, 0.15)), LeftOut(4, detail="7 of 8")
+    found = Ablated(4, 1, 3, Attribution(*parts), "", left_out)
     with Chain(directory / "ledger.jsonl") as chain:
         chain.append(found)
     page = page_of(open_run(directory))

@@ -20,7 +20,7 @@ from asia.agents.view import AgentView, Facts, Trial
 from asia.candidate import VALIDATION_SCORES, installed_libraries
 from asia.data.trajectory import Array, Signal
 from asia.judge.scoring.residuals import Diagnostics
-from asia.ledger.exports import error_line
+from asia.ledger.text import error_line
 from asia.problem.metrics import find_metric, metric_label
 from asia.problem.physics import Physics
 from asia.problem.problem import correction_lines, prior_lines, symmetry_lines

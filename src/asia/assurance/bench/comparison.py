@@ -24,8 +24,8 @@ from asia.judge.evaluation.references import LINEAR_REFERENCE
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.chain import write_whole
 from asia.ledger.events import Event, TestedModel, Unsealed
-from asia.ledger.exports import error_value
 from asia.ledger.run import open_run
+from asia.ledger.text import error_value
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.budget import Budget
 from asia.problem.metrics import MEE, find_metric, metric_label

@@ -13,8 +13,8 @@ from asia.agents.registry import make_agent
 from asia.assurance.bench.comparison import Arm, ComparisonPlan, TextTable, Watcher, bench
 from asia.errors import UserError
 from asia.ledger.chain import write_whole
-from asia.ledger.exports import error_value
 from asia.ledger.run import open_run
+from asia.ledger.text import error_value
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.report import draw_all_boards

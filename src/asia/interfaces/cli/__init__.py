@@ -22,8 +22,6 @@ from asia._plugins import Part, parts_of
 from asia._text import say
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.interfaces.cli import bench as _bench
-from asia.interfaces.cli import bench as _compare
-from asia.interfaces.cli import bench as _suite
 from asia.interfaces.cli import check as _check
 from asia.interfaces.cli import (
     demo,
@@ -156,8 +154,8 @@ _AGENT: dict[str, Callable[..., None]] = {
 }
 _BENCH: dict[str, Callable[..., None]] = {
     "paper": _bench.paper,
-    "suite": _suite.suite,
-    "agents": _compare.compare_agents,
+    "suite": _bench.suite,
+    "agents": _bench.compare_agents,
 }
 _BRIEF_HELP = {
     _run.run: _run.BRIEF_HELP,
@@ -272,7 +270,7 @@ def spread(words: list[str]) -> list[str]:
         "init": init.LISTS,
         "validate": ("--columns",),
         "bench paper": _bench.LISTS,
-        "bench agents": _compare.COMPARE_LISTS,
+        "bench agents": _bench.COMPARE_LISTS,
         "doctor": redteam.LISTS,
     }
     lists = known.get(" ".join(words[:1])) or known.get(" ".join(words[:2]))

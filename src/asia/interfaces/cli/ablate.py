@@ -37,7 +37,7 @@ def ablate_winner(directory: Path, seeds: int, *, json: bool) -> None:
 
 def _print(event: AblationFit, done: int, total: int) -> None:
     from asia._timer import duration
-    from asia.ledger.exports import error_value
+    from asia.ledger.text import error_value
 
     value = event.failed if event.value is None else f"V={error_value(event.value)}"
     text = f"{event.variant}, seed {event.repeat}: {value} in {duration(event.seconds)}"

@@ -17,7 +17,7 @@ def print_difference(opened: Run, first: Experiment, second: Experiment) -> None
     from rich.text import Text
 
     from asia.interfaces.cli.results import wide_console
-    from asia.ledger.exports import describe_result
+    from asia.ledger.text import describe_result
 
     console = wide_console()
     for e in (first, second):

@@ -53,8 +53,8 @@ from asia.ledger.evidence import (
     method_note,
     significance_threshold,
 )
-from asia.ledger.exports import error_value, hand_over_text, seed_mean_words
 from asia.ledger.run import control, control_text, open_run
+from asia.ledger.text import error_value, hand_over_text, seed_mean_words
 from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
@@ -389,7 +389,7 @@ def finished_line(result: ExperimentSummary, now: SearchProgress) -> str:
 
 
 def _value(value: float | None) -> str:
-    from asia.ledger.exports import error_value
+    from asia.ledger.text import error_value
 
     return "none" if value is None else f"= {error_value(value)}"
 

@@ -92,7 +92,7 @@ def _name(model: str) -> str:
 def _within(ready: Prepared, end: float) -> OnEvent:
     """Print each result, and stop the search when the time is over."""
     from asia.ledger.events import Evaluated
-    from asia.ledger.exports import describe_result
+    from asia.ledger.text import describe_result
     from asia.search.steering import Steering
 
     def on_event(event: Event, view: SearchView) -> None:

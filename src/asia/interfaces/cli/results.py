@@ -33,8 +33,8 @@ from asia.ledger.evidence import (
     identified_object,
     settings_of_run,
 )
-from asia.ledger.exports import describe_result, error_value, phase_text
 from asia.ledger.run import Run
+from asia.ledger.text import describe_result, error_value, phase_text
 from asia.ledger.view import Experiment
 from asia.problem.metrics import metric_label
 
@@ -116,7 +116,7 @@ class Lines:
 
     def on_end(self, run: PlannedRun, view: SearchView) -> None:
         """Print the best V of the search."""
-        from asia.ledger.exports import error_value
+        from asia.ledger.text import error_value
 
         best = view.best
         value = best.score.value if best is not None and best.score is not None else None

@@ -174,7 +174,7 @@ def _print_course(view: SearchView, *, running: bool) -> None:
     """Print the experiments in flight, pruned folds and hand-overs."""
     from asia.interfaces.cli.text import running_words
     from asia.ledger.evidence import cancelled_folds, pruned_folds
-    from asia.ledger.exports import hand_over_text
+    from asia.ledger.text import hand_over_text
 
     for words in running_words(view) if running else ():
         say(f"running {words}")
@@ -191,7 +191,7 @@ def _print_winner(view: SearchView) -> None:
     """Print the evidence for the best candidate other than V."""
     from asia.interfaces.cli.text import again_words, guard_words, use_lines
     from asia.ledger.evidence import floor_words, method_note
-    from asia.ledger.exports import validation_summary
+    from asia.ledger.text import validation_summary
 
     if words := method_note(view):
         say(f"method  {words}")

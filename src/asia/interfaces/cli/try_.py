@@ -154,7 +154,7 @@ def result_lines(
 ) -> list[str]:
     """Return the result of an experiment on one screen, with `evidence` in the middle."""
     from asia.interfaces.cli.text import training_lines
-    from asia.ledger.exports import error_value
+    from asia.ledger.text import error_value
 
     best = "none yet"
     if progress.best is not None and progress.best_value is not None:

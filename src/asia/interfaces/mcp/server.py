@@ -40,7 +40,8 @@ from asia.interfaces.mcp.answers import (
     submission_answer,
 )
 from asia.interfaces.workspace.server import RunDesk, Submission, dry_run_lines
-from asia.ledger.exports import describe_result, journal, results_table
+from asia.ledger.exports import journal, results_table
+from asia.ledger.text import describe_result
 
 # The tools. Each docstring is what an agent reads of it.
 

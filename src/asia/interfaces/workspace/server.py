@@ -45,8 +45,8 @@ from asia.ledger.evidence import (
     last_lines,
     settings_of_run,
 )
-from asia.ledger.exports import error_line
 from asia.ledger.run import Run, open_run
+from asia.ledger.text import error_line
 from asia.ledger.view import Experiment, SearchView, published
 from asia.report.simulated import SimulatedCases
 from asia.search.agent_views import digest

@@ -71,7 +71,7 @@ class DaskExecutor:
         return [future.result() for future in futures]
 
     def carry(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
-        """Implement `Carrier.carry`."""
+        """Implement `RemoteExecutor.carry`."""
         try:
             with self._place():
                 return self._carried(answer, request, digest, data)
@@ -104,7 +104,7 @@ class DaskExecutor:
     def ask_each(
         self, describe: Callable[[bytes], bytes], request: bytes
     ) -> dict[str, tuple[bytes, float, float]]:
-        """Implement `Carrier.ask_each`; the first call imports the package there and is not
+        """Implement `RemoteExecutor.ask_each`; the first call imports the package there and is not
         timed."""
         found: dict[str, tuple[bytes, float, float]] = {}
         workers: dict[str, Any] = self._client.scheduler_info(n_workers=-1)["workers"]
@@ -119,14 +119,14 @@ class DaskExecutor:
         return found
 
     def forget(self, request: bytes) -> None:
-        """Implement `Carrier.forget`: the sandbox of the worker ends within a second."""
+        """Implement `RemoteExecutor.forget`: the sandbox of the worker ends within a second."""
         with self._lock:
             self._forgotten.add(request)
             under_way = [one for one, what in self._under_way.items() if what == request]
         self._end(under_way)
 
     def cancel(self) -> None:
-        """Implement `Carrier.cancel`: the sandboxes of the workers end within a second."""
+        """Implement `RemoteExecutor.cancel`: the sandboxes of the workers end within a second."""
         self._cancelled = True
         with self._lock:
             under_way = list(self._under_way)

@@ -12,7 +12,7 @@ from asia._text import one_line, printable
 from asia._timer import duration
 from asia.errors import InternalError
 from asia.ledger.evidence import FOLD_QUANTILE, interval_ends, jackknife_error
-from asia.ledger.exports import error_value
+from asia.ledger.text import error_value
 from asia.problem.physics import (
     Binary,
     Call,

@@ -11,8 +11,8 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.chain import write_whole
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.evidence import IdentifiedModel, identified
-from asia.ledger.exports import error_value
 from asia.ledger.run import Run, metric_of, model_to_use, open_run, tested_model
+from asia.ledger.text import error_value
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.metrics import find_metric, metric_label
 

@@ -217,7 +217,7 @@ def line_changed(run: Path) -> None:
     [
         (("show", "run", "9"), None, "9"),
         (("show", "run", "0"), None, "0"),
-        (("diff", "run", "1", "9"), None, "9"),
+        (("show", "run", "1", "9"), None, "9"),
         (("status", "run"), line_changed, "ledger.jsonl"),
         (("show", "run"), line_changed, "ledger.jsonl"),
         (("report", "run"), line_changed, "ledger.jsonl"),

@@ -114,7 +114,7 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     (folder / "candidate.py").write_text(arx(4))
     spent = asia("try", "-m", "one too many", "--dir", folder)
     assert spent.code == 2
-    assert "the candidate was not judged: the budget of 4 experiments is spent" in spent.err
+    assert "the candidate was not evaluated: the budget of 4 experiments is spent" in spent.err
     (folder / "candidate.py").write_text(arx(3))
     known = asia("try", "-m", "as before", "--dir", folder)
     assert (known.code, known.out.count("not judged again")) == (0, 1)

@@ -146,7 +146,7 @@ def driver(agent: str, command: str | None, configs: list[Path] | None = None) -
 
 @pytest.mark.parametrize("name", ["expert", "random", "llm", "workspace", "mcp"])
 def test_a_program_cannot_take_a_built_in_name(name: str) -> None:
-    with pytest.raises(UserError, match="another way to drive"):
+    with pytest.raises(UserError, match="is reserved"):
         driver(f"command:{name}", "true {prompt}")
 
 

@@ -126,7 +126,7 @@ def test_a_result_that_hung_on_the_machine_can_be_asked_for_again(place: Place) 
 def test_the_queue_counts_towards_the_budget(place: Place) -> None:
     place.desk.submit(candidate(3))
     place.desk.submit(candidate(4))
-    with pytest.raises(UserError, match="was not judged: the budget of 4 experiments is spent"):
+    with pytest.raises(UserError, match="was not evaluated: the budget of 4 experiments is spent"):
         place.desk.submit(candidate(5))
     order(place.problem, 5).save(place.directory)
     assert place.desk.submit(candidate(5)).ahead == 2

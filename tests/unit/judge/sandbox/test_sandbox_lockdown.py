@@ -152,7 +152,7 @@ def test_a_kernel_without_landlock_is_named(monkeypatch, code, words):
 
 def run(script: str) -> subprocess.CompletedProcess[str]:
     """A fresh Python that has the modules of the worker at hand."""
-    folder = package_folder() / "sandbox" / "walls"
+    folder = package_folder() / "judge" / "sandbox" / "layers"
     lines = f"import sys, threading, os\nsys.path.insert(0, {str(folder)!r})\n{script}"
     command = [sys.executable, "-I", "-S", "-B", "-c", lines]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)

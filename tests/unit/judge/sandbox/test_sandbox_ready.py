@@ -50,9 +50,9 @@ attempt("parent", lambda: os.kill(os.getppid() or 1, 0))
 """
 KILLED = """
 import sys, time
-from asia.judge.sandbox.types import Isolation, Limits; from asia.judge.sandbox.standby import
-ReadyWorkers
-ahead = ReadyWorkers(Isolation(sys.argv[1]), Limits(60.0, 30.0, 4096), 2)
+from asia.judge.sandbox.types import Isolation, Limits
+from asia.judge.sandbox.standby import StandbyWorkers
+ahead = StandbyWorkers(Isolation(sys.argv[1]), Limits(60.0, 30.0, 4096), 2)
 ahead.take(frozenset({"scipy.fft"}))
 worker = ahead.take(frozenset({"scipy.fft"}))
 while any(not one.worker.done() for one in ahead._waiting):

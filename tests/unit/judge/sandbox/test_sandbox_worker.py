@@ -267,8 +267,8 @@ PARENT = """
 import sys
 from asia.candidate import Context
 from asia.problem import Signal, Trajectory
-from asia.judge.sandbox.types import Isolation, Limits; from asia.judge.sandbox.availability import
-open_worker
+from asia.judge.sandbox.types import Isolation, Limits
+from asia.judge.sandbox.availability import open_worker
 
 worker = open_worker(Isolation(sys.argv[1]), Limits(120.0, 1.0, 4096))
 record = Trajectory([0.0, 1.0], [0.0, 1.0], 1.0)

@@ -110,7 +110,7 @@ def test_nothing_else_reads_the_test_part() -> None:
         if re.search(r"\.(records|read)\(\s*(\"test\"|subset)", path.read_text())
     }
     readers -= {p for p in readers if p.startswith("data/sources/")}
-    assert readers == {"seal/_test.py", "testing/_source.py"}
+    assert readers == {"problem/seal.py", "testing/source.py"}
 
 
 @pytest.mark.data

@@ -163,7 +163,7 @@ def test_refused_for_a_metric_without_a_bound(
     other = replace(find_metric("rmse"), **changed)
     monkeypatch.setattr("asia.search.pending.find_metric", lambda name: other)
     problem = load_problem(write_problem(tmp_path / "toy"))
-    with pytest.raises(UserError, match="no bound"):
+    with pytest.raises(UserError, match="no lower bound"):
         prepare(problem, "listed", seed=0, runs=tmp_path / "runs", stop_folds=True)
 
 

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia import ledger
 from asia.data import Array
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.results import derive_seed
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Refitted
+from asia.ledger.evidence import identified
 from asia.ledger.run import model_to_use, open_run
+from asia.ledger.run import tested_model as model_of
 from asia.ledger.verification import verify
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
@@ -262,7 +263,7 @@ def test_a_stack_of_opposite_errors_is_used_and_opened(tmp_path: Path) -> None:
     assert not np.allclose(answer(directory, "stack"), answer(directory, "ensemble"), atol=0.05)
     record = unseal(directory, process_consent=True).record
     assert record.stack is not None
-    stack, ensemble = (ledger.tested_model(record, use) for use in ("stack", "ensemble"))
+    stack, ensemble = (model_of(record, use) for use in ("stack", "ensemble"))
     assert stack.scores[0].value < 0.6 * ensemble.scores[0].value
     verify(directory)
 
@@ -298,7 +299,7 @@ def test_a_ledger_of_an_older_version_names_the_ensemble(tmp_path: Path) -> None
     assert "older version" in named.reason
     record = open_run(tmp_path / "unsealed").view.unsealed
     assert record is not None
-    assert ledger.tested_model(record, named.model) == record.ensemble
+    assert model_of(record, named.model) == record.ensemble
 
 
 ESTIMATES = """
@@ -331,7 +332,7 @@ def test_what_the_refit_says_of_its_parameters_is_kept_and_shown(tmp_path: Path)
     directory, view = go(tmp_path, arx(2) + ESTIMATES)
     assert view.best is not None
     assert view.best.number == 2
-    found = ledger.identified(open_run(directory))
+    found = identified(open_run(directory))
     assert found is not None
     assert found.equations == (f"fitted to {WHOLE} samples",)
     assert [len(one.folds) for one in found.parameters] == [2] * 5

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import asia
-from asia import ledger
 from asia.data import Array
+from asia.ledger.events import TestedModel as Recorded
 from asia.ledger.run import Run
 from asia.problem.create import Preparation, init_problem
 from asia.report import write_report
@@ -76,7 +76,7 @@ def test_simulations_come_in_recorded_units_and_at_their_samples(prepared: Run) 
 def test_the_test_is_opened_with_the_same_preprocessing(prepared: Run) -> None:
     opened = asia.unseal(prepared.directory).record
     ensemble = opened.ensemble
-    assert isinstance(ensemble, ledger.TestedModel)
+    assert isinstance(ensemble, Recorded)
     # In units of the training deviation, by which the outputs are divided.
     assert 0.0 < ensemble.scores[0].value < 0.2
     assert opened.lengths == ((400 - DELAY) // 2 - 10,)
@@ -107,7 +107,7 @@ def test_a_search_on_masked_outputs(tmp_path: Path) -> None:
         assert best.score is not None
         values.append(best.score.value)
         ensemble = asia.unseal(run.directory).record.ensemble
-        assert isinstance(ensemble, ledger.TestedModel)
+        assert isinstance(ensemble, Recorded)
         scores.append(ensemble.scores[0].value)
         assert all(path.stat().st_size for path in write_report(run.directory))
     assert values[1] < 1.3 * values[0]

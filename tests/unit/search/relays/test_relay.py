@@ -32,8 +32,8 @@ from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import HandedOver, Proposed
-from asia.ledger.exports import hand_over_text
 from asia.ledger.run import Run
+from asia.ledger.text import hand_over_text
 from asia.ledger.verification import verify
 from asia.ledger.view import SearchView
 from asia.search.loop import Judged

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from asia.judge.scoring.outcome import Score
-from asia.ledger.exports import error_line, error_value, phase_text
+from asia.ledger.text import error_line, error_value, phase_text
 from asia.ledger.view import Experiment
 from asia.report.page.code import change, python
 from asia.report.page.html import Html, equations, facts, join, said, table, tag

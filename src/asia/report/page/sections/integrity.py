@@ -7,7 +7,7 @@ import hashlib
 from asia._text import one_line
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import GuardLooked
-from asia.ledger.exports import hand_over_text
+from asia.ledger.text import hand_over_text
 from asia.report.page.html import Html, facts, join, said, table, tag
 from asia.report.page.subject import Section, Subject
 

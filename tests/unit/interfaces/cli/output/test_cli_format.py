@@ -8,8 +8,8 @@ from asia.interfaces.cli.results import describe
 from asia.interfaces.cli.text import Terminal, experiment_line
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Retest, Status
-from asia.ledger.exports import error_value
 from asia.ledger.run import open_run
+from asia.ledger.text import error_value
 from asia.ledger.view import Experiment
 from tests.unit.interfaces.cli.conftest import Searched
 
