@@ -241,7 +241,7 @@ def _train_records(
     )  # fmt: skip
     structure = replace(structure, friction=c.friction, play=c.play, integrators=c.integrators)
     if isinstance(method, LevenbergMarquardt):
-        from asia.models._state_space.model import LmOptions, fit_members
+        from asia.models._state_space.training import LmOptions, fit_members
 
         options = LmOptions(
             _ridges(c), c.members, c.encoder, c.pieces, c.past_fit, seed=context.seed

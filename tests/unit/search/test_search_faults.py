@@ -33,7 +33,7 @@ from asia.problem.load import load_problem
 from tests.unit.search.test_search_faults import AGENT, told
 from tests.unit.search.toy import arx
 
-_rungs.LINEAR = arx(2)
+references.LINEAR = arx(2)
 problem, disk = Path(sys.argv[1]), sys.argv[2]
 subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k", "none", disk], check=True)
 said, records = [], []

@@ -79,7 +79,7 @@ def test_a_table_of_answers_is_recorded_and_never_kept(problem: Path, tmp_path: 
     directory = tmp_path / "runs" / "toy-scripted-s0"
     verify(directory)
     assert "invalid" in (directory / "results.tsv").read_text()
-    assert "make the simulation jump" in (directory / "search_journal.md").read_text()
+    assert "the simulation jump" in (directory / "search_journal.md").read_text()
     assert replay_run(directory, lambda item: None).agrees
 
 

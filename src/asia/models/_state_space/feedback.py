@@ -17,8 +17,9 @@ from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.records import ScaledData, ScaledTrajectory, Scaling
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
-from asia.models._state_space.model import FittedStateSpace, fit_segments, past_fit, window_samples
+from asia.models._state_space.model import FittedStateSpace, past_fit, window_samples
 from asia.models._state_space.structure import StateSpaceStructure
+from asia.models._state_space.training import fit_segments
 
 # Search for the regressors of static functions in feedback, by the residual of the linear model.
 #

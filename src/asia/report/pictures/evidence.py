@@ -263,8 +263,10 @@ def _stems(axes: Axes, found: Correlation) -> None:
     axes.axhline(0.0, color=INK, lw=0.7)
     axes.vlines(lags, 0.0, y, color=BLUE, lw=1.2)
     axes.plot(lags, y, "o", color=BLUE, ms=2.6)
-    low, high = min(-band, float(y.min())), max(band, float(y.max()))
     # A signal that never moves has no correlation and no band.
+    shown = np.concatenate([y, [-band, band]])
+    shown = shown[np.isfinite(shown)] if np.isfinite(shown).any() else np.zeros(1)
+    low, high = float(shown.min()), float(shown.max())
     margin = 0.08 * (high - low) or 1.0
     axes.set_ylim(low - margin, high + margin)
     quiet_grid(axes)

@@ -130,7 +130,7 @@ def test_what_an_agent_does_wrong_is_told_in_words_it_can_use(setting: Setting) 
             words = {"hypothesis": "h", "expected": "e"}
             for arguments, answer in (
                 ({"code": "def fit(:", **words}, "line 1"),
-                ({"code": "x = 1", **words}, "costs no experiment"),
+                ({"code": "x = 1", **words}, "cost no experiment"),
                 ({"code": arx(2), **words, "hypothesis": " "}, "needs a hypothesis"),
                 ({"code": arx(2), **words, "parent": 9}, "parent 9: expected an experiment"),
                 ({"code": arx(2)}, "hypothesis"),

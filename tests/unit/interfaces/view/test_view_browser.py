@@ -154,7 +154,7 @@ def test_the_list_of_runs_moves(server: Server, watched: Watched, problem: Probl
         expect(page.locator("#list .state.running")).to_have_count(1)
         expect(page.get_by_label("choose made")).to_be_checked()
     page.get_by_label("choose other").check()
-    page.get_by_role("button", name="side by side").click()
+    page.get_by_role("button", name="Compare two runs").click()
     expect(page.get_by_role("heading", level=1)).to_have_text("Side by side")
     assert watched.complaints == []
 

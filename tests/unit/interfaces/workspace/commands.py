@@ -15,7 +15,7 @@ from asia.problem.load import load_problem
 from asia.search.run import prepare
 
 HERE = Path(__file__).resolve().parent
-TOY = HERE.parent / "search" / "toy.py"
+TOY = HERE.parents[1] / "search" / "toy.py"
 JAILED = probe().level is Isolation.NAMESPACE
 RULES = CommandRules(mounts=(HERE, TOY.parent), jail=JAILED)
 

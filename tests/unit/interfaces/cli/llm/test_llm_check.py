@@ -40,7 +40,7 @@ def test_a_model_that_keeps_to_the_form_is_able(asia: Asia, server: FakeServer) 
     assert done.code == 0, done.err
     assert f"made-up at {server.url}: able" in done.out
     assert "2 of 2 at once" in done.out
-    assert f"{PROMPT_TOKENS + REPLY_TOKENS} a step" in done.out
+    assert f"{PROMPT_TOKENS + REPLY_TOKENS} per step" in done.out
     report = kept()
     assert report["verdict"] == "able"
     assert report["scored"] == report["at_once"] == report["answers"] == 2

@@ -1,0 +1,250 @@
+"""Training of neural state-space models: Levenberg-Marquardt, on segments first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from asia.candidate import Context
+from asia.data.trajectory import Array
+from asia.models._config import Progress
+from asia.models._least_squares import (
+    LevenbergMarquardt,
+)
+from asia.models._linear.fit import LinearFit
+from asia.models._linear.system import LinearSystem
+from asia.models._numerics.encoder import Encoder
+from asia.models._numerics.records import (
+    ScaledData,
+    Scaling,
+    side_by_side,
+    spread,
+)
+from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
+from asia.models._state_space.model import (
+    PastFit,
+    past_fit,
+    starts_of,
+    window_samples,
+    with_elements,
+)
+from asia.models._state_space.programs import StateSamples
+from asia.models._state_space.structure import StateSpaceStructure
+
+# Fits that begin with short segments of the records, each with its own initial state.
+#
+# Over a whole record the simulation error of a system in which small differences grow has many
+# local minima; over segments it has few. The segments grow to the whole records. Sources: Ribeiro,
+# Tiels, Umenberger, Schon and Aguirre, Automatica 121, 2020; Bock, multiple shooting, 1981.
+
+
+class _Lengths(NamedTuple):
+    """Lengths of the segments."""
+
+    shortest: int
+    """Least number of samples of the first segments."""
+    by_state: int
+    """Number of samples for each state of the model."""
+    growth: int
+    """Factor from one length to the next."""
+
+
+# Lengths of the segments. Segments of a whole period already miss the minimum of a strong
+# oscillator, but elements of friction and play show only in segments with a reversal.
+_SMOOTH, _WITH_ELEMENTS = _Lengths(20, 4, 3), _Lengths(40, 8, 4)
+# Greatest number of segments.
+_MOST = 60
+# Iterations on segments, the ridge of their states, and that of the first guess of these.
+_ITERATIONS, _STATE_RIDGE, _GUESS_RIDGE = 25, 1e-6, 1e-3
+
+
+class _Segment(NamedTuple):
+    """Position of a segment."""
+
+    record: int
+    start: int
+
+
+def fit_segments(
+    structure: StateSpaceStructure,
+    system: LinearSystem,
+    starts: Sequence[dict[str, Any]],
+    records: ScaledData,
+    x0: Array,
+    ridge: dict[str, float],
+    method: LevenbergMarquardt,
+    log: Progress,
+    sampling_time: float,
+) -> list[StateFit]:
+    """Fit the segments from each start.
+
+    Returns:
+        Parameters, and initial states (R, n) of whole records: of the first segment of a record,
+        else x0 (R, n), those of the linear system.
+    """
+    lengths = _WITH_ELEMENTS if structure.size > structure.order else _SMOOTH
+    length = max(lengths.shortest, lengths.by_state * structure.size)
+    segments = _spread(records, length)
+    few = replace(method, iterations=min(method.iterations, _ITERATIONS))
+    ridge = {**ridge, "x0": _STATE_RIDGE}
+    first = [_guess(structure, system, records, segment, length) for segment in segments]
+    states, fits = [np.array(first)] * len(starts), list[StateFit]()
+    begin: Sequence[dict[str, Any]] = starts
+    while any(2 * len(r) >= 3 * length for r in records):
+        fits = [
+            fit_states(
+                structure, [start], _cut(records, segments, length, known), ridge, few, log,
+                sampling_time, begin=[params],
+            )[0]
+            for start, params, known in zip(starts, begin, states, strict=True)
+        ]  # fmt: skip
+        begin = [one.params for one in fits]
+        length *= lengths.growth
+        kept = _thinned(segments, length)
+        whole = [_initial(segments, one.x0, x0) for one in fits]
+        states = [one.x0[kept] for one in fits]
+        segments = [segments[i] for i in kept]
+        fits = [one._replace(x0=x) for one, x in zip(fits, whole, strict=True)]
+    return fits
+
+
+def _spread(records: ScaledData, length: int) -> list[_Segment]:
+    """Choose at most `_MOST` successive segments, spread over the records, the first samples of
+    each record among them."""
+    every = [
+        [_Segment(i, start) for start in range(0, max(len(r) - length // 2, 1), length)]
+        for i, r in enumerate(records)
+    ]
+    first = [segments[0] for segments in every[:_MOST]]
+    later = [segment for segments in every for segment in segments[1:]]
+    room = _MOST - len(first)
+    chosen = [later[i] for i in spread(len(later), room)] if later and room else []
+    return sorted([*first, *chosen])
+
+
+def _thinned(segments: Sequence[_Segment], length: int) -> list[int]:
+    """Choose the segments to keep so that segments of this length do not overlap."""
+    kept: list[int] = []
+    for i, segment in enumerate(segments):
+        last = segments[kept[-1]] if kept else None
+        if last is None or last.record != segment.record or segment.start - last.start >= length:
+            kept.append(i)
+    return kept
+
+
+def _cut(
+    records: ScaledData, segments: Sequence[_Segment], length: int, states: Array
+) -> StateSamples:
+    """Cut the samples of the segments, with their states to be found from `states`."""
+    u, y, weight = (
+        side_by_side([getattr(records[p.record], n)[p.start : p.start + length] for p in segments])
+        for n in ("u", "y", "weight")
+    )
+    return StateSamples(states, u, y, weight, known=False)
+
+
+def _guess(
+    structure: StateSpaceStructure,
+    system: LinearSystem,
+    records: ScaledData,
+    segment: _Segment,
+    length: int,
+) -> Array:
+    """State (n,) from which the linear system simulates the first samples of the segment best."""
+    n, few = system.order, min(length, max(10, 3 * system.order))
+    part = slice(segment.start, segment.start + few)
+    u, y = records[segment.record].u[part], records[segment.record].y[part]
+    _, forced = system.simulate(np.zeros((1, n)), u[None])
+    rows, row = list[Array](), system.c
+    for _ in range(len(u)):
+        rows.append(row)
+        row = row @ system.a
+    seen = np.concatenate(rows)
+    gram = seen.T @ seen
+    held = gram + _GUESS_RIDGE * max(float(np.trace(gram)) / n, 1e-12) * np.eye(n)
+    state = np.linalg.solve(held, seen.T @ (y - forced[0]).ravel())
+    return np.pad(state, (0, structure.size - n))
+
+
+def _initial(segments: Sequence[_Segment], found: Array, x0: Array) -> Array:
+    """Initial states (R, n) of whole records."""
+    states = x0.copy()
+    for segment, state in zip(segments, found, strict=True):
+        if segment.start == 0:
+            states[segment.record] = state
+    return states
+
+
+# Fits of a neural state-space model by Levenberg-Marquardt, with maps from past windows to states.
+
+
+@dataclass(frozen=True)
+class LmOptions:
+    """Options of the fits, apart from the method."""
+
+    ridge: dict[str, float]
+    """Ridge of each top-level parameter name."""
+    members: int
+    """Number of fits that are kept."""
+    hidden: int
+    """Number of tanh units of the map from past windows to states."""
+    pieces: bool
+    """Begin the fits with short segments of the records."""
+    past_fit: bool
+    """Fit initial states to the past window."""
+    seed: int
+    """Seed of the starts."""
+
+
+@dataclass(frozen=True)
+class FittedMembers:
+    """Best fits of a model."""
+
+    members: tuple[tuple[dict[str, Any], Encoder], ...]
+    """Parameters, and the map from past windows to states, of each fit."""
+    starts: tuple[PastFit, ...]
+    """Fits of the initial states to the past window; () where the map gives them."""
+    cost: float
+    """Least cost."""
+
+
+def fit_members(
+    structure: StateSpaceStructure,
+    found: LinearFit,
+    records: ScaledData,
+    scaling: Scaling,
+    context: Context,
+    method: LevenbergMarquardt,
+    options: LmOptions,
+) -> FittedMembers:
+    """Fit from `method.starts` starting points, one where all are the same. Each start simulates
+    as the linear model."""
+    rng = np.random.default_rng(options.seed)
+    count = method.starts if structure.starts_vary else 1
+    starts = starts_of(structure, found, records, count, scaling, rng)
+    ridge = {**options.ridge, "x0": found.error / sum(len(r) for r in records)}
+    samples = of_records(records, with_elements(structure, found).x0)
+    log, time = context.log, context.sampling_time
+    fits = list[StateFit]()
+    if options.pieces:
+        before = fit_segments(
+            structure, found.system, starts, records, samples.x0, ridge, method, log, time
+        )
+        begin, x0 = [one.params for one in before], [one.x0 for one in before]
+        fits = fit_states(structure, starts, samples, ridge, method, log, time, begin=begin, x0=x0)
+        # One start begins with whole records, since segments may mislead too.
+        starts = starts[:1]
+    fits += fit_states(structure, starts, samples, ridge, method, log, time)
+    fits.sort(key=lambda one: one.cost)
+    members, how = list[tuple[dict[str, Any], Encoder]](), list[PastFit]()
+    for one in fits[: options.members]:
+        if options.past_fit and window_samples(context):
+            encoder, fitted = past_fit(structure, one, records, context, options.hidden)
+            how.append(fitted)
+        else:
+            encoder = state_encoder(structure, one, records, context, options.hidden)
+        members.append((one.params, encoder))
+    return FittedMembers(tuple(members), tuple(how), fits[0].cost)
