@@ -45,7 +45,7 @@ from .toy import Scripted, arx, write_problem
 
 def with_gaps(path: Path) -> None:
     """One output in five empty, two in a row among them, never in the first rows."""
-    rows = list(csv.reader(path.open()))
+    rows = list(csv.reader(path.read_text().splitlines()))
     lost = np.random.default_rng(3).random(len(rows)) < 0.2
     lost[40:42] = True
     lost[:5] = False
