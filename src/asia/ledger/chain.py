@@ -185,7 +185,7 @@ def _message(error: OSError) -> str:
     if error.errno in _FULL:
         return (
             f"the disk is full ({error.strerror}); recorded events are safe: free some space and "
-            f"repeat the command"
+            "repeat the command"
         )
     if error.errno == errno.EFBIG:
         return (

@@ -112,7 +112,7 @@ def test_a_disk_that_fills_up_again_and_again_loses_nothing(problem: Path, tmp_p
     assert done.returncode == 0, done.stderr
     said, records, outcomes, rows, hidden = json.loads(done.stdout)
     assert len(said) == 3
-    assert all("the disk is full" in s and "give the same command again" in s for s in said)
+    assert all("the disk is full" in s and "repeat the command" in s for s in said)
     assert records == sorted(records)
     assert records[-1] == len(open_run(ready.directory).lines)
     assert outcomes == told(undisturbed)

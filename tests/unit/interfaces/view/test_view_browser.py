@@ -155,7 +155,7 @@ def test_the_list_of_runs_moves(server: Server, watched: Watched, problem: Probl
         expect(page.get_by_label("choose made")).to_be_checked()
     page.get_by_label("choose other").check()
     page.get_by_role("button", name="Compare two runs").click()
-    expect(page.get_by_role("heading", level=1)).to_have_text("Side by side")
+    expect(page.get_by_role("heading", level=1)).to_have_text("Comparison")
     assert watched.complaints == []
 
 
