@@ -1,4 +1,4 @@
-"""What the scripts on searches share: agents that plan for short fits, problems, tables, a pool."""
+"""Parts shared by the scripts on searches: agents with short fits, problems, tables, a pool."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Brisk:
         self.name = agent.name
 
     def propose(self, view: AgentView) -> Proposal | None:
-        """What the agent proposes when a fit may take `fit_seconds`."""
+        """Propose a candidate whose fit may take `fit_seconds`."""
         effort = replace(view.facts.budget, fit_seconds=self._fit_seconds)
         return self._agent.propose(replace(view, facts=replace(view.facts, budget=effort)))
 

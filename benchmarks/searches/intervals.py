@@ -155,7 +155,7 @@ class Effect:
         return Effect(**{str(name): rng.uniform(low, high)})
 
     def input(self, u: Array, kind: Kind) -> Array:
-        """What reaches the equations (T,)."""
+        """Input of the equations (T,)."""
         if self.saturation:
             middle, size = 0.5 * (kind.low + kind.high), 0.5 * (kind.high - kind.low)
             bent = (u - middle) / size
@@ -203,7 +203,7 @@ def records(kind: Kind, truth: dict[str, float], rho: float, rng: np.random.Gene
 
 
 def fold_records(data: list[Trajectory], count: int, fold: int) -> list[Trajectory]:
-    """What the model of one of `count` contiguous folds is fitted to."""
+    """Return the training records of one of `count` contiguous folds."""
     kept: list[Trajectory] = []
     for one in data:
         edges = np.linspace(0, len(one), count + 1).round().astype(int)

@@ -397,7 +397,7 @@ def search_text(view: AgentView, task: Task, hide_baseline: bool = False) -> str
         parts.append("# To mend\n" + "\n".join(shown.failed(task.parent)))
     if view.notes:
         said = "\n".join(f"- {bounded(note, _NOTE)}" for note in view.notes[-_NOTES:])
-        parts.append(f"# Notes of the person who runs this search\n{said}")
+        parts.append(f"# Notes of the user\n{said}")
     parts.append(f"# Task\n{_ask(view, task)}{_apart(view)}")
     return "\n\n".join(parts)
 

@@ -183,7 +183,7 @@ class _AnswerChecks:
     def check_strangers(
         self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]
     ) -> None:
-        """Where several requests go to one worker, give a few of their cases to a fresh one. Raises
+        """Repeat a few cases in a fresh worker where several requests share one. Raises
         CandidateError where its answers differ."""
         horizon = self.stored.horizon
         if horizon is None or SuspicionKind.STRANGERS in self.without:
@@ -393,7 +393,7 @@ class Evaluator(WorkerRunner):
     def simulate_training(
         self, source: str, models: Sequence[bytes]
     ) -> list[tuple[Array, ...] | CandidateError]:
-        """What stored models answer to `training_blocks`, or why one does not."""
+        """Simulate `training_blocks` with stored models; an error where one fails."""
         blocks = self.training_blocks
         return self._run([partial(self._stored.answers, source, model, blocks) for model in models])
 
@@ -455,6 +455,6 @@ class Evaluator(WorkerRunner):
         return FoldEnd(result, found.printed, oracle.calls)
 
     def _analysis_lock(self, fold: Fold) -> AbstractContextManager[object]:
-        """Of long records one fold is analysed at a time, for the sake of memory."""
+        """Analyse one fold of long records at a time, to limit memory."""
         long = sum(len(record) for record in fold.train) > _LONG
         return self._analysing if long else nullcontext()

@@ -326,7 +326,7 @@ class MeasuredCell:
     def step(
         self, params: Any, state: MeasuredState, u: AnyArray
     ) -> tuple[MeasuredState, AnyArray]:
-        """What the output is read from is the output, z-scored."""
+        """Advance by one sample; the output is read from the z-scored output."""
         fixed, dt, xp, physics = params["fixed"], self.sampling_time, namespace(u), self.physics
         u = u * fixed["u_std"] + fixed["u_mean"]
         m = u if self.lag is None else self.lag.step(params, state, u)
