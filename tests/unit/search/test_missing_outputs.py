@@ -27,7 +27,7 @@ from asia.interfaces.view.followed import RunFolder
 from asia.interfaces.view.streams import Streams
 from asia.interfaces.workspace.tools import WorkspaceTools, draw, tables
 from asia.interfaces.workspace.workspace import write_folder
-from asia.judge.evaluation.references import LINEAR
+from asia.judge.evaluation.references import LINEAR, LINEAR_REFERENCE
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.outcome import Score
 from asia.ledger.run import Run, open_run
@@ -80,7 +80,9 @@ def searched(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 def references_search_and_evidence(s: Searched) -> None:
     view = s.run.view
     assert all(isinstance(rung.outcome, Score) for rung in view.rungs)
-    assert len(view.rungs) == 3
+    windows = view.rungs[2].name == "constant velocity"  # a reference where windows are scored
+    assert len(view.rungs) == 3 + windows
+    assert view.rungs[-1].name == LINEAR_REFERENCE
     assert all(e.score is not None for e in view.finished)
     assert view.best is not None
     assert view.best.number == 2

@@ -34,8 +34,10 @@ def test_status_and_verify_read_it(bare: Run) -> None:
     assert "#02 keep" in command_line("status", bare.name, *where).out
     done = command_line("verify", bare.name, *where)
     assert done.code == 0
-    assert "events verify; there are no artifacts to check" in done.out
-    with pytest.raises(UserError, match="without its artifacts"):
+    assert (
+        "no artifacts checked: sources, models and simulations are not in this folder" in done.out
+    )
+    with pytest.raises(UserError, match="a ledger without artifacts"):
         verify(bare.directory)
 
 
@@ -56,7 +58,7 @@ def test_the_report_has_the_picture_that_needs_none(bare: Run) -> None:
     assert done.code == 0
     names = [Path(line).name for line in done.out.splitlines()]
     assert names == ["report.html", "progress.png", "progress.pdf"]
-    assert "the other pictures need the simulations" in done.err
+    assert "other pictures left out: they need simulations" in done.err
 
 
 def test_a_replay_says_what_it_needs(bare: Run) -> None:
