@@ -221,7 +221,7 @@ class LinearStateSpace:
         return found
 
     def parameters(self) -> dict[str, float]:
-        """Static gains in physical units, delay and slowest time constants in samples.
+        """Static gains in physical units; order, delay and slowest time constants in samples.
 
         These quantities do not depend on the coordinates of the states, so that folds can be
         compared.
@@ -268,7 +268,8 @@ class LinearStateSpace:
 
 
 def _parameters(f: FittedLinear) -> dict[str, float]:
-    return invariants(f.system, f.scaling) | {"delay [samples]": float(f.delay)}
+    chosen = {"order [states]": float(f.system.order), "delay [samples]": float(f.delay)}
+    return invariants(f.system, f.scaling) | chosen
 
 
 def _simulated(f: FittedLinear, past_u: Array, past_y: Array, u: Array) -> Array:

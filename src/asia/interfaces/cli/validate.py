@@ -13,6 +13,7 @@ import typer
 from asia._text import say
 from asia.interfaces.cli.ablate import ablate_winner
 from asia.interfaces.cli.confirm import repeat_candidates
+from asia.interfaces.cli.init import split_at_commas
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
     ColumnNames,
@@ -89,7 +90,9 @@ def validate(
     from asia.errors import UserError
     from asia.report import write_validation
 
-    reading = Wanted((), (), time, time_unit, experiment_column, tuple(columns or ()))
+    reading = Wanted(
+        (), (), time, time_unit, experiment_column, tuple(split_at_commas(columns or ()))
+    )
     if repeat and ablate:
         raise UserError("--repeat and --ablate do not go together: give one of them")
     if top is not None and not repeat:

@@ -102,6 +102,11 @@ def test_a_new_record_that_the_model_gets_wrong(run: Path, tmp_path: Path, asia:
     assert verdicts["output bands"] in {"doubt", "fail"}
     assert end["record"] == "bad.csv"
     assert end["summary"].endswith("a gain has the wrong sign")
+    bare = tmp_path / "bare.csv"
+    header, *rows = (tmp_path / "good.csv").read_text().splitlines()
+    bare.write_text("\n".join(rows) + "\n")
+    named = asia("validate", run, "--record", bare, "--columns", header)
+    assert named.out == good.out.replace("good.csv", "bare.csv")
 
 
 def test_a_record_without_the_columns_is_refused(run: Path, tmp_path: Path, asia: Asia) -> None:
