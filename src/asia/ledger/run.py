@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 import traceback
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -15,11 +14,8 @@ from asia.errors import UserError
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Line, in_use, ledger_of, read_lines, write_whole
-from asia.ledger.events import Stack, Started, TestedModel, Unsealed, Use
+from asia.ledger.events import Started, TestedModel, Unsealed, Use
 from asia.ledger.view import SearchView, replay
-
-# A run directory opened for reading.
-
 
 ERROR = "error.txt"
 """Name of the file next to the ledger with the error that stopped the search last."""
@@ -162,11 +158,6 @@ def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:
     return record.ensemble if found is None else found
 
 
-def stack_words(stack: Stack) -> str:
-    """`#07 0.62, #03 0.38`: the members and their weights."""
-    return ", ".join(f"#{m.experiment:02d} {m.weight:.2f}" for m in stack.members)
-
-
 # Result of the expert at the same budget, for comparison with a search that costs money.
 
 
@@ -197,49 +188,31 @@ def control(directory: Path, start: Started, spent: int) -> Control | None:
     """
     if start.agent in FREE or spent == 0:
         return None
-    found = sorted(
-        ((other, place) for other, place in _siblings(directory) if _is_control(other, start)),
-        key=lambda pair: (pair[0].seed != start.seed, pair[0].run),
-    )
-    for other, place in found:
-        try:
-            view = open_run(place).view
-        except UserError:
-            continue
-        first = view.finished[:spent]
-        if len(first) == spent or view.stopped is not None:
-            values = [e.score.value for e in first if e.score]
-            return Control(other.run, min(values, default=None), spent)
-    return Control(None, None, spent)
-
-
-def control_text(found: Control, start: Started) -> str:
-    """Describe a control run in one line of text."""
-    if found.run is None:
-        return (
-            "not run yet; to run the expert, which needs no language model, at the same budget: "
-            f"asia run {start.problem} --experiments {found.experiments} --seed {start.seed}"
-        )
-    value = "no score" if found.value is None else f"V={found.value:.4f}"
-    return f"expert, the same {found.experiments} experiments: {value} ({found.run})"
-
-
-def _siblings(directory: Path) -> Iterator[tuple[Started, Path]]:
-    for ledger in sorted(directory.resolve().parent.glob("*/ledger.jsonl")):
-        if ledger.parent == directory.resolve():
+    own = directory.resolve()
+    found: list[tuple[bool, str, Path]] = []
+    for ledger in sorted(own.parent.glob("*/ledger.jsonl")):
+        if ledger.parent == own:
             continue
         try:
             first = next(read_lines(ledger), None)
         except UserError:
             continue
-        if first is not None and isinstance(first.event, Started):
-            yield first.event, ledger.parent
-
-
-def _is_control(other: Started, start: Started) -> bool:
-    return (
-        other.agent == CONTROL
-        and other.problem == start.problem
-        and other.protocol_digest == start.protocol_digest
-        and other.early_stopping == start.early_stopping
-    )
+        other = None if first is None else first.event
+        if (
+            isinstance(other, Started)
+            and other.agent == CONTROL
+            and other.problem == start.problem
+            and other.protocol_digest == start.protocol_digest
+            and other.early_stopping == start.early_stopping
+        ):
+            found.append((other.seed != start.seed, other.run, ledger.parent))
+    for _, name, place in sorted(found):
+        try:
+            view = open_run(place).view
+        except UserError:
+            continue
+        finished = view.finished[:spent]
+        if len(finished) == spent or view.stopped is not None:
+            values = [e.score.value for e in finished if e.score]
+            return Control(name, min(values, default=None), spent)
+    return Control(None, None, spent)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from statistics import fmean, stdev
 
@@ -30,14 +30,12 @@ from asia.ledger.events import (
     Started,
     Steered,
     Stopped,
+    Streamed,
     Unsealed,
     Unsealing,
     Usage,
     Validated,
-    with_dossier,
 )
-
-# Replay of a ledger into a view of the search.
 
 
 @dataclass(frozen=True)
@@ -84,11 +82,6 @@ class Experiment:
     def lowest(self) -> bool:
         """Return whether its own fit was the best so far, whatever was decided on its method."""
         return self.result is not None and self.result.lowest
-
-
-def _is_lower(experiment: Experiment, other: Experiment) -> bool:
-    own, theirs = experiment.score, other.score
-    return own is not None and (theirs is None or own.value < theirs.value)
 
 
 @dataclass(frozen=True)
@@ -172,13 +165,12 @@ class SearchView:
     @property
     def pending(self) -> Experiment | None:
         """The oldest of those without a result."""
-        return next((e for e in self.experiments if e.result is None), None)
+        return next(iter(self.running), None)
 
     @property
     def incumbent(self) -> Experiment | None:
         """Last kept experiment, which a candidate must beat significantly."""
-        kept = [e for e in self.finished if e.kept]
-        return kept[-1] if kept else None
+        return next((e for e in reversed(self.experiments) if e.kept), None)
 
     @property
     def bests(self) -> tuple[Experiment, ...]:
@@ -187,8 +179,11 @@ class SearchView:
         """
         found: list[Experiment] = []
         for e in self.finished:
-            held = bool(found) and found[-1].lowest and not _is_lower(e, found[-1])
-            if e.lowest or (e.kept and not held):
+            last = found[-1] if found else None
+            lower = e.score is not None and (
+                last is None or last.score is None or e.score.value < last.score.value
+            )
+            if e.lowest or (e.kept and (last is None or not last.lowest or lower)):
                 found.append(e)
         return tuple(found)
 
@@ -201,18 +196,18 @@ class SearchView:
     @property
     def failed_checks(self) -> tuple[str, ...]:
         """`#02: check ... failed: ...`: diagnostics that raised an exception, a line each."""
-        found = [f"{rung.name}: {line}" for rung in self.rungs for line in rung.failed_checks]
-        found += [
-            f"#{e.number:02d}: {line}"
-            for e in self.finished
-            if e.result is not None
-            for line in e.result.failed_checks
+        events = [
+            *((rung.name, rung) for rung in self.rungs),
+            *((f"#{e.number:02d}", e.result) for e in self.finished),
+            ("refit", self.refitted),
+            ("test", self.unsealed),
         ]
-        if self.refitted is not None:
-            found += [f"refit: {line}" for line in self.refitted.failed_checks]
-        if self.unsealed is not None:
-            found += [f"test: {line}" for line in self.unsealed.failed_checks]
-        return tuple(found)
+        return tuple(
+            f"{name}: {line}"
+            for name, event in events
+            if event is not None
+            for line in event.failed_checks
+        )
 
     @property
     def complete(self) -> bool:
@@ -241,12 +236,12 @@ class SearchView:
         """Label of V in figures of this search. It differs with validation early stopping and with
         held-out residuals, whose V must not be compared with leak-free ones.
         """
-        marks = {
-            "validation early stopping": self.started.early_stopping == "validation",
-            "held-out residuals shown": self.started.residuals == "held_out",
-        }
-        found = ", ".join(text for text, there in marks.items() if there)
-        return f"V ({found})" if found else "V"
+        marks: list[str] = []
+        if self.started.early_stopping == "validation":
+            marks.append("validation early stopping")
+        if self.started.residuals == "held_out":
+            marks.append("held-out residuals shown")
+        return f"V ({', '.join(marks)})" if marks else "V"
 
     @property
     def validation_scores(self) -> int:
@@ -262,12 +257,12 @@ class SearchView:
         if not parts:
             return None
         known = [u for u in parts if u is not None]
-        costs = [u.cost for u in known]
+        costs = [u.cost for u in known if u.cost is not None]
         return Usage(
             sum(u.input_tokens for u in known),
             sum(u.output_tokens for u in known),
             sum(u.cached_tokens for u in known),
-            None if None in costs or not costs else sum(c for c in costs if c is not None),
+            sum(costs) if known and len(costs) == len(known) else None,
             sum(u.turns for u in known),
         )
 
@@ -325,19 +320,38 @@ class Replay:
                 raise UserError("the ledger does not begin with the start of a search")
             self._view = SearchView(event, event.experiments, event.hours)
             return
+        view = self._view
         match event:
+            case Started():
+                raise UserError("the ledger starts twice")
+            case Proposed(experiment=number):
+                if number in self._experiments:
+                    raise UserError(f"the ledger has experiment {number} twice")
+                self._experiments[number] = Experiment(event)
+            case Landed(experiment=number):
+                known = self._experiments.get(number)
+                if known is None or known.result is not None or known.landed is not None:
+                    raise UserError(
+                        f"the ledger has two first fits of experiment {number}, or one before "
+                        "its proposal or after its result"
+                    )
+                self._experiments[number] = replace(known, landed=event)
+            case Evaluated(experiment=number):
+                known = self._experiments.get(number)
+                if known is None or known.result is not None:
+                    raise UserError(
+                        f"the ledger has two results of experiment {number}, or a result "
+                        "before its proposal"
+                    )
+                self._experiments[number] = Experiment(known.proposed, event)
+            case Repeated(experiment=number, repeat=repeat):
+                if (number, repeat) in self._repeats:
+                    raise UserError(f"the ledger has repeat {repeat} of experiment {number} twice")
+                self._repeats[number, repeat] = event
             case RungScored():
                 self._rungs.append(event)
-            case Proposed():
-                self._propose(event)
-            case Evaluated():
-                self._judge(event)
-            case Landed():
-                self._land(event)
             case Steered():
                 self._notes.append(event)
-            case Repeated():
-                self._repeat(event)
             case AblationFit():
                 self._ablation_fits.append(event)
             case Exchanged():
@@ -346,41 +360,39 @@ class Replay:
                 self._begun.append(event)
             case SessionEnded():
                 self._sessions.append(event)
-            case Started():
-                raise UserError("the ledger starts twice")
-            case _:
-                self._view = _apply(self._view, event, len(self._experiments))
-
-    def _propose(self, event: Proposed) -> None:
-        if event.experiment in self._experiments:
-            raise UserError(f"the ledger has experiment {event.experiment} twice")
-        self._experiments[event.experiment] = Experiment(event)
-
-    def _judge(self, event: Evaluated) -> None:
-        known = self._experiments.get(event.experiment)
-        if known is None or known.result is not None:
-            raise UserError(
-                f"the ledger has two results of experiment {event.experiment}, or a result "
-                "before its proposal"
-            )
-        self._experiments[event.experiment] = Experiment(known.proposed, event)
-
-    def _land(self, event: Landed) -> None:
-        known = self._experiments.get(event.experiment)
-        if known is None or known.result is not None or known.landed is not None:
-            raise UserError(
-                f"the ledger has two first fits of experiment {event.experiment}, or one before "
-                "its proposal or after its result"
-            )
-        self._experiments[event.experiment] = replace(known, landed=event)
-
-    def _repeat(self, event: Repeated) -> None:
-        place = event.experiment, event.repeat
-        if place in self._repeats:
-            raise UserError(
-                f"the ledger has repeat {event.repeat} of experiment {event.experiment} twice"
-            )
-        self._repeats[place] = event
+            case Streamed():
+                pass
+            case HandedOver():
+                self._view = replace(view, handed_over=(*view.handed_over, event))
+            case Extended():
+                self._view = replace(
+                    _continued(view),
+                    budget=event.experiments,
+                    hours=event.hours,
+                    extended_after=len(self._experiments),
+                )
+            case Resumed():
+                self._view = _continued(view)
+            case Stopped():
+                self._view = replace(view, stopped=event)
+            case Refitted():
+                self._view = replace(view, refitted=event)
+            case GuardLooked():
+                self._view = replace(view, looks=(*view.looks, event), looked=True)
+            case Validated():
+                # The one on what the folds held out comes first.
+                record = event.record_digest
+                others = [one for one in view.validated if one.record_digest != record]
+                validated = [*others, event] if event.record else [event, *others]
+                self._view = replace(view, validated=tuple(validated))
+            case Ablated():
+                self._view = replace(view, ablated=event)
+            case Confirmed():
+                self._view = replace(view, confirmed=event)
+            case Unsealing():
+                self._view = replace(view, unsealing=event)
+            case Unsealed():
+                self._view = replace(view, unsealed=event)
 
 
 def replay(events: Iterable[Event]) -> SearchView:
@@ -391,42 +403,7 @@ def replay(events: Iterable[Event]) -> SearchView:
     return replayed.view
 
 
-def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
-    """Apply an event that changes the state of the search."""
-    match event:
-        case Extended():
-            return replace(
-                _going_on(view),
-                budget=event.experiments,
-                hours=event.hours,
-                extended_after=experiments,
-            )
-        case HandedOver():
-            handed_over = (*view.handed_over, event)
-            return replace(view, handed_over=handed_over)
-        case Stopped():
-            return replace(view, stopped=event)
-        case Resumed():
-            return _going_on(view)
-        case Refitted():
-            return replace(view, refitted=event)
-        case GuardLooked():
-            return replace(view, looks=(*view.looks, event), looked=True)
-        case Validated():
-            return replace(view, validated=with_dossier(view.validated, event))
-        case Ablated():
-            return replace(view, ablated=event)
-        case Confirmed():
-            return replace(view, confirmed=event)
-        case Unsealing():
-            return replace(view, unsealing=event)
-        case Unsealed():
-            return replace(view, unsealed=event)
-        case _:
-            return view
-
-
-def _going_on(view: SearchView) -> SearchView:
+def _continued(view: SearchView) -> SearchView:
     """Return the view without the results of a finished search."""
     return replace(
         view, stopped=None, refitted=None, looked=False, confirmed=None, ablated=None, validated=()
@@ -443,9 +420,6 @@ def _going_on(view: SearchView) -> SearchView:
 # errors of single samples are correlated in time.
 
 
-_DEVIATIONS = 3.0
-
-
 def beats(score: Score, view: SearchView) -> bool:
     """Return whether a score is a new best.
 
@@ -460,7 +434,9 @@ def beats(score: Score, view: SearchView) -> bool:
         return score.value < best.value
     if not score.value < on_ladder(best.value, step) * (1.0 - step):
         return False
-    return _stands_out([a - b for a, b in zip(_parts(best), _parts(score), strict=True)])
+    before, now = ([part for fold in s.folds for part in fold.parts] for s in (best, score))
+    gains = [a - b for a, b in zip(before, now, strict=True)]
+    return len(gains) > 1 and fmean(gains) > 3.0 * stdev(gains) / math.sqrt(len(gains))
 
 
 def on_ladder(value: float, step: float) -> float:
@@ -490,13 +466,3 @@ def published(view: SearchView) -> SearchView:
         result = replace(result, status=status, outcome=Score(reported, ()))
         experiments[i] = replace(experiment, result=result)
     return replace(view, experiments=tuple(experiments))
-
-
-def _parts(score: Score) -> list[float]:
-    return [part for fold in score.folds for part in fold.parts]
-
-
-def _stands_out(gains: Sequence[float]) -> bool:
-    if len(gains) < 2:
-        return False
-    return fmean(gains) > _DEVIATIONS * stdev(gains) / math.sqrt(len(gains))

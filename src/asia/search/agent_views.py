@@ -14,7 +14,8 @@ from asia.judge.evaluation.references import LINEAR_REFERENCE, MEAN_REFERENCE
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Proposed
-from asia.ledger.evidence import RunSettings, evidence_lines, evidence_of
+from asia.ledger.evidence import RunSettings, evidence_of
+from asia.ledger.text import evidence_lines
 from asia.ledger.view import Experiment, SearchView, published
 from asia.problem.problem import Problem
 from asia.search.rules import phase
