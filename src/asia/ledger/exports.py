@@ -38,15 +38,12 @@ def results_table(view: SearchView) -> str:
     ]
     for e in view.finished:
         assert e.result is not None
-        title, hypothesis = e.proposed.title, e.proposed.hypothesis
-        # A title that is only the beginning of the hypothesis gives way to the whole of it.
-        text = hypothesis if hypothesis.startswith(title.removesuffix("…")) else title
         mean = seed_mean_words(e)
         cells = [
             str(e.number),
             f"{e.score.value:.6f}" if e.score else "",
             e.result.status,
-            table_cell(f"{text} ({mean})" if mean else text),
+            table_cell(f"{e.description} ({mean})" if mean else e.description),
             "" if e.proposed.parent is None else str(e.proposed.parent),
             f"{e.result.seconds:.1f}",
             " ".join(f"{fold.value:.6f}" for fold in e.score.folds) if e.score else "",

@@ -53,6 +53,12 @@ class Experiment:
         return self.proposed.experiment
 
     @property
+    def description(self) -> str:
+        """The title, or the whole hypothesis where the title is only its beginning."""
+        title, hypothesis = self.proposed.title, self.proposed.hypothesis
+        return hypothesis if hypothesis.startswith(title.removesuffix("…")) else title
+
+    @property
     def score(self) -> Score | None:
         """The score, when there is one."""
         outcome = self.result.outcome if self.result else None

@@ -10,7 +10,7 @@ from typing import get_args
 import numpy as np
 
 from asia._diagnostic import diagnostic
-from asia.data.trajectory import Array, Mask, Trajectory, data_digest
+from asia.data.trajectory import Array, Trajectory, data_digest
 from asia.errors import CandidateError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import mean_simulation
@@ -81,13 +81,21 @@ def unseal(
         if view.unsealed is not None:
             before = view.unsealing.opened_before if view.unsealing else ()
             return UnsealResult(view.unsealed, first_time=False, opened_before=before)
-        best, digest = _check(directory, view)
+        check_lock(directory, view.started)
+        run, best, digest = view.started.run, view.best, view.started.test_digest
+        if not view.complete:
+            raise UserError(
+                f"run '{run}' is not finished: unsealing ends a search, finish it first"
+            )
+        if best is None:
+            raise UserError(f"run '{run}' has no scored model to unseal")
+        if digest is None:
+            raise UserError(f"problem '{view.started.problem}' has no test data")
         consented = process_consent and needs_consent(view)
         if needs_consent(view) and not consented:
             raise UserError(
-                f"{CONSENT.format(run=view.started.run)}; to open the test nevertheless, "
-                "give --yes-process (in Python: process_consent=True); the ledger records "
-                "it"
+                f"{CONSENT.format(run=run)}; to open the test nevertheless, give --yes-process "
+                "(in Python: process_consent=True); the ledger records it"
             )
         verify(directory)
         problem = load_lock(directory / LOCK)
@@ -108,19 +116,6 @@ def needs_consent(view: SearchView) -> bool:
     unopened = view.unsealing is None or not view.unsealing.process_consent
     open_levels = {level.isolation.value for level in LEVELS.values() if not level.confined}
     return unopened and view.started.isolation in open_levels
-
-
-def _check(directory: Path, view: SearchView) -> tuple[Experiment, str]:
-    """The winner and the digest of the test, when there is something to unseal."""
-    check_lock(directory, view.started)
-    run = view.started.run
-    if not view.complete:
-        raise UserError(f"run '{run}' is not finished: unsealing ends a search, finish it first")
-    if view.best is None:
-        raise UserError(f"run '{run}' has no scored model to unseal")
-    if view.started.test_digest is None:
-        raise UserError(f"problem '{view.started.problem}' has no test data")
-    return view.best, view.started.test_digest
 
 
 def _openers(directory: Path, digest: str) -> tuple[str, ...]:
@@ -187,13 +182,6 @@ def _by_record(parts: Sequence[Array], blocks: Sequence[Block]) -> tuple[Array, 
     return tuple(np.concatenate([p for p, block in pairs if block.record == r]) for r in records)
 
 
-def _share(held: Mask, known: Mask) -> Array:
-    """Return the share of measured samples (N, ny) in the held set, by output."""
-    if known.all():
-        return held.mean(axis=0)
-    return (held & known).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-
-
 @dataclass(frozen=True)
 class _TestScorer:
     evaluator: Evaluator
@@ -213,10 +201,19 @@ class _TestScorer:
                 return answers
             y_hat = mean_simulation(answers)
             total = [t + member.weight * one for t, one in zip(total, y_hat, strict=True)]
+        rule, y = self.problem.protocol.test, [b.y for b in self.blocks]
+        measured, simulated = (_by_record(parts, self.blocks) for parts in (y, total))
         try:
-            return self._record(tuple(total))
+            scores = tuple(
+                score_test(measured, simulated, m, rule.skip) for m in rule.metrics if m != MEE
+            )
+            mee = None
+            if MEE in rule.metrics:
+                names = [s.name for s in self.problem.outputs]
+                mee = mee_table(y, tuple(total), names, rule.groups, rule.horizons)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
+        return TestedModel(scores, self.store.put_arrays(simulated), mee)
 
     def bands(self, view: SearchView) -> TestBands | None:
         """The bands of the model to use, and how many of the measured samples they hold."""
@@ -227,29 +224,27 @@ class _TestScorer:
         if final is None or folds is None:
             return None
         basis = band_basis(self.evaluator, view, self.store, named.model)
-        found = [
-            basis.around(block.case, each, mean.mean(axis=0), BAND_LEVEL)
-            for block, each, mean in zip(self.blocks, folds, final, strict=True)
-        ]
-        lower, upper, outside = (
+        lows: list[Array] = []
+        highs: list[Array] = []
+        outsides: list[Array] = []
+        for block, each, mean in zip(self.blocks, folds, final, strict=True):
+            found, out = basis.around(block.case, each, mean.mean(axis=0), BAND_LEVEL)
+            lows.append(found.lower)
+            highs.append(found.upper)
+            outsides.append(out[:, None].astype(np.float64))
+        y, lower, upper, outside = (
             _by_record(parts, self.blocks)
-            for parts in (
-                [bands.lower for bands, _ in found],
-                [bands.upper for bands, _ in found],
-                [out[:, None].astype(np.float64) for _, out in found],
-            )
+            for parts in ([b.y for b in self.blocks], lows, highs, outsides)
         )
-        y = _by_record([b.y for b in self.blocks], self.blocks)
         skip = self.problem.protocol.test.skip
-        held = [
-            (low[skip:] <= one[skip:]) & (one[skip:] <= high[skip:])
-            for one, low, high in zip(y, lower, upper, strict=True)
-        ]
-        known = ~np.isnan(np.concatenate([one[skip:] for one in y]))
+        scored, low, high = (np.concatenate([one[skip:] for one in p]) for p in (y, lower, upper))
+        # The comparison with an unmeasured output, NaN, is false.
+        held = ((low <= scored) & (scored <= high)).sum(axis=0)
+        measured = (~np.isnan(scored)).sum(axis=0)
         return TestBands(
             model=named.model,
             level=BAND_LEVEL,
-            covered=tuple(_share(np.concatenate(held), known).tolist()),
+            covered=tuple((held / np.maximum(measured, 1)).tolist()),
             outside=float(np.concatenate([out[skip:] for out in outside]).mean()),
             lower=self.store.put_arrays(lower),
             upper=self.store.put_arrays(upper),
@@ -275,29 +270,10 @@ class _TestScorer:
             source, models = self.store.text(member.source), map(self.store.get, member.models)
             try:
                 each = self.evaluator.simulate_scored(source, list(models), self.blocks)
-                self.asked[member] = _all_of(each)
+                failed = [one for one in each if isinstance(one, CandidateError)]
+                if failed:
+                    raise failed[0]
+                self.asked[member] = [one for one in each if not isinstance(one, CandidateError)]
             except CandidateError as error:
                 self.asked[member] = Failure(error.reason, error.detail)
         return self.asked[member]
-
-    def _record(self, y_hat: tuple[Array, ...]) -> TestedModel:
-        rule, y = self.problem.protocol.test, [b.y for b in self.blocks]
-        measured, simulated = (_by_record(parts, self.blocks) for parts in (y, y_hat))
-        scores = tuple(
-            score_test(measured, simulated, m, rule.skip) for m in rule.metrics if m != MEE
-        )
-        names = [s.name for s in self.problem.outputs]
-        mee = None
-        if MEE in rule.metrics:
-            mee = mee_table(y, y_hat, names, rule.groups, rule.horizons)
-        return TestedModel(scores, self.store.put_arrays(simulated), mee)
-
-
-def _all_of(each: Sequence[Answers | CandidateError]) -> list[Answers]:
-    """Raises the first error among the answers."""
-    found: list[Answers] = []
-    for one in each:
-        if isinstance(one, CandidateError):
-            raise one
-        found.append(one)
-    return found
