@@ -16,7 +16,6 @@ from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import derive_seed, same_simulations
 from asia.judge.scoring.confirmation import (
-    ExpectedError,
     Interval,
     RepeatedFits,
     block_values,
@@ -49,7 +48,6 @@ class TriedCandidate:
     """A candidate with a score."""
 
     experiment: int
-    """1-based."""
     first: RepeatedFits
     """The fit of the search."""
     repeats: tuple[Repeated, ...] = ()
@@ -81,8 +79,8 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
     or over the pairs if these are more.
     """
     assert view.best is not None
-    repeated = tried[:top]
-    known = {c.experiment: c.fits for c in repeated}
+    repeated = {candidate.experiment: candidate for candidate in tried[:top]}
+    known = {number: candidate.fits for number, candidate in repeated.items()}
     judged = {number: fits for number, fits in known.items() if fits is not None}
     order = sorted(judged, key=lambda number: (judged[number].value, number))
     count = max(len(tried) - 1, len(order) * (len(order) - 1) // 2)
@@ -91,39 +89,52 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
         ConfirmedPair(a, b, paired_difference(judged[b], judged[a], level))
         for a, b in combinations(order, 2)
     )
-    by_number = {candidate.experiment: candidate for candidate in repeated}
-    winner = next(c.first for c in tried if c.experiment == view.best.number)
-    blocks = even_blocks([_rows(candidate.first.blocks[0]) for candidate in tried])
-    seed = derive_seed(view.started.seed, "confirm")
+    candidates: list[ConfirmedCandidate] = []
+    for number in order:
+        fits, repeats = judged[number], repeated[number].repeats
+        deterministic = repeated[number].deterministic
+        failed = sum(not isinstance(r.outcome, Score) for r in repeats)
+        candidates.append(
+            ConfirmedCandidate(
+                experiment=number,
+                first=repeated[number].first.value,
+                value=value_interval(fits, LEVEL),
+                spread=0.0 if deterministic else fits.spread,
+                repeats=len(repeats) - failed,
+                failed=failed,
+                deterministic=deterministic,
+                best_rank=1 + sum(pair.apart for pair in pairs if pair.second == number),
+                worst_rank=len(order) - sum(pair.apart for pair in pairs if pair.first == number),
+            )
+        )
+    # Over candidates whose fits depend on the seed; 0 where none does.
+    random = [judged[n] for n, one in repeated.items() if n in judged and not one.deterministic]
     # The expected error is that of the fit that is handed over, including the effect of its seed.
+    winner = next(c.first for c in tried if c.experiment == view.best.number)
+    blocks = even_blocks([candidate.first.blocks[0].tolist() for candidate in tried])
+    seed = derive_seed(view.started.seed, "confirm")
     expected = expected_error(winner, blocks, EXPECTED_LEVEL, seed)
+    # Not known where the search did not compare its fold models on the training records.
+    check = None if view.refitted is None else view.refitted.check
+    ensemble: Interval | None = None
+    if check is not None and check.ensemble_error is not None:
+        errors = [error for error in check.fold_errors if error is not None]
+        if len(errors) == len(check.fold_errors):
+            ensemble = expected_of_ensemble(expected, errors, check.ensemble_error)
     return Confirmed(
         winner=view.best.number,
         seeds=seeds,
         tried=len(tried),
         level=LEVEL,
-        candidates=tuple(_ranked(by_number[n], judged[n], pairs, len(order)) for n in order),
+        candidates=tuple(candidates),
         pairs=pairs,
-        noise=_noise(repeated),
+        noise=noise_of_seeds(random) if random else 0.0,
         expected=expected,
         expected_level=EXPECTED_LEVEL,
-        ensemble=_of_ensemble(view, expected),
+        ensemble=ensemble,
         failed=tuple(number for number, fits in known.items() if fits is None),
         after_unsealing=view.unsealing is not None,
     )
-
-
-def _of_ensemble(view: SearchView, expected: ExpectedError) -> Interval | None:
-    """Return the expected error of the ensemble; None if the search did not compare its fold models
-    on the training records.
-    """
-    check = None if view.refitted is None else view.refitted.check
-    if check is None or check.ensemble_error is None:
-        return None
-    errors = [error for error in check.fold_errors if error is not None]
-    if len(errors) < len(check.fold_errors):
-        return None
-    return expected_of_ensemble(expected, errors, check.ensemble_error)
 
 
 def even_blocks(each: Sequence[Sequence[Sequence[float]]]) -> Array:
@@ -131,35 +142,6 @@ def even_blocks(each: Sequence[Sequence[Sequence[float]]]) -> Array:
     another, all have as many as that."""
     fewest = min(len(fold) for one in each for fold in one)
     return np.array([[fold[:fewest] for fold in one] for one in each])
-
-
-def _rows(blocks: Array) -> list[list[float]]:
-    return blocks.tolist()
-
-
-def _noise(repeated: Sequence[TriedCandidate]) -> float | None:
-    """Over candidates whose fits depend on the seed; 0 where none does."""
-    found = [c.fits for c in repeated if not c.deterministic]
-    random = [fits for fits in found if fits is not None]
-    return noise_of_seeds(random) if random else 0.0
-
-
-def _ranked(
-    candidate: TriedCandidate, fits: RepeatedFits, pairs: Sequence[ConfirmedPair], count: int
-) -> ConfirmedCandidate:
-    number, deterministic = candidate.experiment, candidate.deterministic
-    failed = sum(not isinstance(r.outcome, Score) for r in candidate.repeats)
-    return ConfirmedCandidate(
-        experiment=number,
-        first=candidate.first.value,
-        value=value_interval(fits, LEVEL),
-        spread=0.0 if deterministic else fits.spread,
-        repeats=len(candidate.repeats) - failed,
-        failed=failed,
-        deterministic=deterministic,
-        best_rank=1 + sum(pair.apart for pair in pairs if pair.second == number),
-        worst_rank=count - sum(pair.apart for pair in pairs if pair.first == number),
-    )
 
 
 # Fit the top candidates of a finished search again from other seeds, and say what that shows.
@@ -206,11 +188,11 @@ def confirm(
 def scored(view: SearchView) -> list[Experiment]:
     """The candidates with a score and a source of their own, the lowest V first."""
     found = [
-        (e.score.value, e.number, e)
+        (e.score.value, e.number)
         for e in view.finished
         if e.score is not None and e.result is not None and e.result.duplicate_of is None
     ]
-    return [e for _, _, e in sorted(found, key=lambda one: one[:2])]
+    return [view.experiment(number) for _, number in sorted(found)]
 
 
 def check_repeatable(directory: Path, view: SearchView, what: str) -> None:
@@ -244,10 +226,11 @@ class _Confirmation:
     def repeat_all(self, chosen: list[Experiment]) -> None:
         """Fit all seeds of each candidate in sequence."""
         total, done = len(chosen) * self.seeds, 0
+        known = {(event.experiment, event.repeat): event for event in self.chain.view.repeats}
         with self.evaluator.ready_workers():
             for experiment in chosen:
                 for repeat in range(1, self.seeds + 1):
-                    event = self._observed(experiment.number, repeat)
+                    event = known.get((experiment.number, repeat))
                     done += 1
                     if event is None:
                         event = self._repeat(experiment, repeat)
@@ -258,22 +241,14 @@ class _Confirmation:
                         done += self.seeds - repeat
                         break
 
-    def _observed(self, experiment: int, repeat: int) -> Repeated | None:
-        for event in self.chain.view.repeats:
-            if (event.experiment, event.repeat) == (experiment, repeat):
-                return event
-        return None
-
     def _repeat(self, experiment: Experiment, repeat: int) -> Repeated:
         begin = time.monotonic()
         found = self.evaluator.evaluate(self.store.text(experiment.proposed.source), repeat)
         seconds = time.monotonic() - begin
         if not isinstance(found.outcome, Score):
             return Repeated(experiment.number, repeat, found.outcome, seconds=seconds)
-        blocks = tuple(
-            self._blocks(fold, result.y_hat)
-            for fold, result in zip(self.evaluator.folds, found.folds, strict=True)
-        )
+        pairs = zip(self.evaluator.folds, found.folds, strict=True)
+        blocks = tuple(self._blocks(fold, result.y_hat) for fold, result in pairs)
         same = same_simulations(self._simulations(experiment), found.y_hats)
         return Repeated(experiment.number, repeat, found.outcome, blocks, same, seconds)
 

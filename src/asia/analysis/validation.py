@@ -32,7 +32,7 @@ from asia.ledger.chain import Chain
 from asia.ledger.events import RecordedCheck, Use, Validated
 from asia.ledger.evidence import findings_of, identified, put_curves
 from asia.ledger.run import Run, model_to_use, open_run
-from asia.ledger.view import Experiment, SearchView
+from asia.ledger.view import Experiment
 from asia.problem.check import responses
 from asia.problem.load import load_lock, read_records
 from asia.problem.problem import Problem
@@ -54,8 +54,8 @@ from asia.search.simulation import (
 Simulator = Callable[[Sequence[Block]], Sequence[Array]]
 
 _POINTS = {"low inputs": 0.25, "middle inputs": 0.5, "high inputs": 0.75}
-_SETTLING, _MOST_INPUTS, _LONGEST = 300, 4, 2000
-_STARTS, _AHEAD = 24, 50
+_SETTLING = 300
+_AHEAD = 50
 
 
 @dataclass(frozen=True)
@@ -63,17 +63,18 @@ class ProbeRange:
     """Ranges and records of the training data for probes."""
 
     records: tuple[Trajectory, ...]
-    """All training records."""
     past_inputs: int
-    """Samples of a past window."""
     past_outputs: int
-    """Samples of a past window."""
+
+    @property
+    def past(self) -> int:
+        """Samples of the longer past window."""
+        return max(self.past_inputs, self.past_outputs)
 
     def block(self, u: Array, y: Array | None = None) -> Block:
         """Inputs (past + H, nu) as a block that starts from the mean output, or from y (past,
         ny)."""
-        past = max(self.past_inputs, self.past_outputs)
-        ny = self.records[0].y.shape[1]
+        past, ny = self.past, self.records[0].y.shape[1]
         mean = np.concatenate([r.y for r in self.records]).mean(axis=0)
         past_y = (
             np.tile(mean, (self.past_outputs, 1)) if y is None else y[past - self.past_outputs :]
@@ -89,11 +90,11 @@ def linear_responses(
     """Small steps up and down of each input, after the inputs were held at an operating point;
     () where the model has no finite answer."""
     inputs = np.concatenate([r.u for r in given.records])
-    deviation, past = inputs.std(axis=0), max(given.past_inputs, given.past_outputs)
+    deviation, past = inputs.std(axis=0), given.past
     asked = [
         (point, number)
         for point in _POINTS
-        for number in range(min(len(names), _MOST_INPUTS))
+        for number in range(min(len(names), 4))
         if deviation[number] > 0.0
     ]
     blocks: list[Block] = []
@@ -104,23 +105,23 @@ def linear_responses(
             moved[past + _SETTLING :, number] += sign * SMALL * deviation[number]
             blocks.append(given.block(moved))
     try:
-        found = simulate(blocks)
+        found = [y_hat[_SETTLING:] for y_hat in simulate(blocks)]
     except CandidateError:
         return ()
-    answers: list[LinearResponse] = []
-    for place, (point, number) in enumerate(asked):
-        up, down = (found[2 * place + k][_SETTLING:] for k in (0, 1))
-        impulse = impulse_response(up, down, SMALL * float(deviation[number]))
-        answers.append(LinearResponse(point, names[number], impulse))
-    return tuple(answers)
+    return tuple(
+        LinearResponse(
+            point, names[number], impulse_response(up, down, SMALL * float(deviation[number]))
+        )
+        for (point, number), up, down in zip(asked, found[::2], found[1::2], strict=True)
+    )
 
 
 def long_run(given: ProbeRange, horizon: int | None, simulate: Simulator) -> Array | None:
     """Ten horizons (n, ny) with the inputs of the longest record again and again; None where the
     model has no finite answer."""
     record = max(given.records, key=len)
-    past = max(given.past_inputs, given.past_outputs)
-    length = HORIZONS * min(_LONGEST, horizon or len(record))
+    past = given.past
+    length = HORIZONS * min(2000, horizon or len(record))
     u = np.tile(record.u[past:], (-(-length // (len(record) - past)), 1))[:length]
     block = given.block(np.concatenate([record.u[:past], u]), record.y[:past])
     try:
@@ -132,11 +133,11 @@ def long_run(given: ProbeRange, horizon: int | None, simulate: Simulator) -> Arr
 def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
     """Short blocks inside long ones, which begin from measured samples; [] where there is no past
     window, or no room."""
-    past = max(given.past_inputs, given.past_outputs)
+    past = given.past
     long = [b for b in blocks if len(b.y) >= 2 * past + 2 * _AHEAD]
     if past == 0 or not long:
         return []
-    each = max(1, _STARTS // len(long))
+    each = max(1, 24 // len(long))
     found: list[Block] = []
     for block in long:
         y = filled(block.y)
@@ -156,10 +157,6 @@ def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
 # Keep a dossier in the ledger of a finished search.
 
 
-# A line of the ledger has room for all checks of a dossier.
-_LONGEST_CURVE = 2000
-
-
 def record_validation(
     directory: Path,
     model: Use,
@@ -171,48 +168,37 @@ def record_validation(
     already. Raises UserError when another process holds the ledger."""
     store = Store(directory / "artifacts")
     curves = put_curves(store, checks)
+    worst = most_serious(tuple(checks))
     with Chain(directory / "ledger.jsonl") as chain:
-        event = _event(chain.view, model, records, name, checks, curves)
-        if event in chain.view.validated:
+        view = chain.view
+        assert view.best is not None
+        event = Validated(
+            experiment=view.best.number,
+            model=model,
+            record=name,
+            record_digest=data_digest(records) if records else "",
+            checks=tuple(
+                RecordedCheck(
+                    name=one.name,
+                    verdict=one.verdict,
+                    # A line of the ledger has room for all checks.
+                    sentence=one_line(one.sentence, 2000),
+                    cause="" if one.cause is None else str(one.cause),
+                    weight=round(one.weight, 4),
+                )
+                for one in checks
+            ),
+            curves=curves,
+            passed=sum(c.verdict is Verdict.PASS for c in checks),
+            doubtful=sum(c.verdict is Verdict.DOUBT for c in checks),
+            failed=sum(c.verdict is Verdict.FAIL for c in checks),
+            worst="" if worst is None else worst.name,
+            after_unsealing=view.unsealing is not None,
+        )
+        if event in view.validated:
             return False
         chain.append(event)
         return True
-
-
-def _event(
-    view: SearchView,
-    model: Use,
-    records: Sequence[Trajectory],
-    name: str,
-    checks: Sequence[Check],
-    curves: str,
-) -> Validated:
-    assert view.best is not None
-    worst = most_serious(tuple(checks))
-    counts = [sum(c.verdict is v for c in checks) for v in Verdict]
-    numbers = dict(zip(Verdict, counts, strict=True))
-    return Validated(
-        experiment=view.best.number,
-        model=model,
-        record=name,
-        record_digest=data_digest(records) if records else "",
-        checks=tuple(
-            RecordedCheck(
-                one.name,
-                one.verdict,
-                one_line(one.sentence, _LONGEST_CURVE),
-                "" if one.cause is None else str(one.cause),
-                round(one.weight, 4),
-            )
-            for one in checks
-        ),
-        curves=curves,
-        passed=numbers[Verdict.PASS],
-        doubtful=numbers[Verdict.DOUBT],
-        failed=numbers[Verdict.FAIL],
-        worst="" if worst is None else worst.name,
-        after_unsealing=view.unsealing is not None,
-    )
 
 
 # Make the dossier of a run: held-out simulations from the ledger, further answers in the sandbox.
@@ -225,7 +211,6 @@ class ValidationReport:
     """Validation report: all checks of the model to use."""
 
     run: str
-    """The run."""
     experiment: int
     """Its winner, 1-based."""
     model: Use
@@ -233,7 +218,6 @@ class ValidationReport:
     record: str | None
     """The new record that was simulated; None for the held-out samples of the folds."""
     checks: tuple[Check, ...]
-    """Checks in reading order."""
     recorded: bool
     """True if the ledger, and so the report, has it; not before the search is finished."""
 
@@ -313,16 +297,13 @@ class _Validation:
 
     def held_out(self) -> tuple[Check, ...]:
         """The dossier on what the folds held out."""
-        basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
+        basis = self._basis
         pairs = [
             (block, y_hat)
             for fold, simulated in zip(self.evaluator.folds, basis.simulated, strict=True)
             for block, y_hat in zip(fold.validation, simulated, strict=True)
         ]
-        blocks = tuple(
-            SimulatedBlock(b.case.u, b.y, y_hat, b.record, b.start) for b, y_hat in pairs
-        )
-        found = self._simulations(blocks)
+        found = self._simulations(pairs)
         windows = self.evaluator.horizon is not None
         return (
             *self._of_residuals(found),
@@ -330,6 +311,28 @@ class _Validation:
             *_made("steps ahead", lambda: self._of_windows(pairs) if windows else self._ahead()),
             *_made("region of validity", lambda: check_region(found, basis.region)),
         )
+
+    def on(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
+        """The dossier on new records."""
+        blocks = whole(records, self.problem.protocol)
+        if not blocks:
+            raise UserError(
+                f"record '{records[0].name}' is too short: it holds no case to simulate"
+            )
+        y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
+        pairs = list(zip(blocks, y_hat, strict=True))
+        found, basis = self._simulations(pairs), self._basis
+        windows = self.evaluator.horizon is not None
+        return (
+            *self._of_residuals(found),
+            *(_made("steps ahead", lambda: self._of_windows(pairs)) if windows else ()),
+            *_made("region of validity", lambda: check_region(found, basis.region)),
+            *_made("output bands", lambda: self._bands(basis, blocks, y_hat)),
+        )
+
+    @property
+    def _basis(self) -> BandBasis:
+        return band_basis(self.evaluator, self.run.view, self.run.store, self.use)
 
     def _overfit(self, found: SimulatedBlocks) -> tuple[Check, ...]:
         """Check for overfitting; () for an older ledger."""
@@ -341,27 +344,6 @@ class _Validation:
         named = identified(self.run)
         apart = () if named is None else named.disagreeing
         return (check_overfit(train, held, found, apart),)
-
-    def on(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
-        """The dossier on new records."""
-        blocks = whole(records, self.problem.protocol)
-        if not blocks:
-            raise UserError(
-                f"record '{records[0].name}' is too short: it holds no case to simulate"
-            )
-        y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
-        pairs = list(zip(blocks, y_hat, strict=True))
-        found = self._simulations(
-            tuple(SimulatedBlock(b.case.u, b.y, y, b.record, b.start) for b, y in pairs)
-        )
-        windows = self.evaluator.horizon is not None
-        basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
-        return (
-            *self._of_residuals(found),
-            *(_made("steps ahead", lambda: self._of_windows(pairs)) if windows else ()),
-            *_made("region of validity", lambda: check_region(found, basis.region)),
-            *_made("output bands", lambda: self._bands(basis, blocks, y_hat)),
-        )
 
     def _bands(self, basis: BandBasis, blocks: Sequence[Block], y_hat: Sequence[Array]) -> Check:
         """Check the coverage of a new record by the output bands."""
@@ -379,10 +361,13 @@ class _Validation:
         outputs = [s.name for s in self.problem.outputs]
         return check_bands(held / np.maximum(known, 1), outputs, BAND_LEVEL)
 
-    def _simulations(self, blocks: tuple[SimulatedBlock, ...]) -> SimulatedBlocks:
-        inputs = tuple(s.name for s in self.problem.inputs)
-        outputs = tuple(s.name for s in self.problem.outputs)
-        return SimulatedBlocks(blocks, inputs, outputs, self.problem.sampling_time)
+    def _simulations(self, pairs: Sequence[tuple[Block, Array]]) -> SimulatedBlocks:
+        return SimulatedBlocks(
+            tuple(SimulatedBlock(b.case.u, b.y, y_hat, b.record, b.start) for b, y_hat in pairs),
+            tuple(s.name for s in self.problem.inputs),
+            tuple(s.name for s in self.problem.outputs),
+            self.problem.sampling_time,
+        )
 
     def _of_residuals(self, found: SimulatedBlocks) -> tuple[Check, ...]:
         """Return the checks of the registry."""
