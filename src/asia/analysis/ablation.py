@@ -344,9 +344,8 @@ class _Ablation:
         return AblationFit(*identity, outcome.value, folds, seconds=seconds)
 
     def _is_same(self, digest: str, repeat: int) -> bool:
-        """Return whether all folds have the same V as with the seed before, or as in the search, so
-        that the seed has no effect.
-        """
+        """Return whether the seed has no effect: V of all folds is as before, or as in the
+        search."""
         last = self._known(digest, repeat)
         assert last is not None
         before = self._known(digest, repeat - 1)

@@ -60,9 +60,7 @@ class TriedCandidate:
 
     @property
     def fits(self) -> RepeatedFits | None:
-        """Fits that judge the candidate: those without influence on its choice, or the first if all
-        are equal; None if all repeats failed.
-        """
+        """Its repeats, or the first fit if all are equal; None if all repeats failed."""
         if self.deterministic:
             return self.first
         sound = [(r.outcome, r.blocks) for r in self.repeats if isinstance(r.outcome, Score)]

@@ -72,8 +72,7 @@ class ProbeRange:
         return max(self.past_inputs, self.past_outputs)
 
     def block(self, u: Array, y: Array | None = None) -> Block:
-        """Inputs (past + H, nu) as a block that starts from the mean output, or from y (past,
-        ny)."""
+        """Inputs (past + H, nu) as a block that starts from the mean output or y (past, ny)."""
         past, ny = self.past, self.records[0].y.shape[1]
         mean = np.concatenate([r.y for r in self.records]).mean(axis=0)
         past_y = (
@@ -117,8 +116,7 @@ def linear_responses(
 
 
 def long_run(given: ProbeRange, horizon: int | None, simulate: Simulator) -> Array | None:
-    """Ten horizons (n, ny) with the inputs of the longest record again and again; None where the
-    model has no finite answer."""
+    """Ten horizons (n, ny) with the longest record's inputs repeated; None if not finite."""
     record = max(given.records, key=len)
     past = given.past
     length = HORIZONS * min(2000, horizon or len(record))
@@ -131,8 +129,7 @@ def long_run(given: ProbeRange, horizon: int | None, simulate: Simulator) -> Arr
 
 
 def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
-    """Short blocks inside long ones, which begin from measured samples; [] where there is no past
-    window, or no room."""
+    """Short blocks inside long ones, begun from measured samples; [] without past or room."""
     past = given.past
     long = [b for b in blocks if len(b.y) >= 2 * past + 2 * _AHEAD]
     if past == 0 or not long:

@@ -58,8 +58,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Position:
-    """Between two records: how many come before it, in how many bytes, and the digest of the
-    last of them."""
+    """Place between two records: their number and bytes before it, digest of the last one."""
 
     seq: int = 0
     offset: int = 0
@@ -101,8 +100,7 @@ def _json(value: dict[str, Any]) -> str:
 
 
 def decode(raw: bytes, seq: int, where: str) -> Line:
-    """The event of a record that was checked. Raises UserError where this version cannot read
-    it."""
+    """The event of a checked record. Raises UserError where this version cannot read it."""
     begin = len(_START % (seq, GENESIS.encode()))
     time, _, rest = raw[begin : -_SELF_BYTES - 1].partition(b'",')
     try:
@@ -155,9 +153,7 @@ def scan(
 
 
 def _digests(raw: bytes) -> tuple[bytes, str]:
-    """Return the required end of a record, whatever its last byte, and its digest for the next
-    record.
-    """
+    """Return the required end of a record and its digest for the next one."""
     digest = hashlib.sha256(raw[: -_SELF_BYTES - 1])
     own = digest.copy()
     own.update(b"}")
@@ -238,11 +234,7 @@ def ledger_of(directory: Path) -> Path:
 
 
 def read_lines(path: Path) -> Iterator[Line]:
-    """Yield every complete line, verified. A torn last line, left by a crash, is ignored.
-
-    Raises:
-        UserError: a record does not verify; the message names the first one.
-    """
+    """Yield every complete record, see `scan`."""
     with path.open("rb") as stream:
         for place, raw in scan(stream, str(path)):
             yield decode(raw, place.seq - 1, str(path))
@@ -264,11 +256,7 @@ class Follower:
 
     @property
     def view(self) -> SearchView:
-        """Return the view after the last line that was read.
-
-        Raises:
-            UserError: no line was read yet.
-        """
+        """The view after the last line. Raises UserError where no line was read yet."""
         return self._replay.view
 
     @property
@@ -281,14 +269,9 @@ class Follower:
         return self._heads[count] if count < len(self._heads) else ""
 
     def read(self) -> bool:
-        """Read the lines that are new and return whether there were any.
-
-        A ledger that did not just grow is read again from the start.
-
-        Raises:
-            UserError: a line does not verify.
-            OSError: the file is gone.
-        """
+        """Read the lines that are new and return whether there were any. A ledger that did not just
+        grow is read again from the start. Raises UserError for a line that does not verify, OSError
+        when the file is gone."""
         state = self._path.stat()
         seen = state.st_ino, state.st_size, state.st_mtime_ns
         if seen == self._seen:

@@ -158,13 +158,9 @@ class Repeated:
     """Number of the seed, 1-based, the same for all candidates; the search's own fit is none."""
     outcome: Outcome
     blocks: tuple[tuple[float, ...], ...] = ()
-    """Contribution of each block of held-out samples to the score, one tuple a fold; () for a
-    failure.
-    """
+    """Part of each block of held-out samples in the score, one tuple a fold."""
     same: bool = False
-    """True if every simulation is bitwise equal to that of the search, so that the seed has no
-    effect.
-    """
+    """True if every simulation is bitwise that of the search: the seed has no effect."""
     seconds: float = 0.0
     event: Literal["repeated"] = "repeated"
 
@@ -177,8 +173,7 @@ class ConfirmedCandidate:
     first: float
     """V of the search's own fit, by which it was chosen."""
     value: Interval
-    """V over the repeats alone; of a candidate whose fits do not depend on the seed, V of the
-    search."""
+    """V over the repeats alone; V of the search where fits do not depend on the seed."""
     spread: float | None
     """Standard deviation of V over the repeats; 0 where fits do not depend on the seed, None where
     there are fewer than two."""
@@ -224,16 +219,13 @@ class Confirmed:
     """The lowest V first."""
     pairs: tuple[ConfirmedPair, ...]
     noise: float | None
-    """The noise floor: standard deviation of V over seeds, pooled over the candidates; None where
-    it is not known."""
+    """Standard deviation of V over seeds, pooled over the candidates; None if not known."""
     expected: ExpectedError | None
     """The error to expect of the winner's fold models, as the search fitted them, on a new record,
     in the measure of V; None where it is not known."""
     expected_level: float = 0.9
     ensemble: Interval | None = None
-    """Expected score of the mean of the fold models' simulations, see `expected`; None if not
-    known.
-    """
+    """The same of the mean of the fold models' simulations; None if not known."""
     failed: tuple[int, ...] = ()
     """Experiments all of whose repeats failed; they are not ranked."""
     after_unsealing: bool = False
@@ -351,15 +343,11 @@ class Started:
     environment: dict[str, str]
     """Python, platform and package versions."""
     early_stopping: EarlyStopping = "inner"
-    """Source of the score for early stopping. With `validation`, candidates saw their score on the
-    held-out parts and V is not leak-free.
-    """
+    """With `validation`, candidates saw their score on the held-out parts: V is not leak-free."""
     agent_settings: dict[str, str] = field(default_factory=dict[str, str])
     """Settings of the agent that shape the search."""
     ladder: float | None = None
-    """Relative improvement of V that a new best needs before the agent sees it; None if all of V is
-    shown.
-    """
+    """Relative improvement of V that a new best needs to be shown; None if all V is shown."""
     guard_digest: str | None = None
     """Commits the guard records; None when the problem has none."""
     layers: tuple[str, ...] = ()
@@ -367,9 +355,7 @@ class Started:
     salt: str = ""
     """Seeds the choice of cases that new bests are checked on; never shown to agents."""
     isolation_strict: bool = False
-    """True if the folds of a candidate were fitted sequentially, so that none could pass
-    information to another.
-    """
+    """True if folds were fitted sequentially, so that none could inform another."""
     lessons: ArtifactName | None = None
     """The lessons of earlier searches, in older ledgers only."""
     folds: tuple[str, ...] = ()
@@ -386,9 +372,7 @@ class Started:
     1 before it have their results.
     """
     stop_folds: Annotated[bool, _omitted(False)] = False
-    """True if the remaining folds of a first fit are pruned once V must be above
-    `Proposed.over`.
-    """
+    """True if folds of a first fit are pruned once V must be above `Proposed.over`."""
     device: Annotated[Device, _omitted("cpu")] = "cpu"
     """Device of candidates that train networks; `environment` names the GPU."""
     event: Literal["started"] = "started"
@@ -456,12 +440,9 @@ class FoldEvidence:
     machine: Annotated[str, _omitted("")] = ""
     """The machine that fitted it; "" for the search's own."""
     isolation: Annotated[str, _omitted("")] = ""
-    """The level that was in force on that machine; "" for the search's own, which the result
-    names."""
+    """The level in force on that machine; "" for the search's own, see `Evaluated`."""
     device: Annotated[str, _omitted("")] = ""
-    """JAX device as reported by the worker, which runs the candidate; "" if no GPU was
-    requested.
-    """
+    """JAX device as reported by the worker; "" if no GPU was requested."""
 
 
 @dataclass(frozen=True)
@@ -472,9 +453,7 @@ class Retest:
     folds: tuple[float, ...] = ()
     failed: str = ""
     same: bool = False
-    """True if every simulation is bitwise equal to that of the first fit, so that the seed has no
-    effect.
-    """
+    """True if every simulation is bitwise that of the first fit: the seed has no effect."""
     seconds: float = field(default=0.0, compare=False)
 
 
@@ -505,9 +484,7 @@ class Evaluated:
     retests: tuple[Retest, ...] = ()
     """Its fits from other seeds; () where it was not about to be kept."""
     floor: float | None = None
-    """Significance threshold: improvement of the mean over seeds that was required. None without an
-    incumbent, or if one fit decides.
-    """
+    """Required improvement of the mean over seeds; None without incumbent or if one fit decides."""
     lowest: bool = False
     """True if V of the first fit was the lowest so far and its model passed the checks of a final
     model. False if one fit decides, and in older ledgers.
@@ -516,9 +493,7 @@ class Evaluated:
     """Seconds that the search waited for it, decision included; None where one experiment runs at
     a time, which takes `seconds`."""
     ended_folds: Annotated[int, _omitted(0)] = field(default=0, compare=False)
-    """Number of folds that were cancelled while they ran, because V was far above the best without
-    them. It depends on the machine.
-    """
+    """Folds that were cancelled while they ran, see `asia.search.rules.FAR_ABOVE`."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
     """Diagnostics that raised an exception, a line each."""
     event: Literal["evaluated"] = "evaluated"
@@ -594,8 +569,7 @@ class Again:
 
     fold: int
     ratio: float | None
-    """Its error over that of the first fit, 1 where the fit repeats itself; None where it
-    failed."""
+    """Its error over that of the first fit, 1 where the fit repeats itself."""
     failed: str = ""
 
 
@@ -620,8 +594,7 @@ class Refitted:
     reason: str = ""
     """Why this one, in a sentence."""
     estimates: ArtifactName | None = None
-    """What the refit says of its parameters; None where it says nothing, and in older
-    ledgers."""
+    """Estimates of its parameters; None where it gives none, and in older ledgers."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
     event: Literal["refitted"] = "refitted"
 
@@ -686,9 +659,7 @@ class Unsealing:
     opened_before: tuple[str, ...]
     """Other runs in the same folder that had opened the same test before."""
     process_consent: bool = False
-    """True if the user agreed to open the test although candidates ran at level process, where they
-    could read it.
-    """
+    """True if the user agreed although candidates ran at level process and could read it."""
     event: Literal["unsealing"] = "unsealing"
 
 
@@ -716,9 +687,7 @@ class Unsealed:
     stack: TestedModel | Failure | None = None
     """The weighted mean of several experiments; None where the search has none."""
     bands: TestBands | None = None
-    """Coverage of the bands of the model to use; None if a fold model does not simulate the
-    test.
-    """
+    """Bands of the model to use; None if a fold model does not simulate the test."""
     failed_checks: _FailedChecks = ()
     event: Literal["unsealed"] = "unsealed"
 

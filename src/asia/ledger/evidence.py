@@ -55,9 +55,7 @@ class ParameterSpread:
 
     @property
     def disagrees(self) -> bool:
-        """Return whether the folds found significantly different values: the model is wrong there,
-        or the records do not determine it.
-        """
+        """Return whether the folds found significantly different values."""
         return self.changes_sign or self.spread > LARGEST_SPREAD
 
 
@@ -160,8 +158,7 @@ _COLUMNS = 120
 
 
 def put_curves(store: Store, checks: Sequence[Check]) -> str:
-    """Keep the first curves of each check, with fewer points where they have many; the name of the
-    artifact."""
+    """Keep the first curves of each check, thinned; the name of the artifact."""
     drawn = tuple(
         DrawnCheck(
             one.name,
@@ -314,9 +311,7 @@ class ExperimentEvidence:
     folds: tuple[FoldShown, ...]
     """Its folds; () for a failure."""
     residuals: tuple[SharedResidual, ...]
-    """Operating ranges in which the model is too high or too low on the training records, most
-    important first.
-    """
+    """Ranges in which it is too high or too low on the training records, largest first."""
     held_out_residuals: tuple[SharedResidual, ...]
     """The same on the held-out parts; () unless the protocol shows them."""
     parameters: tuple[ParameterSpread, ...]
@@ -342,11 +337,7 @@ class ExperimentEvidence:
 
 
 def settings_of_run(directory: Path) -> RunSettings:
-    """Return the settings of a run, from its lock file.
-
-    Raises:
-        UserError: the lock file cannot be read.
-    """
+    """The settings in the lock file of a run. Raises UserError when it cannot be read."""
     path = directory / "problem.lock.toml"
     try:
         lock = tomllib.loads(path.read_text("utf-8"))
@@ -434,9 +425,7 @@ def _differences(experiment: Experiment, view: SearchView) -> tuple[ComparedScor
 
 
 LEAST_SHARE = 0.5
-"""Minimum share of the information on a parameter that must come from the records; with less, the
-records do not determine it.
-"""
+"""Share of the information that must come from the records to determine a parameter."""
 STRONG = 0.95
 """Parameters whose errors are correlated more than this are known together only."""
 DISAGREEMENT = 3.0
@@ -464,15 +453,11 @@ class EstimatedParameter:
     data_share: float
     """The part of what is known of it that the records give, from 0 to 1."""
     misfit_error: float = 0.0
-    """Possible bias by a missing effect, in this unit; 0 if the residuals show none, and in older
-    ledgers.
-    """
+    """Possible bias by a missing effect; 0 if the residuals show none, and in older ledgers."""
 
     @property
     def identifiable(self) -> bool:
-        """Return whether the records determine the parameter better than its prior and its search
-        range do.
-        """
+        """Return whether the records say more of it than its prior and its search range."""
         if self.standard_error is None or self.data_share < LEAST_SHARE:
             return False
         ends = (self.low, self.high, self.lower, self.upper)
@@ -551,8 +536,7 @@ class IdentifiedParameter:
 def interval_ends(
     value: float, low: float, high: float, lower: float | None, wide: float
 ) -> tuple[float, float]:
-    """The wider of low to high and value -+ wide; on the logarithmic scale where the parameter has
-    a positive range."""
+    """The wider of low to high and value -+ wide; logarithmic for a positive range."""
     if lower is not None and lower > 0 and value > 0:
         ratio = math.exp(min(wide / value, 700.0))
         return min(low, value / ratio), max(high, value * ratio)
@@ -624,9 +608,7 @@ def get_estimates(store: Store, name: str) -> EstimatedModel:
 
 
 def identified(run: Run) -> IdentifiedModel | None:
-    """Return the identified parameters of the winner of a run; None if it reports none, without a
-    winner, and in older ledgers.
-    """
+    """The identified parameters of the winner; None if there are none, and in older ledgers."""
     refitted = run.view.refitted
     if refitted is None or refitted.estimates is None or not run.store.kept:
         return None
@@ -675,9 +657,7 @@ def _finite(value: float) -> float | None:
 
 
 def pruned_folds(view: SearchView) -> tuple[int, ...]:
-    """Return for each pruned experiment its number of pruned folds. An experiment with the outcome
-    of a duplicate is not among them.
-    """
+    """Return the number of pruned folds of each pruned experiment, without duplicates."""
     folds = len(view.started.folds)
     return tuple(
         folds - e.failure.fold

@@ -81,9 +81,7 @@ def open_run(directory: Path) -> Run:
 
 
 def keep_error(directory: Path, error: Exception) -> Path:
-    """Write the message of the error that stopped a search, and its traceback, next to the ledger.
-    Return the file.
-    """
+    """Write the error that stopped a search, with its traceback, next to the ledger; the file."""
     path = directory / ERROR
     lines = "".join(traceback.format_exception(error))
     write_whole(path, f"{error_sentence(error)}\n\n{lines}".encode("utf-8", "replace"))
@@ -151,9 +149,7 @@ def model_to_use(view: SearchView) -> ModelToUse | None:
 
 
 def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:
-    """Return the result of the sealed test for this model, or that of the ensemble if it has
-    none.
-    """
+    """The result of the sealed test for this model; that of the ensemble if it has none."""
     found = {"ensemble": record.ensemble, "refit": record.refit, "stack": record.stack}[use]
     return record.ensemble if found is None else found
 

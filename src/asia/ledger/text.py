@@ -177,9 +177,7 @@ _MOST_PAIRS = 5
 
 
 def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Iterator[str]:
-    """Yield the equations with their numbers, one row a parameter, and the parameters that cannot
-    be distinguished.
-    """
+    """Yield equations, one row a parameter, and parameters that cannot be distinguished."""
     if found.equations and equations:
         yield "equations with the fitted numbers:"
         yield from (f"  {one_line(line, 600)}" for line in found.equations)

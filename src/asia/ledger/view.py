@@ -131,8 +131,7 @@ class SearchView:
     ablated: Ablated | None = None
     """Last ablation; None if the search continued since."""
     validated: tuple[Validated, ...] = ()
-    """The last dossier on what the folds held out, and on each new record; () since the search went
-    on."""
+    """The last dossier on the held-out samples, and on each new record."""
 
     @property
     def leg_after(self) -> int:
@@ -223,17 +222,14 @@ class SearchView:
 
     @property
     def guard_due(self) -> bool:
-        """Return whether the guard records are to be evaluated now: not if the user stopped the
-        search, because it may be resumed.
-        """
+        """Return whether the guard is to be looked at: not if the user stopped the search."""
         ended = self.stopped is not None and self.stopped.reason != "user"
         guarded = self.started.guard_digest is not None and self.best is not None
         return ended and guarded and not self.looked
 
     @property
     def seconds(self) -> float:
-        """Time spent on evaluations, by the clock on the wall: what ran at the same time counts
-        once."""
+        """Wall-clock time of evaluations: what ran at the same time counts once."""
         results = (e.result for e in self.finished if e.result)
         return sum(r.seconds if r.elapsed is None else r.elapsed for r in results)
 
@@ -256,9 +252,8 @@ class SearchView:
 
     @property
     def usage(self) -> Usage | None:
-        """Usage of the agent's language model so far; None for agents without one. The cost is None
-        as soon as a part of it is not known.
-        """
+        """Usage of the agent's language model so far; its cost is None where a part is not
+        known."""
         parts = [e.usage for e in (*self.exchanges, *self.sessions)]
         if not parts:
             return None
@@ -300,11 +295,7 @@ class Replay:
 
     @property
     def view(self) -> SearchView:
-        """Return the view after the last event.
-
-        Raises:
-            UserError: there was no event yet.
-        """
+        """The view after the last event. Raises UserError where there was none yet."""
         if self._view is None:
             raise UserError("the ledger is empty: the search was stopped before it began")
         return replace(

@@ -109,9 +109,7 @@ def agent_view(
 
 
 def _reference(view: SearchView, name: str) -> float | None:
-    """Return V of a reference model; None with the Ladder, which reports V of some candidates
-    only.
-    """
+    """V of a reference model; None with the Ladder, which reports some V only."""
     if view.started.ladder is not None:
         return None
     outcomes = (reference.outcome for reference in view.rungs if reference.name == name)

@@ -94,9 +94,7 @@ def check_refit(
 
 
 def is_worthy(check: RefitCheck) -> bool:
-    """Return whether the refit is as good as the ensemble, and not much further from it than fold
-    models are from each other.
-    """
+    """Return whether it is as good as the ensemble, and as near as fold models to each other."""
     if check.kept is None:
         return False
     distance, usual = check.starts[check.kept - 1].disagreement, check.fold_disagreement
@@ -105,9 +103,7 @@ def is_worthy(check: RefitCheck) -> bool:
 
 
 def is_as_good(check: RefitCheck) -> bool:
-    """Return whether the error of the refit on the training records is hardly above that of the
-    ensemble, or the ensemble has none because a fold model fails there.
-    """
+    """Return whether its training error is hardly above that of the ensemble, if that has one."""
     error = None if check.kept is None else check.starts[check.kept - 1].error
     ensemble = check.ensemble_error
     return error is not None and (ensemble is None or error <= NOT_WORSE * ensemble + NEGLIGIBLE)

@@ -136,17 +136,13 @@ class Judged:
     retests: tuple[Retest, ...] = ()
     """Its fits from other seeds."""
     floor: float | None = None
-    """Significance threshold: required improvement of the mean over seeds; None without an
-    incumbent, or if one fit decides.
-    """
+    """Required improvement of the mean over seeds; None without incumbent or if one fit decides."""
     deadline: bool = False
     """True if the speed of the machine influenced the decision."""
     validation_scores: int = 0
     """Validation scores given in all fits."""
     lowest: bool = False
-    """True if the candidate's own fit is the best so far; its model is handed over until another is
-    lower.
-    """
+    """True if its own fit is the best so far."""
 
 
 def judge(
@@ -261,9 +257,7 @@ def _retested(
 
 
 def _is_lower(values: Sequence[float], known: Sequence[float]) -> bool:
-    """Return whether the mean is lower by more than the threshold, or by any amount if neither
-    depends on the seed.
-    """
+    """Return whether the mean is lower by more than the threshold."""
     return fmean(known) - fmean(values) > least_significant_difference(values, known)
 
 
@@ -329,8 +323,7 @@ class Loop:
         return KnownTrials(self.store)
 
     def run(self) -> SearchView:
-        """References, search, refit of the winner, a look at the guard. What the ledger already
-        holds is not redone."""
+        """References, search, refit, guard; what the ledger already holds is not redone."""
         if self.view.complete or self.view.unsealing:
             return self.view
         self._attach()

@@ -51,8 +51,7 @@ def check_ways(rule: ProtocolRule, parallel: int, *, strict: bool, stop_folds: b
 
 
 def check_steps_ahead(parallel: int, agent: Agent) -> None:
-    """Raises UserError where an agent is to be asked ahead of results, and does not look at what
-    runs."""
+    """Raises UserError where an agent does not propose ahead of results, but should."""
     if parallel == 1 or proposes_ahead(agent):
         return
     agents = [r.agent for r in agent.runners] if isinstance(agent, RelayAgent) else [agent]
@@ -144,8 +143,7 @@ class PendingFits:
         store: Store,
         on_landed: Callable[[Landed], None],
     ) -> None:
-        """at_once: experiments in flight; on_landed: called, from the thread of a fit, once it has
-        ended."""
+        """on_landed: called from the thread of a fit, once it has ended."""
         self._evaluator, self._store, self._on_landed = evaluator, store, on_landed
         self._under_way: dict[int, Future[PendingFit]] = {}
         self._pool = ThreadPoolExecutor(at_once, "experiment") if at_once > 1 else None
@@ -168,8 +166,7 @@ class PendingFits:
                 self._under_way[e.number] = self._pool.submit(self._fit, e.proposed)
 
     def take(self, experiment: Experiment) -> PendingFit | None:
-        """The first fit of an experiment, waited for, whatever it raised; None where it was not
-        begun."""
+        """Wait for the first fit of an experiment; None where it was not begun."""
         under_way = self._under_way.get(experiment.number)
         if under_way is not None:
             fitted = under_way.result()

@@ -53,12 +53,9 @@ class Replayed:
     name: str
     """Name of the step, for example `#07` or `stop`."""
     outcome: OutcomeAgreement
-    """`same` is bitwise the same, `close` within the tolerance, `exempt` where the deadline
-    affected it."""
+    """`same`: bitwise; `close`: within the tolerance; `exempt`: affected by the deadline."""
     proposal: ProposalAgreement = "none"
-    """Agreement of the proposal: `taken` from the ledger without an agent to ask, `none` for a
-    reference model.
-    """
+    """`taken` from the ledger without an agent to ask; `none` for a reference model."""
     status: Status | None = None
     """Status of the experiment in the ledger."""
     V: float | None = None
@@ -180,9 +177,7 @@ class _Replaying:
             self._add(replace(item, outcome="unfinished"))
 
     def _agent(self, before: SearchView) -> Agent | None:
-        """Return the agent that proposed at this point; None if candidates were submitted from
-        outside.
-        """
+        """The agent that proposed then; None if candidates were submitted from outside."""
         return self.agents[max(0, before.leg - 1)]
 
     def _add(self, item: Replayed) -> None:

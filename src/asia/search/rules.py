@@ -64,9 +64,7 @@ def bound_on_folds(view: SearchView) -> float | None:
 
 
 def decide(outcome: Outcome, view: SearchView) -> Status:
-    """Decide by one fit: `keep` if V beats the incumbent's, else `discard`; a failure by its
-    reason.
-    """
+    """Decide by one fit: `keep` if V beats the incumbent's, else `discard`."""
     if isinstance(outcome, Failure):
         return outcome.reason.status
     return "keep" if beats(outcome, view) else "discard"

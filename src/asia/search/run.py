@@ -84,9 +84,7 @@ def _library_digest() -> str:
 
 
 def environment_changes(there: Mapping[str, str], here: Mapping[str, str]) -> tuple[str, ...]:
-    """Describe the differences between the recorded and the present environment, one sentence
-    each.
-    """
+    """Describe each difference between the recorded and the present environment."""
     absent = {"asia.models": "not recorded"}
     return tuple(
         f"{name} {here.get(name, 'missing')} here, "
@@ -121,8 +119,7 @@ def check_hidden_from_workers(path: Path) -> None:
 
 
 def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
-    """Raises UserError when a folder that an agent is to be shown holds the test data or their
-    key."""
+    """Raises UserError when a folder shown to an agent holds the test data or their key."""
     hidden = [path.resolve() for path in kept_places(problem)]
     for path in shown:
         real = path.resolve()

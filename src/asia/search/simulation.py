@@ -50,11 +50,7 @@ class FinalMember:
 
 
 def final_members(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
-    """Return the members of a final model.
-
-    Raises:
-        UserError: the search has no such model.
-    """
+    """The members of a final model. Raises UserError where the search has none."""
     run, best, refitted = view.started.run, view.best, view.refitted
     if best is None:
         raise UserError(f"run '{run}' has no scored model")
@@ -132,8 +128,7 @@ class BandBasis:
 
 
 def models_behind(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
-    """The fold models that say how wrong a final model is: of a stack its members', otherwise the
-    winner's."""
+    """The fold models behind a final model: of a stack its members', else the winner's."""
     return final_members(view, "stack" if use == "stack" else "ensemble")
 
 
@@ -255,9 +250,7 @@ def simulate(
 def simulate_cases(
     directory: Path | str, cases: Sequence[tuple[Array, Array, Array]], model: Use | None = None
 ) -> list[Array]:
-    """Simulate several cases (past_u, past_y, u) at once, see `simulate`. Return y_hat (H, ny) of
-    each.
-    """
+    """Simulate cases (past_u, past_y, u) at once, see `simulate`; y_hat (H, ny) of each."""
     run = open_run(Path(directory))
     named = _named(run, model)
     problem = load_lock(run.directory / LOCK)
@@ -301,11 +294,8 @@ def _block(
 def simulate_members(
     evaluator: Evaluator, run: Run, members: Sequence[FinalMember], blocks: Sequence[Block]
 ) -> list[Array]:
-    """Return for each block simulations (K, H, ny) whose mean is that of the members.
-
-    Raises:
-        CandidateError: a member fails.
-    """
+    """Simulations (K, H, ny) of each block whose mean is that of the members. Raises
+    CandidateError."""
     total = [np.zeros((1, *block.y.shape)) for block in blocks]
     for member in members:
         models = [run.store.get(one) for one in member.models]
@@ -388,9 +378,7 @@ def training_excerpt(fold: Fold, rule: ProtocolRule, most: int = _MOST_SAMPLES) 
 
 
 def _spread(blocks: Sequence[Block], rule: ProtocolRule, most: int) -> list[int]:
-    """Return the indices of the chosen blocks: some windows, evenly spaced, or the first complete
-    records.
-    """
+    """Indices of some evenly spaced windows, or of the first complete records."""
     if rule.horizon is None:
         ends = np.cumsum([len(block.y) for block in blocks[:_MOST_RECORDS]])
         return list(range(max(1, int((ends <= most).sum()))))

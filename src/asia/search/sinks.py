@@ -73,8 +73,8 @@ class Sinks:
 
     @contextmanager
     def _reported(self, name: str) -> Generator[None, None, None]:
-        """Code of another package: whatever it raises is its failure, and never the search's. It is
-        said once on stderr."""
+        """Code of another package: its failure is never the search's, and is said once on
+        stderr."""
         try:
             yield
         except Exception as error:  # noqa: BLE001 - the boundary itself
@@ -103,11 +103,7 @@ def open_sinks(directory: Path, wanted: Sequence[str | OpenSink]) -> Sinks:
 
 
 def find_sink(name: str) -> OpenSink:
-    """Return the function that opens a sink, by its name or `module:Name`.
-
-    Raises:
-        UserError: there is none, or it cannot be called.
-    """
+    """The sink of this name or `module:Name`. Raises UserError where there is none."""
     known = {part.name: part for part in parts_of("asia.sinks")}
     if name in known:
         sink = known[name].load()

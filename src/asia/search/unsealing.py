@@ -110,9 +110,7 @@ def unseal(
 
 
 def needs_consent(view: SearchView) -> bool:
-    """Return whether only the user can permit the opening of the test, because nothing kept the
-    candidates of this search from reading it.
-    """
+    """Return whether the user must permit the opening, as candidates could read the test."""
     unopened = view.unsealing is None or not view.unsealing.process_consent
     open_levels = {level.isolation.value for level in LEVELS.values() if not level.confined}
     return unopened and view.started.isolation in open_levels
@@ -251,8 +249,7 @@ class _TestScorer:
         )
 
     def _each(self, members: Sequence[FinalMember]) -> list[Array] | None:
-        """Simulations (K, H, ny) of each block whose mean is that of the members; None where one
-        fails."""
+        """Simulations (K, H, ny) of each block with the members' mean; None where one fails."""
         total: list[Array] = [np.zeros((1, *block.y.shape)) for block in self.blocks]
         for member in members:
             answers = self._simulated(replace(member, weight=1.0))
@@ -263,9 +260,7 @@ class _TestScorer:
         return total
 
     def _simulated(self, member: FinalMember) -> Sequence[Answers] | Failure:
-        """Return the simulation of each of the member's models; each model is simulated once, even
-        if several members contain it.
-        """
+        """The simulation of each of the member's models, made once."""
         if member not in self.asked:
             source, models = self.store.text(member.source), map(self.store.get, member.models)
             try:
