@@ -151,9 +151,6 @@ def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
     return found
 
 
-# Keep a dossier in the ledger of a finished search.
-
-
 def record_validation(
     directory: Path,
     model: Use,
@@ -237,7 +234,6 @@ def validate(
     recorded in its ledger.
 
     Args:
-        directory: run directory.
         record: new record; a file of several experiments is validated on all of them.
         progress: called with a description of the current step.
         reading: options for the record, in place of those of the problem.

@@ -193,9 +193,6 @@ def get_curves(store: Store, name: str) -> tuple[DrawnCheck, ...]:
     return _read(store, name, _DRAWN)
 
 
-# The findings of each fold, as artifacts of a run.
-
-
 def put_findings(store: Store, findings: FoldFindings) -> str:
     """Keep them; the name of the artifact."""
     return store.put(_FINDINGS.dump_json(findings))
@@ -225,9 +222,6 @@ def findings_of(store: Store, experiment: Experiment, *, bounded: bool) -> tuple
     if bounded:
         found = [replace(one, parameters=(), printed="", failed=()) for one in found]
     return tuple(found)
-
-
-# Variance of V over seeds.
 
 
 def noise_of_repeats(view: SearchView, among: Collection[int] = ()) -> float | None:
@@ -651,9 +645,6 @@ def _estimated_parameter(one: ParameterEstimate) -> EstimatedParameter:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-# Counts of folds that were pruned because the candidate was far behind without them.
 
 
 def pruned_folds(view: SearchView) -> tuple[int, ...]:

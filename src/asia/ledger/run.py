@@ -24,12 +24,7 @@ RunState = Literal["running", "interrupted", "finished", "unsealed"]
 
 
 def state_of(view: SearchView, *, busy: bool) -> RunState:
-    """Return the state of a search.
-
-    Args:
-        view: the replayed ledger.
-        busy: true if a process holds the ledger.
-    """
+    """The state of a search. busy: true if a process holds the ledger."""
     if view.unsealed:
         return "unsealed"
     if busy:
@@ -121,17 +116,13 @@ def find_run(runs: Path, name: str | None) -> Path:
     return max(found, key=lambda p: p.stat().st_mtime).parent
 
 
-# The model to use of a search, as its ledger names it.
-
-
 @dataclass(frozen=True)
 class ModelToUse:
     """The model to use and why."""
 
     model: Use
-    """Name of the model."""
     reason: str
-    """Why, in a sentence."""
+    """A sentence."""
 
 
 def model_to_use(view: SearchView) -> ModelToUse | None:
@@ -176,11 +167,7 @@ def control(directory: Path, start: Started, spent: int) -> Control | None:
     """Return the control run of a search, or None for agents that need none.
 
     Of several control runs in the same folder, the one with the same seed counts, else the first.
-
-    Args:
-        directory: run directory of the search.
-        start: first event of the search.
-        spent: number of experiments that the search has spent.
+    spent: number of experiments that the search has spent.
     """
     if start.agent in FREE or spent == 0:
         return None

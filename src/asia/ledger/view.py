@@ -98,10 +98,8 @@ class SearchView:
         budget, hours: limits as last extended, which was after experiment `extended_after`.
         handed_over: changes of the agent in a relay.
         unsealing: true once the test was about to be opened.
-        notes: notes of the user.
         looks, looked: evaluations on the guard records, and whether one was made since the search
             stopped.
-        exchanges: requests to the language model.
         sessions, begun: sessions that ended, and all that began.
     """
 

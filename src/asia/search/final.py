@@ -385,9 +385,6 @@ def _greedy(
     return np.bincount(chosen[:best_length], minlength=count) / best_length
 
 
-# A stack of the candidates of a search, from the simulations that its ledger keeps.
-
-
 def make_stack(evaluator: Evaluator, view: SearchView, store: Store, metric: str) -> Stack | None:
     """The stack of all scored candidates; None where it would be one candidate alone. A member that
     was never checked, because it was no new best, is asked what new bests are asked, and left out
@@ -472,10 +469,6 @@ def _held_out_answers(store: Store, experiment: Experiment, fold: Fold) -> Answe
     assert experiment.result is not None
     shapes = [block.y.shape for block in fold.validation]
     return store.get_arrays(experiment.result.folds[fold.index].y_hat, shapes)
-
-
-# Final models of a search: refit the winner on all training records, check the refit, build the
-# stack, choose the model to use.
 
 
 def refit_winner(

@@ -57,8 +57,6 @@ from asia.search.pending import PendingFits, keep_folds, keep_output
 from asia.search.rules import bound_on_folds, decide, next_leg, stop_reason
 from asia.search.steering import Steering
 
-# The fits of a candidate from other seeds, the next one begun where workers are free.
-
 
 @contextmanager
 def retest_fits(
@@ -67,12 +65,7 @@ def retest_fits(
     """Prefetch fits: yield a function that returns the results of `fit(0)`, `fit(1)`, ... in order.
 
     Once all folds of one fit have started, the next fit begins; an unused one is cancelled. The
-    results do not depend on that.
-
-    Args:
-        evaluator: the evaluator of the fits.
-        fit: function that fits with a repeat number.
-        most: maximum number of fits.
+    results do not depend on that. At most `most` fits are made.
     """
     if not evaluator.may_fit_ahead:
         yield fit
@@ -398,11 +391,8 @@ class Loop:
         """Take the requests of the user, then propose a candidate if the budget allows another
         experiment, else take the oldest result.
 
-        With results outstanding, the agent is asked again after each of them.
-
-        Returns:
-            The stop reason once the user stops the search or nothing is left to propose or to
-            await, else None.
+        With results outstanding, the agent is asked again after each of them. Return why the search
+        ends once the user stops it or nothing is left to propose or to await.
         """
         for path, text in self.steering.notes():
             self.record(Steered(text))

@@ -23,8 +23,6 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.metrics import find_metric
 from asia.problem.protocol import Fold, ProtocolRule
 
-# Check of the options for concurrent experiments and pruned folds.
-
 
 def check_ways(rule: ProtocolRule, parallel: int, *, strict: bool, stop_folds: bool) -> None:
     """Raises UserError where candidates cannot be evaluated in the ways that were asked for."""
@@ -61,9 +59,6 @@ def check_steps_ahead(parallel: int, agent: Agent) -> None:
         f"result of the one before; omit --parallel. An agent of your own that reads "
         "view.running says so with proposes_ahead = True"
     )
-
-
-# The first fit of an experiment between its end and its turn, on disk and back.
 
 
 def keep_folds(store: Store, folds: Sequence[FoldResult]) -> tuple[FoldEvidence, ...]:

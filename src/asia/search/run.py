@@ -50,17 +50,8 @@ from asia.search.pending import check_steps_ahead, check_ways
 
 
 def environment(*agents: str, gpu: str = "") -> dict[str, str]:
-    """Return the environment that outcomes and prompts may depend on.
-
-    Args:
-        gpu: device of the candidates besides the processor.
-
-    Returns:
-        Python, platform, versions of packages and plugins, and the digest of the model library.
-
-    Raises:
-        UserError: as `asia._plugins.parts`.
-    """
+    """Python, platform, versions of packages and plugins, the GPU of candidates, and the digest of
+    the model library. Raises UserError as `asia._plugins.parts`."""
     names = [*installed_libraries(), "cloudpickle", "asia-sysid"]
     names += [package for name in agents for package in packages_of(name)]
     return {
@@ -131,9 +122,6 @@ def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
                 )
 
 
-# Open or resume a run directory and search.
-
-
 LOCK = "problem.lock.toml"
 
 
@@ -170,12 +158,8 @@ def prepare(
     """Check everything a search needs and compare it with an existing run. Writes nothing.
 
     Args:
-        problem: the problem to solve.
-        agent_name: name of the agent.
-        seed: seed of the search.
         runs: folder of run directories.
-        name: name of the run.
-        isolation: isolation level of candidates.
+        isolation: level of candidates; None for the strongest that is available.
         isolation_strict: true to fit the folds of a candidate sequentially.
         agent_settings: settings of the agent's proposals besides its name.
         legs: legs of a relay, as `legs_of` its agent.

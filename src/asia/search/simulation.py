@@ -34,8 +34,6 @@ from asia.problem.protocol import Block, Case, Fold, ProtocolRule, cut, whole
 from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
 from asia.search.run import LOCK, make_evaluator
 
-# Stored models that make up a final model.
-
 
 @dataclass(frozen=True)
 class FinalMember:

@@ -22,7 +22,7 @@ from asia.ledger.events import TestBands, TestedModel, Unsealed, Unsealing, Use
 from asia.ledger.exports import write_exports
 from asia.ledger.run import model_to_use, open_run
 from asia.ledger.verification import check_lock, verify
-from asia.ledger.view import Experiment, SearchView, replay
+from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_lock
 from asia.problem.metrics import MEE
 from asia.problem.problem import Problem
@@ -66,7 +66,6 @@ def unseal(
     A second call returns the first result. A model that fails on the test is recorded as a Failure.
 
     Args:
-        directory: run directory.
         process_consent: true to open the test although the candidates ran at level process;
             recorded.
         keys: folder of the key of an encrypted test; None for the user's own.
@@ -77,7 +76,7 @@ def unseal(
             is missing, or the level is process without consent.
     """
     with Chain(directory / "ledger.jsonl") as chain:
-        view = replay(line.event for line in chain.lines)
+        view = chain.view
         if view.unsealed is not None:
             before = view.unsealing.opened_before if view.unsealing else ()
             return UnsealResult(view.unsealed, first_time=False, opened_before=before)
@@ -105,7 +104,7 @@ def unseal(
             chain.append(Unsealing(best.number, digest, before, consented))
         event = _score(directory, view, best, problem, open_test(problem, keys))
         chain.append(event)
-        write_exports(directory, replay(line.event for line in chain.lines))
+        write_exports(directory, chain.view)
     return UnsealResult(event, first_time=True, opened_before=before)
 
 
