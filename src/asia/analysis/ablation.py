@@ -307,30 +307,41 @@ class _Ablation:
 
     def _fit_all(self, variants: list[Variant]) -> dict[str, Array]:
         """V of each over the seeds, a single value where fits do not depend on them."""
+        view = self.chain.view
+        known = {(fit.digest, fit.repeat): fit for fit in view.ablation_fits}
+        in_search = {
+            (e.proposed.digest, tuple(fold.value for fold in e.score.folds))
+            for e in view.finished
+            if e.score
+        }
         different = {variant.digest: variant for variant in variants}
         total, done = len(different) * self.seeds, 0
         with self.evaluator.ready_workers():
             for digest, variant in different.items():
+                before: AblationFit | None = None
                 for repeat in range(1, self.seeds + 1):
                     done += 1
-                    if self._known(digest, repeat) is None:
-                        event = self._fit(variant, repeat)
-                        self.chain.append(event)
-                        self.on_fit(event, done, total)
-                    if self._is_same(digest, repeat):
+                    fit = known.get((digest, repeat))
+                    if fit is None:
+                        fit = known[digest, repeat] = self._fit(variant, repeat)
+                        self.chain.append(fit)
+                        self.on_fit(fit, done, total)
+                    # The seed has no effect: V of all folds is as before, or as in the search.
+                    if before is None:
+                        same = (digest, fit.folds) in in_search
+                    else:
+                        same = bool(fit.folds) and fit.folds == before.folds
+                    if same:
                         done += self.seeds - repeat
                         break
+                    before = fit
         values: dict[str, Array] = {}
         for variant in variants:
-            fits = [self._known(variant.digest, repeat) for repeat in range(1, self.seeds + 1)]
+            fits = [known.get((variant.digest, repeat)) for repeat in range(1, self.seeds + 1)]
             found = [fit for fit in fits if fit is not None and fit.value is not None]
             alike = len({fit.folds for fit in found}) == 1
             values[variant.name] = np.array([fit.value for fit in found[: 1 if alike else None]])
         return values
-
-    def _known(self, digest: str, repeat: int) -> AblationFit | None:
-        fits = self.chain.view.ablation_fits
-        return next((fit for fit in fits if (fit.digest, fit.repeat) == (digest, repeat)), None)
 
     def _fit(self, variant: Variant, repeat: int) -> AblationFit:
         begin = time.monotonic()
@@ -342,14 +353,3 @@ class _Ablation:
             return AblationFit(*identity, failed=outcome.reason.value, seconds=seconds)
         folds = tuple(fold.value for fold in outcome.folds)
         return AblationFit(*identity, outcome.value, folds, seconds=seconds)
-
-    def _is_same(self, digest: str, repeat: int) -> bool:
-        """Return whether the seed has no effect: V of all folds is as before, or as in the
-        search."""
-        last = self._known(digest, repeat)
-        assert last is not None
-        before = self._known(digest, repeat - 1)
-        if before is not None:
-            return bool(last.folds) and last.folds == before.folds
-        twins = (e for e in self.chain.view.finished if e.proposed.digest == digest and e.score)
-        return any(last.folds == tuple(f.value for f in e.score.folds) for e in twins if e.score)

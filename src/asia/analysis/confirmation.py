@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Final
@@ -33,7 +33,6 @@ from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair, Rep
 from asia.ledger.verification import check_lock
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_lock
-from asia.problem.protocol import Fold
 from asia.search.run import LOCK, make_evaluator
 
 # Statistics of repeated fits for a confirmation: ranks, differences, expected error.
@@ -227,28 +226,28 @@ class _Confirmation:
         known = {(event.experiment, event.repeat): event for event in self.chain.view.repeats}
         with self.evaluator.ready_workers():
             for experiment in chosen:
+                source = self.store.text(experiment.proposed.source)
                 for repeat in range(1, self.seeds + 1):
-                    event = known.get((experiment.number, repeat))
                     done += 1
+                    event = known.get((experiment.number, repeat))
                     if event is None:
-                        event = self._repeat(experiment, repeat)
+                        begin = time.monotonic()
+                        found = self.evaluator.evaluate(source, repeat)
+                        seconds = time.monotonic() - begin
+                        event = Repeated(experiment.number, repeat, found.outcome, seconds=seconds)
+                        if isinstance(found.outcome, Score):
+                            before = self._simulations(experiment)
+                            event = replace(
+                                event,
+                                blocks=self._blocks(found.y_hats),
+                                same=same_simulations(before, found.y_hats),
+                            )
                         self.chain.append(event)
                         self.on_repeat(event, done, total)
                     if event.same:
                         # One repeat shows it: the others would be the same.
                         done += self.seeds - repeat
                         break
-
-    def _repeat(self, experiment: Experiment, repeat: int) -> Repeated:
-        begin = time.monotonic()
-        found = self.evaluator.evaluate(self.store.text(experiment.proposed.source), repeat)
-        seconds = time.monotonic() - begin
-        if not isinstance(found.outcome, Score):
-            return Repeated(experiment.number, repeat, found.outcome, seconds=seconds)
-        pairs = zip(self.evaluator.folds, found.folds, strict=True)
-        blocks = tuple(self._blocks(fold, result.y_hat) for fold, result in pairs)
-        same = same_simulations(self._simulations(experiment), found.y_hats)
-        return Repeated(experiment.number, repeat, found.outcome, blocks, same, seconds)
 
     def _simulations(self, experiment: Experiment) -> list[tuple[Array, ...]]:
         """Return the simulations of each fold's held-out blocks from the search."""
@@ -258,21 +257,25 @@ class _Confirmation:
             for kept, fold in zip(experiment.result.folds, self.evaluator.folds, strict=True)
         ]
 
-    def _blocks(self, fold: Fold, y_hat: tuple[Array, ...]) -> tuple[float, ...]:
-        y = [block.y for block in fold.validation]
-        return tuple(block_values(y, y_hat, fold.scale, self.metric).tolist())
+    def _blocks(self, y_hats: Sequence[tuple[Array, ...]]) -> tuple[tuple[float, ...], ...]:
+        """Parts of the held-out blocks of each fold in the score."""
+        return tuple(
+            tuple(
+                block_values(
+                    [block.y for block in fold.validation], y_hat, fold.scale, self.metric
+                ).tolist()
+            )
+            for fold, y_hat in zip(self.evaluator.folds, y_hats, strict=True)
+        )
 
     def tried(self, experiment: Experiment) -> TriedCandidate:
         """The first fit of a candidate and all that was repeated of it."""
         assert experiment.score is not None
-        pairs = zip(self.evaluator.folds, self._simulations(experiment), strict=True)
-        blocks = tuple(self._blocks(fold, y_hat) for fold, y_hat in pairs)
+        values = np.array([[fold.value for fold in experiment.score.folds]])
+        blocks = even_blocks([self._blocks(self._simulations(experiment))])
         repeats = tuple(
             r
             for r in self.chain.view.repeats
             if r.experiment == experiment.number and r.repeat <= self.seeds
         )
-        values = np.array([[fold.value for fold in experiment.score.folds]])
-        return TriedCandidate(
-            experiment.number, RepeatedFits(values, even_blocks([blocks])), repeats
-        )
+        return TriedCandidate(experiment.number, RepeatedFits(values, blocks), repeats)

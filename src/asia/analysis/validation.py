@@ -27,7 +27,7 @@ from asia.judge.scoring.checks.errors import (
 from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
 from asia.judge.scoring.checks.registry import ValidationData, validation_checks
 from asia.judge.scoring.checks.response import HORIZONS, SMALL, LinearResponse, impulse_response
-from asia.ledger.artifacts import Store, without_artifacts
+from asia.ledger.artifacts import without_artifacts
 from asia.ledger.chain import Chain
 from asia.ledger.events import RecordedCheck, Use, Validated
 from asia.ledger.evidence import findings_of, identified, put_curves
@@ -151,50 +151,6 @@ def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
     return found
 
 
-def record_validation(
-    directory: Path,
-    model: Use,
-    records: Sequence[Trajectory],
-    name: str,
-    checks: Sequence[Check],
-) -> bool:
-    """Append what the checks say of the winner and its model to use; False where the ledger says so
-    already. Raises UserError when another process holds the ledger."""
-    store = Store(directory / "artifacts")
-    curves = put_curves(store, checks)
-    worst = most_serious(tuple(checks))
-    with Chain(directory / "ledger.jsonl") as chain:
-        view = chain.view
-        assert view.best is not None
-        event = Validated(
-            experiment=view.best.number,
-            model=model,
-            record=name,
-            record_digest=data_digest(records) if records else "",
-            checks=tuple(
-                RecordedCheck(
-                    name=one.name,
-                    verdict=one.verdict,
-                    # A line of the ledger has room for all checks.
-                    sentence=one_line(one.sentence, 2000),
-                    cause="" if one.cause is None else str(one.cause),
-                    weight=round(one.weight, 4),
-                )
-                for one in checks
-            ),
-            curves=curves,
-            passed=sum(c.verdict is Verdict.PASS for c in checks),
-            doubtful=sum(c.verdict is Verdict.DOUBT for c in checks),
-            failed=sum(c.verdict is Verdict.FAIL for c in checks),
-            worst="" if worst is None else worst.name,
-            after_unsealing=view.unsealing is not None,
-        )
-        if event in view.validated:
-            return False
-        chain.append(event)
-        return True
-
-
 # Make the dossier of a run: held-out simulations from the ledger, further answers in the sandbox.
 #
 # It uses training records alone, and a record that the user brings. The sealed test stays closed.
@@ -244,28 +200,52 @@ def validate(
         CandidateError: the model cannot simulate the record.
     """
     run = open_run(directory)
-    chosen = model_to_use(run.view)
-    if chosen is None or run.view.best is None:
+    chosen, best = model_to_use(run.view), run.view.best
+    if chosen is None or best is None:
         raise UserError(f"run '{run.name}' has no scored model, so nothing to validate")
     if run.view.started.ladder is not None:
         raise UserError(
             f"run '{run.name}' has ladder feedback, which hides the exact scores that a dossier "
             "prints: validate a run without it"
         )
-    if not Store(directory / "artifacts").kept:
+    if not run.store.kept:
         raise UserError(without_artifacts(directory))
     problem = load_lock(directory / LOCK)
     evaluator = make_evaluator(problem, run.view)
-    work = _Validation(run, problem, evaluator, run.view.best, chosen.model, progress)
+    work = _Validation(run, problem, evaluator, best, chosen.model, progress)
     new = () if record is None else read_records(problem, record, reading)
     checks = work.on(new) if new else work.held_out()
     name = "" if record is None else record.name
     recorded = run.view.complete
     if recorded:
-        record_validation(directory, chosen.model, new, name, checks)
-    return ValidationReport(
-        run.name, run.view.best.number, chosen.model, name or None, checks, recorded
-    )
+        worst = most_serious(checks)
+        with Chain(directory / "ledger.jsonl") as chain:
+            event = Validated(
+                experiment=best.number,
+                model=chosen.model,
+                record=name,
+                record_digest=data_digest(new) if new else "",
+                checks=tuple(
+                    RecordedCheck(
+                        name=one.name,
+                        verdict=one.verdict,
+                        # A line of the ledger has room for all checks.
+                        sentence=one_line(one.sentence, 2000),
+                        cause="" if one.cause is None else str(one.cause),
+                        weight=round(one.weight, 4),
+                    )
+                    for one in checks
+                ),
+                curves=put_curves(run.store, checks),
+                passed=sum(c.verdict is Verdict.PASS for c in checks),
+                doubtful=sum(c.verdict is Verdict.DOUBT for c in checks),
+                failed=sum(c.verdict is Verdict.FAIL for c in checks),
+                worst="" if worst is None else worst.name,
+                after_unsealing=chain.view.unsealing is not None,
+            )
+            if event not in chain.view.validated:
+                chain.append(event)
+    return ValidationReport(run.name, best.number, chosen.model, name or None, checks, recorded)
 
 
 def _made(name: str, make: Callable[[], Check | tuple[Check, ...]]) -> tuple[Check, ...]:

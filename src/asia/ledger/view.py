@@ -132,11 +132,6 @@ class SearchView:
     """The last dossier on the held-out samples, and on each new record."""
 
     @property
-    def leg_after(self) -> int:
-        """Experiments that were made before the leg of the relay that proposes."""
-        return self.handed_over[-1].after if self.handed_over else 0
-
-    @property
     def leg(self) -> int:
         """The leg of the relay whose agent proposes, 1-based; 0 where one agent does."""
         if self.handed_over:

@@ -30,7 +30,8 @@ def stop_reason(view: SearchView, budget: Budget) -> StopReason | None:
         return "budget"
     if view.hours is not None and view.seconds >= view.hours * 3600.0:
         return "hours"
-    recent = view.finished[max(view.extended_after, view.leg_after) :]
+    leg_after = view.handed_over[-1].after if view.handed_over else 0
+    recent = view.finished[max(view.extended_after, leg_after) :]
     refined = [e for e in recent if e.proposed.phase == "refine"]
     last = refined[-budget.patience :]
     kept = any(e.kept for e in last)

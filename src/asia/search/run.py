@@ -371,6 +371,12 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
             f"run '{start.run}' was started with lessons, which this version does not support: "
             "choose another --name"
         )
+    # The settings of each agent, those of its leg in a relay; the names are the same.
+    legs = zip(start.legs, wanted.legs, strict=True)
+    pairs = [
+        (start.agent_settings, wanted.agent_settings),
+        *((one.settings, other.settings) for one, other in legs),
+    ]
     for what, there, now in (
         ("agent", start.agent, wanted.agent),
         ("seed", start.seed, wanted.seed),
@@ -378,6 +384,11 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         ("--parallel", start.parallel, wanted.parallel),
         ("--device", start.device, wanted.device),
         ("--stop-folds", *("on" if s.stop_folds else "off" for s in (start, wanted))),
+        *(
+            (f"an agent with {name}", *(s.get(name, "its default") for s in (before, after)))
+            for before, after in pairs
+            for name in dict.fromkeys([*before, *after])
+        ),
     ):
         if there != now:
             raise UserError(
@@ -389,18 +400,6 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
             f"run '{start.run}' started with a layer of isolation that is not available "
             f"({', '.join(lost)}): continue it where it started, or choose another --name"
         )
-    # The settings of each agent, those of its leg in a relay; the names are the same.
-    legs = [
-        (one.settings, other.settings) for one, other in zip(start.legs, wanted.legs, strict=True)
-    ]
-    for before, after in [(start.agent_settings, wanted.agent_settings), *legs]:
-        for what in dict.fromkeys([*before, *after]):
-            there, now = (s.get(what, "its default") for s in (before, after))
-            if there != now:
-                raise UserError(
-                    f"run '{start.run}' has an agent with {what} {there}, not {now}: choose "
-                    "another --name"
-                )
     grows = False
     for what, there, now in (
         ("experiments", view.budget, wanted.experiments),
