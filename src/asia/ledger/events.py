@@ -2,7 +2,7 @@
 
 `experiment` is the number of an experiment, from 1. `failed` and `detail` say why something is
 missing, "" where it is not. `value` is V and `folds` its part of each fold; None and () for a
-failure.
+failure. `leg` is the number of a leg of a relay, from 1; 0 where one agent proposes.
 """
 
 from __future__ import annotations
@@ -111,7 +111,6 @@ class Exchanged:
     """HTTP status; 0 when there was no reply."""
     usage: Usage | None = None
     leg: int = 0
-    """The leg of a relay that asked, 1-based; 0 where one agent proposes."""
     event: Literal["exchanged"] = "exchanged"
 
 
@@ -130,7 +129,6 @@ class SessionStarted:
 
     session: int
     grant: float | None
-    """USD that it may spend; None where money has no cap."""
     leg: int = 0
     event: Literal["session_started"] = "session_started"
 
@@ -181,7 +179,6 @@ class ConfirmedCandidate:
     """Repeats that have a score."""
     failed: int
     deterministic: bool
-    """True if fits do not depend on the seed."""
     best_rank: int
     """1 plus the candidates that are better, beyond doubt."""
     worst_rank: int
@@ -265,7 +262,6 @@ class RefitCheck:
     standard deviation of the output, mean over fold models and outputs; None where one gives no
     answer, or where there is one fold."""
     starts: tuple[RefitStart, ...]
-    """The fits, one a seed."""
     kept: int | None = None
     """The start that is the refit, 1-based; None where there is no refit."""
 
@@ -316,7 +312,6 @@ class Leg:
     that remain, which only the last leg may have.
     """
     settings: dict[str, str] = field(default_factory=dict[str, str])
-    """Settings of the agent that shape the search."""
 
 
 @dataclass(frozen=True)
@@ -345,7 +340,6 @@ class Started:
     early_stopping: EarlyStopping = "inner"
     """With `validation`, candidates saw their score on the held-out parts: V is not leak-free."""
     agent_settings: dict[str, str] = field(default_factory=dict[str, str])
-    """Settings of the agent that shape the search."""
     ladder: float | None = None
     """Relative improvement of V that a new best needs to be shown; None if all V is shown."""
     guard_digest: str | None = None
@@ -402,7 +396,6 @@ class Proposed:
     """The experiment it was made from."""
     phase: Phase
     family: str
-    """The model family, in the agent's words."""
     title: str
     hypothesis: str
     expected: str
@@ -413,7 +406,6 @@ class Proposed:
     ticket: str = ""
     """The submission it came by; "" where an agent was asked."""
     leg: int = 0
-    """The leg of a relay that it belongs to, 1-based; 0 where one agent proposes."""
     agent: str = ""
     """The agent of that leg; "" where one agent proposes, and for the baseline."""
     remark: str = ""
@@ -495,7 +487,6 @@ class Evaluated:
     ended_folds: Annotated[int, _omitted(0)] = field(default=0, compare=False)
     """Folds that were cancelled while they ran, see `asia.search.rules.FAR_ABOVE`."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
-    """Diagnostics that raised an exception, a line each."""
     event: Literal["evaluated"] = "evaluated"
 
 
@@ -617,7 +608,6 @@ class GuardLooked:
 
     look: int
     scores: tuple[GuardScore, ...]
-    """Scores of the last new bests on the guard records."""
     pick: int | None
     """The best of them on the guard records."""
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
@@ -678,7 +668,6 @@ class Unsealed:
     measured: ArtifactName
     """The test outputs, one (lengths[i], ny) array a trajectory."""
     ensemble: TestedModel | Failure
-    """The mean of the fold models."""
     refit: TestedModel | Failure | None
     """The winner fitted on all training data."""
     horizon: int | None = None
@@ -715,14 +704,12 @@ class Validated:
 
     experiment: int
     model: Use
-    """Final model that was checked."""
     record: str
     """The new record that was simulated; "" for what the folds held out."""
     record_digest: str
     """Digest of that record; "" without one."""
     checks: tuple[RecordedCheck, ...]
     curves: ArtifactName
-    """Drawings of the checks."""
     passed: int
     doubtful: int
     failed: int

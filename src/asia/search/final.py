@@ -55,11 +55,9 @@ class CheckedRefit:
     model: bytes | None
     """The start that was kept; None where something speaks against all of them."""
     detail: str
-    """Why there is none."""
     check: RefitCheck | None
     """The comparison; None where it could not be made."""
     estimates: ParameterEstimates | None = None
-    """Parameter estimates of the refit; None if it reports none."""
 
 
 def check_refit(
@@ -238,9 +236,6 @@ class FinalEvidence:
 
     value: float
     """V of the winner."""
-    folds: tuple[float, ...]
-    train_errors: tuple[float, ...]
-    """The error of each of its fold models on what that was fitted on."""
     check: RefitCheck | None
     """The comparison of the refit with the fold models; None where there is none."""
     detail: str
@@ -251,11 +246,8 @@ class FinalEvidence:
     def of(best: Experiment, refitted: Refitted) -> FinalEvidence:
         """Return the evidence from the winner and the end of its search."""
         assert best.score is not None
-        assert best.result is not None
         return FinalEvidence(
             value=best.score.value,
-            folds=tuple(fold.value for fold in best.score.folds),
-            train_errors=tuple(fold.diagnostics.train_error for fold in best.result.folds),
             check=refitted.check,
             detail=refitted.detail if refitted.model is None else "",
             stack=refitted.stack,
@@ -325,13 +317,13 @@ class HeldOutPart:
     """The part of this fold in the V of each candidate."""
 
 
-def select_weights(parts: Sequence[HeldOutPart], shortfall: Shortfall, seed: int = 0) -> Array:
+def select_weights(parts: Sequence[HeldOutPart], shortfall: Shortfall) -> Array:
     """Weights (n,) of the candidates, not negative, sum 1, at most `MOST_MEMBERS` above 0: those
     of the weighted mean with a low error, mean over the given folds. Only they are looked at."""
     count = len(parts[0].values)
     pool = candidates([part.values for part in parts])
     size = max((len(pool) + 1) // 2, _LEAST_BAG)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     weights = np.zeros(count)
     for _ in range(_BAGS if size < len(pool) else 1):
         bag = sorted(random.permutation(pool)[:size].tolist())
@@ -353,12 +345,10 @@ def candidates(values: Sequence[Sequence[float]]) -> list[int]:
     return [int(one) for one in ranked if mean[one] <= 2.0 * mean[ranked[0]]]
 
 
-def nested_weights(
-    parts: Sequence[HeldOutPart], shortfall: Shortfall, seed: int = 0
-) -> tuple[Array, ...]:
+def nested_weights(parts: Sequence[HeldOutPart], shortfall: Shortfall) -> tuple[Array, ...]:
     """Return for each fold the weights that are selected on the other folds."""
     return tuple(
-        select_weights([*parts[:k], *parts[k + 1 :]], shortfall, seed) for k in range(len(parts))
+        select_weights([*parts[:k], *parts[k + 1 :]], shortfall) for k in range(len(parts))
     )
 
 

@@ -127,7 +127,6 @@ class Judged:
     """Its first fit, or why there is no score."""
     status: Status
     retests: tuple[Retest, ...] = ()
-    """Its fits from other seeds."""
     floor: float | None = None
     """Required improvement of the mean over seeds; None without incumbent or if one fit decides."""
     deadline: bool = False
@@ -535,7 +534,6 @@ class LoopJournal:
 
     loop: Loop
     leg: int = 0
-    """The leg whose agent keeps it; 0 where one agent proposes."""
 
     @property
     def exchanges(self) -> tuple[Exchanged, ...]:

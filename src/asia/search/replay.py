@@ -57,15 +57,12 @@ class Replayed:
     proposal: ProposalAgreement = "none"
     """`taken` from the ledger without an agent to ask; `none` for a reference model."""
     status: Status | None = None
-    """Status of the experiment in the ledger."""
     V: float | None = None
-    """The value in the ledger."""
     again: float | None = None
     """The value now."""
     apart: float | None = None
     """Relative difference of the two; None without two scores."""
     detail: str = ""
-    """Description of the difference."""
 
     @property
     def agrees(self) -> bool:
@@ -78,13 +75,11 @@ class ReplayReport:
     """Result of a replay."""
 
     run: str
-    """Name of the run."""
     tolerance: float
     """Relative difference of V up to which outcomes agree; 0 for bitwise."""
     exchanges: int = 0
     """Answers of a language model that the ledger holds."""
     items: tuple[Replayed, ...] = ()
-    """Replayed steps in order."""
     notes: tuple[str, ...] = ()
     """Differences between this machine and the recorded one."""
 

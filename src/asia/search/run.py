@@ -371,8 +371,8 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
             f"run '{start.run}' was started with lessons, which this version does not support: "
             "choose another --name"
         )
-    # The settings of each agent, those of its leg in a relay; the names are the same.
-    legs = zip(start.legs, wanted.legs, strict=True)
+    # The settings of each agent, those of its leg in a relay; other agents differ in their name.
+    legs = zip(start.legs, wanted.legs, strict=False)
     pairs = [
         (start.agent_settings, wanted.agent_settings),
         *((one.settings, other.settings) for one, other in legs),

@@ -40,9 +40,7 @@ class FinalMember:
     """Stored models of one candidate; the mean of their simulations counts with a weight."""
 
     source: str
-    """Artifact of the candidate."""
     models: tuple[str, ...]
-    """Artifacts of the models."""
     weight: float = 1.0
     """Its share; those of all members add up to 1."""
 

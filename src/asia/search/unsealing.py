@@ -51,7 +51,6 @@ class UnsealResult:
     """The test result of a run."""
 
     record: Unsealed
-    """The scores, as the ledger keeps them."""
     first_time: bool
     """False when this run had been unsealed before."""
     opened_before: tuple[str, ...]
