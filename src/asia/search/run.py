@@ -196,13 +196,12 @@ def prepare(
     check_run_is_hidden(problem, directory, found.level)
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
     if resumes:
+        # The budget may grow. A run from before there were retests goes on by its ledger's rule.
         different = [
-            found
-            for found in lock_differences(problem, sealed, directory / LOCK)
-            # The budget may grow. A run from before there were retests goes on by the rule in its
-            # ledger.
-            if found.key not in ("budget.experiments", "budget.hours")
-            and not (found.key == "budget.retests" and found.before is None)
+            one
+            for one in lock_differences(problem, sealed, directory / LOCK)
+            if one.key not in ("budget.experiments", "budget.hours")
+            and not (one.key == "budget.retests" and one.before is None)
         ]
         if different:
             raise UserError(
