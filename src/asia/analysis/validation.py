@@ -214,7 +214,7 @@ def validate(
     evaluator = make_evaluator(problem, run.view)
     work = _Validation(run, problem, evaluator, best, chosen.model, progress)
     new = () if record is None else read_records(problem, record, reading)
-    checks = work.on(new) if new else work.held_out()
+    checks = work.new_records(new) if new else work.held_out()
     name = "" if record is None else record.name
     recorded = run.view.complete
     if recorded:
@@ -248,7 +248,7 @@ def validate(
     return ValidationReport(run.name, best.number, chosen.model, name or None, checks, recorded)
 
 
-def _made(name: str, make: Callable[[], Check | tuple[Check, ...]]) -> tuple[Check, ...]:
+def _run_check(name: str, make: Callable[[], Check | tuple[Check, ...]]) -> tuple[Check, ...]:
     """The checks, or one that says why they failed."""
     failed: list[str] = []
     with diagnostic(name, failed):
@@ -279,13 +279,16 @@ class _Validation:
         found = self._simulations(pairs)
         windows = self.evaluator.horizon is not None
         return (
-            *self._of_residuals(found),
-            *_made("held-out error", lambda: self._overfit(found)),
-            *_made("steps ahead", lambda: self._of_windows(pairs) if windows else self._ahead()),
-            *_made("region of validity", lambda: check_region(found, basis.region)),
+            *self._registered_checks(found),
+            *_run_check("held-out error", lambda: self._check_overfit(found)),
+            *_run_check(
+                "steps ahead",
+                lambda: self._check_windows(pairs) if windows else self._check_starts(),
+            ),
+            *_run_check("region of validity", lambda: check_region(found, basis.region)),
         )
 
-    def on(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
+    def new_records(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
         """The dossier on new records."""
         blocks = whole(records, self.problem.protocol)
         if not blocks:
@@ -297,17 +300,17 @@ class _Validation:
         found, basis = self._simulations(pairs), self._basis
         windows = self.evaluator.horizon is not None
         return (
-            *self._of_residuals(found),
-            *(_made("steps ahead", lambda: self._of_windows(pairs)) if windows else ()),
-            *_made("region of validity", lambda: check_region(found, basis.region)),
-            *_made("output bands", lambda: self._bands(basis, blocks, y_hat)),
+            *self._registered_checks(found),
+            *(_run_check("steps ahead", lambda: self._check_windows(pairs)) if windows else ()),
+            *_run_check("region of validity", lambda: check_region(found, basis.region)),
+            *_run_check("output bands", lambda: self._check_bands(basis, blocks, y_hat)),
         )
 
     @property
     def _basis(self) -> BandBasis:
         return band_basis(self.evaluator, self.run.view, self.run.store, self.use)
 
-    def _overfit(self, found: SimulatedBlocks) -> tuple[Check, ...]:
+    def _check_overfit(self, found: SimulatedBlocks) -> tuple[Check, ...]:
         """Check for overfitting; () for an older ledger."""
         errors = findings_of(self.run.store, self.best, bounded=False)
         if not errors:
@@ -318,7 +321,9 @@ class _Validation:
         apart = () if named is None else named.disagreeing
         return (check_overfit(train, held, found, apart),)
 
-    def _bands(self, basis: BandBasis, blocks: Sequence[Block], y_hat: Sequence[Array]) -> Check:
+    def _check_bands(
+        self, basis: BandBasis, blocks: Sequence[Block], y_hat: Sequence[Array]
+    ) -> Check:
         """Check the coverage of a new record by the output bands."""
         behind = models_behind(self.run.view, self.use)
         self.progress("output bands")
@@ -342,10 +347,10 @@ class _Validation:
             self.problem.sampling_time,
         )
 
-    def _of_residuals(self, found: SimulatedBlocks) -> tuple[Check, ...]:
+    def _registered_checks(self, found: SimulatedBlocks) -> tuple[Check, ...]:
         """Return the checks of the registry."""
         simulator = self._simulator(final_members(self.run.view, self.use))
-        given = self._range
+        given = self._probe_range
         self.progress("responses to small steps")
         failed: list[str] = []
         linear: tuple[LinearResponse, ...] = ()
@@ -367,22 +372,22 @@ class _Validation:
         checks = [Check("small steps", Verdict.ABSENT, line) for line in failed]
         for name, check in validation_checks().items():
             self.progress(name)
-            checks += _made(name, partial(check, data))
+            checks += _run_check(name, partial(check, data))
         return tuple(checks)
 
     @property
-    def _range(self) -> ProbeRange:
+    def _probe_range(self) -> ProbeRange:
         rule = self.problem.protocol
         return ProbeRange(self.evaluator.records, rule.past_inputs, rule.past_outputs)
 
-    def _of_windows(self, pairs: Sequence[tuple[Block, Array]]) -> Check:
+    def _check_windows(self, pairs: Sequence[tuple[Block, Array]]) -> Check:
         """Check windows, each of which starts anew."""
         past = self.problem.protocol.past_outputs
         hold = np.stack([filled(b.y - b.case.past_y[-1]) for b, _ in pairs]) if past else None
         errors = np.stack([filled(b.y - y_hat) for b, y_hat in pairs])
         return check_steps_ahead(errors, hold, self.evaluator.scale)
 
-    def _ahead(self) -> Check:
+    def _check_starts(self) -> Check:
         """Each fold's model from starts within what it did not fit."""
         if self.problem.protocol.past_outputs == 0:
             return no_steps_ahead("the protocol has no past outputs from which a model could start")
@@ -391,7 +396,7 @@ class _Validation:
         model_errors: list[Array] = []
         hold_errors: list[Array] = []
         for fold, name in zip(self.evaluator.folds, member.models, strict=True):
-            blocks = starts(self._range, fold.validation)
+            blocks = starts(self._probe_range, fold.validation)
             if not blocks:
                 continue
             one = FinalMember(member.source, (name,))

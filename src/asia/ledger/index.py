@@ -70,7 +70,7 @@ def brief(directory: Path, last: int = 50) -> Brief:
     no run, or when a record that was read does not hold."""
 
     def read(index: sqlite3.Connection) -> Brief:
-        finished, seconds, told = index.execute(_TOTALS).fetchone()
+        finished, seconds, scores = index.execute(_TOTALS).fetchone()
         shown = index.execute(_LAST, (last,)).fetchall()
         first = shown[-1][0] if shown else sys.maxsize
         chosen = [number for _, number in shown]
@@ -85,7 +85,7 @@ def brief(directory: Path, last: int = 50) -> Brief:
                 stream.seek(offset)
                 events.append(decode(stream.read(length), seq, str(ledger)).event)
         view = replay(events)
-        return Brief(view, state_of(view, busy=in_use(ledger)), finished, seconds, int(told))
+        return Brief(view, state_of(view, busy=in_use(ledger)), finished, seconds, int(scores))
 
     return _ask(directory, read)
 

@@ -151,11 +151,11 @@ def judge(
     made before; over: as in `Proposed`."""
     if evaluation is None:
         evaluation = evaluator.evaluate_first(source, over)
-    asked, outcome = evaluation.validation_scores, evaluation.outcome
+    scores, outcome = evaluation.validation_scores, evaluation.outcome
     if isinstance(outcome, Failure):
         status = outcome.reason.status
         timed_out = status == "timeout"
-        return Judged(evaluation, status, deadline=timed_out, validation_scores=asked)
+        return Judged(evaluation, status, deadline=timed_out, validation_scores=scores)
     folds, answers = evaluation.folds, None
     best = view.best.score if view.best else None
     lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
@@ -167,7 +167,7 @@ def judge(
         if view.started.retests:
             judged = _retested(evaluator, source, evaluation, outcome, view)
         else:
-            judged = Judged(evaluation, decide(outcome, view), validation_scores=asked)
+            judged = Judged(evaluation, decide(outcome, view), validation_scores=scores)
         status = judged.status
         if lowest and status == "discard":
             # From other seeds its method is no better. Its own fit is.
@@ -198,12 +198,12 @@ def _retested(
     floor. Each as soon as it is certain enough, so most candidates cost no fit more.
     """
     known = view.incumbent.seed_values if view.incumbent else ()
-    asked = first.validation_scores
+    scores = first.validation_scores
     if known:
         floor, lead = least_significant_difference(known, known), fmean(known) - score.value
         if lead < _WORTH_A_RETEST * floor or lead <= 0.0:
             status = "discard" if lead <= 0.0 else "inconclusive"
-            return Judged(first, status, floor=floor, validation_scores=asked)
+            return Judged(first, status, floor=floor, validation_scores=scores)
     retests: list[Retest] = []
     values, failure = [score.value], None
     most = view.started.retests
@@ -216,7 +216,7 @@ def _retested(
             begin = time.monotonic()
             again = take(number)
             seconds = time.monotonic() - begin
-            asked += again.validation_scores
+            scores += again.validation_scores
             outcome = again.outcome
             if isinstance(outcome, Failure):
                 failure = outcome.reason
@@ -245,7 +245,7 @@ def _retested(
         if fmean(values) >= fmean(known):
             status = "discard"
     timed_out = failure is not None and failure.status == "timeout"
-    return Judged(first, status, tuple(retests), floor, timed_out, asked)
+    return Judged(first, status, tuple(retests), floor, timed_out, scores)
 
 
 def _is_lower(values: Sequence[float], known: Sequence[float]) -> bool:

@@ -184,7 +184,7 @@ def prepare(
         check_relay_budget(legs, budget.experiments)
     folds = make_folds(problem.train, rule)
     sealed = replace(seal(problem), guard=guard_digest(problem))
-    if name is None:
+    if not name:
         name = f"{problem.name}-{agent_name}-s{seed}"
         name += "" if rule.early_stopping == "inner" else "-validation"
         name += "" if rule.residuals == "train" else "-residuals"

@@ -184,7 +184,7 @@ class _TestScorer:
     store: Store
     blocks: tuple[Block, ...]
     problem: Problem
-    asked: dict[FinalMember, Sequence[Answers] | Failure] = field(
+    simulated: dict[FinalMember, Sequence[Answers] | Failure] = field(
         default_factory=dict[FinalMember, "Sequence[Answers] | Failure"]
     )
 
@@ -215,8 +215,8 @@ class _TestScorer:
         """The bands of the model to use, and how many of the measured samples they hold."""
         named = model_to_use(view)
         assert named is not None
-        final = self._each(final_members(view, named.model))
-        folds = self._each(models_behind(view, named.model))
+        final = self._each_simulation(final_members(view, named.model))
+        folds = self._each_simulation(models_behind(view, named.model))
         if final is None or folds is None:
             return None
         basis = band_basis(self.evaluator, view, self.store, named.model)
@@ -246,7 +246,7 @@ class _TestScorer:
             upper=self.store.put_arrays(upper),
         )
 
-    def _each(self, members: Sequence[FinalMember]) -> list[Array] | None:
+    def _each_simulation(self, members: Sequence[FinalMember]) -> list[Array] | None:
         """Simulations (K, H, ny) of each block with the members' mean; None where one fails."""
         total: list[Array] = [np.zeros((1, *block.y.shape)) for block in self.blocks]
         for member in members:
@@ -259,14 +259,16 @@ class _TestScorer:
 
     def _simulated(self, member: FinalMember) -> Sequence[Answers] | Failure:
         """The simulation of each of the member's models, made once."""
-        if member not in self.asked:
+        if member not in self.simulated:
             source, models = self.store.text(member.source), map(self.store.get, member.models)
             try:
                 each = self.evaluator.simulate_scored(source, list(models), self.blocks)
                 failed = [one for one in each if isinstance(one, CandidateError)]
                 if failed:
                     raise failed[0]
-                self.asked[member] = [one for one in each if not isinstance(one, CandidateError)]
+                self.simulated[member] = [
+                    one for one in each if not isinstance(one, CandidateError)
+                ]
             except CandidateError as error:
-                self.asked[member] = Failure(error.reason, error.detail)
-        return self.asked[member]
+                self.simulated[member] = Failure(error.reason, error.detail)
+        return self.simulated[member]
