@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from statistics import fmean, stdev
+from typing import Any
 
 from asia.errors import Reason, UserError
 from asia.judge.scoring.outcome import Failure, Score
@@ -30,7 +31,6 @@ from asia.ledger.events import (
     Started,
     Steered,
     Stopped,
-    Streamed,
     Unsealed,
     Unsealing,
     Usage,
@@ -271,6 +271,25 @@ class SearchView:
         )
 
 
+# Events that the view collects, and those of which it has the last one, with the field of each.
+_COLLECTED: dict[type[Event], str] = {
+    RungScored: "rungs",
+    Steered: "notes",
+    AblationFit: "ablation_fits",
+    Exchanged: "exchanges",
+    SessionStarted: "begun",
+    SessionEnded: "sessions",
+}
+_LAST: dict[type[Event], str] = {
+    Stopped: "stopped",
+    Refitted: "refitted",
+    Confirmed: "confirmed",
+    Ablated: "ablated",
+    Unsealing: "unsealing",
+    Unsealed: "unsealed",
+}
+
+
 class Replay:
     """Folds events into a view, one at a time. Raises UserError for events that cannot follow one
     another: no start or a second one, an experiment or a result that is there already."""
@@ -278,28 +297,19 @@ class Replay:
     def __init__(self) -> None:
         self._view: SearchView | None = None
         self._experiments: dict[int, Experiment] = {}
-        self._rungs: list[RungScored] = []
-        self._notes: list[Steered] = []
         self._repeats: dict[tuple[int, int], Repeated] = {}
-        self._ablation_fits: list[AblationFit] = []
-        self._exchanges: list[Exchanged] = []
-        self._sessions: list[SessionEnded] = []
-        self._begun: list[SessionStarted] = []
+        self._collected: dict[str, list[Event]] = {name: [] for name in _COLLECTED.values()}
 
     @property
     def view(self) -> SearchView:
         """The view after the last event. Raises UserError where there was none yet."""
         if self._view is None:
             raise UserError("the ledger is empty: the search was stopped before it began")
+        collected: dict[str, Any] = {name: tuple(ones) for name, ones in self._collected.items()}
         return replace(
             self._view,
-            rungs=tuple(self._rungs),
-            notes=tuple(self._notes),
+            **collected,
             repeats=tuple(self._repeats.values()),
-            ablation_fits=tuple(self._ablation_fits),
-            exchanges=tuple(self._exchanges),
-            sessions=tuple(self._sessions),
-            begun=tuple(self._begun),
             experiments=tuple(self._experiments.values()),
         )
 
@@ -338,20 +348,6 @@ class Replay:
                 if (number, repeat) in self._repeats:
                     raise UserError(f"the ledger has repeat {repeat} of experiment {number} twice")
                 self._repeats[number, repeat] = event
-            case RungScored():
-                self._rungs.append(event)
-            case Steered():
-                self._notes.append(event)
-            case AblationFit():
-                self._ablation_fits.append(event)
-            case Exchanged():
-                self._exchanges.append(event)
-            case SessionStarted():
-                self._begun.append(event)
-            case SessionEnded():
-                self._sessions.append(event)
-            case Streamed():
-                pass
             case HandedOver():
                 self._view = replace(view, handed_over=(*view.handed_over, event))
             case Extended():
@@ -363,10 +359,6 @@ class Replay:
                 )
             case Resumed():
                 self._view = _continued(view)
-            case Stopped():
-                self._view = replace(view, stopped=event)
-            case Refitted():
-                self._view = replace(view, refitted=event)
             case GuardLooked():
                 self._view = replace(view, looks=(*view.looks, event), looked=True)
             case Validated():
@@ -375,14 +367,13 @@ class Replay:
                 others = [one for one in view.validated if one.record_digest != record]
                 validated = [*others, event] if event.record else [event, *others]
                 self._view = replace(view, validated=tuple(validated))
-            case Ablated():
-                self._view = replace(view, ablated=event)
-            case Confirmed():
-                self._view = replace(view, confirmed=event)
-            case Unsealing():
-                self._view = replace(view, unsealing=event)
-            case Unsealed():
-                self._view = replace(view, unsealed=event)
+            case _ if type(event) in _COLLECTED:
+                self._collected[_COLLECTED[type(event)]].append(event)
+            case _ if type(event) in _LAST:
+                last: dict[str, Any] = {_LAST[type(event)]: event}
+                self._view = replace(view, **last)
+            case _:
+                pass
 
 
 def replay(events: Iterable[Event]) -> SearchView:
