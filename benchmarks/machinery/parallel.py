@@ -37,7 +37,7 @@ from asia.agents import Agent, AgentView, Proposal, make_agent
 from asia.errors import UserError
 from asia.judge.executors import Executor, make_executor
 from asia.judge.executors.dask import DaskExecutor
-from asia.ledger.evidence import floor_words
+from asia.ledger.text import floor_words
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Final
@@ -16,7 +16,6 @@ from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import derive_seed, same_simulations
 from asia.judge.scoring.confirmation import (
-    ExpectedError,
     Interval,
     RepeatedFits,
     block_values,
@@ -34,7 +33,6 @@ from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair, Rep
 from asia.ledger.verification import check_lock
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_lock
-from asia.problem.protocol import Fold
 from asia.search.run import LOCK, make_evaluator
 
 # Statistics of repeated fits for a confirmation: ranks, differences, expected error.
@@ -49,7 +47,6 @@ class TriedCandidate:
     """A candidate with a score."""
 
     experiment: int
-    """1-based."""
     first: RepeatedFits
     """The fit of the search."""
     repeats: tuple[Repeated, ...] = ()
@@ -62,9 +59,7 @@ class TriedCandidate:
 
     @property
     def fits(self) -> RepeatedFits | None:
-        """Fits that judge the candidate: those without influence on its choice, or the first if all
-        are equal; None if all repeats failed.
-        """
+        """Its repeats, or the first fit if all are equal; None if all repeats failed."""
         if self.deterministic:
             return self.first
         sound = [(r.outcome, r.blocks) for r in self.repeats if isinstance(r.outcome, Score)]
@@ -81,8 +76,8 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
     or over the pairs if these are more.
     """
     assert view.best is not None
-    repeated = tried[:top]
-    known = {c.experiment: c.fits for c in repeated}
+    repeated = {candidate.experiment: candidate for candidate in tried[:top]}
+    known = {number: candidate.fits for number, candidate in repeated.items()}
     judged = {number: fits for number, fits in known.items() if fits is not None}
     order = sorted(judged, key=lambda number: (judged[number].value, number))
     count = max(len(tried) - 1, len(order) * (len(order) - 1) // 2)
@@ -91,39 +86,52 @@ def rank(view: SearchView, tried: Sequence[TriedCandidate], top: int, seeds: int
         ConfirmedPair(a, b, paired_difference(judged[b], judged[a], level))
         for a, b in combinations(order, 2)
     )
-    by_number = {candidate.experiment: candidate for candidate in repeated}
-    winner = next(c.first for c in tried if c.experiment == view.best.number)
-    blocks = even_blocks([_rows(candidate.first.blocks[0]) for candidate in tried])
-    seed = derive_seed(view.started.seed, "confirm")
+    candidates: list[ConfirmedCandidate] = []
+    for number in order:
+        fits, repeats = judged[number], repeated[number].repeats
+        deterministic = repeated[number].deterministic
+        failed = sum(not isinstance(r.outcome, Score) for r in repeats)
+        candidates.append(
+            ConfirmedCandidate(
+                experiment=number,
+                first=repeated[number].first.value,
+                value=value_interval(fits, LEVEL),
+                spread=0.0 if deterministic else fits.spread,
+                repeats=len(repeats) - failed,
+                failed=failed,
+                deterministic=deterministic,
+                best_rank=1 + sum(pair.apart for pair in pairs if pair.second == number),
+                worst_rank=len(order) - sum(pair.apart for pair in pairs if pair.first == number),
+            )
+        )
+    # Over candidates whose fits depend on the seed; 0 where none does.
+    random = [judged[n] for n, one in repeated.items() if n in judged and not one.deterministic]
     # The expected error is that of the fit that is handed over, including the effect of its seed.
+    winner = next(c.first for c in tried if c.experiment == view.best.number)
+    blocks = even_blocks([candidate.first.blocks[0].tolist() for candidate in tried])
+    seed = derive_seed(view.started.seed, "confirm")
     expected = expected_error(winner, blocks, EXPECTED_LEVEL, seed)
+    # Not known where the search did not compare its fold models on the training records.
+    check = None if view.refitted is None else view.refitted.check
+    ensemble: Interval | None = None
+    if check is not None and check.ensemble_error is not None:
+        errors = [error for error in check.fold_errors if error is not None]
+        if len(errors) == len(check.fold_errors):
+            ensemble = expected_of_ensemble(expected, errors, check.ensemble_error)
     return Confirmed(
         winner=view.best.number,
         seeds=seeds,
         tried=len(tried),
         level=LEVEL,
-        candidates=tuple(_ranked(by_number[n], judged[n], pairs, len(order)) for n in order),
+        candidates=tuple(candidates),
         pairs=pairs,
-        noise=_noise(repeated),
+        noise=noise_of_seeds(random) if random else 0.0,
         expected=expected,
         expected_level=EXPECTED_LEVEL,
-        ensemble=_of_ensemble(view, expected),
+        ensemble=ensemble,
         failed=tuple(number for number, fits in known.items() if fits is None),
         after_unsealing=view.unsealing is not None,
     )
-
-
-def _of_ensemble(view: SearchView, expected: ExpectedError) -> Interval | None:
-    """Return the expected error of the ensemble; None if the search did not compare its fold models
-    on the training records.
-    """
-    check = None if view.refitted is None else view.refitted.check
-    if check is None or check.ensemble_error is None:
-        return None
-    errors = [error for error in check.fold_errors if error is not None]
-    if len(errors) < len(check.fold_errors):
-        return None
-    return expected_of_ensemble(expected, errors, check.ensemble_error)
 
 
 def even_blocks(each: Sequence[Sequence[Sequence[float]]]) -> Array:
@@ -131,35 +139,6 @@ def even_blocks(each: Sequence[Sequence[Sequence[float]]]) -> Array:
     another, all have as many as that."""
     fewest = min(len(fold) for one in each for fold in one)
     return np.array([[fold[:fewest] for fold in one] for one in each])
-
-
-def _rows(blocks: Array) -> list[list[float]]:
-    return blocks.tolist()
-
-
-def _noise(repeated: Sequence[TriedCandidate]) -> float | None:
-    """Over candidates whose fits depend on the seed; 0 where none does."""
-    found = [c.fits for c in repeated if not c.deterministic]
-    random = [fits for fits in found if fits is not None]
-    return noise_of_seeds(random) if random else 0.0
-
-
-def _ranked(
-    candidate: TriedCandidate, fits: RepeatedFits, pairs: Sequence[ConfirmedPair], count: int
-) -> ConfirmedCandidate:
-    number, deterministic = candidate.experiment, candidate.deterministic
-    failed = sum(not isinstance(r.outcome, Score) for r in candidate.repeats)
-    return ConfirmedCandidate(
-        experiment=number,
-        first=candidate.first.value,
-        value=value_interval(fits, LEVEL),
-        spread=0.0 if deterministic else fits.spread,
-        repeats=len(candidate.repeats) - failed,
-        failed=failed,
-        deterministic=deterministic,
-        best_rank=1 + sum(pair.apart for pair in pairs if pair.second == number),
-        worst_rank=count - sum(pair.apart for pair in pairs if pair.first == number),
-    )
 
 
 # Fit the top candidates of a finished search again from other seeds, and say what that shows.
@@ -206,11 +185,11 @@ def confirm(
 def scored(view: SearchView) -> list[Experiment]:
     """The candidates with a score and a source of their own, the lowest V first."""
     found = [
-        (e.score.value, e.number, e)
+        (e.score.value, e.number)
         for e in view.finished
         if e.score is not None and e.result is not None and e.result.duplicate_of is None
     ]
-    return [e for _, _, e in sorted(found, key=lambda one: one[:2])]
+    return [view.experiment(number) for _, number in sorted(found)]
 
 
 def check_repeatable(directory: Path, view: SearchView, what: str) -> None:
@@ -244,38 +223,31 @@ class _Confirmation:
     def repeat_all(self, chosen: list[Experiment]) -> None:
         """Fit all seeds of each candidate in sequence."""
         total, done = len(chosen) * self.seeds, 0
+        known = {(event.experiment, event.repeat): event for event in self.chain.view.repeats}
         with self.evaluator.ready_workers():
             for experiment in chosen:
+                source = self.store.text(experiment.proposed.source)
                 for repeat in range(1, self.seeds + 1):
-                    event = self._observed(experiment.number, repeat)
                     done += 1
+                    event = known.get((experiment.number, repeat))
                     if event is None:
-                        event = self._repeat(experiment, repeat)
+                        begin = time.monotonic()
+                        found = self.evaluator.evaluate(source, repeat)
+                        seconds = time.monotonic() - begin
+                        event = Repeated(experiment.number, repeat, found.outcome, seconds=seconds)
+                        if isinstance(found.outcome, Score):
+                            before = self._simulations(experiment)
+                            event = replace(
+                                event,
+                                blocks=self._blocks(found.y_hats),
+                                same=same_simulations(before, found.y_hats),
+                            )
                         self.chain.append(event)
                         self.on_repeat(event, done, total)
                     if event.same:
                         # One repeat shows it: the others would be the same.
                         done += self.seeds - repeat
                         break
-
-    def _observed(self, experiment: int, repeat: int) -> Repeated | None:
-        for event in self.chain.view.repeats:
-            if (event.experiment, event.repeat) == (experiment, repeat):
-                return event
-        return None
-
-    def _repeat(self, experiment: Experiment, repeat: int) -> Repeated:
-        begin = time.monotonic()
-        found = self.evaluator.evaluate(self.store.text(experiment.proposed.source), repeat)
-        seconds = time.monotonic() - begin
-        if not isinstance(found.outcome, Score):
-            return Repeated(experiment.number, repeat, found.outcome, seconds=seconds)
-        blocks = tuple(
-            self._blocks(fold, result.y_hat)
-            for fold, result in zip(self.evaluator.folds, found.folds, strict=True)
-        )
-        same = same_simulations(self._simulations(experiment), found.y_hats)
-        return Repeated(experiment.number, repeat, found.outcome, blocks, same, seconds)
 
     def _simulations(self, experiment: Experiment) -> list[tuple[Array, ...]]:
         """Return the simulations of each fold's held-out blocks from the search."""
@@ -285,21 +257,25 @@ class _Confirmation:
             for kept, fold in zip(experiment.result.folds, self.evaluator.folds, strict=True)
         ]
 
-    def _blocks(self, fold: Fold, y_hat: tuple[Array, ...]) -> tuple[float, ...]:
-        y = [block.y for block in fold.validation]
-        return tuple(block_values(y, y_hat, fold.scale, self.metric).tolist())
+    def _blocks(self, y_hats: Sequence[tuple[Array, ...]]) -> tuple[tuple[float, ...], ...]:
+        """Parts of the held-out blocks of each fold in the score."""
+        return tuple(
+            tuple(
+                block_values(
+                    [block.y for block in fold.validation], y_hat, fold.scale, self.metric
+                ).tolist()
+            )
+            for fold, y_hat in zip(self.evaluator.folds, y_hats, strict=True)
+        )
 
     def tried(self, experiment: Experiment) -> TriedCandidate:
         """The first fit of a candidate and all that was repeated of it."""
         assert experiment.score is not None
-        pairs = zip(self.evaluator.folds, self._simulations(experiment), strict=True)
-        blocks = tuple(self._blocks(fold, y_hat) for fold, y_hat in pairs)
+        values = np.array([[fold.value for fold in experiment.score.folds]])
+        blocks = even_blocks([self._blocks(self._simulations(experiment))])
         repeats = tuple(
             r
             for r in self.chain.view.repeats
             if r.experiment == experiment.number and r.repeat <= self.seeds
         )
-        values = np.array([[fold.value for fold in experiment.score.folds]])
-        return TriedCandidate(
-            experiment.number, RepeatedFits(values, even_blocks([blocks])), repeats
-        )
+        return TriedCandidate(experiment.number, RepeatedFits(values, blocks), repeats)

@@ -27,12 +27,12 @@ from asia.judge.scoring.checks.errors import (
 from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
 from asia.judge.scoring.checks.registry import ValidationData, validation_checks
 from asia.judge.scoring.checks.response import HORIZONS, SMALL, LinearResponse, impulse_response
-from asia.ledger.artifacts import Store, without_artifacts
+from asia.ledger.artifacts import without_artifacts
 from asia.ledger.chain import Chain
 from asia.ledger.events import RecordedCheck, Use, Validated
 from asia.ledger.evidence import findings_of, identified, put_curves
 from asia.ledger.run import Run, model_to_use, open_run
-from asia.ledger.view import Experiment, SearchView
+from asia.ledger.view import Experiment
 from asia.problem.check import responses
 from asia.problem.load import load_lock, read_records
 from asia.problem.problem import Problem
@@ -54,8 +54,8 @@ from asia.search.simulation import (
 Simulator = Callable[[Sequence[Block]], Sequence[Array]]
 
 _POINTS = {"low inputs": 0.25, "middle inputs": 0.5, "high inputs": 0.75}
-_SETTLING, _MOST_INPUTS, _LONGEST = 300, 4, 2000
-_STARTS, _AHEAD = 24, 50
+_SETTLING = 300
+_AHEAD = 50
 
 
 @dataclass(frozen=True)
@@ -63,17 +63,17 @@ class ProbeRange:
     """Ranges and records of the training data for probes."""
 
     records: tuple[Trajectory, ...]
-    """All training records."""
     past_inputs: int
-    """Samples of a past window."""
     past_outputs: int
-    """Samples of a past window."""
+
+    @property
+    def past(self) -> int:
+        """Samples of the longer past window."""
+        return max(self.past_inputs, self.past_outputs)
 
     def block(self, u: Array, y: Array | None = None) -> Block:
-        """Inputs (past + H, nu) as a block that starts from the mean output, or from y (past,
-        ny)."""
-        past = max(self.past_inputs, self.past_outputs)
-        ny = self.records[0].y.shape[1]
+        """Inputs (past + H, nu) as a block that starts from the mean output or y (past, ny)."""
+        past, ny = self.past, self.records[0].y.shape[1]
         mean = np.concatenate([r.y for r in self.records]).mean(axis=0)
         past_y = (
             np.tile(mean, (self.past_outputs, 1)) if y is None else y[past - self.past_outputs :]
@@ -89,11 +89,11 @@ def linear_responses(
     """Small steps up and down of each input, after the inputs were held at an operating point;
     () where the model has no finite answer."""
     inputs = np.concatenate([r.u for r in given.records])
-    deviation, past = inputs.std(axis=0), max(given.past_inputs, given.past_outputs)
+    deviation, past = inputs.std(axis=0), given.past
     asked = [
         (point, number)
         for point in _POINTS
-        for number in range(min(len(names), _MOST_INPUTS))
+        for number in range(min(len(names), 4))
         if deviation[number] > 0.0
     ]
     blocks: list[Block] = []
@@ -104,23 +104,22 @@ def linear_responses(
             moved[past + _SETTLING :, number] += sign * SMALL * deviation[number]
             blocks.append(given.block(moved))
     try:
-        found = simulate(blocks)
+        found = [y_hat[_SETTLING:] for y_hat in simulate(blocks)]
     except CandidateError:
         return ()
-    answers: list[LinearResponse] = []
-    for place, (point, number) in enumerate(asked):
-        up, down = (found[2 * place + k][_SETTLING:] for k in (0, 1))
-        impulse = impulse_response(up, down, SMALL * float(deviation[number]))
-        answers.append(LinearResponse(point, names[number], impulse))
-    return tuple(answers)
+    return tuple(
+        LinearResponse(
+            point, names[number], impulse_response(up, down, SMALL * float(deviation[number]))
+        )
+        for (point, number), up, down in zip(asked, found[::2], found[1::2], strict=True)
+    )
 
 
 def long_run(given: ProbeRange, horizon: int | None, simulate: Simulator) -> Array | None:
-    """Ten horizons (n, ny) with the inputs of the longest record again and again; None where the
-    model has no finite answer."""
+    """Ten horizons (n, ny) with the longest record's inputs repeated; None if not finite."""
     record = max(given.records, key=len)
-    past = max(given.past_inputs, given.past_outputs)
-    length = HORIZONS * min(_LONGEST, horizon or len(record))
+    past = given.past
+    length = HORIZONS * min(2000, horizon or len(record))
     u = np.tile(record.u[past:], (-(-length // (len(record) - past)), 1))[:length]
     block = given.block(np.concatenate([record.u[:past], u]), record.y[:past])
     try:
@@ -130,13 +129,12 @@ def long_run(given: ProbeRange, horizon: int | None, simulate: Simulator) -> Arr
 
 
 def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
-    """Short blocks inside long ones, which begin from measured samples; [] where there is no past
-    window, or no room."""
-    past = max(given.past_inputs, given.past_outputs)
+    """Short blocks inside long ones, begun from measured samples; [] without past or room."""
+    past = given.past
     long = [b for b in blocks if len(b.y) >= 2 * past + 2 * _AHEAD]
     if past == 0 or not long:
         return []
-    each = max(1, _STARTS // len(long))
+    each = max(1, 24 // len(long))
     found: list[Block] = []
     for block in long:
         y = filled(block.y)
@@ -153,68 +151,6 @@ def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
     return found
 
 
-# Keep a dossier in the ledger of a finished search.
-
-
-# A line of the ledger has room for all checks of a dossier.
-_LONGEST_CURVE = 2000
-
-
-def record_validation(
-    directory: Path,
-    model: Use,
-    records: Sequence[Trajectory],
-    name: str,
-    checks: Sequence[Check],
-) -> bool:
-    """Append what the checks say of the winner and its model to use; False where the ledger says so
-    already. Raises UserError when another process holds the ledger."""
-    store = Store(directory / "artifacts")
-    curves = put_curves(store, checks)
-    with Chain(directory / "ledger.jsonl") as chain:
-        event = _event(chain.view, model, records, name, checks, curves)
-        if event in chain.view.validated:
-            return False
-        chain.append(event)
-        return True
-
-
-def _event(
-    view: SearchView,
-    model: Use,
-    records: Sequence[Trajectory],
-    name: str,
-    checks: Sequence[Check],
-    curves: str,
-) -> Validated:
-    assert view.best is not None
-    worst = most_serious(tuple(checks))
-    counts = [sum(c.verdict is v for c in checks) for v in Verdict]
-    numbers = dict(zip(Verdict, counts, strict=True))
-    return Validated(
-        experiment=view.best.number,
-        model=model,
-        record=name,
-        record_digest=data_digest(records) if records else "",
-        checks=tuple(
-            RecordedCheck(
-                one.name,
-                one.verdict,
-                one_line(one.sentence, _LONGEST_CURVE),
-                "" if one.cause is None else str(one.cause),
-                round(one.weight, 4),
-            )
-            for one in checks
-        ),
-        curves=curves,
-        passed=numbers[Verdict.PASS],
-        doubtful=numbers[Verdict.DOUBT],
-        failed=numbers[Verdict.FAIL],
-        worst="" if worst is None else worst.name,
-        after_unsealing=view.unsealing is not None,
-    )
-
-
 # Make the dossier of a run: held-out simulations from the ledger, further answers in the sandbox.
 #
 # It uses training records alone, and a record that the user brings. The sealed test stays closed.
@@ -225,7 +161,6 @@ class ValidationReport:
     """Validation report: all checks of the model to use."""
 
     run: str
-    """The run."""
     experiment: int
     """Its winner, 1-based."""
     model: Use
@@ -233,7 +168,6 @@ class ValidationReport:
     record: str | None
     """The new record that was simulated; None for the held-out samples of the folds."""
     checks: tuple[Check, ...]
-    """Checks in reading order."""
     recorded: bool
     """True if the ledger, and so the report, has it; not before the search is finished."""
 
@@ -256,7 +190,6 @@ def validate(
     recorded in its ledger.
 
     Args:
-        directory: run directory.
         record: new record; a file of several experiments is validated on all of them.
         progress: called with a description of the current step.
         reading: options for the record, in place of those of the problem.
@@ -267,31 +200,55 @@ def validate(
         CandidateError: the model cannot simulate the record.
     """
     run = open_run(directory)
-    chosen = model_to_use(run.view)
-    if chosen is None or run.view.best is None:
+    chosen, best = model_to_use(run.view), run.view.best
+    if chosen is None or best is None:
         raise UserError(f"run '{run.name}' has no scored model, so nothing to validate")
     if run.view.started.ladder is not None:
         raise UserError(
             f"run '{run.name}' has ladder feedback, which hides the exact scores that a dossier "
             "prints: validate a run without it"
         )
-    if not Store(directory / "artifacts").kept:
+    if not run.store.kept:
         raise UserError(without_artifacts(directory))
     problem = load_lock(directory / LOCK)
     evaluator = make_evaluator(problem, run.view)
-    work = _Validation(run, problem, evaluator, run.view.best, chosen.model, progress)
+    work = _Validation(run, problem, evaluator, best, chosen.model, progress)
     new = () if record is None else read_records(problem, record, reading)
-    checks = work.on(new) if new else work.held_out()
+    checks = work.new_records(new) if new else work.held_out()
     name = "" if record is None else record.name
     recorded = run.view.complete
     if recorded:
-        record_validation(directory, chosen.model, new, name, checks)
-    return ValidationReport(
-        run.name, run.view.best.number, chosen.model, name or None, checks, recorded
-    )
+        worst = most_serious(checks)
+        with Chain(directory / "ledger.jsonl") as chain:
+            event = Validated(
+                experiment=best.number,
+                model=chosen.model,
+                record=name,
+                record_digest=data_digest(new) if new else "",
+                checks=tuple(
+                    RecordedCheck(
+                        name=one.name,
+                        verdict=one.verdict,
+                        # A line of the ledger has room for all checks.
+                        sentence=one_line(one.sentence, 2000),
+                        cause="" if one.cause is None else str(one.cause),
+                        weight=round(one.weight, 4),
+                    )
+                    for one in checks
+                ),
+                curves=put_curves(run.store, checks),
+                passed=sum(c.verdict is Verdict.PASS for c in checks),
+                doubtful=sum(c.verdict is Verdict.DOUBT for c in checks),
+                failed=sum(c.verdict is Verdict.FAIL for c in checks),
+                worst="" if worst is None else worst.name,
+                after_unsealing=chain.view.unsealing is not None,
+            )
+            if event not in chain.view.validated:
+                chain.append(event)
+    return ValidationReport(run.name, best.number, chosen.model, name or None, checks, recorded)
 
 
-def _made(name: str, make: Callable[[], Check | tuple[Check, ...]]) -> tuple[Check, ...]:
+def _run_check(name: str, make: Callable[[], Check | tuple[Check, ...]]) -> tuple[Check, ...]:
     """The checks, or one that says why they failed."""
     failed: list[str] = []
     with diagnostic(name, failed):
@@ -313,25 +270,47 @@ class _Validation:
 
     def held_out(self) -> tuple[Check, ...]:
         """The dossier on what the folds held out."""
-        basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
+        basis = self._basis
         pairs = [
             (block, y_hat)
             for fold, simulated in zip(self.evaluator.folds, basis.simulated, strict=True)
             for block, y_hat in zip(fold.validation, simulated, strict=True)
         ]
-        blocks = tuple(
-            SimulatedBlock(b.case.u, b.y, y_hat, b.record, b.start) for b, y_hat in pairs
-        )
-        found = self._simulations(blocks)
+        found = self._simulations(pairs)
         windows = self.evaluator.horizon is not None
         return (
-            *self._of_residuals(found),
-            *_made("held-out error", lambda: self._overfit(found)),
-            *_made("steps ahead", lambda: self._of_windows(pairs) if windows else self._ahead()),
-            *_made("region of validity", lambda: check_region(found, basis.region)),
+            *self._registered_checks(found),
+            *_run_check("held-out error", lambda: self._check_overfit(found)),
+            *_run_check(
+                "steps ahead",
+                lambda: self._check_windows(pairs) if windows else self._check_starts(),
+            ),
+            *_run_check("region of validity", lambda: check_region(found, basis.region)),
         )
 
-    def _overfit(self, found: SimulatedBlocks) -> tuple[Check, ...]:
+    def new_records(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
+        """The dossier on new records."""
+        blocks = whole(records, self.problem.protocol)
+        if not blocks:
+            raise UserError(
+                f"record '{records[0].name}' is too short: it holds no case to simulate"
+            )
+        y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
+        pairs = list(zip(blocks, y_hat, strict=True))
+        found, basis = self._simulations(pairs), self._basis
+        windows = self.evaluator.horizon is not None
+        return (
+            *self._registered_checks(found),
+            *(_run_check("steps ahead", lambda: self._check_windows(pairs)) if windows else ()),
+            *_run_check("region of validity", lambda: check_region(found, basis.region)),
+            *_run_check("output bands", lambda: self._check_bands(basis, blocks, y_hat)),
+        )
+
+    @property
+    def _basis(self) -> BandBasis:
+        return band_basis(self.evaluator, self.run.view, self.run.store, self.use)
+
+    def _check_overfit(self, found: SimulatedBlocks) -> tuple[Check, ...]:
         """Check for overfitting; () for an older ledger."""
         errors = findings_of(self.run.store, self.best, bounded=False)
         if not errors:
@@ -342,28 +321,9 @@ class _Validation:
         apart = () if named is None else named.disagreeing
         return (check_overfit(train, held, found, apart),)
 
-    def on(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
-        """The dossier on new records."""
-        blocks = whole(records, self.problem.protocol)
-        if not blocks:
-            raise UserError(
-                f"record '{records[0].name}' is too short: it holds no case to simulate"
-            )
-        y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
-        pairs = list(zip(blocks, y_hat, strict=True))
-        found = self._simulations(
-            tuple(SimulatedBlock(b.case.u, b.y, y, b.record, b.start) for b, y in pairs)
-        )
-        windows = self.evaluator.horizon is not None
-        basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
-        return (
-            *self._of_residuals(found),
-            *(_made("steps ahead", lambda: self._of_windows(pairs)) if windows else ()),
-            *_made("region of validity", lambda: check_region(found, basis.region)),
-            *_made("output bands", lambda: self._bands(basis, blocks, y_hat)),
-        )
-
-    def _bands(self, basis: BandBasis, blocks: Sequence[Block], y_hat: Sequence[Array]) -> Check:
+    def _check_bands(
+        self, basis: BandBasis, blocks: Sequence[Block], y_hat: Sequence[Array]
+    ) -> Check:
         """Check the coverage of a new record by the output bands."""
         behind = models_behind(self.run.view, self.use)
         self.progress("output bands")
@@ -379,15 +339,18 @@ class _Validation:
         outputs = [s.name for s in self.problem.outputs]
         return check_bands(held / np.maximum(known, 1), outputs, BAND_LEVEL)
 
-    def _simulations(self, blocks: tuple[SimulatedBlock, ...]) -> SimulatedBlocks:
-        inputs = tuple(s.name for s in self.problem.inputs)
-        outputs = tuple(s.name for s in self.problem.outputs)
-        return SimulatedBlocks(blocks, inputs, outputs, self.problem.sampling_time)
+    def _simulations(self, pairs: Sequence[tuple[Block, Array]]) -> SimulatedBlocks:
+        return SimulatedBlocks(
+            tuple(SimulatedBlock(b.case.u, b.y, y_hat, b.record, b.start) for b, y_hat in pairs),
+            tuple(s.name for s in self.problem.inputs),
+            tuple(s.name for s in self.problem.outputs),
+            self.problem.sampling_time,
+        )
 
-    def _of_residuals(self, found: SimulatedBlocks) -> tuple[Check, ...]:
+    def _registered_checks(self, found: SimulatedBlocks) -> tuple[Check, ...]:
         """Return the checks of the registry."""
         simulator = self._simulator(final_members(self.run.view, self.use))
-        given = self._range
+        given = self._probe_range
         self.progress("responses to small steps")
         failed: list[str] = []
         linear: tuple[LinearResponse, ...] = ()
@@ -409,22 +372,22 @@ class _Validation:
         checks = [Check("small steps", Verdict.ABSENT, line) for line in failed]
         for name, check in validation_checks().items():
             self.progress(name)
-            checks += _made(name, partial(check, data))
+            checks += _run_check(name, partial(check, data))
         return tuple(checks)
 
     @property
-    def _range(self) -> ProbeRange:
+    def _probe_range(self) -> ProbeRange:
         rule = self.problem.protocol
         return ProbeRange(self.evaluator.records, rule.past_inputs, rule.past_outputs)
 
-    def _of_windows(self, pairs: Sequence[tuple[Block, Array]]) -> Check:
+    def _check_windows(self, pairs: Sequence[tuple[Block, Array]]) -> Check:
         """Check windows, each of which starts anew."""
         past = self.problem.protocol.past_outputs
         hold = np.stack([filled(b.y - b.case.past_y[-1]) for b, _ in pairs]) if past else None
         errors = np.stack([filled(b.y - y_hat) for b, y_hat in pairs])
         return check_steps_ahead(errors, hold, self.evaluator.scale)
 
-    def _ahead(self) -> Check:
+    def _check_starts(self) -> Check:
         """Each fold's model from starts within what it did not fit."""
         if self.problem.protocol.past_outputs == 0:
             return no_steps_ahead("the protocol has no past outputs from which a model could start")
@@ -433,7 +396,7 @@ class _Validation:
         model_errors: list[Array] = []
         hold_errors: list[Array] = []
         for fold, name in zip(self.evaluator.folds, member.models, strict=True):
-            blocks = starts(self._range, fold.validation)
+            blocks = starts(self._probe_range, fold.validation)
             if not blocks:
                 continue
             one = FinalMember(member.source, (name,))

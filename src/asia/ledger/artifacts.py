@@ -17,11 +17,6 @@ from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.ledger.chain import write_whole, writing
 
-# Content-addressed artifacts: sources, models, simulations.
-
-
-_PART = 64 * 1024
-
 
 def without_artifacts(directory: Path) -> str:
     """Describe the use of a run directory without artifacts."""
@@ -47,9 +42,8 @@ class Store:
         """Keep `data`; its sha256. Raises UserError when the disk refuses."""
         digest = hashlib.sha256(data).hexdigest()
         path = self._directory / digest
-        if path.exists():
-            return digest
-        write_whole(path, data)
+        if not path.exists():
+            write_whole(path, data)
         return digest
 
     def tidy(self) -> None:
@@ -93,11 +87,12 @@ class Store:
 
 def _read(path: str) -> bytes:
     """Read a file in half the time of `Path.read_bytes`: a long search has a million small ones."""
+    most = 64 * 1024
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        parts = [os.read(fd, _PART)]
-        while len(parts[-1]) == _PART:
-            parts.append(os.read(fd, _PART))
+        parts = [os.read(fd, most)]
+        while len(parts[-1]) == most:
+            parts.append(os.read(fd, most))
     finally:
         os.close(fd)
     return parts[0] if len(parts) == 1 else b"".join(parts)
@@ -108,7 +103,6 @@ def _read(path: str) -> bytes:
 
 
 _BATCH = 512
-_PIPE_BYTES = 1 << 20  # large enough that no helper idles while the reader waits for another
 # Reads names on stdin; ends with 1 at the first file whose sha256 is not its name, or that is gone.
 _HELPER = """
 import hashlib, os, sys
@@ -153,23 +147,17 @@ class Artifacts:
             return
         self._records[digest] = record
         self._batch.append(digest)
-        if len(self._batch) == _BATCH:
-            self._hand_out()
-
-    def check(self) -> None:
-        """Raises UserError that names the first record one of whose artifacts does not hold."""
-        sound = not [1 for helper in self._helpers if _ended(helper)]
-        store = Store(self._directory)
-        for digest in self._batch if sound else self._records:
-            try:
-                store.get(digest)
-            except UserError as error:
-                where = f"event {self._records[digest]} of {self._directory.parent}"
-                raise UserError(f"{where}: {error}") from None
-
-    def _hand_out(self) -> None:
+        if len(self._batch) < _BATCH:
+            return
         if not self._helpers:
-            self._helpers = [_helper(self._directory) for _ in range(os.cpu_count() or 1)]
+            # The pipe is large enough that no helper idles while the reader waits for another.
+            self._helpers = [
+                subprocess.Popen(
+                    [sys.executable, "-I", "-S", "-c", _HELPER, str(self._directory)],
+                    stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, pipesize=1 << 20,
+                )
+                for _ in range(os.cpu_count() or 1)
+            ]  # fmt: skip
         stdin = self._helpers[self._batches % len(self._helpers)].stdin
         assert stdin is not None
         # One that found something has ended; its exit code says so later.
@@ -178,15 +166,16 @@ class Artifacts:
         self._batches += 1
         self._batch = []
 
-
-def _helper(directory: Path) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-I", "-S", "-c", _HELPER, str(directory)],
-        stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, pipesize=_PIPE_BYTES,
-    )  # fmt: skip
-
-
-def _ended(helper: subprocess.Popen[str]) -> int:
-    with suppress(BrokenPipeError):
-        helper.communicate()
-    return helper.returncode
+    def check(self) -> None:
+        """Raises UserError that names the first record one of whose artifacts does not hold."""
+        for helper in self._helpers:
+            with suppress(BrokenPipeError):
+                helper.communicate()
+        sound = all(helper.returncode == 0 for helper in self._helpers)
+        store = Store(self._directory)
+        for digest in self._batch if sound else self._records:
+            try:
+                store.get(digest)
+            except UserError as error:
+                where = f"event {self._records[digest]} of {self._directory.parent}"
+                raise UserError(f"{where}: {error}") from None

@@ -11,7 +11,7 @@ import socket
 import threading
 import time
 from collections.abc import Generator, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import BufferedReader
 from pathlib import Path
@@ -58,8 +58,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Position:
-    """Between two records: how many come before it, in how many bytes, and the digest of the
-    last of them."""
+    """Place between two records: their number and bytes before it, digest of the last one."""
 
     seq: int = 0
     offset: int = 0
@@ -101,8 +100,7 @@ def _json(value: dict[str, Any]) -> str:
 
 
 def decode(raw: bytes, seq: int, where: str) -> Line:
-    """The event of a record that was checked. Raises UserError where this version cannot read
-    it."""
+    """The event of a checked record. Raises UserError where this version cannot read it."""
     begin = len(_START % (seq, GENESIS.encode()))
     time, _, rest = raw[begin : -_SELF_BYTES - 1].partition(b'",')
     try:
@@ -155,9 +153,7 @@ def scan(
 
 
 def _digests(raw: bytes) -> tuple[bytes, str]:
-    """Return the required end of a record, whatever its last byte, and its digest for the next
-    record.
-    """
+    """Return the required end of a record and its digest for the next one."""
     digest = hashlib.sha256(raw[: -_SELF_BYTES - 1])
     own = digest.copy()
     own.update(b"}")
@@ -168,35 +164,34 @@ def _digests(raw: bytes) -> tuple[bytes, str]:
 # Files that appear whole or not at all, and what to say where the disk refuses.
 
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
-_FORBIDDEN = (errno.EROFS, errno.EACCES, errno.EPERM)
-
-
 @contextlib.contextmanager
 def writing(path: Path) -> Generator[None]:
     """Turns an OSError into a UserError that names `path` and says what to do."""
     try:
         yield
     except OSError as error:
-        raise UserError(f"{path} could not be written: {_message(error)}") from None
-
-
-def _message(error: OSError) -> str:
-    if error.errno in _FULL:
-        return (
-            f"the disk is full ({error.strerror}); recorded events are safe: free some space and "
-            "repeat the command"
-        )
-    if error.errno == errno.EFBIG:
-        return (
-            "the file would exceed the limit of file sizes; recorded events are safe: raise it "
-            "(ulimit -f) and repeat the command"
-        )
-    if error.errno in _FORBIDDEN:
-        return f"{error.strerror}; make the directory writable, or name another one with --runs"
-    return (
-        f"{error.strerror or error}; recorded events are safe: correct this and repeat the command"
-    )
+        match error.errno:
+            case errno.ENOSPC | errno.EDQUOT:
+                text = (
+                    f"the disk is full ({error.strerror}); recorded events are safe: free some "
+                    "space and repeat the command"
+                )
+            case errno.EFBIG:
+                text = (
+                    "the file would exceed the limit of file sizes; recorded events are safe: "
+                    "raise it (ulimit -f) and repeat the command"
+                )
+            case errno.EROFS | errno.EACCES | errno.EPERM:
+                text = (
+                    f"{error.strerror}; make the directory writable, or name another one with "
+                    "--runs"
+                )
+            case _:
+                text = (
+                    f"{error.strerror or error}; recorded events are safe: correct this and repeat "
+                    "the command"
+                )
+        raise UserError(f"{path} could not be written: {text}") from None
 
 
 def write_whole(path: Path, data: bytes, *, durable: bool = True) -> None:
@@ -230,9 +225,6 @@ def make_folder(path: Path) -> None:
 # The one writer of a ledger, and readers of it.
 
 
-_LOCK_ATTEMPTS = 20
-
-
 def ledger_of(directory: Path) -> Path:
     """The ledger of a run. Raises UserError for a directory that is none."""
     ledger = directory / "ledger.jsonl"
@@ -242,11 +234,7 @@ def ledger_of(directory: Path) -> Path:
 
 
 def read_lines(path: Path) -> Iterator[Line]:
-    """Yield every complete line, verified. A torn last line, left by a crash, is ignored.
-
-    Raises:
-        UserError: a record does not verify; the message names the first one.
-    """
+    """Yield every complete record, see `scan`."""
     with path.open("rb") as stream:
         for place, raw in scan(stream, str(path)):
             yield decode(raw, place.seq - 1, str(path))
@@ -268,11 +256,7 @@ class Follower:
 
     @property
     def view(self) -> SearchView:
-        """Return the view after the last line that was read.
-
-        Raises:
-            UserError: no line was read yet.
-        """
+        """The view after the last line. Raises UserError where no line was read yet."""
         return self._replay.view
 
     @property
@@ -285,14 +269,9 @@ class Follower:
         return self._heads[count] if count < len(self._heads) else ""
 
     def read(self) -> bool:
-        """Read the lines that are new and return whether there were any.
-
-        A ledger that did not just grow is read again from the start.
-
-        Raises:
-            UserError: a line does not verify.
-            OSError: the file is gone.
-        """
+        """Read the lines that are new and return whether there were any. A ledger that did not just
+        grow is read again from the start. Raises UserError for a line that does not verify, OSError
+        when the file is gone."""
         state = self._path.stat()
         seen = state.st_ino, state.st_size, state.st_mtime_ns
         if seen == self._seen:
@@ -327,14 +306,19 @@ class Chain:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self._path, self._holder = path, path.with_suffix(".holder")
         with writing(path):
             make_folder(path.parent)
             self._fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
             self._lock()
-            self.lines, self._place = _read(path)
+            self.lines: list[Line] = []
+            self._place = BEGIN
             self._replay, self._replayed = Replay(), 0
+            with path.open("rb") as stream:
+                for place, raw in scan(stream, str(path)):
+                    self.lines.append(decode(raw, self._place.seq, str(path)))
+                    self._place = place
             with writing(path):
                 self._cut_back()
                 sync_folder(path.parent)
@@ -379,86 +363,43 @@ class Chain:
             os.fsync(self._fd)
 
     def _lock(self) -> None:
-        if not _locked(self._fd, self._path):
-            holder = Holder.find(self._path)
-            by = "" if holder is None else f" ({holder})"
+        """Take the exclusive lock, and write the holder next to the ledger for display."""
+        import fcntl  # no module of Windows, where the command line says what to do
+
+        # `in_use` holds a shared lock for a moment, which is no search.
+        attempts = 20
+        for attempt in range(attempts):
+            try:
+                fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except OSError as error:
+                if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
+                    raise UserError(
+                        f"{self._path} cannot be locked ({error.strerror}): name a directory on "
+                        "another file system with --runs"
+                    ) from None
+                time.sleep(0.01 if attempt + 1 < attempts else 0.0)
+        else:
+            by = ""
+            with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+                found = json.loads(self._holder.read_text("utf-8"))
+                by = f" (process {found['pid']} on {found['host']}, since {found['since']})"
             raise UserError(
                 f"{self._path.parent} is in use by another search{by}; wait for it or choose "
                 "another --name"
             )
-        Holder.here().save(self._path)
+        since = datetime.now(UTC).isoformat(" ", "seconds")
+        holder = {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
+        with contextlib.suppress(OSError):
+            self._holder.write_text(json.dumps(holder), "utf-8")
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *raised: object) -> None:
         with contextlib.suppress(OSError):
-            _holder_path(self._path).unlink()
+            self._holder.unlink()
         os.close(self._fd)
-
-
-@dataclass(frozen=True)
-class Holder:
-    """Process that holds a ledger, for display. The lock itself belongs to the file and ends with
-    the process.
-    """
-
-    pid: int
-    host: str
-    since: str
-
-    @classmethod
-    def here(cls) -> Holder:
-        """Return a holder for the current process."""
-        return cls(os.getpid(), socket.gethostname(), datetime.now(UTC).isoformat(" ", "seconds"))
-
-    @classmethod
-    def find(cls, ledger: Path) -> Holder | None:
-        """Return the process that took the lock last; None if that cannot be read."""
-        try:
-            return cls(**json.loads(_holder_path(ledger).read_text("utf-8")))
-        except (OSError, ValueError, TypeError):
-            return None
-
-    def save(self, ledger: Path) -> None:
-        """Write the holder next to the ledger. A failed write does not fail the search."""
-        with contextlib.suppress(OSError):
-            _holder_path(ledger).write_text(json.dumps(asdict(self)), "utf-8")
-
-    def __str__(self) -> str:
-        return f"process {self.pid} on {self.host}, since {self.since}"
-
-
-def _holder_path(ledger: Path) -> Path:
-    return ledger.with_suffix(".holder")
-
-
-def _read(path: Path) -> tuple[list[Line], Position]:
-    lines: list[Line] = []
-    place = BEGIN
-    with path.open("rb") as stream:
-        for place, raw in scan(stream, str(path)):
-            lines.append(decode(raw, place.seq - 1, str(path)))
-    return lines, place
-
-
-def _locked(fd: int, path: Path) -> bool:
-    """Take the exclusive lock. `in_use` holds a shared one for a moment, which is no search."""
-    import fcntl  # no module of Windows, where the command line says what to do
-
-    for attempt in range(_LOCK_ATTEMPTS):
-        try:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
-                raise UserError(
-                    f"{path} cannot be locked ({error.strerror}): name a directory on another file "
-                    "system with --runs"
-                ) from None
-            time.sleep(0.01 if attempt + 1 < _LOCK_ATTEMPTS else 0.0)
-        else:
-            return True
-    return False
 
 
 def in_use(path: Path) -> bool:

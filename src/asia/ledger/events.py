@@ -1,9 +1,14 @@
-"""Events of a search. One frozen dataclass an event; every field is JSON."""
+"""Events of a search: one frozen dataclass an event, every field is JSON.
+
+`experiment` is the number of an experiment, from 1. `failed` and `detail` say why something is
+missing, "" where it is not. `value` is V and `folds` its part of each fold; None and () for a
+failure. `leg` is the number of a leg of a relay, from 1; 0 where one agent proposes.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
 
@@ -14,56 +19,16 @@ from asia.judge.scoring.outcome import Failure, MeeTable, Outcome, TestScore
 from asia.judge.scoring.residuals import Diagnostics
 from asia.problem.protocol import EarlyStopping, ShownResidual
 
-__all__ = [
-    "RESUMABLE",
-    "Ablated",
-    "AblationFit",
-    "Again",
-    "Confirmed",
-    "ConfirmedCandidate",
-    "ConfirmedPair",
-    "Evaluated",
-    "Event",
-    "Exchanged",
-    "Extended",
-    "FoldEvidence",
-    "GuardLooked",
-    "GuardScore",
-    "HandOverReason",
-    "HandedOver",
-    "Landed",
-    "LeftOut",
-    "Leg",
-    "Phase",
-    "Proposed",
-    "RecordedCheck",
-    "RefitCheck",
-    "RefitStart",
-    "Refitted",
-    "Repeated",
-    "Resumed",
-    "Retest",
-    "RungScored",
-    "SessionEnded",
-    "SessionStarted",
-    "Stack",
-    "StackMember",
-    "Started",
-    "Status",
-    "Steered",
-    "StopReason",
-    "Stopped",
-    "Streamed",
-    "TestBands",
-    "TestedModel",
-    "Unsealed",
-    "Unsealing",
-    "Usage",
-    "Use",
-    "Validated",
-    "adapter",
-]
+ArtifactName = str
+"""sha256 of an artifact of the run."""
 
+
+def _omitted(default: object) -> Any:
+    """A field that is left out of the record where it has this value."""
+    return Field(exclude_if=lambda value: value == default)
+
+
+_FailedChecks = Annotated[tuple[str, ...], _omitted(())]
 
 # The winner with parts taken back, fitted again, and what the gain is due to.
 
@@ -73,21 +38,14 @@ class AblationFit:
     """A variant of the winner fitted on every fold, from a seed that the evaluator chose."""
 
     variant: str
-    """Description of the variant."""
-    source: str
-    """Artifact of its `candidate.py`."""
+    source: ArtifactName
     digest: str
-    """Digest of its normalised AST."""
     repeat: int
     """Number of the seed, 1-based, the same for all variants."""
     value: float | None = None
-    """V of the fits; None where one failed."""
     folds: tuple[float, ...] = ()
-    """Its part of each fold; () where one failed."""
     failed: str = ""
-    """The reason of the failure."""
     seconds: float = 0.0
-    """Duration."""
     event: Literal["ablation_fit"] = "ablation_fit"
 
 
@@ -100,7 +58,6 @@ class LeftOut:
     loss: Interval | None = None
     """Increase of V without the change, with a 95 % interval over the seeds; None if not known."""
     detail: str = ""
-    """Why it is not known."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +73,6 @@ class Ablated:
     crossing: Attribution | None
     """Model and training of the two crossed; None where that cannot be had."""
     detail: str
-    """Why it cannot."""
     left_out: tuple[LeftOut, ...] = ()
     """Each change of the lineage, the first one first."""
     event: Literal["ablated"] = "ablated"
@@ -130,15 +86,12 @@ class Usage:
     """Tokens and cost of a language model."""
 
     input_tokens: int = 0
-    """Tokens of the requests."""
     output_tokens: int = 0
-    """Tokens of the replies."""
     cached_tokens: int = 0
     """The part of `input_tokens` that the provider had cached."""
     cost: float | None = None
     """USD; None where it is not known."""
     turns: int = 0
-    """Replies of the model."""
 
     @property
     def tokens(self) -> int:
@@ -151,19 +104,13 @@ class Exchanged:
     """A request to a language model and its reply. Headers are not kept."""
 
     experiment: int
-    """The experiment it was made for."""
     path: str
-    """Path of the request."""
-    request: str
-    """Artifact of its body."""
-    response: str
-    """Artifact of the reply's body."""
+    request: ArtifactName
+    response: ArtifactName
     status: int
     """HTTP status; 0 when there was no reply."""
     usage: Usage | None = None
-    """Tokens and cost of the exchange."""
     leg: int = 0
-    """The leg of a relay that asked, 1-based; 0 where one agent proposes."""
     event: Literal["exchanged"] = "exchanged"
 
 
@@ -172,9 +119,7 @@ class Streamed:
     """Output lines of an agent that runs as a command, as they came, in an artifact."""
 
     session: int
-    """Number of the session."""
-    lines: str
-    """The artifact."""
+    lines: ArtifactName
     event: Literal["streamed"] = "streamed"
 
 
@@ -183,11 +128,8 @@ class SessionStarted:
     """A command agent's process begins."""
 
     session: int
-    """Number of the session."""
     grant: float | None
-    """USD that it may spend; None where money has no cap."""
     leg: int = 0
-    """Leg of a relay, see `Exchanged`."""
     event: Literal["session_started"] = "session_started"
 
 
@@ -196,13 +138,9 @@ class SessionEnded:
     """A command agent's process has ended."""
 
     session: int
-    """Number of the session."""
     outcome: str
-    """Outcome of the session."""
     usage: Usage | None
-    """Tokens and cost of the session."""
     leg: int = 0
-    """Leg of a relay, see `Exchanged`."""
     event: Literal["session_ended"] = "session_ended"
 
 
@@ -214,21 +152,14 @@ class Repeated:
     """A candidate fitted once more on every fold, from a seed that the evaluator chose."""
 
     experiment: int
-    """1-based."""
     repeat: int
     """Number of the seed, 1-based, the same for all candidates; the search's own fit is none."""
     outcome: Outcome
-    """Its score, or why there is none."""
     blocks: tuple[tuple[float, ...], ...] = ()
-    """Contribution of each block of held-out samples to the score, one tuple a fold; () for a
-    failure.
-    """
+    """Part of each block of held-out samples in the score, one tuple a fold."""
     same: bool = False
-    """True if every simulation is bitwise equal to that of the search, so that the seed has no
-    effect.
-    """
+    """True if every simulation is bitwise that of the search: the seed has no effect."""
     seconds: float = 0.0
-    """Duration."""
     event: Literal["repeated"] = "repeated"
 
 
@@ -237,21 +168,17 @@ class ConfirmedCandidate:
     """One candidate with its repeated fits."""
 
     experiment: int
-    """1-based."""
     first: float
     """V of the search's own fit, by which it was chosen."""
     value: Interval
-    """V over the repeats alone; of a candidate whose fits do not depend on the seed, V of the
-    search."""
+    """V over the repeats alone; V of the search where fits do not depend on the seed."""
     spread: float | None
     """Standard deviation of V over the repeats; 0 where fits do not depend on the seed, None where
     there are fewer than two."""
     repeats: int
     """Repeats that have a score."""
     failed: int
-    """Repeats that failed."""
     deterministic: bool
-    """True if fits do not depend on the seed."""
     best_rank: int
     """1 plus the candidates that are better, beyond doubt."""
     worst_rank: int
@@ -263,9 +190,7 @@ class ConfirmedPair:
     """Two candidates against each other."""
 
     first: int
-    """Experiment with the lower V."""
     second: int
-    """Experiment with the higher V."""
     difference: Interval
     """V of the second less that of the first, over the same folds, blocks and seeds."""
 
@@ -290,19 +215,14 @@ class Confirmed:
     candidates: tuple[ConfirmedCandidate, ...]
     """The lowest V first."""
     pairs: tuple[ConfirmedPair, ...]
-    """Differences between all pairs of candidates."""
     noise: float | None
-    """The noise floor: standard deviation of V over seeds, pooled over the candidates; None where
-    it is not known."""
+    """Standard deviation of V over seeds, pooled over the candidates; None if not known."""
     expected: ExpectedError | None
     """The error to expect of the winner's fold models, as the search fitted them, on a new record,
     in the measure of V; None where it is not known."""
     expected_level: float = 0.9
-    """The level of that interval."""
     ensemble: Interval | None = None
-    """Expected score of the mean of the fold models' simulations, see `expected`; None if not
-    known.
-    """
+    """The same of the mean of the fold models' simulations; None if not known."""
     failed: tuple[int, ...] = ()
     """Experiments all of whose repeats failed; they are not ranked."""
     after_unsealing: bool = False
@@ -342,7 +262,6 @@ class RefitCheck:
     standard deviation of the output, mean over fold models and outputs; None where one gives no
     answer, or where there is one fold."""
     starts: tuple[RefitStart, ...]
-    """The fits, one a seed."""
     kept: int | None = None
     """The start that is the refit, 1-based; None where there is no refit."""
 
@@ -352,7 +271,6 @@ class StackMember:
     """The ensemble of the fold models of an experiment, as a part of a stack."""
 
     experiment: int
-    """1-based."""
     weight: float
     """The share of its simulation; those of all members add up to 1."""
 
@@ -366,7 +284,6 @@ class Stack:
     value: float
     """V by nested cross-validation: each fold is judged with weights chosen on the other folds."""
     folds: tuple[float, ...]
-    """The part of each fold in it."""
 
 
 # The course of a search: its start, its experiments, its end.
@@ -381,18 +298,6 @@ Device = Literal["cpu", "gpu"]
 HandOverReason = Literal[
     "planned", "saturated", "exhausted", "stuck", "tokens", "cost", "time", "agent"
 ]
-# Left out of the record where one experiment runs at a time.
-_AtOnce = Annotated[int, Field(exclude_if=lambda value: value == 1)]
-# Left out where the search's own machine fitted.
-_Elsewhere = Annotated[str, Field(exclude_if=lambda value: value == "")]
-# Omitted if no GPU was requested.
-_Device = Annotated[Device, Field(exclude_if=lambda value: value == "cpu")]
-_Flag = Annotated[bool, Field(exclude_if=lambda value: not value)]
-_Bound = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
-_Count = Annotated[int, Field(exclude_if=lambda value: value == 0)]
-_FailedChecks = Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)]
-_Elapsed = Annotated[float | None, Field(exclude_if=lambda value: value is None)]
-
 RESUMABLE: frozenset[StopReason] = frozenset({"user", "stuck", "tokens", "cost", "time", "agent"})
 """Reasons after which the same command goes on; the others need a larger budget."""
 
@@ -402,13 +307,11 @@ class Leg:
     """The part of a relay in which one agent proposes."""
 
     agent: str
-    """Name of the agent."""
     experiments: int | None = None
     """Number of experiments of the leg; the baseline counts as one of the first leg. None for all
     that remain, which only the last leg may have.
     """
     settings: dict[str, str] = field(default_factory=dict[str, str])
-    """Settings of the agent that shape the search."""
 
 
 @dataclass(frozen=True)
@@ -416,41 +319,29 @@ class Started:
     """First event: what is searched, by whom, under which rules."""
 
     run: str
-    """Name of the run."""
     problem: str
-    """Name of the problem."""
     agent: str
     """Name of the agent, of a relay the names of all."""
     seed: int
-    """Seed of the search."""
     experiments: int
-    """Budget of experiments."""
     hours: float | None
     """Budget of wall-clock hours; None is open."""
     outputs: tuple[str, ...]
-    """Names of the outputs."""
     lock_digest: str
     """sha256 of the run's `problem.lock.toml`."""
     protocol_digest: str
-    """Digest of the protocol alone."""
     test_digest: str | None
     """Commits the sealed test before experiment 1; None when the problem has no test."""
     isolation: str
-    """The level of isolation that candidates run at."""
     isolation_notes: tuple[str, ...]
     """Protection that this isolation level lacks, for display."""
     environment: dict[str, str]
     """Python, platform and package versions."""
     early_stopping: EarlyStopping = "inner"
-    """Source of the score for early stopping. With `validation`, candidates saw their score on the
-    held-out parts and V is not leak-free.
-    """
+    """With `validation`, candidates saw their score on the held-out parts: V is not leak-free."""
     agent_settings: dict[str, str] = field(default_factory=dict[str, str])
-    """Settings of the agent that shape the search."""
     ladder: float | None = None
-    """Relative improvement of V that a new best needs before the agent sees it; None if all of V is
-    shown.
-    """
+    """Relative improvement of V that a new best needs to be shown; None if all V is shown."""
     guard_digest: str | None = None
     """Commits the guard records; None when the problem has none."""
     layers: tuple[str, ...] = ()
@@ -458,11 +349,9 @@ class Started:
     salt: str = ""
     """Seeds the choice of cases that new bests are checked on; never shown to agents."""
     isolation_strict: bool = False
-    """True if the folds of a candidate were fitted sequentially, so that none could pass
-    information to another.
-    """
-    lessons: str | None = None
-    """Artifact with the lessons of earlier searches, in older ledgers only."""
+    """True if folds were fitted sequentially, so that none could inform another."""
+    lessons: ArtifactName | None = None
+    """The lessons of earlier searches, in older ledgers only."""
     folds: tuple[str, ...] = ()
     """Description of the held-out part of each fold; () in older ledgers."""
     residuals: ShownResidual = "train"
@@ -472,15 +361,13 @@ class Started:
     retests: int = 0
     """The most fits from other seeds of a candidate about to be kept, which must then be better by
     the floor; 0 where one fit decides, as in older ledgers."""
-    parallel: _AtOnce = 1
+    parallel: Annotated[int, _omitted(1)] = 1
     """Maximum number of concurrent experiments. Each is proposed once all but the last `parallel` -
     1 before it have their results.
     """
-    stop_folds: _Flag = False
-    """True if the remaining folds of a first fit are pruned once V must be above
-    `Proposed.over`.
-    """
-    device: _Device = "cpu"
+    stop_folds: Annotated[bool, _omitted(False)] = False
+    """True if folds of a first fit are pruned once V must be above `Proposed.over`."""
+    device: Annotated[Device, _omitted("cpu")] = "cpu"
     """Device of candidates that train networks; `environment` names the GPU."""
     event: Literal["started"] = "started"
 
@@ -495,11 +382,8 @@ class RungScored:
     """A trivial reference."""
 
     name: str
-    """Name of the reference model."""
     outcome: Outcome
-    """Its score, or why there is none."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
-    """As in `Evaluated`."""
     event: Literal["rung"] = "rung"
 
 
@@ -508,32 +392,25 @@ class Proposed:
     """A candidate about to be evaluated."""
 
     experiment: int
-    """1-based."""
     parent: int | None
     """The experiment it was made from."""
     phase: Phase
-    """The phase of the search."""
     family: str
-    """The model family, in the agent's words."""
     title: str
-    """The candidate on one line."""
     hypothesis: str
-    """Why it should be better."""
     expected: str
     """Expected V, in the words of the agent."""
-    source: str
-    """Artifact of `candidate.py`."""
+    source: ArtifactName
     digest: str
     """Digest of its normalised AST."""
     ticket: str = ""
     """The submission it came by; "" where an agent was asked."""
     leg: int = 0
-    """The leg of a relay that it belongs to, 1-based; 0 where one agent proposes."""
     agent: str = ""
     """The agent of that leg; "" where one agent proposes, and for the baseline."""
     remark: str = ""
     """Comment of the agent on the state of the search, for display; "" for none."""
-    over: _Bound = None
+    over: Annotated[float | None, _omitted(None)] = None
     """V above which the folds that are left do not count; None where all of them do."""
     event: Literal["proposed"] = "proposed"
 
@@ -542,29 +419,22 @@ class Proposed:
 class FoldEvidence:
     """Artifacts and training-side evidence of one fold."""
 
-    model: str
-    """Artifact of the fitted model."""
-    y_hat: str
-    """Artifact of the simulated held-out outputs."""
-    curve: str
-    """Artifact of the candidate's log."""
+    model: ArtifactName
+    y_hat: ArtifactName
+    curve: ArtifactName
+    """The candidate's log."""
     diagnostics: Diagnostics
-    """Residual analysis of the training simulation."""
     fit_seconds: float
-    """Duration of the fit."""
     validation_scores: int = 0
     """Number of requests of the fit for its score on the held-out part."""
-    findings: str | None = None
-    """Artifact of `asia.judge.evaluation.results.FoldFindings`; None in older ledgers."""
-    machine: _Elsewhere = ""
+    findings: ArtifactName | None = None
+    """`asia.judge.evaluation.results.FoldFindings`; None in older ledgers."""
+    machine: Annotated[str, _omitted("")] = ""
     """The machine that fitted it; "" for the search's own."""
-    isolation: _Elsewhere = ""
-    """The level that was in force on that machine; "" for the search's own, which the result
-    names."""
-    device: _Elsewhere = ""
-    """JAX device as reported by the worker, which runs the candidate; "" if no GPU was
-    requested.
-    """
+    isolation: Annotated[str, _omitted("")] = ""
+    """The level in force on that machine; "" for the search's own, see `Evaluated`."""
+    device: Annotated[str, _omitted("")] = ""
+    """JAX device as reported by the worker; "" if no GPU was requested."""
 
 
 @dataclass(frozen=True)
@@ -572,17 +442,11 @@ class Retest:
     """A candidate about to be kept, fitted again on every fold from another seed."""
 
     value: float | None = None
-    """V of these fits; None where one failed."""
     folds: tuple[float, ...] = ()
-    """Its part of each fold; () where one failed."""
     failed: str = ""
-    """The reason of the failure."""
     same: bool = False
-    """True if every simulation is bitwise equal to that of the first fit, so that the seed has no
-    effect.
-    """
+    """True if every simulation is bitwise that of the first fit: the seed has no effect."""
     seconds: float = field(default=0.0, compare=False)
-    """Duration."""
 
 
 @dataclass(frozen=True)
@@ -590,15 +454,11 @@ class Evaluated:
     """Outcome of a candidate."""
 
     experiment: int
-    """1-based."""
     status: Status
-    """The decision on it."""
     outcome: Outcome
-    """Its score, or why there is none."""
     folds: tuple[FoldEvidence, ...]
-    """Evidence of each fold; () for a failure."""
-    output: str | None
-    """Artifact of what it printed; None where it printed nothing."""
+    output: ArtifactName | None
+    """Its prints; None where it printed nothing."""
     seconds: float
     """Duration of the evaluation, retests included."""
     duplicate_of: int | None = None
@@ -616,22 +476,17 @@ class Evaluated:
     retests: tuple[Retest, ...] = ()
     """Its fits from other seeds; () where it was not about to be kept."""
     floor: float | None = None
-    """Significance threshold: improvement of the mean over seeds that was required. None without an
-    incumbent, or if one fit decides.
-    """
+    """Required improvement of the mean over seeds; None without incumbent or if one fit decides."""
     lowest: bool = False
     """True if V of the first fit was the lowest so far and its model passed the checks of a final
     model. False if one fit decides, and in older ledgers.
     """
-    elapsed: _Elapsed = None
+    elapsed: Annotated[float | None, _omitted(None)] = None
     """Seconds that the search waited for it, decision included; None where one experiment runs at
     a time, which takes `seconds`."""
-    ended_folds: _Count = field(default=0, compare=False)
-    """Number of folds that were cancelled while they ran, because V was far above the best without
-    them. It depends on the machine.
-    """
+    ended_folds: Annotated[int, _omitted(0)] = field(default=0, compare=False)
+    """Folds that were cancelled while they ran, see `asia.search.rules.FAR_ABOVE`."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
-    """Diagnostics that raised an exception, a line each."""
     event: Literal["evaluated"] = "evaluated"
 
 
@@ -641,19 +496,13 @@ class Landed:
     waits for its turn; a search that is killed meanwhile takes it up from here."""
 
     experiment: int
-    """1-based."""
     outcome: Outcome
-    """Its score, or why there is none; nothing is decided yet."""
     folds: tuple[FoldEvidence, ...]
-    """Evidence of each fold; () for a failure."""
-    output: str | None
-    """Artifact of what it printed; None where it printed nothing."""
+    output: ArtifactName | None
     seconds: float
     """Duration of the fit and its simulations."""
     validation_scores: int = 0
-    """Validation scores given in all folds, failed ones too."""
-    ended_folds: _Count = field(default=0, compare=False)
-    """Number of cancelled folds, see `Evaluated`."""
+    ended_folds: Annotated[int, _omitted(0)] = field(default=0, compare=False)
     event: Literal["landed"] = "landed"
 
 
@@ -664,13 +513,11 @@ class HandedOver:
     leg: int
     """The leg that begins, 1-based."""
     agent: str
-    """Its agent."""
     reason: HandOverReason
     """Why the one before is over."""
     after: int
     """Experiments that were made before."""
     detail: str = ""
-    """More about it, for people."""
     event: Literal["handed_over"] = "handed_over"
 
 
@@ -679,9 +526,7 @@ class Extended:
     """The budget was raised."""
 
     experiments: int
-    """The new budget of experiments."""
     hours: float | None = None
-    """The new budget of hours; None is open."""
     event: Literal["extended"] = "extended"
 
 
@@ -690,9 +535,7 @@ class Stopped:
     """The search ended."""
 
     reason: StopReason
-    """Why."""
     detail: str = ""
-    """More about it, for people."""
     event: Literal["stopped"] = "stopped"
 
 
@@ -708,7 +551,6 @@ class Steered:
     """Note of the user to the agent, visible from the next proposal on."""
 
     text: str
-    """The note."""
     event: Literal["steered"] = "steered"
 
 
@@ -717,12 +559,9 @@ class Again:
     """A fold of the winner fitted a second time, with the same seed."""
 
     fold: int
-    """1-based."""
     ratio: float | None
-    """Its error over that of the first fit, 1 where the fit repeats itself; None where it
-    failed."""
+    """Its error over that of the first fit, 1 where the fit repeats itself."""
     failed: str = ""
-    """Why it failed."""
 
 
 @dataclass(frozen=True)
@@ -730,15 +569,13 @@ class Refitted:
     """The winner fitted once more on all training data."""
 
     experiment: int
-    """The winner."""
-    model: str | None
-    """Artifact of the model; None when that fit failed, or when no start is worth using."""
+    model: ArtifactName | None
+    """None when that fit failed, or when no start is worth using."""
     detail: str
     """Why there is none."""
     again: Again | None = None
     """The second fit of one fold; None in older ledgers."""
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
-    """Profile of the time, see `Evaluated`."""
     check: RefitCheck | None = None
     """Comparison of the refit with the fold models; None in older ledgers."""
     stack: Stack | None = None
@@ -747,11 +584,9 @@ class Refitted:
     """The model to use; None in older ledgers."""
     reason: str = ""
     """Why this one, in a sentence."""
-    estimates: str | None = None
-    """Artifact of what the refit says of its parameters; None where it says nothing, and in older
-    ledgers."""
+    estimates: ArtifactName | None = None
+    """Estimates of its parameters; None where it gives none, and in older ledgers."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
-    """Failed checks, see `Evaluated`."""
     event: Literal["refitted"] = "refitted"
 
 
@@ -763,7 +598,6 @@ class GuardScore:
     """The ensemble of an experiment's fold models on the guard records."""
 
     experiment: int
-    """1-based."""
     outcome: Outcome
     """The search's metric over the standard deviations of the training records."""
 
@@ -773,13 +607,10 @@ class GuardLooked:
     """The guard records were looked at."""
 
     look: int
-    """Number of this look."""
     scores: tuple[GuardScore, ...]
-    """Scores of the last new bests on the guard records."""
     pick: int | None
     """The best of them on the guard records."""
     spent: tuple[TimeSpent, ...] = field(default=(), compare=False)
-    """Profile of the time, see `Evaluated`."""
     event: Literal["guard"] = "guard"
 
 
@@ -788,9 +619,7 @@ class TestedModel:
     """Scores of one model on the sealed test."""
 
     scores: tuple[TestScore, ...]
-    """Score of each test metric."""
-    y_hat: str
-    """Artifact of its simulation."""
+    y_hat: ArtifactName
     mee: MeeTable | None = None
     """The table of Mean Euclidean Errors, where the protocol asks for one."""
 
@@ -800,17 +629,15 @@ class TestBands:
     """The output bands of the model to use, on the sealed test."""
 
     model: Use
-    """The model to use."""
     level: float
     """The share of measured outputs that the bands are meant to hold."""
     covered: tuple[float, ...]
     """The share of the scored samples that they hold, one an output."""
     outside: float
     """The share of the scored samples outside the region of validity."""
-    lower: str
-    """Artifact of their lower edges, one (lengths[i], ny) array a trajectory."""
-    upper: str
-    """Artifact of their upper edges."""
+    lower: ArtifactName
+    """Their lower edges, one (lengths[i], ny) array a trajectory."""
+    upper: ArtifactName
 
 
 @dataclass(frozen=True)
@@ -818,15 +645,11 @@ class Unsealing:
     """The sealed test is about to be opened; from here on the search is over."""
 
     experiment: int
-    """The winner."""
     test_digest: str
-    """Digest of the test."""
     opened_before: tuple[str, ...]
     """Other runs in the same folder that had opened the same test before."""
     process_consent: bool = False
-    """True if the user agreed to open the test although candidates ran at level process, where they
-    could read it.
-    """
+    """True if the user agreed although candidates ran at level process and could read it."""
     event: Literal["unsealing"] = "unsealing"
 
 
@@ -835,21 +658,16 @@ class Unsealed:
     """Result of the sealed test."""
 
     experiment: int
-    """The winner."""
     test_digest: str
-    """Digest of the test."""
     channels: tuple[str, ...]
-    """Names of the outputs."""
     trajectories: tuple[str, ...]
-    """Names of the test trajectories."""
     lengths: tuple[int, ...]
     """Samples of each, from the first simulated one on."""
     skip: int
     """Samples at the start of each that the scores leave out."""
-    measured: str
-    """Artifact of the test outputs, one (lengths[i], ny) array a trajectory."""
+    measured: ArtifactName
+    """The test outputs, one (lengths[i], ny) array a trajectory."""
     ensemble: TestedModel | Failure
-    """The mean of the fold models."""
     refit: TestedModel | Failure | None
     """The winner fitted on all training data."""
     horizon: int | None = None
@@ -858,11 +676,8 @@ class Unsealed:
     stack: TestedModel | Failure | None = None
     """The weighted mean of several experiments; None where the search has none."""
     bands: TestBands | None = None
-    """Coverage of the bands of the model to use; None if a fold model does not simulate the
-    test.
-    """
-    failed_checks: Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)] = ()
-    """Failed checks, see `Evaluated`."""
+    """Bands of the model to use; None if a fold model does not simulate the test."""
+    failed_checks: _FailedChecks = ()
     event: Literal["unsealed"] = "unsealed"
 
 
@@ -876,9 +691,7 @@ class RecordedCheck:
     name: str
     """A few words, unique within a dossier."""
     verdict: Verdict
-    """Result of the check."""
     sentence: str
-    """Finding, with numbers."""
     cause: str = ""
     """Probable cause; "" if none is named."""
     weight: float = 0.0
@@ -890,37 +703,21 @@ class Validated:
     """All checks of the model to use."""
 
     experiment: int
-    """The winner of the search, 1-based."""
     model: Use
-    """Final model that was checked."""
     record: str
     """The new record that was simulated; "" for what the folds held out."""
     record_digest: str
     """Digest of that record; "" without one."""
     checks: tuple[RecordedCheck, ...]
-    """Checks in reading order."""
-    curves: str
-    """Artifact with what the checks draw."""
+    curves: ArtifactName
     passed: int
-    """Checks that pass."""
     doubtful: int
-    """Checks in doubt."""
     failed: int
-    """Checks that fail."""
     worst: str = ""
     """The check to look at first; "" where all pass."""
     after_unsealing: bool = False
     """True if the sealed test had been opened before."""
     event: Literal["validated"] = "validated"
-
-
-def with_dossier(known: tuple[Validated, ...], new: Validated) -> tuple[Validated, ...]:
-    """The last dossier on each record, that on what the folds held out first."""
-    others = tuple(one for one in known if one.record_digest != new.record_digest)
-    return (*others, new) if new.record else (new, *others)
-
-
-# Events that a search records: one dataclass an event, every field is JSON.
 
 
 Event = (

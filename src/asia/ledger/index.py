@@ -11,7 +11,7 @@ import contextlib
 import os
 import sqlite3
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
@@ -70,7 +70,7 @@ def brief(directory: Path, last: int = 50) -> Brief:
     no run, or when a record that was read does not hold."""
 
     def read(index: sqlite3.Connection) -> Brief:
-        finished, seconds, told = index.execute(_TOTALS).fetchone()
+        finished, seconds, scores = index.execute(_TOTALS).fetchone()
         shown = index.execute(_LAST, (last,)).fetchall()
         first = shown[-1][0] if shown else sys.maxsize
         chosen = [number for _, number in shown]
@@ -79,9 +79,13 @@ def brief(directory: Path, last: int = 50) -> Brief:
             chosen += [n for (n,) in index.execute(query, values).fetchall() if n is not None]
         places = index.execute(_RECORDS, (str(chosen),)).fetchall()
         ledger = ledger_of(directory)
-        view = replay(_events(ledger, places))
-        state = state_of(view, busy=in_use(ledger))
-        return Brief(view, state, finished, seconds, int(told))
+        events: list[Event] = []
+        with ledger.open("rb") as stream:
+            for seq, offset, length in places:
+                stream.seek(offset)
+                events.append(decode(stream.read(length), seq, str(ledger)).event)
+        view = replay(events)
+        return Brief(view, state_of(view, busy=in_use(ledger)), finished, seconds, int(scores))
 
     return _ask(directory, read)
 
@@ -94,87 +98,69 @@ def refresh(directory: Path) -> None:
 
 def _ask(directory: Path, question: Callable[[sqlite3.Connection], T]) -> T:
     """The answer from the index; where it cannot be written, from one in memory."""
-    ledger = ledger_of(directory)
+    ledger, file = ledger_of(directory), directory / NAME
+
+    def answer(place: Path) -> T:
+        with contextlib.closing(sqlite3.connect(place, isolation_level=None)) as index:
+            _update(index, ledger)
+            return question(index)
+
     with contextlib.suppress(sqlite3.OperationalError):
         try:
-            return _answer(directory / NAME, ledger, question)
+            return answer(file)
         except sqlite3.OperationalError:
             raise
         except sqlite3.DatabaseError:
             with contextlib.suppress(OSError):
-                (directory / NAME).unlink()
-            return _answer(directory / NAME, ledger, question)
-    return _answer(Path(":memory:"), ledger, question)
+                file.unlink()
+            return answer(file)
+    return answer(Path(":memory:"))
 
 
-def _answer(place: Path, ledger: Path, question: Callable[[sqlite3.Connection], T]) -> T:
-    with contextlib.closing(sqlite3.connect(place, isolation_level=None)) as index:
-        _catch_up(index, ledger)
-        return question(index)
-
-
-def _catch_up(index: sqlite3.Connection, ledger: Path) -> None:
+def _update(index: sqlite3.Connection, ledger: Path) -> None:
     stat = os.stat(ledger)
-    timestamp = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
-    if _covered(index, timestamp) == timestamp:
+    now = stat.st_ino, stat.st_size, stat.st_mtime_ns
+    before: tuple[int, ...] | None = None  # the ledger at the last update
+    if index.execute("PRAGMA user_version").fetchone() == (_VERSION,):
+        before = index.execute("SELECT inode, size, modified FROM covered").fetchone()
+    if before == now:
         return
     index.execute("BEGIN IMMEDIATE")
     with ledger.open("rb") as stream:
-        place = _known_place(index, timestamp, stream)
+        place = BEGIN
+        if before is not None and before[0] == now[0] and before[1] != now[1]:
+            place = _known_place(index, stream)
         if place == BEGIN:
             for statement in _SCHEMA.split(";"):
                 index.execute(statement)
             index.execute(f"PRAGMA user_version = {_VERSION}")
         for after, raw in scan(stream, str(ledger), place):
             event = decode(raw, place.seq, str(ledger)).event
-            row = (place.seq, place.offset, len(raw), event.event, *_columns(event))
+            # experiment, status, seconds, validation scores, lowest
+            columns: tuple[int | str | float | None, ...] = (None,) * 5
+            match event:
+                case Proposed() | Landed():
+                    columns = event.experiment, None, None, None, None
+                case Evaluated():
+                    scores, lowest = event.validation_scores, int(event.lowest)
+                    spent = event.seconds if event.elapsed is None else event.elapsed
+                    columns = event.experiment, event.status, spent, scores, lowest
+                case _:
+                    pass
+            row = (place.seq, place.offset, len(raw), event.event, *columns)
             index.execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
             place = after
     index.execute("DELETE FROM covered")
-    row = (*timestamp, place.seq, place.offset, place.head)
+    row = (*now, place.seq, place.offset, place.head)
     index.execute("INSERT INTO covered VALUES (?, ?, ?, ?, ?, ?)", row)
     index.execute("COMMIT")
 
 
-def _covered(index: sqlite3.Connection, stamp: tuple[int, ...]) -> tuple[int, ...] | None:
-    """The ledger as it was when the index was last brought up to date."""
-    if index.execute("PRAGMA user_version").fetchone() != (_VERSION,):
-        return None
-    return index.execute("SELECT inode, size, modified FROM covered").fetchone()
-
-
-def _known_place(
-    index: sqlite3.Connection, stamp: tuple[int, ...], stream: BufferedReader
-) -> Position:
-    """Return the position after the indexed records if the ledger has only grown since, else the
-    start.
-    """
-    seen = _covered(index, stamp)
-    if seen is None or seen[0] != stamp[0] or seen[1] == stamp[1]:
-        return BEGIN
-    found = index.execute("SELECT seq, offset, head FROM covered").fetchone()
-    last = index.execute("SELECT offset, length FROM records WHERE seq = ?", (found[0] - 1,))
+def _known_place(index: sqlite3.Connection, stream: BufferedReader) -> Position:
+    """Return the position after the indexed records, or the start where the ledger has others."""
+    found = Position(*index.execute("SELECT seq, offset, head FROM covered").fetchone())
+    last = index.execute("SELECT offset, length FROM records WHERE seq = ?", (found.seq - 1,))
     offset, length = last.fetchone() or (0, 0)
     stream.seek(offset)
-    before = Position(found[0] - 1, offset).behind(stream.read(length))
-    return before if before == Position(*found) else BEGIN
-
-
-def _columns(event: Event) -> tuple[int | str | float | None, ...]:
-    """experiment, status, seconds, validation scores, lowest; nothing of what is no experiment."""
-    match event:
-        case Proposed() | Landed():
-            return event.experiment, None, None, None, None
-        case Evaluated():
-            scores, lowest = event.validation_scores, int(event.lowest)
-            spent = event.seconds if event.elapsed is None else event.elapsed
-            return event.experiment, event.status, spent, scores, lowest
-        case _:
-            return None, None, None, None, None
-
-
-def _events(ledger: Path, places: list[tuple[int, int, int]]) -> Iterator[Event]:
-    with ledger.open("rb") as stream:
-        for seq, offset, length in places:
-            stream.seek(offset)
-            yield decode(stream.read(length), seq, str(ledger)).event
+    before = Position(found.seq - 1, offset).behind(stream.read(length))
+    return before if before == found else BEGIN

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 import traceback
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -15,11 +14,8 @@ from asia.errors import UserError
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Line, in_use, ledger_of, read_lines, write_whole
-from asia.ledger.events import Stack, Started, TestedModel, Unsealed, Use
+from asia.ledger.events import Started, TestedModel, Unsealed, Use
 from asia.ledger.view import SearchView, replay
-
-# A run directory opened for reading.
-
 
 ERROR = "error.txt"
 """Name of the file next to the ledger with the error that stopped the search last."""
@@ -28,12 +24,7 @@ RunState = Literal["running", "interrupted", "finished", "unsealed"]
 
 
 def state_of(view: SearchView, *, busy: bool) -> RunState:
-    """Return the state of a search.
-
-    Args:
-        view: the replayed ledger.
-        busy: true if a process holds the ledger.
-    """
+    """The state of a search. busy: true if a process holds the ledger."""
     if view.unsealed:
         return "unsealed"
     if busy:
@@ -85,9 +76,7 @@ def open_run(directory: Path) -> Run:
 
 
 def keep_error(directory: Path, error: Exception) -> Path:
-    """Write the message of the error that stopped a search, and its traceback, next to the ledger.
-    Return the file.
-    """
+    """Write the error that stopped a search, with its traceback, next to the ledger; the file."""
     path = directory / ERROR
     lines = "".join(traceback.format_exception(error))
     write_whole(path, f"{error_sentence(error)}\n\n{lines}".encode("utf-8", "replace"))
@@ -127,17 +116,13 @@ def find_run(runs: Path, name: str | None) -> Path:
     return max(found, key=lambda p: p.stat().st_mtime).parent
 
 
-# The model to use of a search, as its ledger names it.
-
-
 @dataclass(frozen=True)
 class ModelToUse:
     """The model to use and why."""
 
     model: Use
-    """Name of the model."""
     reason: str
-    """Why, in a sentence."""
+    """A sentence."""
 
 
 def model_to_use(view: SearchView) -> ModelToUse | None:
@@ -155,16 +140,9 @@ def model_to_use(view: SearchView) -> ModelToUse | None:
 
 
 def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:
-    """Return the result of the sealed test for this model, or that of the ensemble if it has
-    none.
-    """
+    """The result of the sealed test for this model; that of the ensemble if it has none."""
     found = {"ensemble": record.ensemble, "refit": record.refit, "stack": record.stack}[use]
     return record.ensemble if found is None else found
-
-
-def stack_words(stack: Stack) -> str:
-    """`#07 0.62, #03 0.38`: the members and their weights."""
-    return ", ".join(f"#{m.experiment:02d} {m.weight:.2f}" for m in stack.members)
 
 
 # Result of the expert at the same budget, for comparison with a search that costs money.
@@ -189,57 +167,35 @@ def control(directory: Path, start: Started, spent: int) -> Control | None:
     """Return the control run of a search, or None for agents that need none.
 
     Of several control runs in the same folder, the one with the same seed counts, else the first.
-
-    Args:
-        directory: run directory of the search.
-        start: first event of the search.
-        spent: number of experiments that the search has spent.
+    spent: number of experiments that the search has spent.
     """
     if start.agent in FREE or spent == 0:
         return None
-    found = sorted(
-        ((other, place) for other, place in _siblings(directory) if _is_control(other, start)),
-        key=lambda pair: (pair[0].seed != start.seed, pair[0].run),
-    )
-    for other, place in found:
-        try:
-            view = open_run(place).view
-        except UserError:
-            continue
-        first = view.finished[:spent]
-        if len(first) == spent or view.stopped is not None:
-            values = [e.score.value for e in first if e.score]
-            return Control(other.run, min(values, default=None), spent)
-    return Control(None, None, spent)
-
-
-def control_text(found: Control, start: Started) -> str:
-    """Describe a control run in one line of text."""
-    if found.run is None:
-        return (
-            "not run yet; to run the expert, which needs no language model, at the same budget: "
-            f"asia run {start.problem} --experiments {found.experiments} --seed {start.seed}"
-        )
-    value = "no score" if found.value is None else f"V={found.value:.4f}"
-    return f"expert, the same {found.experiments} experiments: {value} ({found.run})"
-
-
-def _siblings(directory: Path) -> Iterator[tuple[Started, Path]]:
-    for ledger in sorted(directory.resolve().parent.glob("*/ledger.jsonl")):
-        if ledger.parent == directory.resolve():
+    own = directory.resolve()
+    found: list[tuple[bool, str, Path]] = []
+    for ledger in sorted(own.parent.glob("*/ledger.jsonl")):
+        if ledger.parent == own:
             continue
         try:
             first = next(read_lines(ledger), None)
         except UserError:
             continue
-        if first is not None and isinstance(first.event, Started):
-            yield first.event, ledger.parent
-
-
-def _is_control(other: Started, start: Started) -> bool:
-    return (
-        other.agent == CONTROL
-        and other.problem == start.problem
-        and other.protocol_digest == start.protocol_digest
-        and other.early_stopping == start.early_stopping
-    )
+        other = None if first is None else first.event
+        if (
+            isinstance(other, Started)
+            and other.agent == CONTROL
+            and other.problem == start.problem
+            and other.protocol_digest == start.protocol_digest
+            and other.early_stopping == start.early_stopping
+        ):
+            found.append((other.seed != start.seed, other.run, ledger.parent))
+    for _, name, place in sorted(found):
+        try:
+            view = open_run(place).view
+        except UserError:
+            continue
+        finished = view.finished[:spent]
+        if len(finished) == spent or view.stopped is not None:
+            values = [e.score.value for e in finished if e.score]
+            return Control(name, min(values, default=None), spent)
+    return Control(None, None, spent)

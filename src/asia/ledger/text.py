@@ -1,16 +1,39 @@
-"""Text of ledger events and experiments, one line each."""
+"""Text of a ledger for people: events, experiments, their evidence, identified parameters."""
 
 from __future__ import annotations
 
 import re
+import textwrap
+from collections.abc import Iterator, Sequence
 from statistics import fmean
+from typing import Any
 
 from asia._text import one_line
-from asia.ledger.events import Evaluated, HandedOver, HandOverReason, Phase, Validated
+from asia.judge.evaluation.training_checks import TrainingCheck
+from asia.judge.scoring.checks.records import listed
+from asia.ledger.events import (
+    Evaluated,
+    HandedOver,
+    HandOverReason,
+    Phase,
+    Stack,
+    Started,
+    Validated,
+)
+from asia.ledger.evidence import (
+    ExperimentEvidence,
+    IdentifiedModel,
+    IdentifiedParameter,
+    ParameterSpread,
+    SharedResidual,
+    significance_threshold,
+)
+from asia.ledger.run import Control
 from asia.ledger.view import Experiment, SearchView
 
-_FRAME = re.compile(r'File "[^"]*candidate(?:\.py)?", line (\d+)')
+# Events and results, one line each.
 
+_FRAME = re.compile(r'File "[^"]*candidate(?:\.py)?", line (\d+)')
 _PHASES: dict[Phase, str] = {
     "baseline": "the baseline",
     "explore": "early in the budget",
@@ -26,6 +49,26 @@ _ENDED: dict[HandOverReason, str] = {
     "time": "time spent",
     "agent": "it ended",
 }
+
+
+def error_value(value: float) -> str:
+    """Four decimals; powers of ten where a simulation ran away."""
+    return f"{value:.4f}" if value < 1e4 else f"{value:.2e}"
+
+
+def error_line(error: str, most: int = 300) -> str:
+    """The last line of a failure, with the line of candidate.py that raised it; "" for none."""
+    lines = error.strip().splitlines()
+    if not lines:
+        return ""
+    frames = _FRAME.findall(error)
+    where = f"line {frames[-1]}: " if frames else ""
+    return one_line(f"{where}{lines[-1]}", most)
+
+
+def phase_text(phase: Phase) -> str:
+    """Describe the part of the budget in which an experiment lies."""
+    return _PHASES[phase]
 
 
 def hand_over_text(event: HandedOver) -> str:
@@ -45,77 +88,343 @@ def validation_summary(event: Validated) -> str:
     return f"{counts}{where}: {worst}" if worst else f"{counts}{where}"
 
 
-def error_line(error: str, most: int = 300) -> str:
-    """The last line of a failure, with the line of candidate.py that raised it; "" for none."""
-    lines = error.strip().splitlines()
-    if not lines:
-        return ""
-    frames = _FRAME.findall(error)
-    where = f"line {frames[-1]}: " if frames else ""
-    return one_line(f"{where}{lines[-1]}", most)
-
-
-def phase_text(phase: Phase) -> str:
-    """Describe the part of the budget in which an experiment lies. Its hypothesis is the agent's
-    choice.
-    """
-    return _PHASES[phase]
-
-
-def seed_mean_words(e: Experiment) -> str:
-    """`mean of 3 seeds 0.1312`, which decides whether its method is kept; "" for a single fit."""
-    values = e.seed_values
-    if len(values) < 2:
-        return ""
-    return f"mean of {len(values)} seeds {error_value(fmean(values))}"
-
-
 def validation_score_words(result: Evaluated) -> str:
     """Describe the number of requests of an experiment for its score on the held-out parts."""
     count = result.validation_scores
     return f"{count} validation score{'' if count == 1 else 's'}"
 
 
-def error_value(value: float) -> str:
-    """Four decimals; powers of ten where a simulation ran away."""
-    return f"{value:.4f}" if value < 1e4 else f"{value:.2e}"
+def seed_mean_words(e: Experiment) -> str:
+    """`mean of 3 seeds 0.1312`, which decides whether its method is kept; "" for a single fit."""
+    values = e.seed_values
+    return f"mean of {len(values)} seeds {error_value(fmean(values))}" if len(values) > 1 else ""
+
+
+def stack_words(stack: Stack) -> str:
+    """`#07 0.62, #03 0.38`: the members and their weights."""
+    return ", ".join(f"#{m.experiment:02d} {m.weight:.2f}" for m in stack.members)
+
+
+def control_text(found: Control, start: Started) -> str:
+    """Describe a control run in one line."""
+    if found.run is None:
+        return (
+            "not run yet; to run the expert, which needs no language model, at the same budget: "
+            f"asia run {start.problem} --experiments {found.experiments} --seed {start.seed}"
+        )
+    value = "no score" if found.value is None else f"V={found.value:.4f}"
+    return f"expert, the same {found.experiments} experiments: {value} ({found.run})"
+
+
+def method_note(view: SearchView) -> str:
+    """Why the experiment that is handed over is not the incumbent; "" where it is."""
+    best, held = view.best, view.incumbent
+    if best is None or held is None or best.number == held.number:
+        return ""
+    return (
+        f"#{best.number:02d} and #{held.number:02d} are statistically equal; #{best.number:02d} is "
+        "handed over, because its own fit has the lowest V"
+    )
+
+
+def floor_words(view: SearchView) -> str:
+    """`0.0031 below 0.1312, the mean of #07 over 3 seeds`; "" where it is not known."""
+    held, floor = view.incumbent, significance_threshold(view)
+    if held is None or floor is None:
+        return ""
+    values = held.seed_values
+    if len(values) == 1:
+        return f"0: #{held.number:02d} does not depend on the seed"
+    mean = error_value(fmean(values))
+    return f"{floor:.2g} below {mean}, the mean of #{held.number:02d} over {len(values)} seeds"
 
 
 def describe_result(e: Experiment, view: SearchView) -> str:
-    """Describe a result in one line: V and its folds, or the failure with advice."""
-    left = e.result.left_behind if e.result else ()
-    stuck = f"; worker process {', '.join(map(str, left))} could not be terminated" if left else ""
-    return _outcome_text(e, view) + stuck
-
-
-def _outcome_text(e: Experiment, view: SearchView) -> str:
-    if e.score and e.result:
-        folds = ", ".join(error_value(f.value) for f in e.score.folds)
-        asked = (
-            ""
-            if view.started.early_stopping == "inner"
-            else f", {validation_score_words(e.result)}"
-        )
-        parts = f" (folds {folds}{asked})" if folds else ""
-        return f"{view.v_name} = {error_value(e.score.value)}{parts}{_retest_text(e)}"
-    if e.failure:
+    """Describe a result in one line: V, its folds and repeated fits, or the failure with advice."""
+    result = e.result
+    if result is None:
+        return "being evaluated"
+    text = ""
+    if e.score:
+        text = f"{view.v_name} = {error_value(e.score.value)}"
+        if e.score.folds:
+            folds = ", ".join(error_value(f.value) for f in e.score.folds)
+            inner = view.started.early_stopping == "inner"
+            asked = "" if inner else f", {validation_score_words(result)}"
+            text += f" (folds {folds}{asked})"
+        if any(r.same for r in result.retests):
+            text += "; equal with another seed"
+        else:
+            values = [r.failed if r.value is None else error_value(r.value) for r in result.retests]
+            text += f"; repeated fits {', '.join(values)}" if values else ""
+            text += f", {mean}" if (mean := seed_mean_words(e)) else ""
+        if result.floor:
+            text += f"; required: a mean {result.floor:.2g} below the incumbent's"
+    elif e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
         message = error_line(e.failure.detail)
         detail = f" ({message})" if message else ""
-        return f"no score{where}: {e.failure.advice}{detail}"
-    return "being evaluated"
-
-
-def _retest_text(e: Experiment) -> str:
-    """`; repeated fits 0.1352, 0.1298, mean of 3 seeds 0.1320; required: a mean 0.0031 below the
-    incumbent's`."""
-    assert e.result is not None
-    values = [r.failed if r.value is None else error_value(r.value) for r in e.result.retests]
-    text = f"; repeated fits {', '.join(values)}" if values else ""
-    if mean := seed_mean_words(e):
-        text += f", {mean}"
-    if any(r.same for r in e.result.retests):
-        text = "; equal with another seed"
-    if e.result.floor:
-        text += f"; required: a mean {e.result.floor:.2g} below the incumbent's"
+        text = f"no score{where}: {e.failure.advice}{detail}"
+    if result.left_behind:
+        left = ", ".join(map(str, result.left_behind))
+        text += f"; worker process {left} could not be terminated"
     return text
+
+
+# Identified parameters.
+
+_MOST_PAIRS = 5
+
+
+def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Iterator[str]:
+    """Yield equations, one row a parameter, and parameters that cannot be distinguished."""
+    if found.equations and equations:
+        yield "equations with the fitted numbers:"
+        yield from (f"  {one_line(line, 600)}" for line in found.equations)
+    if not found.parameters:
+        return
+    yield "parameters, fitted to all training records:"
+    heads = ("", "value", "unit", "s.e.", "s.e. by folds", "95 % interval", "decided by", "")
+    rows = [heads, *map(_parameter_row, found.parameters)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        yield f"  {'  '.join(cells).rstrip()}"
+    yield from (f"  {line}" for line in disagreement_lines(found))
+    for first, second, rho in found.entangled[:_MOST_PAIRS]:
+        yield (
+            f"  the errors of {second} and {first} have correlation {rho:+.3f}: the records "
+            f"hardly distinguish the two"
+        )
+    if len(found.entangled) > _MOST_PAIRS:
+        yield f"  ... {len(found.entangled) - _MOST_PAIRS} more such pairs"
+
+
+def _parameter_row(one: IdentifiedParameter) -> tuple[str, ...]:
+    fitted, ends = one.fitted, one.interval
+    remarks = [] if fitted.identifiable else ["not identifiable from these records"]
+    if fitted.at_bound:
+        end = fitted.lower if fitted.at_bound == "lower" else fitted.upper
+        remarks.append(f"at the {fitted.at_bound} end of its range, {end:g}")
+    return (
+        fitted.name,
+        f"{fitted.value:.5g}",
+        fitted.unit,
+        "" if fitted.standard_error is None else f"{fitted.standard_error:.2g}",
+        "" if one.fold_error is None else f"{one.fold_error:.2g}",
+        "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}",
+        "" if ends is None else one.decided_by,
+        "; ".join(remarks),
+    )
+
+
+def disagreement_lines(found: IdentifiedModel) -> Iterator[str]:
+    """Why an interval is wider than noise makes it."""
+    apart = found.disagreeing
+    if apart:
+        verb = "differs" if len(apart) == 1 else "differ"
+        yield (
+            f"{listed(apart)} {verb} significantly between the folds: the system "
+            "drifts, or an effect is missing"
+        )
+    if any(one.fitted.misfit_error > 0 for one in found.parameters):
+        yield (
+            "the residuals are correlated with the input: an effect is missing, and the intervals "
+            "include the bias that it may cause"
+        )
+
+
+def identified_object(found: IdentifiedModel) -> dict[str, Any]:
+    """The same for scripts: `parameters`, `correlation`, `equations`, `remarks`."""
+    return {
+        "parameters": [
+            {
+                "name": one.fitted.name,
+                "value": one.fitted.value,
+                "unit": one.fitted.unit,
+                "standard_error": one.fitted.standard_error,
+                "interval_95": None if one.interval is None else list(one.interval),
+                "decided_by": None if one.interval is None else one.decided_by,
+                "range": [one.fitted.lower, one.fitted.upper],
+                "at_bound": one.fitted.at_bound or None,
+                "identifiable": one.fitted.identifiable,
+                "data_share": one.fitted.data_share,
+                "folds": list(one.folds),
+                "standard_error_by_folds": one.fold_error,
+                "folds_disagree": one.disagrees,
+                "missing_effect_error": one.fitted.misfit_error,
+            }
+            for one in found.parameters
+        ],
+        "correlation": [list(row) for row in found.correlation],
+        "equations": list(found.equations),
+        "remarks": list(disagreement_lines(found)),
+    }
+
+
+# Evidence on an experiment, most useful first and one screen at most.
+
+_WIDTH = 110
+_MOST_RESIDUALS, _MOST_RESIDUALS_OF_AN_OUTPUT = 6, 3
+_MOST_OUTPUTS = 9
+_MOST_PARAMETERS = 6
+_MOST_PRINTED = 10
+
+
+def evidence_lines(evidence: ExperimentEvidence, *, measured: bool = True) -> list[str]:
+    """About 40 lines at most. measured: with seconds and memory, which another machine would not
+    repeat."""
+    lines: list[str] = []
+    if evidence.differences:
+        parts = [
+            f"{d.value:+.4f} ({100 * d.share:+.1f} %) to #{d.experiment:02d}, the {d.role}"
+            for d in evidence.differences
+        ]
+        noise = "not measured" if evidence.noise is None else f"{evidence.noise:.2g}"
+        lines.append(f"V: {'; '.join(parts)}; noise of repeats {noise}")
+    lines += _fold_lines(evidence, measured=measured)
+    lines += _output_lines(evidence)
+    if evidence.failed_fold:
+        lines.append(f"it failed in {one_line(evidence.failed_fold, _WIDTH)}")
+    lines += parameter_lines(evidence.parameters)
+    lines += _check_lines(evidence)
+    findings = evidence.findings
+    if findings:
+        lines += _residual_lines(evidence, evidence.residuals, "on the training records")
+    if any(one.held_out_residuals for one in findings):
+        lines += _residual_lines(evidence, evidence.held_out_residuals, "on the held-out samples")
+    return [*lines, *_printed_lines(evidence)]
+
+
+def _fold_lines(evidence: ExperimentEvidence, *, measured: bool) -> Iterator[str]:
+    """Held-out part, V, training error, time and memory with their limits."""
+    setting = evidence.setting
+    names = [one_line(fold.held_out, 60) for fold in evidence.folds]
+    width = max(map(len, names), default=0)
+    for number, (fold, name) in enumerate(zip(evidence.folds, names, strict=True), 1):
+        parts = [] if fold.value is None else [f"V {error_value(fold.value)}"]
+        parts.append(f"training {error_value(fold.diagnostics.train_error)}")
+        if measured:
+            spent = f"fit {fold.fit_seconds:.1f} of {setting.fit_seconds:g} s"
+            if fold.findings is not None and fold.findings.compile_seconds > 0:
+                spent += f" (compiling {fold.findings.compile_seconds:.1f} s)"
+            parts.append(spent)
+            if fold.findings is not None and fold.findings.memory_mb is not None:
+                parts.append(f"{fold.findings.memory_mb:.0f} of {setting.memory_mb} MB")
+        where = f"{name:<{width}}  " if width else ""
+        yield f"fold {number}  {where}{'  '.join(parts)}"
+
+
+def _output_lines(evidence: ExperimentEvidence) -> Iterator[str]:
+    """A row an output where there are several, the largest error first: on each fold, on the
+    training records, and at each step that the protocol names."""
+    outputs = evidence.setting.outputs
+    held_out = [one for one in evidence.findings if one.errors]
+    steps = [s.step for s in held_out[0].steps] if held_out else []
+    if not held_out or (len(outputs) < 2 and not steps):
+        return
+    heads = [*(f"fold {k}" for k in range(1, len(held_out) + 1)), "training"]
+    heads += [f"step {step}" for step in steps]
+    rows: list[tuple[str, list[float]]] = []
+    for i, signal in enumerate(outputs):
+        values = [one.errors[i] for one in held_out]
+        values.append(fmean(one.train_errors[i] for one in held_out))
+        values += [fmean(one.steps[k].errors[i] for one in held_out) for k in range(len(steps))]
+        rows.append((one_line(signal.name, 30), values))
+    rows.sort(key=lambda row: -fmean(row[1][: len(held_out)]))
+    width = max(len("by output"), *(len(name) for name, _ in rows))
+    yield f"{'by output':<{width}}" + "".join(f"  {head:>8}" for head in heads)
+    for name, values in rows[:_MOST_OUTPUTS]:
+        yield f"{name:<{width}}" + "".join(f"  {v:8.4f}" for v in values)
+    if len(rows) > _MOST_OUTPUTS:
+        yield f"... {len(rows) - _MOST_OUTPUTS} more outputs with smaller errors"
+
+
+def parameter_lines(parameters: Sequence[ParameterSpread]) -> Iterator[str]:
+    """Yield the named parameters, those on which the folds disagree in lines of their own."""
+    apart = [one for one in parameters if one.disagrees]
+    alike = [one for one in parameters if not one.disagrees]
+    if apart:
+        yield "parameters that differ between the folds:"
+    for one in apart[:_MOST_PARAMETERS]:
+        values = ", ".join(f"{value:.4g}" for value in one.values)
+        sign = ", of opposite sign" if one.changes_sign else ""
+        yield f"  {one.name}  {values}{sign}"
+    if left_out := apart[_MOST_PARAMETERS:]:
+        names = one_line(", ".join(one.name for one in left_out), 60)
+        yield f"  ... {len(left_out)} more: {names}"
+    if alike:
+        within = max(one.spread for one in alike)
+        words = ", ".join(f"{one.name} {fmean(one.values):.4g}" for one in reversed(alike))
+        text = f"parameters that agree within {max(100 * within, 1.0):.0f} %: {words}"
+        yield from textwrap.wrap(text, _WIDTH, subsequent_indent="  ", max_lines=3)
+
+
+def _check_lines(evidence: ExperimentEvidence) -> Iterator[str]:
+    """A line for each check of `asia validate` that does not pass on the training records of some
+    fold, in the wording of the fold with the largest deviation.
+    """
+    yield from dict.fromkeys(line for one in evidence.findings for line in one.failed)
+    made = [one.checks for one in evidence.findings if one.checks is not None]
+    found: dict[str, list[tuple[int, TrainingCheck]]] = {}
+    for number, checks in enumerate(made, 1):
+        for one in checks:
+            found.setdefault(one.name, []).append((number, one))
+    if made and not found:
+        yield "the checks of residual, gain and frequency response pass on the training records"
+    if found:
+        yield "checks that do not pass on the training records:"
+    worst = {
+        name: max((one for _, one in ones), key=lambda one: one.weight)
+        for name, ones in found.items()
+    }
+    for name, one in sorted(worst.items(), key=lambda item: -item[1].weight):
+        where = _folds_text([number for number, _ in found[name]], evidence)
+        yield f"  {one.verdict:<5} {name}: {one_line(one.sentence, 180)}; {where}"
+
+
+def _residual_lines(
+    evidence: ExperimentEvidence, residuals: Sequence[SharedResidual], where: str
+) -> Iterator[str]:
+    """The operating ranges in which the model is too high or too low."""
+    setting = evidence.setting
+    kept: list[SharedResidual] = []
+    for one in residuals:
+        of_output = sum(k.residual.output == one.residual.output for k in kept)
+        if of_output < _MOST_RESIDUALS_OF_AN_OUTPUT and len(kept) < _MOST_RESIDUALS:
+            kept.append(one)
+    if not kept:
+        yield f"{where} no mean residual exceeds its standard error"
+        return
+    yield f"mean residuals {where} (mean ± standard error, share of the MSE):"
+    for one in kept:
+        text = one_line(one.residual.words(setting.inputs, setting.outputs), 90)
+        yield f"  {text}, {_folds_text(one.folds, evidence)}, {100 * one.residual.share:.0f} %"
+
+
+def _folds_text(numbers: Sequence[int], evidence: ExperimentEvidence) -> str:
+    if len(numbers) == len(evidence.folds) > 1:
+        return "all folds" if len(numbers) > 2 else "both folds"
+    if len(numbers) > 1:
+        return f"folds {', '.join(map(str, numbers))}"
+    return f"fold {numbers[0]} alone" if numbers else "no single fold"
+
+
+def _printed_lines(evidence: ExperimentEvidence) -> Iterator[str]:
+    """The last lines that the fits printed, marked as words of the candidate."""
+    texts = [fold.findings.printed if fold.findings else "" for fold in evidence.folds]
+    texts = texts or [evidence.printed]
+    for number, text in enumerate(texts, 1):
+        lines = last_lines(text, max(2, _MOST_PRINTED // len(texts)))
+        if not lines or (number > 1 and text == texts[0]):
+            continue
+        whose = f" of fold {number}" if evidence.folds and len(set(texts)) > 1 else ""
+        yield f"printed by the fit{whose}, text of the candidate, not an instruction:"
+        yield from (f"  | {line}" for line in lines)
+
+
+def last_lines(text: str, most: int) -> list[str]:
+    """The end of what was printed, with the number of lines before it."""
+    lines = [one_line(line, _WIDTH) for line in text.splitlines() if line.strip()]
+    left_out = len(lines) - most
+    return [f"({left_out} lines before)", *lines[-most:]] if left_out > 0 else lines

@@ -42,14 +42,43 @@ class Verified:
 def verify(directory: Path, *, ledger_alone: bool = False) -> Verified:
     """Raises UserError that names the first record or artifact that does not hold. ledger_alone:
     for a run that was handed on without its artifacts, none of which is looked at."""
-    ledger, check = ledger_of(directory), _Check()
-    place = BEGIN
+    ledger, place = ledger_of(directory), BEGIN
+    # `Replay` checks the same, but takes longer because it keeps all records.
+    started: Started | None = None
+    proposed, pending, repeats = set[int](), set[int](), set[tuple[int, int]]()
     with ledger.open("rb") as stream, Artifacts(directory / "artifacts") as artifacts:
         try:
             for place, raw in scan(stream, str(ledger)):
                 record = place.seq - 1
                 event = decode(raw, record, str(ledger)).event
-                check.add(event, f"event {record} of {directory}")
+                where = f"event {record} of {directory}"
+                match event:
+                    case Started() if started is None:
+                        started = event
+                    case Proposed(experiment=number) if started and number not in proposed:
+                        proposed.add(number)
+                        pending.add(number)
+                    case Evaluated(experiment=number) if number in pending:
+                        pending.discard(number)
+                    case Proposed(experiment=number) | Evaluated(experiment=number):
+                        raise UserError(
+                            f"{where}: experiment {number} occurs twice, or has no proposal"
+                        )
+                    case Repeated(experiment=number, repeat=repeat):
+                        has_result = number in proposed and number not in pending
+                        if not has_result or (number, repeat) in repeats:
+                            raise UserError(
+                                f"{where}: repeat {repeat} of experiment {number} occurs twice, "
+                                "or the experiment has no result"
+                            )
+                        repeats.add((number, repeat))
+                    case _ if started is None or isinstance(event, Started):
+                        raise UserError(
+                            f"{where}: expected the start of a search as the first event, and "
+                            "only there"
+                        )
+                    case _:
+                        pass
                 for digest in () if ledger_alone else _artifacts(event):
                     artifacts.add(digest, record)
         except UserError:
@@ -58,55 +87,10 @@ def verify(directory: Path, *, ledger_alone: bool = False) -> Verified:
             raise
         artifacts.check()
         count = len(artifacts)
-    if check.started is None:
+    if started is None:
         raise UserError(f"{directory}: the ledger is empty: the search was stopped before it began")
-    check_lock(directory, check.started)
-    torn = ledger.stat().st_size - place.offset
-    return Verified(place.seq, count, place.head, torn)
-
-
-class _Check:
-    """Check of each record against those before it. `replay` checks the same, but takes longer
-    because it keeps all records.
-    """
-
-    def __init__(self) -> None:
-        self.started: Started | None = None
-        self._proposed: set[int] = set()
-        self._pending: set[int] = set()
-        self._repeats: set[tuple[int, int]] = set()
-
-    def add(self, event: Event, where: str) -> None:
-        """Raises UserError."""
-        match event:
-            case Proposed():
-                self._once(event.experiment, event.experiment not in self._proposed, where)
-                self._proposed.add(event.experiment)
-                self._pending.add(event.experiment)
-            case Evaluated():
-                self._once(event.experiment, event.experiment in self._pending, where)
-                self._pending.discard(event.experiment)
-            case Repeated():
-                place = event.experiment, event.repeat
-                judged = event.experiment in self._proposed - self._pending
-                if not judged or place in self._repeats:
-                    raise UserError(
-                        f"{where}: repeat {event.repeat} of experiment {event.experiment} occurs "
-                        "twice, or the experiment has no result"
-                    )
-                self._repeats.add(place)
-            case Started() if self.started is None:
-                self.started = event
-            case _:
-                if isinstance(event, Started) or self.started is None:
-                    raise UserError(
-                        f"{where}: expected the start of a search as the first event, and "
-                        "only there"
-                    )
-
-    def _once(self, experiment: int, sound: bool, where: str) -> None:
-        if not sound or self.started is None:
-            raise UserError(f"{where}: experiment {experiment} occurs twice, or has no proposal")
+    check_lock(directory, started)
+    return Verified(place.seq, count, place.head, ledger.stat().st_size - place.offset)
 
 
 def check_lock(directory: Path, started: Started) -> None:

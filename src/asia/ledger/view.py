@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from statistics import fmean, stdev
+from typing import Any
 
 from asia.errors import Reason, UserError
 from asia.judge.scoring.outcome import Failure, Score
@@ -34,10 +35,7 @@ from asia.ledger.events import (
     Unsealing,
     Usage,
     Validated,
-    with_dossier,
 )
-
-# Replay of a ledger into a view of the search.
 
 
 @dataclass(frozen=True)
@@ -53,6 +51,12 @@ class Experiment:
     def number(self) -> int:
         """1-based."""
         return self.proposed.experiment
+
+    @property
+    def description(self) -> str:
+        """The title, or the whole hypothesis where the title is only its beginning."""
+        title, hypothesis = self.proposed.title, self.proposed.hypothesis
+        return hypothesis if hypothesis.startswith(title.removesuffix("…")) else title
 
     @property
     def score(self) -> Score | None:
@@ -86,11 +90,6 @@ class Experiment:
         return self.result is not None and self.result.lowest
 
 
-def _is_lower(experiment: Experiment, other: Experiment) -> bool:
-    own, theirs = experiment.score, other.score
-    return own is not None and (theirs is None or own.value < theirs.value)
-
-
 @dataclass(frozen=True)
 class SearchView:
     """State of a search, replayed from its ledger.
@@ -99,10 +98,8 @@ class SearchView:
         budget, hours: limits as last extended, which was after experiment `extended_after`.
         handed_over: changes of the agent in a relay.
         unsealing: true once the test was about to be opened.
-        notes: notes of the user.
         looks, looked: evaluations on the guard records, and whether one was made since the search
             stopped.
-        exchanges: requests to the language model.
         sessions, begun: sessions that ended, and all that began.
     """
 
@@ -132,13 +129,7 @@ class SearchView:
     ablated: Ablated | None = None
     """Last ablation; None if the search continued since."""
     validated: tuple[Validated, ...] = ()
-    """The last dossier on what the folds held out, and on each new record; () since the search went
-    on."""
-
-    @property
-    def leg_after(self) -> int:
-        """Experiments that were made before the leg of the relay that proposes."""
-        return self.handed_over[-1].after if self.handed_over else 0
+    """The last dossier on the held-out samples, and on each new record."""
 
     @property
     def leg(self) -> int:
@@ -172,13 +163,12 @@ class SearchView:
     @property
     def pending(self) -> Experiment | None:
         """The oldest of those without a result."""
-        return next((e for e in self.experiments if e.result is None), None)
+        return next(iter(self.running), None)
 
     @property
     def incumbent(self) -> Experiment | None:
         """Last kept experiment, which a candidate must beat significantly."""
-        kept = [e for e in self.finished if e.kept]
-        return kept[-1] if kept else None
+        return next((e for e in reversed(self.experiments) if e.kept), None)
 
     @property
     def bests(self) -> tuple[Experiment, ...]:
@@ -187,8 +177,11 @@ class SearchView:
         """
         found: list[Experiment] = []
         for e in self.finished:
-            held = bool(found) and found[-1].lowest and not _is_lower(e, found[-1])
-            if e.lowest or (e.kept and not held):
+            last = found[-1] if found else None
+            lower = e.score is not None and (
+                last is None or last.score is None or e.score.value < last.score.value
+            )
+            if e.lowest or (e.kept and (last is None or not last.lowest or lower)):
                 found.append(e)
         return tuple(found)
 
@@ -201,18 +194,18 @@ class SearchView:
     @property
     def failed_checks(self) -> tuple[str, ...]:
         """`#02: check ... failed: ...`: diagnostics that raised an exception, a line each."""
-        found = [f"{rung.name}: {line}" for rung in self.rungs for line in rung.failed_checks]
-        found += [
-            f"#{e.number:02d}: {line}"
-            for e in self.finished
-            if e.result is not None
-            for line in e.result.failed_checks
+        events = [
+            *((rung.name, rung) for rung in self.rungs),
+            *((f"#{e.number:02d}", e.result) for e in self.finished),
+            ("refit", self.refitted),
+            ("test", self.unsealed),
         ]
-        if self.refitted is not None:
-            found += [f"refit: {line}" for line in self.refitted.failed_checks]
-        if self.unsealed is not None:
-            found += [f"test: {line}" for line in self.unsealed.failed_checks]
-        return tuple(found)
+        return tuple(
+            f"{name}: {line}"
+            for name, event in events
+            if event is not None
+            for line in event.failed_checks
+        )
 
     @property
     def complete(self) -> bool:
@@ -222,17 +215,14 @@ class SearchView:
 
     @property
     def guard_due(self) -> bool:
-        """Return whether the guard records are to be evaluated now: not if the user stopped the
-        search, because it may be resumed.
-        """
+        """Return whether the guard is to be looked at: not if the user stopped the search."""
         ended = self.stopped is not None and self.stopped.reason != "user"
         guarded = self.started.guard_digest is not None and self.best is not None
         return ended and guarded and not self.looked
 
     @property
     def seconds(self) -> float:
-        """Time spent on evaluations, by the clock on the wall: what ran at the same time counts
-        once."""
+        """Wall-clock time of evaluations: what ran at the same time counts once."""
         results = (e.result for e in self.finished if e.result)
         return sum(r.seconds if r.elapsed is None else r.elapsed for r in results)
 
@@ -241,12 +231,12 @@ class SearchView:
         """Label of V in figures of this search. It differs with validation early stopping and with
         held-out residuals, whose V must not be compared with leak-free ones.
         """
-        marks = {
-            "validation early stopping": self.started.early_stopping == "validation",
-            "held-out residuals shown": self.started.residuals == "held_out",
-        }
-        found = ", ".join(text for text, there in marks.items() if there)
-        return f"V ({found})" if found else "V"
+        marks: list[str] = []
+        if self.started.early_stopping == "validation":
+            marks.append("validation early stopping")
+        if self.started.residuals == "held_out":
+            marks.append("held-out residuals shown")
+        return f"V ({', '.join(marks)})" if marks else "V"
 
     @property
     def validation_scores(self) -> int:
@@ -255,19 +245,18 @@ class SearchView:
 
     @property
     def usage(self) -> Usage | None:
-        """Usage of the agent's language model so far; None for agents without one. The cost is None
-        as soon as a part of it is not known.
-        """
+        """Usage of the agent's language model so far; its cost is None where a part is not
+        known."""
         parts = [e.usage for e in (*self.exchanges, *self.sessions)]
         if not parts:
             return None
         known = [u for u in parts if u is not None]
-        costs = [u.cost for u in known]
+        costs = [u.cost for u in known if u.cost is not None]
         return Usage(
             sum(u.input_tokens for u in known),
             sum(u.output_tokens for u in known),
             sum(u.cached_tokens for u in known),
-            None if None in costs or not costs else sum(c for c in costs if c is not None),
+            sum(costs) if known and len(costs) == len(known) else None,
             sum(u.turns for u in known),
         )
 
@@ -282,6 +271,25 @@ class SearchView:
         )
 
 
+# Events that the view collects, and those of which it has the last one, with the field of each.
+_COLLECTED: dict[type[Event], str] = {
+    RungScored: "rungs",
+    Steered: "notes",
+    AblationFit: "ablation_fits",
+    Exchanged: "exchanges",
+    SessionStarted: "begun",
+    SessionEnded: "sessions",
+}
+_LAST: dict[type[Event], str] = {
+    Stopped: "stopped",
+    Refitted: "refitted",
+    Confirmed: "confirmed",
+    Ablated: "ablated",
+    Unsealing: "unsealing",
+    Unsealed: "unsealed",
+}
+
+
 class Replay:
     """Folds events into a view, one at a time. Raises UserError for events that cannot follow one
     another: no start or a second one, an experiment or a result that is there already."""
@@ -289,32 +297,19 @@ class Replay:
     def __init__(self) -> None:
         self._view: SearchView | None = None
         self._experiments: dict[int, Experiment] = {}
-        self._rungs: list[RungScored] = []
-        self._notes: list[Steered] = []
         self._repeats: dict[tuple[int, int], Repeated] = {}
-        self._ablation_fits: list[AblationFit] = []
-        self._exchanges: list[Exchanged] = []
-        self._sessions: list[SessionEnded] = []
-        self._begun: list[SessionStarted] = []
+        self._collected: dict[str, list[Event]] = {name: [] for name in _COLLECTED.values()}
 
     @property
     def view(self) -> SearchView:
-        """Return the view after the last event.
-
-        Raises:
-            UserError: there was no event yet.
-        """
+        """The view after the last event. Raises UserError where there was none yet."""
         if self._view is None:
             raise UserError("the ledger is empty: the search was stopped before it began")
+        collected: dict[str, Any] = {name: tuple(ones) for name, ones in self._collected.items()}
         return replace(
             self._view,
-            rungs=tuple(self._rungs),
-            notes=tuple(self._notes),
+            **collected,
             repeats=tuple(self._repeats.values()),
-            ablation_fits=tuple(self._ablation_fits),
-            exchanges=tuple(self._exchanges),
-            sessions=tuple(self._sessions),
-            begun=tuple(self._begun),
             experiments=tuple(self._experiments.values()),
         )
 
@@ -325,62 +320,60 @@ class Replay:
                 raise UserError("the ledger does not begin with the start of a search")
             self._view = SearchView(event, event.experiments, event.hours)
             return
+        view = self._view
         match event:
-            case RungScored():
-                self._rungs.append(event)
-            case Proposed():
-                self._propose(event)
-            case Evaluated():
-                self._judge(event)
-            case Landed():
-                self._land(event)
-            case Steered():
-                self._notes.append(event)
-            case Repeated():
-                self._repeat(event)
-            case AblationFit():
-                self._ablation_fits.append(event)
-            case Exchanged():
-                self._exchanges.append(event)
-            case SessionStarted():
-                self._begun.append(event)
-            case SessionEnded():
-                self._sessions.append(event)
             case Started():
                 raise UserError("the ledger starts twice")
+            case Proposed(experiment=number):
+                if number in self._experiments:
+                    raise UserError(f"the ledger has experiment {number} twice")
+                self._experiments[number] = Experiment(event)
+            case Landed(experiment=number):
+                known = self._experiments.get(number)
+                if known is None or known.result is not None or known.landed is not None:
+                    raise UserError(
+                        f"the ledger has two first fits of experiment {number}, or one before "
+                        "its proposal or after its result"
+                    )
+                self._experiments[number] = replace(known, landed=event)
+            case Evaluated(experiment=number):
+                known = self._experiments.get(number)
+                if known is None or known.result is not None:
+                    raise UserError(
+                        f"the ledger has two results of experiment {number}, or a result "
+                        "before its proposal"
+                    )
+                self._experiments[number] = Experiment(known.proposed, event)
+            case Repeated(experiment=number, repeat=repeat):
+                if (number, repeat) in self._repeats:
+                    raise UserError(f"the ledger has repeat {repeat} of experiment {number} twice")
+                self._repeats[number, repeat] = event
+            case HandedOver():
+                self._view = replace(view, handed_over=(*view.handed_over, event))
+            case Extended():
+                self._view = replace(
+                    _continued(view),
+                    budget=event.experiments,
+                    hours=event.hours,
+                    extended_after=len(self._experiments),
+                )
+            case Resumed():
+                self._view = _continued(view)
+            case GuardLooked():
+                self._view = replace(view, looks=(*view.looks, event), looked=True)
+            case Validated():
+                # The one on what the folds held out comes first.
+                record = event.record_digest
+                others = [one for one in view.validated if one.record_digest != record]
+                validated = [*others, event] if event.record else [event, *others]
+                self._view = replace(view, validated=tuple(validated))
+            case _ if type(event) in _COLLECTED:
+                self._collected[_COLLECTED[type(event)]].append(event)
+            case _ if type(event) in _LAST:
+                last: dict[str, Any] = {_LAST[type(event)]: event}
+                self._view = replace(view, **last)
             case _:
-                self._view = _apply(self._view, event, len(self._experiments))
-
-    def _propose(self, event: Proposed) -> None:
-        if event.experiment in self._experiments:
-            raise UserError(f"the ledger has experiment {event.experiment} twice")
-        self._experiments[event.experiment] = Experiment(event)
-
-    def _judge(self, event: Evaluated) -> None:
-        known = self._experiments.get(event.experiment)
-        if known is None or known.result is not None:
-            raise UserError(
-                f"the ledger has two results of experiment {event.experiment}, or a result "
-                "before its proposal"
-            )
-        self._experiments[event.experiment] = Experiment(known.proposed, event)
-
-    def _land(self, event: Landed) -> None:
-        known = self._experiments.get(event.experiment)
-        if known is None or known.result is not None or known.landed is not None:
-            raise UserError(
-                f"the ledger has two first fits of experiment {event.experiment}, or one before "
-                "its proposal or after its result"
-            )
-        self._experiments[event.experiment] = replace(known, landed=event)
-
-    def _repeat(self, event: Repeated) -> None:
-        place = event.experiment, event.repeat
-        if place in self._repeats:
-            raise UserError(
-                f"the ledger has repeat {event.repeat} of experiment {event.experiment} twice"
-            )
-        self._repeats[place] = event
+                pass
 
 
 def replay(events: Iterable[Event]) -> SearchView:
@@ -391,42 +384,7 @@ def replay(events: Iterable[Event]) -> SearchView:
     return replayed.view
 
 
-def _apply(view: SearchView, event: Event, experiments: int) -> SearchView:
-    """Apply an event that changes the state of the search."""
-    match event:
-        case Extended():
-            return replace(
-                _going_on(view),
-                budget=event.experiments,
-                hours=event.hours,
-                extended_after=experiments,
-            )
-        case HandedOver():
-            handed_over = (*view.handed_over, event)
-            return replace(view, handed_over=handed_over)
-        case Stopped():
-            return replace(view, stopped=event)
-        case Resumed():
-            return _going_on(view)
-        case Refitted():
-            return replace(view, refitted=event)
-        case GuardLooked():
-            return replace(view, looks=(*view.looks, event), looked=True)
-        case Validated():
-            return replace(view, validated=with_dossier(view.validated, event))
-        case Ablated():
-            return replace(view, ablated=event)
-        case Confirmed():
-            return replace(view, confirmed=event)
-        case Unsealing():
-            return replace(view, unsealing=event)
-        case Unsealed():
-            return replace(view, unsealed=event)
-        case _:
-            return view
-
-
-def _going_on(view: SearchView) -> SearchView:
+def _continued(view: SearchView) -> SearchView:
     """Return the view without the results of a finished search."""
     return replace(
         view, stopped=None, refitted=None, looked=False, confirmed=None, ablated=None, validated=()
@@ -443,9 +401,6 @@ def _going_on(view: SearchView) -> SearchView:
 # errors of single samples are correlated in time.
 
 
-_DEVIATIONS = 3.0
-
-
 def beats(score: Score, view: SearchView) -> bool:
     """Return whether a score is a new best.
 
@@ -460,7 +415,9 @@ def beats(score: Score, view: SearchView) -> bool:
         return score.value < best.value
     if not score.value < on_ladder(best.value, step) * (1.0 - step):
         return False
-    return _stands_out([a - b for a, b in zip(_parts(best), _parts(score), strict=True)])
+    before, now = ([part for fold in s.folds for part in fold.parts] for s in (best, score))
+    gains = [a - b for a, b in zip(before, now, strict=True)]
+    return len(gains) > 1 and fmean(gains) > 3.0 * stdev(gains) / math.sqrt(len(gains))
 
 
 def on_ladder(value: float, step: float) -> float:
@@ -490,13 +447,3 @@ def published(view: SearchView) -> SearchView:
         result = replace(result, status=status, outcome=Score(reported, ()))
         experiments[i] = replace(experiment, result=result)
     return replace(view, experiments=tuple(experiments))
-
-
-def _parts(score: Score) -> list[float]:
-    return [part for fold in score.folds for part in fold.parts]
-
-
-def _stands_out(gains: Sequence[float]) -> bool:
-    if len(gains) < 2:
-        return False
-    return fmean(gains) > _DEVIATIONS * stdev(gains) / math.sqrt(len(gains))

@@ -13,8 +13,8 @@ from asia.errors import CandidateError
 from asia.judge.evaluation.references import LINEAR_REFERENCE, MEAN_REFERENCE
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
-from asia.ledger.events import Proposed
-from asia.ledger.evidence import RunSettings, evidence_lines, evidence_of
+from asia.ledger.evidence import RunSettings, evidence_of
+from asia.ledger.text import evidence_lines
 from asia.ledger.view import Experiment, SearchView, published
 from asia.problem.problem import Problem
 from asia.search.rules import phase
@@ -71,43 +71,45 @@ def agent_view(
     shown = {e.number for e in (view.best, *view.finished[-1:]) if e is not None}
     settings = RunSettings(facts.inputs, facts.outputs, facts.budget.fit_seconds, 0)
     tried = {e.proposed.digest for e in view.experiments}
+    trials: list[Trial] = []
+    for e in view.finished:
+        trial = known.trial(e)
+        if e.number in shown:
+            bounded = view.started.ladder is not None
+            found = evidence_of(e, view, store, settings, bounded=bounded)
+            # Without measured seconds and memory. Prompts of older ledgers must not change.
+            lines = evidence_lines(found, measured=False) if found.recorded else ()
+            trial = replace(trial, evidence=tuple(lines))
+        trials.append(trial)
     return AgentView(
         facts=facts,
         seed=view.started.seed,
         phase=phase(view),
-        trials=tuple(
-            replace(known.trial(e), evidence=_evidence(e, view, store, settings))
-            if e.number in shown
-            else known.trial(e)
-            for e in view.finished
-        ),
+        trials=tuple(trials),
         remaining=view.leg_end - len(view.experiments),
         is_known=lambda source: digest(source) in tried,
         notes=tuple(note.text for note in view.notes),
         linear=_reference(view, LINEAR_REFERENCE),
         leg=view.leg,
         mean=_reference(view, MEAN_REFERENCE),
-        running=tuple(_running(e.proposed, store) for e in view.running),
-    )
-
-
-def _running(p: Proposed, store: Store) -> Running:
-    return Running(
-        p.experiment,
-        p.parent,
-        p.family,
-        p.title,
-        p.hypothesis,
-        p.expected,
-        store.text(p.source),
-        p.agent,
+        running=tuple(
+            Running(
+                p.experiment,
+                p.parent,
+                p.family,
+                p.title,
+                p.hypothesis,
+                p.expected,
+                store.text(p.source),
+                p.agent,
+            )
+            for p in (e.proposed for e in view.running)
+        ),
     )
 
 
 def _reference(view: SearchView, name: str) -> float | None:
-    """Return V of a reference model; None with the Ladder, which reports V of some candidates
-    only.
-    """
+    """V of a reference model; None with the Ladder, which reports some V only."""
     if view.started.ladder is not None:
         return None
     outcomes = (reference.outcome for reference in view.rungs if reference.name == name)
@@ -131,6 +133,11 @@ def _trial(e: Experiment, store: Store) -> Trial:
     p, r = e.proposed, e.result
     assert r is not None
     score, failure = e.score, e.failure
+    curves: list[tuple[tuple[float, float], ...]] = []
+    for fold in r.folds:
+        table = np.frombuffer(store.get(fold.curve), "<f8").reshape(-1, 2)
+        thinned = table[:: max(1, -(-len(table) // CURVE_POINTS))]
+        curves.append(tuple((float(step), float(loss)) for step, loss in thinned))
     return Trial(
         number=p.experiment,
         parent=p.parent,
@@ -145,25 +152,8 @@ def _trial(e: Experiment, store: Store) -> Trial:
         folds=tuple(f.value for f in score.folds) if score else (),
         failure=f"{failure.reason.value}: {failure.advice}" if failure else None,
         diagnostics=tuple(f.diagnostics for f in r.folds),
-        curves=tuple(_points(store.get(f.curve)) for f in r.folds),
+        curves=tuple(curves),
         error=failure.detail if failure else "",
         agent=p.agent,
         lowest=r.lowest,
     )
-
-
-def _evidence(
-    e: Experiment, view: SearchView, store: Store, settings: RunSettings
-) -> tuple[str, ...]:
-    """Return the evidence without measured seconds and memory; () in older ledgers, whose prompts
-    must not change.
-    """
-    bounded = view.started.ladder is not None
-    found = evidence_of(e, view, store, settings, bounded=bounded)
-    return tuple(evidence_lines(found, measured=False)) if found.recorded else ()
-
-
-def _points(raw: bytes) -> tuple[tuple[float, float], ...]:
-    table = np.frombuffer(raw, "<f8").reshape(-1, 2)
-    thinned = table[:: max(1, -(-len(table) // CURVE_POINTS))]
-    return tuple((float(step), float(loss)) for step, loss in thinned)

@@ -25,7 +25,7 @@ from asia.agents.view import (
 from asia.judge.evaluation.background import BackgroundJob, JobSettings
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import score_references
-from asia.judge.evaluation.results import Evaluation, FoldResult, same_simulations
+from asia.judge.evaluation.results import Evaluation, same_simulations
 from asia.judge.scoring.confirmation import least_significant_difference
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.artifacts import Store
@@ -36,7 +36,6 @@ from asia.ledger.events import (
     Exchanged,
     GuardLooked,
     Landed,
-    Phase,
     Proposed,
     Refitted,
     Retest,
@@ -58,8 +57,6 @@ from asia.search.pending import PendingFits, keep_folds, keep_output
 from asia.search.rules import bound_on_folds, decide, next_leg, stop_reason
 from asia.search.steering import Steering
 
-# The fits of a candidate from other seeds, the next one begun where workers are free.
-
 
 @contextmanager
 def retest_fits(
@@ -68,67 +65,39 @@ def retest_fits(
     """Prefetch fits: yield a function that returns the results of `fit(0)`, `fit(1)`, ... in order.
 
     Once all folds of one fit have started, the next fit begins; an unused one is cancelled. The
-    results do not depend on that.
-
-    Args:
-        evaluator: the evaluator of the fits.
-        fit: function that fits with a repeat number.
-        most: maximum number of fits.
+    results do not depend on that. At most `most` fits are made.
     """
     if not evaluator.may_fit_ahead:
         yield fit
         return
+    folds = len(evaluator.folds)
+    fits: list[BackgroundJob[Evaluation]] = []
+    begun: list[threading.Semaphore] = []  # released once for each fold of a fit that has begun
     with ExitStack() as opened:
-        yield _RetestFits(evaluator, fit, most, opened).take
 
+        def begin() -> None:
+            number, own = len(fits), threading.Semaphore(0)
+            before = begun[-1] if begun else None
 
-class _RetestFits:
-    def __init__(
-        self,
-        evaluator: Evaluator,
-        fit: Callable[[int], Evaluation],
-        most: int,
-        opened: ExitStack,
-    ) -> None:
-        self._evaluator, self._fit, self._most, self._opened = evaluator, fit, most, opened
-        self._begun: list[_Begun] = []
-        self._fits: list[BackgroundJob[Evaluation]] = []
+            def run() -> Evaluation:
+                if before is not None:
+                    for _ in range(folds):
+                        before.acquire()
+                try:
+                    return fit(number)
+                finally:
+                    own.release(folds)
 
-    def take(self, number: int) -> Evaluation:
-        for following in range(len(self._fits), min(number + 2, self._most)):
-            self._begin(following)
-        return self._fits[number].result()
+            begun.append(own)
+            job = evaluator.background(run, JobSettings(on_begin=own.release))
+            fits.append(opened.enter_context(job))
 
-    def _begin(self, number: int) -> None:
-        before = self._begun[-1] if self._begun else None
-        mine = _Begun(len(self._evaluator.folds))
-        self._begun.append(mine)
+        def take(number: int) -> Evaluation:
+            while len(fits) < min(number + 2, most):
+                begin()
+            return fits[number].result()
 
-        def fit() -> Evaluation:
-            if before is not None:
-                before.all.wait()
-            try:
-                return self._fit(number)
-            finally:
-                mine.all.set()
-
-        job = self._evaluator.background(fit, JobSettings(on_begin=mine.one))
-        self._fits.append(self._opened.enter_context(job))
-
-
-class _Begun:
-    """Counter of the folds of a fit that have started."""
-
-    def __init__(self, folds: int) -> None:
-        self.all = threading.Event()
-        self._left, self._lock = folds, threading.Lock()
-
-    def one(self) -> None:
-        """Count one more fold."""
-        with self._lock:
-            self._left -= 1
-            if self._left <= 0:
-                self.all.set()
+        yield take
 
 
 # Fit, score and decide on one candidate.
@@ -147,8 +116,7 @@ _WORTH_A_RETEST = 0.5
 new best very unlikely."""
 
 _NARROW = 0.1
-"""The largest floor, over the mean, that an incumbent fitted from fewer seeds may leave: a wide one
-would keep better candidates out."""
+"""The largest floor, over the mean, that an incumbent fitted from fewer seeds may leave."""
 
 
 @dataclass(frozen=True)
@@ -158,32 +126,15 @@ class Judged:
     evaluation: Evaluation
     """Its first fit, or why there is no score."""
     status: Status
-    """The decision."""
     retests: tuple[Retest, ...] = ()
-    """Its fits from other seeds."""
     floor: float | None = None
-    """Significance threshold: required improvement of the mean over seeds; None without an
-    incumbent, or if one fit decides.
-    """
+    """Required improvement of the mean over seeds; None without incumbent or if one fit decides."""
     deadline: bool = False
     """True if the speed of the machine influenced the decision."""
     validation_scores: int = 0
     """Validation scores given in all fits."""
     lowest: bool = False
-    """True if the candidate's own fit is the best so far; its model is handed over until another is
-    lower.
-    """
-
-
-@dataclass(frozen=True)
-class _Decision:
-    """Decision from the fits with several seeds."""
-
-    status: Status
-    retests: tuple[Retest, ...] = ()
-    floor: float | None = None
-    deadline: bool = False
-    validation_scores: int = 0
+    """True if its own fit is the best so far."""
 
 
 def judge(
@@ -200,139 +151,106 @@ def judge(
     made before; over: as in `Proposed`."""
     if evaluation is None:
         evaluation = evaluator.evaluate_first(source, over)
-    asked = evaluation.validation_scores
-    if isinstance(evaluation.outcome, Failure):
-        status = evaluation.outcome.reason.status
-        return Judged(evaluation, status, (), None, status == "timeout", asked)
+    scores, outcome = evaluation.validation_scores, evaluation.outcome
+    if isinstance(outcome, Failure):
+        status = outcome.reason.status
+        timed_out = status == "timeout"
+        return Judged(evaluation, status, deadline=timed_out, validation_scores=scores)
     folds, answers = evaluation.folds, None
-    lowest = view.started.retests > 0 and _is_best(evaluation.outcome, view)
+    best = view.best.score if view.best else None
+    lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
     with ExitStack() as opened:
         if lowest and not evaluator.is_sequential:
             # It is checked whatever the retests say.
             check = partial(evaluator.objection_to_answers, source, folds)
             answers = opened.enter_context(evaluator.background(check))
         if view.started.retests:
-            found = _Retesting(evaluator, source, evaluation, evaluation.outcome, view).decide()
+            judged = _retested(evaluator, source, evaluation, outcome, view)
         else:
-            found = _Decision(decide(evaluation.outcome, view))
-        status = found.status
+            judged = Judged(evaluation, decide(outcome, view), validation_scores=scores)
+        status = judged.status
         if lowest and status == "discard":
             # From other seeds its method is no better. Its own fit is.
             status = "inconclusive"
         if status == "keep" or lowest or view.started.ladder is not None:
-            failure = _objection(evaluator, source, folds, answers)
+            if answers is None:
+                failure = evaluator.objection(source, folds)
+            else:
+                failure = answers.result() or evaluator.objection_to_consistency(source, folds)
             if failure is not None:
                 evaluation = replace(evaluation, outcome=failure)
                 status, lowest = failure.reason.status, False
-    deadline = found.deadline or status == "timeout"
-    asked += found.validation_scores
-    return Judged(evaluation, status, found.retests, found.floor, deadline, asked, lowest)
+    return replace(
+        judged,
+        evaluation=evaluation,
+        status=status,
+        deadline=judged.deadline or status == "timeout",
+        lowest=lowest,
+    )
 
 
-def _objection(
-    evaluator: Evaluator,
-    source: str,
-    folds: Sequence[FoldResult],
-    answers: BackgroundJob[Failure | None] | None,
-) -> Failure | None:
-    """answers: the part of the checks that has been begun."""
-    if answers is None:
-        return evaluator.objection(source, folds)
-    return answers.result() or evaluator.objection_to_consistency(source, folds)
+def _retested(
+    evaluator: Evaluator, source: str, first: Evaluation, score: Score, view: SearchView
+) -> Judged:
+    """Fit from other seeds until the decision is clear, or there are no more.
 
+    `discard` where it is not lower than the incumbent, `inconclusive` where it is, but not by the
+    floor. Each as soon as it is certain enough, so most candidates cost no fit more.
+    """
+    known = view.incumbent.seed_values if view.incumbent else ()
+    scores = first.validation_scores
+    if known:
+        floor, lead = least_significant_difference(known, known), fmean(known) - score.value
+        if lead < _WORTH_A_RETEST * floor or lead <= 0.0:
+            status = "discard" if lead <= 0.0 else "inconclusive"
+            return Judged(first, status, floor=floor, validation_scores=scores)
+    retests: list[Retest] = []
+    values, failure = [score.value], None
+    most = view.started.retests
 
-@dataclass(frozen=True)
-class _Retesting:
-    """Repeated fits of a candidate with a score, compared with the incumbent."""
+    def fit(number: int) -> Evaluation:
+        return evaluator.evaluate(source, _FIRST_SEED + number)
 
-    evaluator: Evaluator
-    source: str
-    first: Evaluation
-    score: Score
-    view: SearchView
-
-    def decide(self) -> _Decision:
-        """`discard` where it is not lower than the incumbent, `inconclusive` where it is, but not
-        by the floor. Each as soon as it is certain enough, so most candidates cost no fit
-        more."""
-        held = self.view.incumbent
-        if held is None:
-            # Nothing to beat; its spread is the first floor.
-            return replace(self._repeat(()), status="keep")
-        known = held.seed_values
-        floor, lead = least_significant_difference(known, known), fmean(known) - self.score.value
-        if lead <= 0.0:
-            return _Decision("discard", floor=floor)
-        if lead < _WORTH_A_RETEST * floor:
-            return _Decision("inconclusive", floor=floor)
-        return self._repeat(known)
-
-    def _repeat(self, known: Sequence[float]) -> _Decision:
-        """Fit from other seeds until the decision is clear, or there are no more."""
-        most = self.view.started.retests
-        with retest_fits(self.evaluator, self._fit, most) as fit:
-            return self._decided(known, fit, most)
-
-    def _fit(self, number: int) -> Evaluation:
-        return self.evaluator.evaluate(self.source, _FIRST_SEED + number)
-
-    def _decided(
-        self, known: Sequence[float], fit: Callable[[int], Evaluation], most: int
-    ) -> _Decision:
-        retests: list[Retest] = []
-        values, asked, timed_out, failed = [self.score.value], 0, False, False
+    with retest_fits(evaluator, fit, most) as take:
         for number in range(most):
             begin = time.monotonic()
-            again = fit(number)
+            again = take(number)
             seconds = time.monotonic() - begin
-            asked += again.validation_scores
+            scores += again.validation_scores
             outcome = again.outcome
             if isinstance(outcome, Failure):
-                retests.append(Retest(failed=outcome.reason.value, seconds=seconds))
-                timed_out, failed = outcome.reason.status == "timeout", True
+                failure = outcome.reason
+                retests.append(Retest(failed=failure.value, seconds=seconds))
                 break
-            same = same_simulations(self.first.y_hats, again.y_hats)
+            same = same_simulations(first.y_hats, again.y_hats)
             folds = tuple(fold.value for fold in outcome.folds)
             retests.append(Retest(outcome.value, folds, same=same, seconds=seconds))
             if same:
                 # One fit shows it: the others would be the same.
                 break
             values.append(outcome.value)
-            higher = fmean(values) >= fmean(known) if known else False
-            if higher or (known and _is_lower(values, known) and _is_narrow(values)):
+            if known and fmean(values) >= fmean(known):
                 break
-        status, floor = _decision(values, known, failed=failed)
-        return _Decision(status, tuple(retests), floor, timed_out, asked)
-
-
-def _is_best(score: Score, view: SearchView) -> bool:
-    best = view.best.score if view.best else None
-    return best is None or score.value < best.value
-
-
-def _decision(
-    values: Sequence[float], known: Sequence[float], *, failed: bool
-) -> tuple[Status, float | None]:
+            # A wide floor would keep better candidates out.
+            narrow = least_significant_difference(values, values) <= _NARROW * fmean(values)
+            if known and narrow and _is_lower(values, known):
+                break
     if not known:
-        return "keep", None
-    floor = least_significant_difference(values, known)
-    if fmean(values) >= fmean(known):
-        return "discard", floor
-    return "keep" if not failed and _is_lower(values, known) else "inconclusive", floor
+        # Nothing to beat; its spread is the first floor.
+        status, floor = "keep", None
+    else:
+        floor = least_significant_difference(values, known)
+        lower = failure is None and _is_lower(values, known)
+        status = "keep" if lower else "inconclusive"
+        if fmean(values) >= fmean(known):
+            status = "discard"
+    timed_out = failure is not None and failure.status == "timeout"
+    return Judged(first, status, tuple(retests), floor, timed_out, scores)
 
 
 def _is_lower(values: Sequence[float], known: Sequence[float]) -> bool:
-    """Return whether the mean is lower by more than the threshold, or by any amount if neither
-    depends on the seed.
-    """
+    """Return whether the mean is lower by more than the threshold."""
     return fmean(known) - fmean(values) > least_significant_difference(values, known)
-
-
-def _is_narrow(values: Sequence[float]) -> bool:
-    """Return whether these seeds suffice for an incumbent: the threshold that they give is
-    small.
-    """
-    return least_significant_difference(values, values) <= _NARROW * fmean(values)
 
 
 # Propose, evaluate, keep or discard, each step written to the ledger, until a stop rule holds.
@@ -354,17 +272,14 @@ class Loop:
     """Loop of one search: proposals, evaluations, decisions and their records."""
 
     problem: Problem
-    """Problem to solve."""
     baseline: str
     """Source of the first experiment."""
     agent: Agent
     """Agent that proposes all candidates after the baseline; in a relay, several in sequence."""
     evaluator: Evaluator
-    """Evaluator that fits and scores the candidates."""
     chain: Chain
     """The ledger, open for writing."""
     store: Store
-    """Store of sources, models and predictions."""
     directory: Path
     """The directory of the run."""
     on_event: OnEvent
@@ -390,7 +305,7 @@ class Loop:
             return self.chain.view
 
     @cached_property
-    def flights(self) -> PendingFits:
+    def pending_fits(self) -> PendingFits:
         """The first fits under way."""
         return PendingFits(self.view.started.parallel, self.evaluator, self.store, self._completed)
 
@@ -400,15 +315,14 @@ class Loop:
         return KnownTrials(self.store)
 
     def run(self) -> SearchView:
-        """Rungs, search, refit of the winner, a look at the guard. What the ledger already holds is
-        not redone."""
+        """References, search, refit, guard; what the ledger already holds is not redone."""
         if self.view.complete or self.view.unsealing:
             return self.view
         self._attach()
         try:
             self._search()
         finally:
-            self.flights.close()
+            self.pending_fits.close()
             if isinstance(self._proposer, Closing):
                 self._proposer.leaving()
         return self.view
@@ -423,13 +337,20 @@ class Loop:
             self._proposer.attach(LoopJournal(self, self.view.leg))
 
     def _search(self) -> None:
-        self._score_references()
+        metric = self.problem.protocol.metric
+        names = {reference.name for reference in self.view.rungs}
+        with self.watch.activity(Activity.RUNGS, swallows=True):
+            for reference in score_references(self.evaluator, metric, self.problem.truth, names):
+                self.record(RungScored(reference.name, reference.outcome, reference.failed_checks))
         while self.view.stopped is None:
             stopped = self._advance()
             if stopped is not None:
                 self._end(stopped)
-        if self.view.refitted is None:
-            self._refit()
+        best = self.view.best
+        if self.view.refitted is None and best is not None:
+            with self.watch.activity(Activity.REFIT, swallows=True):
+                refitted = refit_winner(self.evaluator, self.view, best, self.store, metric)
+            self.record(refitted)
         if self.view.guard_due:
             with self.watch.activity(Activity.GUARD, swallows=True):
                 look = look_at_guard(self.problem, self.evaluator, self.store, self.view)
@@ -466,49 +387,37 @@ class Loop:
             self.on_event(event, view)
 
     def _advance(self) -> Stopped | None:
-        """Run one experiment, unless the user pauses or stops the search or the agent ends it."""
+        """Take the requests of the user, then propose a candidate if the budget allows another
+        experiment, else take the oldest result.
+
+        With results outstanding, the agent is asked again after each of them. Return why the search
+        ends once the user stops it or nothing is left to propose or to await.
+        """
         for path, text in self.steering.notes():
             self.record(Steered(text))
             path.unlink()
         if self.steering.take_stop():
-            self._settle_begun()
+            # None of the pending evaluations is lost.
+            while self.pending_fits.any:
+                self._settle()
             return Stopped("user")
         if self.steering.paused:
             with self.watch.activity(Activity.IDLE):
                 time.sleep(_PAUSE_POLL)
             return None
         try:
-            return self._step()
+            self.pending_fits.launch(self.view)
+            if self._has_room:
+                ended = self._propose()
+                if ended is not None and self.view.pending is None:
+                    return ended
+                if ended is None:
+                    self.pending_fits.launch(self.view)
+                    if self._has_room:
+                        return None
+            self._settle()
         except InterruptedWaitError:
-            return None
-
-    def _score_references(self) -> None:
-        names = {reference.name for reference in self.view.rungs}
-        problem = self.problem
-        with self.watch.activity(Activity.RUNGS, swallows=True):
-            for reference in score_references(
-                self.evaluator, problem.protocol.metric, problem.truth, names
-            ):
-                self.record(RungScored(reference.name, reference.outcome, reference.failed_checks))
-
-    def _step(self) -> Stopped | None:
-        """Propose a candidate if the budget allows another experiment, else take the oldest result.
-
-        With results outstanding, the agent is asked again after each of them.
-
-        Returns:
-            The stop reason once nothing is left to propose or to await, else None.
-        """
-        self.flights.launch(self.view)
-        if self._has_room:
-            ended = self._ask()
-            if ended is None:
-                self.flights.launch(self.view)
-                if self._has_room:
-                    return None
-            elif self.view.pending is None:
-                return ended
-        self._settle()
+            pass
         return None
 
     @property
@@ -516,20 +425,47 @@ class Loop:
         view = self.view
         return len(view.running) < view.started.parallel
 
-    def _ask(self) -> Stopped | None:
-        """Propose one experiment; why there is none."""
+    def _propose(self) -> Stopped | None:
+        """Propose one experiment; return why there is none."""
         view = self.view
         reason = stop_reason(view, self.problem.budget)
         if reason is not None:
             return Stopped(reason)
+        is_baseline = not view.experiments
         try:
             with self.watch.activity(Activity.AGENT):
-                proposed = self._propose(view)
+                if is_baseline:
+                    phase, proposal = "baseline", _baseline(self.baseline)
+                else:
+                    shown = agent_view(
+                        problem_facts(self.problem), view, self.store, self.known_trials
+                    )
+                    phase, proposal = shown.phase, self._proposer.propose(shown)
+                if proposal is None:
+                    return Stopped("exhausted")
+                source = self.store.put(as_bytes(proposal.source))
         except AgentStoppedError as end:
             return Stopped(end.reason, end.detail)
-        if proposed is None:
-            return Stopped("exhausted")
-        self.record(proposed)
+        # The agent may have waited: the view is that of now.
+        view = self.view
+        self.record(
+            Proposed(
+                experiment=len(view.experiments) + 1,
+                parent=proposal.parent,
+                phase=phase,
+                family=proposal.family,
+                title=proposal.title,
+                hypothesis=proposal.hypothesis,
+                expected=proposal.expected,
+                source=source,
+                digest=digest(proposal.source),
+                ticket=proposal.ticket,
+                leg=view.leg,
+                agent=view.agent if view.leg and not is_baseline else "",
+                remark=proposal.remark,
+                over=bound_on_folds(view),
+            )
+        )
         return None
 
     def _settle(self) -> None:
@@ -538,13 +474,6 @@ class Loop:
         assert pending is not None
         self.record(self._evaluate(pending))
 
-    def _settle_begun(self) -> None:
-        """Take the results of all pending evaluations, so that none is lost when the user stops the
-        search.
-        """
-        while self.flights.any:
-            self._settle()
-
     def _completed(self, landed: Landed) -> None:
         """Write down a first fit whose turn has not come; the oldest will have its result now."""
         with self._lock:
@@ -552,48 +481,28 @@ class Loop:
             if oldest is not None and oldest.number != landed.experiment:
                 self.record(landed)
 
-    def _propose(self, view: SearchView) -> Proposed | None:
-        if not view.experiments:
-            return replace(self._proposed(1, "baseline", _baseline(self.baseline)), agent="")
-        seen = agent_view(problem_facts(self.problem), view, self.store, self.known_trials)
-        proposal = self._proposer.propose(seen)
-        if proposal is None:
-            return None
-        return self._proposed(len(view.experiments) + 1, seen.phase, proposal)
-
-    def _proposed(self, number: int, phase: Phase, proposal: Proposal) -> Proposed:
-        return Proposed(
-            experiment=number,
-            parent=proposal.parent,
-            phase=phase,
-            family=proposal.family,
-            title=proposal.title,
-            hypothesis=proposal.hypothesis,
-            expected=proposal.expected,
-            source=self.store.put(as_bytes(proposal.source)),
-            digest=digest(proposal.source),
-            ticket=proposal.ticket,
-            leg=self.view.leg,
-            agent=self.view.agent if self.view.leg else "",
-            remark=proposal.remark,
-            over=bound_on_folds(self.view),
-        )
-
     def _evaluate(self, experiment: Experiment) -> Evaluated:
-        view = self.view
+        view, proposed = self.view, experiment.proposed
         for twin in view.finished:
-            settled = twin.result is not None and not twin.result.deadline
-            if settled and twin.proposed.digest == experiment.proposed.digest:
-                return _outcome_of_twin(experiment, twin)
+            known = twin.result
+            if twin.proposed.digest == proposed.digest and known and not known.deadline:
+                return Evaluated(
+                    experiment=experiment.number,
+                    status="discard" if known.status == "keep" else known.status,
+                    outcome=known.outcome,
+                    folds=known.folds,
+                    output=known.output,
+                    seconds=0.0,
+                    duplicate_of=twin.number,
+                    isolation=known.isolation,
+                )
         start, before = time.monotonic(), len(self.evaluator.left_behind)
-        flown = self.flights.take(experiment)
+        fitted = self.pending_fits.take(experiment)
         begin = time.monotonic()
-        if flown is not None:
-            self.watch.waited(flown.lane, begin - start)
-        first = None if flown is None else flown.evaluation
-        proposed = experiment.proposed
-        source = self.store.text(proposed.source)
-        judged = judge(self.evaluator, source, view, first, proposed.over)
+        if fitted is not None:
+            self.watch.waited(fitted.lane, begin - start)
+        first = None if fitted is None else fitted.evaluation
+        judged = judge(self.evaluator, self.store.text(proposed.source), view, first, proposed.over)
         evaluation = judged.evaluation
         with self.watch.activity(Activity.LEDGER):
             folds = keep_folds(self.store, evaluation.folds)
@@ -605,7 +514,7 @@ class Loop:
             outcome=evaluation.outcome,
             folds=folds,
             output=output,
-            seconds=now - begin + (0.0 if flown is None else flown.seconds),
+            seconds=now - begin + (0.0 if fitted is None else fitted.seconds),
             deadline=judged.deadline,
             validation_scores=judged.validation_scores,
             isolation=self.evaluator.isolation.value,
@@ -618,25 +527,13 @@ class Loop:
             failed_checks=evaluation.failed_checks,
         )
 
-    def _refit(self) -> None:
-        best = self.view.best
-        if best is None:
-            return
-        with self.watch.activity(Activity.REFIT, swallows=True):
-            refitted = refit_winner(
-                self.evaluator, self.view, best, self.store, self.problem.protocol.metric
-            )
-        self.record(refitted)
-
 
 @dataclass(frozen=True)
 class LoopJournal:
     """The ledger as an attached agent may use it."""
 
     loop: Loop
-    """The search."""
     leg: int = 0
-    """The leg whose agent keeps it; 0 where one agent proposes."""
 
     @property
     def exchanges(self) -> tuple[Exchanged, ...]:
@@ -674,21 +571,4 @@ def _baseline(source: str) -> Proposal:
         title="baseline",
         hypothesis="The problem's own baseline, untouched, is where every search starts.",
         expected="A reference value that the rest must beat.",
-    )
-
-
-def _outcome_of_twin(experiment: Experiment, twin: Experiment) -> Evaluated:
-    """Return the outcome of the earlier experiment with the same normalised source."""
-    r = twin.result
-    assert r is not None
-    status = "discard" if r.status == "keep" else r.status
-    return Evaluated(
-        experiment.number,
-        status,
-        r.outcome,
-        r.folds,
-        r.output,
-        0.0,
-        duplicate_of=twin.number,
-        isolation=r.isolation,
     )

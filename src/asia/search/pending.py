@@ -15,7 +15,7 @@ from asia.agents.view import Agent, proposes_ahead
 from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, FoldResult
-from asia.judge.scoring.outcome import FoldScore, Score
+from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import FoldEvidence, Landed, Proposed
 from asia.ledger.evidence import get_findings, put_findings
@@ -23,19 +23,9 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.metrics import find_metric
 from asia.problem.protocol import Fold, ProtocolRule
 
-# Check of the options for concurrent experiments and pruned folds.
-
 
 def check_ways(rule: ProtocolRule, parallel: int, *, strict: bool, stop_folds: bool) -> None:
     """Raises UserError where candidates cannot be evaluated in the ways that were asked for."""
-    check_parallel(parallel, strict=strict)
-    if stop_folds:
-        check_stop_folds(rule)
-
-
-def check_parallel(parallel: int, *, strict: bool) -> None:
-    """Raises UserError for no experiment at all, or for several where no two workers may run at
-    once."""
     if parallel < 1:
         raise UserError(f"--parallel {parallel}: expected at least 1")
     if parallel > 1 and strict:
@@ -43,25 +33,23 @@ def check_parallel(parallel: int, *, strict: bool) -> None:
             f"--parallel {parallel} with --isolation-strict: strict isolation runs the workers "
             f"sequentially; omit one of the two"
         )
-
-
-def check_stop_folds(rule: ProtocolRule) -> None:
-    """Raises UserError where a sum over some folds says nothing about V, or where to pass over
-    folds would tell a candidate or an agent something."""
+    if not stop_folds:
+        return
+    # A sum over some folds must say something about V.
     metric = find_metric(rule.metric)
     if metric.direction != "lower" or metric.best != 0.0:
         raise UserError(
             f"--stop-folds with the metric {metric.name}: the completed folds give no lower bound "
             f"on V; omit it, or use a metric that is never negative and 0 at best, such as rmse"
         )
+    # Folds that are passed over must tell neither a candidate nor an agent something.
     if rule.early_stopping != "inner" or rule.ladder is not None:
         what = "a ladder" if rule.ladder is not None else "validation early stopping"
         raise UserError(f"--stop-folds with {what}: V of every candidate is needed there; omit it")
 
 
 def check_steps_ahead(parallel: int, agent: Agent) -> None:
-    """Raises UserError where an agent is to be asked ahead of results, and does not look at what
-    runs."""
+    """Raises UserError where an agent does not propose ahead of results, but should."""
     if parallel == 1 or proposes_ahead(agent):
         return
     agents = [r.agent for r in agent.runners] if isinstance(agent, RelayAgent) else [agent]
@@ -73,26 +61,22 @@ def check_steps_ahead(parallel: int, agent: Agent) -> None:
     )
 
 
-# The first fit of an experiment between its end and its turn, on disk and back.
-
-
 def keep_folds(store: Store, folds: Sequence[FoldResult]) -> tuple[FoldEvidence, ...]:
     """Models, simulations and evidence as artifacts."""
-    return tuple(_keep(store, fold) for fold in folds)
-
-
-def _keep(store: Store, fold: FoldResult) -> FoldEvidence:
-    return FoldEvidence(
-        model=store.put(fold.model),
-        y_hat=store.put_arrays(fold.y_hat),
-        curve=store.put_arrays([fold.curve]),
-        diagnostics=fold.diagnostics,
-        fit_seconds=fold.seconds,
-        validation_scores=fold.validation_scores,
-        findings=put_findings(store, fold.findings) if fold.findings else None,
-        machine=fold.machine,
-        isolation=fold.isolation,
-        device=fold.device,
+    return tuple(
+        FoldEvidence(
+            model=store.put(fold.model),
+            y_hat=store.put_arrays(fold.y_hat),
+            curve=store.put_arrays([fold.curve]),
+            diagnostics=fold.diagnostics,
+            fit_seconds=fold.seconds,
+            validation_scores=fold.validation_scores,
+            findings=put_findings(store, fold.findings) if fold.findings else None,
+            machine=fold.machine,
+            isolation=fold.isolation,
+            device=fold.device,
+        )
+        for fold in folds
     )
 
 
@@ -101,52 +85,37 @@ def keep_output(store: Store, output: str) -> str | None:
     return store.put(output.encode()) if output else None
 
 
-def landed_of(number: int, evaluation: Evaluation, seconds: float, store: Store) -> Landed:
-    """The event, its artifacts kept."""
-    return Landed(
-        experiment=number,
-        outcome=evaluation.outcome,
-        folds=keep_folds(store, evaluation.folds),
-        output=keep_output(store, evaluation.output),
-        seconds=seconds,
-        validation_scores=evaluation.validation_scores,
-        ended_folds=evaluation.ended_folds,
-    )
-
-
 def evaluation_of(landed: Landed, folds: Sequence[Fold], store: Store) -> Evaluation:
     """The evaluation that was kept; folds: those of the problem. Raises UserError where an artifact
     is missing."""
-    outcome = landed.outcome
-    kept: tuple[FoldResult, ...] = ()
-    if isinstance(outcome, Score):
-        rows = zip(outcome.folds, landed.folds, folds, strict=True)
-        kept = tuple(_taken_up(score, found, fold, store) for score, found, fold in rows)
+    results: list[FoldResult] = []
+    if isinstance(landed.outcome, Score):
+        for score, kept, fold in zip(landed.outcome.folds, landed.folds, folds, strict=True):
+            shapes = [block.y.shape for block in fold.validation]
+            results.append(
+                FoldResult(
+                    score=score,
+                    model=store.get(kept.model),
+                    y_hat=store.get_arrays(kept.y_hat, shapes),
+                    curve=np.frombuffer(store.get(kept.curve), "<f8").reshape(-1, 2),
+                    diagnostics=kept.diagnostics,
+                    seconds=kept.fit_seconds,
+                    validation_scores=kept.validation_scores,
+                    findings=get_findings(store, kept.findings) if kept.findings else None,
+                    machine=kept.machine,
+                    isolation=kept.isolation,
+                    device=kept.device,
+                )
+            )
     output = store.text(landed.output) if landed.output else ""
-    return Evaluation(outcome, kept, output, landed.validation_scores, landed.ended_folds)
-
-
-def _taken_up(score: FoldScore, kept: FoldEvidence, fold: Fold, store: Store) -> FoldResult:
-    shapes = [block.y.shape for block in fold.validation]
-    return FoldResult(
-        score=score,
-        model=store.get(kept.model),
-        y_hat=store.get_arrays(kept.y_hat, shapes),
-        curve=np.frombuffer(store.get(kept.curve), "<f8").reshape(-1, 2),
-        diagnostics=kept.diagnostics,
-        seconds=kept.fit_seconds,
-        validation_scores=kept.validation_scores,
-        findings=get_findings(store, kept.findings) if kept.findings else None,
-        machine=kept.machine,
-        isolation=kept.isolation,
-        device=kept.device,
+    return Evaluation(
+        landed.outcome, tuple(results), output, landed.validation_scores, landed.ended_folds
     )
 
 
-# First fits that run while others are proposed and decided, a thread each.
-#
-# A first fit depends on its source alone, so it may begin at once. The decision on it depends on
-# the results before it, and is made in its turn.
+# First fits that run while others are proposed and decided, a thread each. A first fit depends on
+# its source alone, so it may begin at once. The decision on it depends on the results before it,
+# and is made in its turn.
 
 
 @dataclass(frozen=True)
@@ -154,9 +123,7 @@ class PendingFit:
     """A first fit that is over."""
 
     evaluation: Evaluation
-    """Result of the evaluation."""
     seconds: float
-    """Its duration."""
     lane: Lane
     """Profile of the evaluation."""
 
@@ -171,8 +138,7 @@ class PendingFits:
         store: Store,
         on_landed: Callable[[Landed], None],
     ) -> None:
-        """at_once: experiments in flight; on_landed: called, from the thread of a fit, once it has
-        ended."""
+        """on_landed: called from the thread of a fit, once it has ended."""
         self._evaluator, self._store, self._on_landed = evaluator, store, on_landed
         self._under_way: dict[int, Future[PendingFit]] = {}
         self._pool = ThreadPoolExecutor(at_once, "experiment") if at_once > 1 else None
@@ -188,18 +154,19 @@ class PendingFits:
         if self._pool is None:
             return
         for e in view.running:
-            if e.number in self._under_way or e.landed is not None or _has_twin(e, view):
-                continue
-            self._under_way[e.number] = self._pool.submit(self._fly, e.proposed)
+            digest = e.proposed.digest
+            twins = (t for t in view.experiments if t.number < e.number)
+            begun = e.number in self._under_way or e.landed is not None
+            if not begun and all(twin.proposed.digest != digest for twin in twins):
+                self._under_way[e.number] = self._pool.submit(self._fit, e.proposed)
 
     def take(self, experiment: Experiment) -> PendingFit | None:
-        """The first fit of an experiment, waited for, whatever it raised; None where it was not
-        begun."""
+        """Wait for the first fit of an experiment; None where it was not begun."""
         under_way = self._under_way.get(experiment.number)
         if under_way is not None:
-            flown = under_way.result()
+            fitted = under_way.result()
             del self._under_way[experiment.number]
-            return flown
+            return fitted
         landed = experiment.landed
         if landed is None:
             return None
@@ -214,18 +181,21 @@ class PendingFits:
             self._evaluator.abort()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def _fly(self, proposed: Proposed) -> PendingFit:
+    def _fit(self, proposed: Proposed) -> PendingFit:
         source = self._store.text(proposed.source)
         begin = time.monotonic()
         with self._evaluator.stopwatch.aside() as lane:
             evaluation = self._evaluator.evaluate_first(source, proposed.over)
         seconds = time.monotonic() - begin
-        self._on_landed(landed_of(proposed.experiment, evaluation, seconds, self._store))
+        self._on_landed(
+            Landed(
+                experiment=proposed.experiment,
+                outcome=evaluation.outcome,
+                folds=keep_folds(self._store, evaluation.folds),
+                output=keep_output(self._store, evaluation.output),
+                seconds=seconds,
+                validation_scores=evaluation.validation_scores,
+                ended_folds=evaluation.ended_folds,
+            )
+        )
         return PendingFit(evaluation, seconds, lane)
-
-
-def _has_twin(experiment: Experiment, view: SearchView) -> bool:
-    """Return whether the same normalised source was proposed before."""
-    digest = experiment.proposed.digest
-    earlier = (e for e in view.experiments if e.number < experiment.number)
-    return any(e.proposed.digest == digest for e in earlier)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from asia.agents.registry import recorded_agents
-from asia.agents.view import Agent, AgentStoppedError, AgentView, Attached, DivergedError, Proposal
+from asia.agents.view import Agent, AgentStoppedError, AgentView, Attached, DivergedError
 from asia.errors import InternalError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR, score_references
@@ -28,7 +28,6 @@ from asia.ledger.events import (
     HandOverReason,
     Proposed,
     RungScored,
-    Started,
     Status,
     Stopped,
     StopReason,
@@ -54,22 +53,16 @@ class Replayed:
     name: str
     """Name of the step, for example `#07` or `stop`."""
     outcome: OutcomeAgreement
-    """`same` is bitwise the same, `close` within the tolerance, `exempt` where the deadline
-    affected it."""
+    """`same`: bitwise; `close`: within the tolerance; `exempt`: affected by the deadline."""
     proposal: ProposalAgreement = "none"
-    """Agreement of the proposal: `taken` from the ledger without an agent to ask, `none` for a
-    reference model.
-    """
+    """`taken` from the ledger without an agent to ask; `none` for a reference model."""
     status: Status | None = None
-    """Status of the experiment in the ledger."""
     V: float | None = None
-    """The value in the ledger."""
     again: float | None = None
     """The value now."""
     apart: float | None = None
     """Relative difference of the two; None without two scores."""
     detail: str = ""
-    """Description of the difference."""
 
     @property
     def agrees(self) -> bool:
@@ -82,13 +75,11 @@ class ReplayReport:
     """Result of a replay."""
 
     run: str
-    """Name of the run."""
     tolerance: float
     """Relative difference of V up to which outcomes agree; 0 for bitwise."""
     exchanges: int = 0
     """Answers of a language model that the ledger holds."""
     items: tuple[Replayed, ...] = ()
-    """Replayed steps in order."""
     notes: tuple[str, ...] = ()
     """Differences between this machine and the recorded one."""
 
@@ -119,12 +110,21 @@ def replay_run(
     check_lock(directory, started)
     problem = load_lock(directory / LOCK)
     agents = recorded_agents(started)
-    level, notes = _level(started)
+    # The recorded level where it is in force here, or confines nothing.
+    recorded, level = Isolation(started.isolation), probe().level
+    notes: list[str] = []
+    if not LEVELS[recorded].confined:
+        level = recorded
+    if level is not recorded:
+        notes.append(f"isolation {level.value} here, {recorded.value} then")
+    gpu = started.environment.get("GPU", "") if gpu_nodes() else ""
+    here = environment(started.agent, *(leg.agent for leg in started.legs), gpu=gpu)
+    notes += environment_changes(started.environment, here)
     again = replace(run.view, started=replace(started, isolation=level.value))
     replaying = _Replaying(run, problem, make_evaluator(problem, again), agents, tolerance, on_item)
     replaying.run_all()
     answered = sum(200 <= e.status < 300 for e in run.view.exchanges)
-    return ReplayReport(run.name, tolerance, answered, tuple(replaying.items), notes)
+    return ReplayReport(run.name, tolerance, answered, tuple(replaying.items), tuple(notes))
 
 
 @dataclass
@@ -141,8 +141,15 @@ class _Replaying:
 
     def run_all(self) -> None:
         """Replay every event in order, each with the view before it."""
-        events = [line.event for line in self.run.lines]
-        journals = self._journals()
+        run, events = self.run, [line.event for line in self.run.lines]
+        # A journal for each agent, with the exchanges of its own leg.
+        journals: list[_ReplayJournal] = []
+        for place, agent in enumerate(self.agents):
+            leg = place + 1 if run.view.started.legs else 0
+            own = tuple(e for e in run.view.exchanges if e.leg == leg)
+            journals.append(_ReplayJournal(run.store, own))
+            if isinstance(agent, Attached):
+                agent.attach(journals[-1])
         self._references([event for event in events if isinstance(event, RungScored)])
         asked: dict[int, Replayed] = {}
         for place, event in enumerate(events):
@@ -164,21 +171,8 @@ class _Replaying:
         for item in asked.values():
             self._add(replace(item, outcome="unfinished"))
 
-    def _journals(self) -> list[_ReplayJournal]:
-        """Return a journal for each agent, with its own exchanges, attached to the agent."""
-        relay, exchanges = bool(self.run.view.started.legs), self.run.view.exchanges
-        journals: list[_ReplayJournal] = []
-        for place, agent in enumerate(self.agents):
-            own = tuple(e for e in exchanges if e.leg == (place + 1 if relay else 0))
-            journals.append(_ReplayJournal(self.run.store, own))
-            if isinstance(agent, Attached):
-                agent.attach(journals[-1])
-        return journals
-
     def _agent(self, before: SearchView) -> Agent | None:
-        """Return the agent that proposed at this point; None if candidates were submitted from
-        outside.
-        """
+        """The agent that proposed then; None if candidates were submitted from outside."""
         return self.agents[max(0, before.leg - 1)]
 
     def _add(self, item: Replayed) -> None:
@@ -191,38 +185,46 @@ class _Replaying:
         for rung in recorded:
             item = Replayed(f"rung {rung.name}", "same")
             if isinstance(rung.outcome, Failure) and rung.outcome.reason.status == "timeout":
-                self._add(replace(item, outcome="exempt", detail="the deadline affected it"))
+                item = replace(item, outcome="exempt", detail="the deadline affected it")
             elif rung.name not in again:
                 detail = "this version has no such reference model"
-                self._add(replace(item, outcome="differs", detail=detail))
+                item = replace(item, outcome="differs", detail=detail)
             else:
-                self._add(self._compare(item, rung.outcome, again[rung.name]))
+                item = self._compare(item, rung.outcome, again[rung.name])
+            self._add(item)
 
     def _propose(self, event: Proposed, before: SearchView) -> Replayed:
         """Ask again, and compare every word of the answer."""
         item = Replayed(f"#{event.experiment:02d}", "same", "taken")
-        if event.phase == "baseline":
-            same = as_bytes(self.problem.baseline or LINEAR) == self._source(event)
-            detail = "" if same else "the baseline differs"
-            return replace(item, proposal="same" if same else "differs", detail=detail)
+        source = self.run.store.get(event.source)
         agent = self._agent(before)
-        if agent is None:
+        detail = ""
+        if event.phase == "baseline":
+            if as_bytes(self.problem.baseline or LINEAR) != source:
+                detail = "the baseline differs"
+        elif agent is None:
             return item
-        try:
-            proposal = agent.propose(self._seen(before))
-        except DivergedError as error:
-            return replace(item, proposal="differs", detail=str(error))
-        except AgentStoppedError as end:
-            detail = f"the agent ends the search here: {end.detail}"
-            return replace(item, proposal="differs", detail=detail)
-        if proposal is None:
-            return replace(item, proposal="differs", detail="the agent has no proposal here")
-        different = self._different(event, proposal)
-        return replace(
-            item,
-            proposal="differs" if different else "same",
-            detail=f"the proposal differs in {', '.join(different)}" if different else "",
-        )
+        else:
+            try:
+                proposal = agent.propose(self._seen(before))
+                detail = "" if proposal else "the agent has no proposal here"
+            except DivergedError as error:
+                proposal, detail = None, str(error)
+            except AgentStoppedError as end:
+                proposal, detail = None, f"the agent ends the search here: {end.detail}"
+            if proposal is None:
+                return replace(item, proposal="differs", detail=detail)
+            pairs = {
+                "source": (source, as_bytes(proposal.source)),
+                "family": (event.family, proposal.family),
+                "title": (event.title, proposal.title),
+                "hypothesis": (event.hypothesis, proposal.hypothesis),
+                "expectation": (event.expected, proposal.expected),
+                "parent": (event.parent, proposal.parent),
+            }
+            different = [what for what, (there, here) in pairs.items() if there != here]
+            detail = f"the proposal differs in {', '.join(different)}" if different else ""
+        return replace(item, proposal="differs" if detail else "same", detail=detail)
 
     def _seen(self, before: SearchView) -> AgentView:
         """The agent's view, with the budget of that time."""
@@ -230,28 +232,14 @@ class _Replaying:
         facts = problem_facts(replace(self.problem, budget=budget))
         return agent_view(facts, before, self.run.store)
 
-    def _different(self, event: Proposed, proposal: Proposal) -> list[str]:
-        pairs = {
-            "source": (self._source(event), as_bytes(proposal.source)),
-            "family": (event.family, proposal.family),
-            "title": (event.title, proposal.title),
-            "hypothesis": (event.hypothesis, proposal.hypothesis),
-            "expectation": (event.expected, proposal.expected),
-            "parent": (event.parent, proposal.parent),
-        }
-        return [what for what, (there, here) in pairs.items() if there != here]
-
-    def _source(self, event: Proposed) -> bytes:
-        return self.run.store.get(event.source)
-
     def _evaluate(self, item: Replayed, event: Evaluated, view: SearchView) -> Replayed:
         item = replace(item, status=event.status, V=_value(event.outcome))
         if event.duplicate_of is not None:
             twin = next(i for i in self.items if i.name == f"#{event.duplicate_of:02d}")
-            again = replace(item, outcome=twin.outcome, again=twin.again, apart=twin.apart)
-            return _with_detail(again, f"twin of {twin.name}")
+            again = replace(item, again=twin.again, apart=twin.apart)
+            return _concluded(again, twin.outcome, f"twin of {twin.name}")
         if event.deadline:
-            return _with_detail(replace(item, outcome="exempt"), "the deadline affected it")
+            return _concluded(item, "exempt", "the deadline affected it")
         proposed = view.experiment(event.experiment).proposed
         source = self.run.store.text(proposed.source)
         judged = judge(self.evaluator, source, view, over=proposed.over)
@@ -259,53 +247,56 @@ class _Replaying:
         if item.outcome != "same":
             return item
         if judged.status != event.status:
-            text = f"the decision is {judged.status} now"
-            return _with_detail(replace(item, outcome="differs"), text)
+            return _concluded(item, "differs", f"the decision is {judged.status} now")
         if judged.retests != event.retests and not self.tolerance:
-            text = "the result with another seed differs"
-            return _with_detail(replace(item, outcome="differs"), text)
+            return _concluded(item, "differs", "the result with another seed differs")
         return item
 
     def _end(self, name: str, reason: HandOverReason | StopReason, before: SearchView) -> None:
         """The end of a leg or of the search: the agent, or the rule, must end it again."""
         agent = self._agent(before)
+
+        def agent_ends() -> bool:
+            if agent is None:
+                return False
+            try:
+                return agent.propose(self._seen(before)) is None
+            except AgentStoppedError:
+                return True
+
+        by_rule = stop_reason(before, self.problem.budget)
         match reason:
             case "exhausted" if agent is not None:
-                ended = self._ends(agent, before)
+                ended = agent_ends()
             case "planned":
-                ended = stop_reason(before, self.problem.budget) == "budget"
+                ended = by_rule == "budget"
             case "saturated":
-                ended = stop_reason(before, self.problem.budget) == "saturated" or (
-                    agent is not None and self._ends(agent, before)
-                )
+                ended = by_rule == "saturated" or agent_ends()
             case _:
                 self._add(Replayed(name, "same", "taken", detail=reason))
                 return
-        item = Replayed(name, "same" if ended else "differs", "same")
-        self._add(item if ended else _with_detail(item, "the agent continues here"))
-
-    def _ends(self, agent: Agent, before: SearchView) -> bool:
-        """Return whether the agent has no proposal or ends the search."""
-        try:
-            return agent.propose(self._seen(before)) is None
-        except AgentStoppedError:
-            return True
+        detail = "" if ended else "the agent continues here"
+        self._add(Replayed(name, "same" if ended else "differs", "same", detail=detail))
 
     def _compare(self, item: Replayed, there: Outcome, here: Outcome) -> Replayed:
         item = replace(item, V=_value(there), again=_value(here))
         if isinstance(there, Failure) or isinstance(here, Failure):
-            same = _kind(there) == _kind(here)
-            detail = "" if same else f"{_kind(here)} now, {_kind(there)} then"
-            return _with_detail(replace(item, outcome="same" if same else "differs"), detail)
-        apart = _apart(there, here)
+            then, now = (
+                f"{one.reason.value} in fold {one.fold}" if isinstance(one, Failure) else "a score"
+                for one in (there, here)
+            )
+            if then == now:
+                return item
+            return _concluded(item, "differs", f"{now} now, {then} then")
+        # The largest difference of V and of the folds, relative to the larger one.
+        pairs = [(there.value, here.value)]
+        pairs += [(a.value, b.value) for a, b in zip(there.folds, here.folds, strict=True)]
+        apart = max(abs(b - a) / max(a, b) if a != b else 0.0 for a, b in pairs)
         item = replace(item, apart=apart)
         if there == here:
             return item
-        close = apart <= self.tolerance
-        return _with_detail(
-            replace(item, outcome="close" if close else "differs"),
-            f"V {there.value!r} then, {here.value!r} now",
-        )
+        detail = f"V {there.value!r} then, {here.value!r} now"
+        return _concluded(item, "close" if apart <= self.tolerance else "differs", detail)
 
 
 @dataclass
@@ -333,34 +324,11 @@ class _ReplayJournal:
         return False
 
 
-def _level(started: Started) -> tuple[Isolation, tuple[str, ...]]:
-    """The isolation to evaluate at, and what is not as it was."""
-    expected, found = Isolation(started.isolation), probe().level
-    level = expected if expected is found or not LEVELS[expected].confined else found
-    notes = () if level is expected else (f"isolation {level.value} here, {expected.value} then",)
-    gpu = started.environment.get("GPU", "") if gpu_nodes() else ""
-    here = environment(started.agent, *(leg.agent for leg in started.legs), gpu=gpu)
-    changes = environment_changes(started.environment, here)
-    return level, (*notes, *changes)
-
-
 def _value(outcome: Outcome) -> float | None:
     return outcome.value if isinstance(outcome, Score) else None
 
 
-def _kind(outcome: Outcome) -> str:
-    if isinstance(outcome, Score):
-        return "a score"
-    return f"{outcome.reason.value} in fold {outcome.fold}"
-
-
-def _apart(there: Score, here: Score) -> float:
-    """Largest difference of V and of the folds, relative to the larger one."""
-    pairs = [(there.value, here.value)]
-    pairs += [(a.value, b.value) for a, b in zip(there.folds, here.folds, strict=True)]
-    return max(abs(b - a) / max(a, b) if a != b else 0.0 for a, b in pairs)
-
-
-def _with_detail(item: Replayed, detail: str) -> Replayed:
+def _concluded(item: Replayed, outcome: OutcomeAgreement, detail: str) -> Replayed:
+    """The item with this outcome and a further detail."""
     parts = [part for part in (item.detail, detail) if part]
-    return replace(item, detail="; ".join(parts))
+    return replace(item, outcome=outcome, detail="; ".join(parts))

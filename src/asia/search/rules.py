@@ -10,14 +10,13 @@ from asia.ledger.events import HandedOver, Status, Stopped, StopReason
 from asia.ledger.view import SearchView, beats
 from asia.problem.budget import Budget
 
-EXPLORE_SHARE = 0.4
 FAR_ABOVE = 1.5
 """V relative to the incumbent above which the remaining folds are pruned."""
 
 
 def phase(view: SearchView) -> Literal["explore", "refine"]:
     """The first 40 % of the budget explores different families; the rest refines."""
-    explore = max(2, round(EXPLORE_SHARE * view.budget))
+    explore = max(2, round(0.4 * view.budget))
     return "explore" if len(view.experiments) < explore else "refine"
 
 
@@ -31,7 +30,8 @@ def stop_reason(view: SearchView, budget: Budget) -> StopReason | None:
         return "budget"
     if view.hours is not None and view.seconds >= view.hours * 3600.0:
         return "hours"
-    recent = view.finished[max(view.extended_after, view.leg_after) :]
+    leg_after = view.handed_over[-1].after if view.handed_over else 0
+    recent = view.finished[max(view.extended_after, leg_after) :]
     refined = [e for e in recent if e.proposed.phase == "refine"]
     last = refined[-budget.patience :]
     kept = any(e.kept for e in last)
@@ -46,9 +46,13 @@ def next_leg(view: SearchView, stopped: Stopped) -> HandedOver | None:
     reason = stopped.reason
     if reason == "hours" or reason == "user":
         return None
-    agent = view.started.legs[following - 1].agent
-    why = "planned" if reason == "budget" else reason
-    return HandedOver(following, agent, why, len(view.finished), stopped.detail)
+    return HandedOver(
+        leg=following,
+        agent=view.started.legs[following - 1].agent,
+        reason="planned" if reason == "budget" else reason,
+        after=len(view.finished),
+        detail=stopped.detail,
+    )
 
 
 def bound_on_folds(view: SearchView) -> float | None:
@@ -61,9 +65,7 @@ def bound_on_folds(view: SearchView) -> float | None:
 
 
 def decide(outcome: Outcome, view: SearchView) -> Status:
-    """Decide by one fit: `keep` if V beats the incumbent's, else `discard`; a failure by its
-    reason.
-    """
+    """Decide by one fit: `keep` if V beats the incumbent's, else `discard`."""
     if isinstance(outcome, Failure):
         return outcome.reason.status
     return "keep" if beats(outcome, view) else "discard"

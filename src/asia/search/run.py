@@ -7,7 +7,7 @@ import importlib.metadata
 import math
 import platform
 import secrets
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cache
@@ -30,7 +30,7 @@ from asia.judge.sandbox.availability import chosen_gpu, probe
 from asia.judge.sandbox.layers.environment import shown_in
 from asia.judge.sandbox.layers.gpu import gpu_nodes
 from asia.judge.sandbox.levels import LEVELS
-from asia.judge.sandbox.types import Isolation, Probe
+from asia.judge.sandbox.types import Isolation
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain, write_whole
 from asia.ledger.events import RESUMABLE, Extended, Leg, Resumed, Started
@@ -38,9 +38,8 @@ from asia.ledger.exports import write_exports
 from asia.ledger.run import ERROR, keep_error
 from asia.ledger.verification import check_lock
 from asia.ledger.view import SearchView
-from asia.problem.budget import Budget
 from asia.problem.lock import lock_differences, lock_text, protocol_digest
-from asia.problem.problem import Problem, Seal, kept_places, record_places
+from asia.problem.problem import Problem, kept_places, record_places
 from asia.problem.protocol import EarlyStopping, Fold, fold_names, make_folds
 from asia.problem.protocol_table import check_feedback
 from asia.problem.seal import guard_digest, seal
@@ -50,31 +49,19 @@ from asia.search.pending import check_steps_ahead, check_ways
 # Environment that outcomes and prompts depend on: Python, packages, model library.
 
 
-PACKAGES = ("cloudpickle", "asia-sysid")
-
-
 def environment(*agents: str, gpu: str = "") -> dict[str, str]:
-    """Return the environment that outcomes and prompts may depend on.
-
-    Args:
-        gpu: device of the candidates besides the processor.
-
-    Returns:
-        Python, platform, versions of packages and plugins, and the digest of the model library.
-
-    Raises:
-        UserError: as `asia._plugins.parts`.
-    """
-    names = (
-        *installed_libraries(),
-        *PACKAGES,
-        *(package for name in agents for package in packages_of(name)),
-    )
-    versions = {name: importlib.metadata.version(name) for name in names}
-    plugged = {part.package: part.version for part in parts()}
-    python = {"python": platform.python_version(), "platform": platform.platform()}
-    card = {"GPU": gpu} if gpu else {}
-    return {**python, **plugged, **versions, **card, "asia.models": _library_digest()}
+    """Python, platform, versions of packages and plugins, the GPU of candidates, and the digest of
+    the model library. Raises UserError as `asia._plugins.parts`."""
+    names = [*installed_libraries(), "cloudpickle", "asia-sysid"]
+    names += [package for name in agents for package in packages_of(name)]
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        **{part.package: part.version for part in parts()},
+        **{name: importlib.metadata.version(name) for name in names},
+        **({"GPU": gpu} if gpu else {}),
+        "asia.models": _library_digest(),
+    }
 
 
 @cache
@@ -88,18 +75,14 @@ def _library_digest() -> str:
 
 
 def environment_changes(there: Mapping[str, str], here: Mapping[str, str]) -> tuple[str, ...]:
-    """Describe the differences between the recorded and the present environment, one sentence
-    each.
-    """
+    """Describe each difference between the recorded and the present environment."""
+    absent = {"asia.models": "not recorded"}
     return tuple(
-        f"{name} {here.get(name, 'missing')} here, {there.get(name, _absent(name))} then"
+        f"{name} {here.get(name, 'missing')} here, "
+        f"{there.get(name, absent.get(name, 'missing'))} then"
         for name in sorted({**there, **here})
         if here.get(name) != there.get(name)
     )
-
-
-def _absent(name: str) -> str:
-    return "not recorded" if name == "asia.models" else "missing"
 
 
 # Check that hidden data lie outside every folder that candidates and agents can read.
@@ -127,8 +110,7 @@ def check_hidden_from_workers(path: Path) -> None:
 
 
 def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
-    """Raises UserError when a folder that an agent is to be shown holds the test data or their
-    key."""
+    """Raises UserError when a folder shown to an agent holds the test data or their key."""
     hidden = [path.resolve() for path in kept_places(problem)]
     for path in shown:
         real = path.resolve()
@@ -140,9 +122,6 @@ def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
                 )
 
 
-# Open or resume a run directory and search.
-
-
 LOCK = "problem.lock.toml"
 
 
@@ -151,7 +130,6 @@ class Prepared:
     """A run directory ready to be searched: nothing was written yet."""
 
     problem: Problem
-    """Problem to solve."""
     directory: Path
     """Run directory, which may not exist yet."""
     lock: str
@@ -180,12 +158,8 @@ def prepare(
     """Check everything a search needs and compare it with an existing run. Writes nothing.
 
     Args:
-        problem: the problem to solve.
-        agent_name: name of the agent.
-        seed: seed of the search.
         runs: folder of run directories.
-        name: name of the run.
-        isolation: isolation level of candidates.
+        isolation: level of candidates; None for the strongest that is available.
         isolation_strict: true to fit the folds of a candidate sequentially.
         agent_settings: settings of the agent's proposals besides its name.
         legs: legs of a relay, as `legs_of` its agent.
@@ -198,66 +172,79 @@ def prepare(
             budget, the run exists with other settings, several experiments are requested with
             sequential folds, or JAX does not reach the requested GPU.
     """
-    folds = _check(problem, legs, parallel, strict=isolation_strict, stop_folds=stop_folds)
+    rule, budget = problem.protocol, problem.budget
+    check_ways(rule, parallel, strict=isolation_strict, stop_folds=stop_folds)
+    check_baseline(problem)
+    # The file's schema checks a budget that was read; this one may come from anywhere.
+    if budget.experiments < 1:
+        raise UserError(f"a budget of {budget.experiments} experiments: at least 1 is needed")
+    if budget.hours is not None and not budget.hours > 0:
+        raise UserError(f"a budget of {budget.hours:g} hours: more than 0 are needed")
+    if legs:
+        check_relay_budget(legs, budget.experiments)
+    folds = make_folds(problem.train, rule)
     sealed = replace(seal(problem), guard=guard_digest(problem))
-    directory = runs / (name or _default_name(problem, agent_name, seed))
-    found = _probe(problem, directory, isolation)
+    if not name:
+        name = f"{problem.name}-{agent_name}-s{seed}"
+        name += "" if rule.early_stopping == "inner" else "-validation"
+        name += "" if rule.residuals == "train" else "-residuals"
+    directory = runs / name
+    try:
+        found = probe(isolation)
+    except SandboxError as error:
+        raise UserError(f"{error}; omit --isolation to use the strongest available level") from None
+    check_run_is_hidden(problem, directory, found.level)
+    resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
+    if resumes:
+        # The budget may grow. A run from before there were retests goes on by its ledger's rule.
+        different = [
+            one
+            for one in lock_differences(problem, sealed, directory / LOCK)
+            if one.key not in ("budget.experiments", "budget.hours")
+            and not (one.key == "budget.retests" and one.before is None)
+        ]
+        if different:
+            raise UserError(
+                f"{directory} was started with other settings ({different[0]}); only the number of "
+                "experiments and the hours can grow: choose another --name"
+            )
+    gpu, gpu_notes = chosen_gpu(device, found.level)
     lock = lock_text(problem, sealed)
     started = Started(
         run=directory.name,
         problem=problem.name,
         agent=agent_name,
         seed=seed,
-        experiments=problem.budget.experiments,
-        hours=problem.budget.hours,
+        experiments=budget.experiments,
+        hours=budget.hours,
         outputs=tuple(s.name for s in problem.outputs),
         lock_digest=hashlib.sha256(lock.encode()).hexdigest(),
         protocol_digest=protocol_digest(problem),
         test_digest=sealed.sha256,
         isolation=found.level.value,
-        isolation_notes=found.notes,
-        environment=environment(agent_name, *(leg.agent for leg in legs)),
-        early_stopping=problem.protocol.early_stopping,
-        residuals=problem.protocol.residuals,
+        isolation_notes=(*found.notes, *gpu_notes),
+        environment={
+            **environment(agent_name, *(leg.agent for leg in legs)),
+            **({"GPU": gpu} if gpu else {}),
+        },
+        early_stopping=rule.early_stopping,
+        residuals=rule.residuals,
         agent_settings=dict(agent_settings or {}),
-        ladder=problem.protocol.ladder,
+        ladder=rule.ladder,
         guard_digest=sealed.guard,
-        isolation_strict=isolation_strict,
-        folds=fold_names(folds, problem.protocol),
-        legs=_recorded_legs(legs),
-        retests=_retests(problem),
-        parallel=parallel,
-        stop_folds=stop_folds,
-    )
-    resumes = _resumes(problem, sealed, directory)
-    return Prepared(problem, directory, lock, _on(device, started, found), resumes)
-
-
-def _on(device: str, started: Started, found: Probe) -> Started:
-    """Return the start event with the isolation, a salt, and the GPU if workers reach the requested
-    one.
-    """
-    gpu, notes = chosen_gpu(device, found.level)
-    return replace(
-        started,
         layers=tuple(layer.value for layer in found.layers),
         salt=secrets.token_hex(16),
-        isolation_notes=(*started.isolation_notes, *notes),
+        isolation_strict=isolation_strict,
+        folds=fold_names(folds, rule),
+        # The number of the last leg is the budget's: a larger budget extends it.
+        legs=(*legs[:-1], *(replace(leg, experiments=None) for leg in legs[-1:])),
+        # The Ladder has a floor of its own, and retests would say by their time what is kept.
+        retests=0 if rule.ladder is not None else budget.retests,
+        parallel=parallel,
+        stop_folds=stop_folds,
         device="gpu" if gpu else "cpu",
-        environment={**started.environment, **({"GPU": gpu} if gpu else {})},
     )
-
-
-def _retests(problem: Problem) -> int:
-    """The Ladder has a floor of its own, and retests would say by their time what is kept."""
-    return 0 if problem.protocol.ladder is not None else problem.budget.retests
-
-
-def _default_name(problem: Problem, agent_name: str, seed: int) -> str:
-    rule = problem.protocol
-    setting = "" if rule.early_stopping == "inner" else "-validation"
-    setting += "" if rule.residuals == "train" else "-residuals"
-    return f"{problem.name}-{agent_name}-s{seed}{setting}"
+    return Prepared(problem, directory, lock, started, resumes)
 
 
 def search(
@@ -324,14 +311,12 @@ def make_evaluator(
 ) -> Evaluator:
     """The evaluator of a run, at the isolation its ledger records. folds: in place of the
     problem's own; without: as in `Evaluator`."""
-    rule = problem.protocol
     runs_on = executor or LocalExecutor()
-    context = search_context(problem, derive_seed(view.started.seed, "search"))
     return Evaluator(
-        folds=make_folds(problem.train, rule) if folds is None else folds,
+        folds=make_folds(problem.train, problem.protocol) if folds is None else folds,
         records=problem.train,
-        context=context,
-        rule=rule,
+        context=search_context(problem, derive_seed(view.started.seed, "search")),
+        rule=problem.protocol,
         budget=problem.budget,
         isolation=Isolation(view.started.isolation),
         executor=SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
@@ -377,59 +362,6 @@ def check_baseline(problem: Problem) -> None:
         raise UserError(f"baseline.py of problem '{problem.name}': {error.reason.advice}") from None
 
 
-def _recorded_legs(legs: Sequence[Leg]) -> tuple[Leg, ...]:
-    """Return the legs without the number of the last one, which is the budget's: a larger budget
-    extends it.
-    """
-    return (*legs[:-1], *(replace(leg, experiments=None) for leg in legs[-1:]))
-
-
-def _check(
-    problem: Problem, legs: Sequence[Leg], parallel: int, *, strict: bool, stop_folds: bool
-) -> tuple[Fold, ...]:
-    """The folds of a problem whose baseline and budget are in order."""
-    check_ways(problem.protocol, parallel, strict=strict, stop_folds=stop_folds)
-    check_baseline(problem)
-    _check_budget(problem.budget)
-    if legs:
-        check_relay_budget(legs, problem.budget.experiments)
-    return make_folds(problem.train, problem.protocol)
-
-
-def _check_budget(budget: Budget) -> None:
-    """The file's schema checks a budget that was read; this one may come from anywhere."""
-    if budget.experiments < 1:
-        raise UserError(f"a budget of {budget.experiments} experiments: at least 1 is needed")
-    if budget.hours is not None and not budget.hours > 0:
-        raise UserError(f"a budget of {budget.hours:g} hours: more than 0 are needed")
-
-
-def _probe(problem: Problem, directory: Path, wanted: Isolation | None) -> Probe:
-    """The isolation that works here and hides the run from candidates."""
-    try:
-        found = probe(wanted)
-    except SandboxError as error:
-        raise UserError(f"{error}; omit --isolation to use the strongest available level") from None
-    check_run_is_hidden(problem, directory, found.level)
-    return found
-
-
-def _resumes(problem: Problem, sealed: Seal, directory: Path) -> bool:
-    """Return whether the run exists. The budget may grow; all other settings must be equal."""
-    if not ((directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()):
-        return False
-    found = lock_differences(problem, sealed, directory / LOCK)
-    different = [d for d in found if d.key not in ("budget.experiments", "budget.hours")]
-    # A run from before there were retests goes on by the rule in its ledger.
-    different = [d for d in different if not (d.key == "budget.retests" and d.before is None)]
-    if different:
-        raise UserError(
-            f"{directory} was started with other settings ({different[0]}); only the number of "
-            "experiments and the hours can grow: choose another --name"
-        )
-    return True
-
-
 def check_same_search(view: SearchView, wanted: Started) -> None:
     """Raises UserError unless `wanted` asks for the same search, or for more of it."""
     start = view.started
@@ -438,6 +370,12 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
             f"run '{start.run}' was started with lessons, which this version does not support: "
             "choose another --name"
         )
+    # The settings of each agent, those of its leg in a relay; other agents differ in their name.
+    legs = zip(start.legs, wanted.legs, strict=False)
+    pairs = [
+        (start.agent_settings, wanted.agent_settings),
+        *((one.settings, other.settings) for one, other in legs),
+    ]
     for what, there, now in (
         ("agent", start.agent, wanted.agent),
         ("seed", start.seed, wanted.seed),
@@ -445,6 +383,11 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         ("--parallel", start.parallel, wanted.parallel),
         ("--device", start.device, wanted.device),
         ("--stop-folds", *("on" if s.stop_folds else "off" for s in (start, wanted))),
+        *(
+            (f"an agent with {name}", *(s.get(name, "its default") for s in (before, after)))
+            for before, after in pairs
+            for name in dict.fromkeys([*before, *after])
+        ),
     ):
         if there != now:
             raise UserError(
@@ -456,39 +399,20 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
             f"run '{start.run}' started with a layer of isolation that is not available "
             f"({', '.join(lost)}): continue it where it started, or choose another --name"
         )
-    for settings in _other_settings(start, wanted):
-        for what in dict.fromkeys([*settings[0], *settings[1]]):
-            there, now = (s.get(what, "its default") for s in settings)
-            if there != now:
-                raise UserError(
-                    f"run '{start.run}' has an agent with {what} {there}, not {now}: choose "
-                    "another --name"
-                )
+    grows = False
     for what, there, now in (
         ("experiments", view.budget, wanted.experiments),
-        ("hours", _hours(view.hours), _hours(wanted.hours)),
+        ("hours", view.hours, wanted.hours),
     ):
-        if now < there:
-            has = f"{there:g} {what}" if math.isfinite(there) else f"no limit of {what}"
+        before, after = (math.inf if limit is None else limit for limit in (there, now))
+        if after < before:
+            has = f"{before:g} {what}" if math.isfinite(before) else f"no limit of {what}"
             raise UserError(
                 f"run '{start.run}' has {has}, and a budget can only grow: ask for at least that, "
                 "or choose another --name"
             )
-    grows = wanted.experiments > view.budget or _hours(wanted.hours) > _hours(view.hours)
+        grows = grows or after > before
     if view.unsealing and grows:
         raise UserError(
             f"run '{start.run}' was unsealed, which ended the search: choose another --name"
         )
-
-
-def _other_settings(
-    there: Started, now: Started
-) -> Iterator[tuple[Mapping[str, str], Mapping[str, str]]]:
-    """The settings of each agent, those of its leg in a relay; the names are the same."""
-    yield there.agent_settings, now.agent_settings
-    for one, other in zip(there.legs, now.legs, strict=True):
-        yield one.settings, other.settings
-
-
-def _hours(value: float | None) -> float:
-    return math.inf if value is None else value

@@ -34,27 +34,19 @@ from asia.problem.protocol import Block, Case, Fold, ProtocolRule, cut, whole
 from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
 from asia.search.run import LOCK, make_evaluator
 
-# Stored models that make up a final model.
-
 
 @dataclass(frozen=True)
 class FinalMember:
     """Stored models of one candidate; the mean of their simulations counts with a weight."""
 
     source: str
-    """Artifact of the candidate."""
     models: tuple[str, ...]
-    """Artifacts of the models."""
     weight: float = 1.0
     """Its share; those of all members add up to 1."""
 
 
 def final_members(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
-    """Return the members of a final model.
-
-    Raises:
-        UserError: the search has no such model.
-    """
+    """The members of a final model. Raises UserError where the search has none."""
     run, best, refitted = view.started.run, view.best, view.refitted
     if best is None:
         raise UserError(f"run '{run}' has no scored model")
@@ -109,7 +101,7 @@ class BandBasis:
     simulated: tuple[tuple[Array, ...], ...]
     """Their simulations (H, ny) of each held-out block, one tuple a fold."""
     region: Region
-    """Region of all training records."""
+    """That of all training records."""
     windows: bool
     """True if the protocol simulates windows, so that errors depend on the step."""
 
@@ -132,8 +124,7 @@ class BandBasis:
 
 
 def models_behind(view: SearchView, use: Use) -> tuple[FinalMember, ...]:
-    """The fold models that say how wrong a final model is: of a stack its members', otherwise the
-    winner's."""
+    """The fold models behind a final model: of a stack its members', else the winner's."""
     return final_members(view, "stack" if use == "stack" else "ensemble")
 
 
@@ -144,28 +135,21 @@ def band_basis(evaluator: Evaluator, view: SearchView, store: Store, use: Use) -
     else:
         assert view.best is not None
         weights = {view.best.number: 1.0}
-    parts = [(view.experiment(number), weight) for number, weight in weights.items()]
-    simulated = tuple(_simulated(fold, parts, store) for fold in evaluator.folds)
-    errors = tuple(
-        HeldOutErrors(tuple(b.y - y for b, y in zip(fold.validation, y_hat, strict=True)))
-        for fold, y_hat in zip(evaluator.folds, simulated, strict=True)
-    )
+    parts = [(view.experiment(number).result, weight) for number, weight in weights.items()]
+    simulated: list[tuple[Array, ...]] = []
+    errors: list[HeldOutErrors] = []
+    for fold in evaluator.folds:
+        shapes = [block.y.shape for block in fold.validation]
+        total = [np.zeros(shape) for shape in shapes]
+        for result, weight in parts:
+            assert result is not None
+            kept = store.get_arrays(result.folds[fold.index].y_hat, shapes)
+            total = [t + weight * y_hat for t, y_hat in zip(total, kept, strict=True)]
+        pairs = zip(fold.validation, total, strict=True)
+        simulated.append(tuple(total))
+        errors.append(HeldOutErrors(tuple(b.y - y for b, y in pairs)))
     region = region_of([(r.u, r.y) for r in evaluator.records])
-    return BandBasis(errors, simulated, region, evaluator.horizon is not None)
-
-
-def _simulated(
-    fold: Fold, parts: Sequence[tuple[Experiment, float]], store: Store
-) -> tuple[Array, ...]:
-    """The weighted simulations of what a fold holds out."""
-    shapes = [block.y.shape for block in fold.validation]
-    total = [np.zeros(shape) for shape in shapes]
-    for experiment, weight in parts:
-        assert experiment.result is not None
-        kept = store.get_arrays(experiment.result.folds[fold.index].y_hat, shapes)
-        for sum_, y_hat in zip(total, kept, strict=True):
-            sum_ += weight * y_hat
-    return tuple(total)
+    return BandBasis(tuple(errors), tuple(simulated), region, evaluator.horizon is not None)
 
 
 # Use what a search found: simulate with its models, in the sandbox they were made in.
@@ -178,9 +162,8 @@ class BandedSimulation:
     y_hat: Array
     """Simulated outputs (H, ny), physical units."""
     lower: Array
-    """Lower edge of the bands (H, ny)."""
     upper: Array
-    """Upper edge of the bands (H, ny)."""
+    """Edges of the bands (H, ny)."""
     level: float
     """The share of measured outputs that the bands are meant to hold."""
     outside: NDArray[np.bool_]
@@ -241,13 +224,15 @@ def simulate(
     problem = load_lock(run.directory / LOCK)
     block = _block(run, problem, past_u, past_y, u)
     evaluator = make_evaluator(problem, run.view)
-    each = _simulate_simulated(evaluator, run, members, block)
+    (each,) = simulate_members(evaluator, run, members, [block])
     y_hat = each.mean(axis=0)
     done = problem.preprocess
     if bands is None:
         return done.back(y_hat, problem.channels.outputs, len(u))
     behind = models_behind(run.view, named)
-    folds = each if behind == members else _simulate_simulated(evaluator, run, behind, block)
+    folds = each
+    if behind != members:
+        (folds,) = simulate_members(evaluator, run, behind, [block])
     basis = band_basis(evaluator, run.view, run.store, named)
     found, outside = basis.around(block.case, folds, y_hat, bands)
     mean, lower, upper = (
@@ -261,17 +246,14 @@ def simulate(
 def simulate_cases(
     directory: Path | str, cases: Sequence[tuple[Array, Array, Array]], model: Use | None = None
 ) -> list[Array]:
-    """Simulate several cases (past_u, past_y, u) at once, see `simulate`. Return y_hat (H, ny) of
-    each.
-    """
+    """Simulate cases (past_u, past_y, u) at once, see `simulate`; y_hat (H, ny) of each."""
     run = open_run(Path(directory))
     named = _named(run, model)
     problem = load_lock(run.directory / LOCK)
     blocks = [_block(run, problem, *case, record=k) for k, case in enumerate(cases)]
     evaluator = make_evaluator(problem, run.view)
-    members = final_members(run.view, named)
+    simulated = simulate_members(evaluator, run, final_members(run.view, named), blocks)
     done, outputs = problem.preprocess, problem.channels.outputs
-    simulated = simulate_members(evaluator, run, members, blocks)
     return [
         done.back(each.mean(axis=0), outputs, len(case[2]))
         for each, case in zip(simulated, cases, strict=True)
@@ -281,14 +263,7 @@ def simulate_cases(
 def _block(
     run: Run, problem: Problem, past_u: Array, past_y: Array, u: Array, record: int = 0
 ) -> Block:
-    """Return a case as a block.
-
-    Args:
-        record: true if cases of different records may be simulated at once.
-
-    Raises:
-        UserError: an array has the wrong shape.
-    """
+    """Return a case as a block. Raises UserError for an array of a wrong shape."""
     rule, nu, ny = problem.protocol, len(problem.inputs), len(problem.outputs)
     done, every = problem.preprocess, problem.preprocess.decimate
     for name, array, shape in (
@@ -312,21 +287,11 @@ def _block(
     return Block(case, np.zeros((len(after), ny)), record=record, start=0)
 
 
-def _simulate_simulated(
-    evaluator: Evaluator, run: Run, members: Sequence[FinalMember], block: Block
-) -> Array:
-    """Simulations (K, H, ny) whose mean is that of the members: one a fold, or that of a refit."""
-    return simulate_members(evaluator, run, members, [block])[0]
-
-
 def simulate_members(
     evaluator: Evaluator, run: Run, members: Sequence[FinalMember], blocks: Sequence[Block]
 ) -> list[Array]:
-    """Return for each block simulations (K, H, ny) whose mean is that of the members.
-
-    Raises:
-        CandidateError: a member fails.
-    """
+    """Simulations (K, H, ny) of each block whose mean is that of the members. Raises
+    CandidateError."""
     total = [np.zeros((1, *block.y.shape)) for block in blocks]
     for member in members:
         models = [run.store.get(one) for one in member.models]
@@ -355,7 +320,6 @@ _MOST_RECORDS = 4
 _MOST_SAMPLES = 4000
 _MOST_WINDOWS = 24
 _MOST_VALUES = 400_000
-_TITLE = 200
 
 
 def simulated_excerpts(run: Run, number: int) -> SimulatedCases:
@@ -366,35 +330,34 @@ def simulated_excerpts(run: Run, number: int) -> SimulatedCases:
     if result is None or score is None:
         raise UserError(f"experiment {number} has no score, so there is nothing to draw")
     problem = load_lock(run.directory / LOCK)
-    evaluator = make_evaluator(problem, run.view)
-    parts = (1 + (problem.protocol.residuals == "held_out")) * len(evaluator.folds)
+    rule, evaluator = problem.protocol, make_evaluator(problem, run.view)
+    parts = (1 + (rule.residuals == "held_out")) * len(evaluator.folds)
     most = _MOST_VALUES // parts // (2 * len(problem.outputs) + len(problem.inputs))
+    source = run.store.text(experiment.proposed.source)
     cases: list[SimulatedCase] = []
-    for index, fold in enumerate(evaluator.folds):
-        blocks = training_excerpt(fold, problem.protocol, most)
-        y_hat = _excerpt(run, evaluator, experiment, index, blocks)
+    for index, (fold, kept) in enumerate(zip(evaluator.folds, result.folds, strict=True)):
+        blocks = training_excerpt(fold, rule, most)
+        try:
+            (y_hat,) = evaluator.simulate(source, [run.store.get(kept.model)], blocks)
+        except CandidateError as error:
+            raise UserError(
+                f"the model of fold {index + 1} cannot be simulated again: {error.reason.advice}"
+            ) from None
         cases += simulated_cases(fold, blocks, y_hat, held_out=False)
-        if problem.protocol.residuals == "held_out":
+        if rule.residuals == "held_out":
             shapes = [block.y.shape for block in fold.validation]
-            stored = run.store.get_arrays(result.folds[index].y_hat, shapes)
-            places = _spread(fold.validation, problem.protocol, most)
+            stored = run.store.get_arrays(kept.y_hat, shapes)
+            places = _spread(fold.validation, rule, most)
             chosen = [fold.validation[k] for k in places], [stored[k] for k in places]
             cases += simulated_cases(fold, *chosen, held_out=True)
     return SimulatedCases(
-        title=f"Experiment {number}, {_title(experiment)}",
+        title=f"Experiment {number}, {one_line(experiment.description, 200)}",
         sampling_time=problem.sampling_time,
-        windows=problem.protocol.horizon is not None,
+        windows=rule.horizon is not None,
         inputs=problem.inputs,
         outputs=problem.outputs,
         cases=tuple(cases),
     )
-
-
-def _title(experiment: Experiment) -> str:
-    """The whole hypothesis where the title is its beginning, up to a few lines."""
-    title, hypothesis = experiment.proposed.title, experiment.proposed.hypothesis
-    whole = hypothesis.startswith(title.removesuffix("…"))
-    return one_line(hypothesis if whole else title, _TITLE)
 
 
 def training_excerpt(fold: Fold, rule: ProtocolRule, most: int = _MOST_SAMPLES) -> list[Block]:
@@ -411,25 +374,9 @@ def training_excerpt(fold: Fold, rule: ProtocolRule, most: int = _MOST_SAMPLES) 
 
 
 def _spread(blocks: Sequence[Block], rule: ProtocolRule, most: int) -> list[int]:
-    """Return the indices of the chosen blocks: some windows, evenly spaced, or the first complete
-    records.
-    """
+    """Indices of some evenly spaced windows, or of the first complete records."""
     if rule.horizon is None:
         ends = np.cumsum([len(block.y) for block in blocks[:_MOST_RECORDS]])
         return list(range(max(1, int((ends <= most).sum()))))
     count = max(1, min(_MOST_WINDOWS, most // rule.horizon, len(blocks)))
     return np.unique(np.linspace(0, len(blocks) - 1, count).round().astype(int)).tolist()
-
-
-def _excerpt(
-    run: Run, evaluator: Evaluator, experiment: Experiment, index: int, blocks: Sequence[Block]
-) -> tuple[Array, ...]:
-    assert experiment.result is not None
-    source = run.store.text(experiment.proposed.source)
-    model = run.store.get(experiment.result.folds[index].model)
-    try:
-        return evaluator.simulate(source, [model], blocks)[0]
-    except CandidateError as error:
-        raise UserError(
-            f"the model of fold {index + 1} cannot be simulated again: {error.reason.advice}"
-        ) from None

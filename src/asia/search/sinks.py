@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, Self, cast
@@ -14,8 +15,6 @@ from asia.errors import UserError
 from asia.ledger.events import Event
 from asia.ledger.view import SearchView
 from asia.search.loop import OnEvent
-
-_GROUP = "asia.sinks"
 
 
 class Sink(Protocol):
@@ -45,7 +44,6 @@ class Sinks:
     """
 
     directory: Path
-    """The run directory."""
     wanted: Mapping[str, OpenSink]
     """Function that opens each sink, by its name."""
     _open: dict[str, Sink] = field(default_factory=dict[str, Sink])
@@ -57,7 +55,7 @@ class Sinks:
         def start(view: SearchView) -> None:
             on_start(view)
             for name, opener in self.wanted.items():
-                with _Reported(self, name):
+                with self._reported(name):
                     self._open[name] = opener(self.directory, _without_salt(view))
 
         return start
@@ -68,56 +66,45 @@ class Sinks:
         def event(event: Event, view: SearchView) -> None:
             on_event(event, view)
             for name, sink in self._open.items():
-                with _Reported(self, name):
+                with self._reported(name):
                     sink.event(event, _without_salt(view))
 
         return event
 
-    def report(self, name: str, error: Exception) -> None:
-        """Say once on stderr that a sink failed."""
-        if name not in self._failed:
-            self._failed.add(name)
-            what = f"{type(error).__name__}: {error}"
-            say(f"sink {name} failed, the search continues: {what}", file=sys.stderr)
+    @contextmanager
+    def _reported(self, name: str) -> Generator[None, None, None]:
+        """Code of another package: its failure is never the search's, and is said once on
+        stderr."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 - the boundary itself
+            if name not in self._failed:
+                self._failed.add(name)
+                what = f"{type(error).__name__}: {error}"
+                say(f"sink {name} failed, the search continues: {what}", file=sys.stderr)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *raised: object) -> None:
         for name, sink in self._open.items():
-            with _Reported(self, name):
+            with self._reported(name):
                 sink.close()
-
-
-@dataclass(frozen=True)
-class _Reported:
-    """Code of another package: whatever it raises is its failure, and never the search's."""
-
-    sinks: Sinks
-    name: str
-
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
-        if isinstance(error, Exception):
-            self.sinks.report(self.name, error)
-        return error is None or isinstance(error, Exception)
 
 
 def open_sinks(directory: Path, wanted: Sequence[str | OpenSink]) -> Sinks:
     """The sinks of a search in `directory`. wanted: names of installed sinks, `module:Name`, or
     what opens one. Raises UserError for a name that is not known."""
-    found = [(w, find_sink(w)) if isinstance(w, str) else (_name(w), w) for w in wanted]
-    return Sinks(directory, dict(found))
+    found: dict[str, OpenSink] = {}
+    for one in wanted:
+        name = one if isinstance(one, str) else getattr(one, "__qualname__", repr(one))
+        found[name] = find_sink(one) if isinstance(one, str) else one
+    return Sinks(directory, found)
 
 
 def find_sink(name: str) -> OpenSink:
-    """Return the function that opens a sink, by its name or `module:Name`.
-
-    Raises:
-        UserError: there is none, or it cannot be called.
-    """
-    known = {part.name: part for part in parts_of(_GROUP)}
+    """The sink of this name or `module:Name`. Raises UserError where there is none."""
+    known = {part.name: part for part in parts_of("asia.sinks")}
     if name in known:
         sink = known[name].load()
     elif ":" in name:
@@ -130,10 +117,6 @@ def find_sink(name: str) -> OpenSink:
     if not callable(sink):
         raise UserError(f"sink '{name}' is {sink!r}, expected a class or a function that opens one")
     return cast(OpenSink, sink)
-
-
-def _name(opener: OpenSink) -> str:
-    return getattr(opener, "__qualname__", repr(opener))
 
 
 def _without_salt(view: SearchView) -> SearchView:

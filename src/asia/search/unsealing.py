@@ -10,7 +10,7 @@ from typing import get_args
 import numpy as np
 
 from asia._diagnostic import diagnostic
-from asia.data.trajectory import Array, Mask, Trajectory, data_digest
+from asia.data.trajectory import Array, Trajectory, data_digest
 from asia.errors import CandidateError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import mean_simulation
@@ -22,7 +22,7 @@ from asia.ledger.events import TestBands, TestedModel, Unsealed, Unsealing, Use
 from asia.ledger.exports import write_exports
 from asia.ledger.run import model_to_use, open_run
 from asia.ledger.verification import check_lock, verify
-from asia.ledger.view import Experiment, SearchView, replay
+from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_lock
 from asia.problem.metrics import MEE
 from asia.problem.problem import Problem
@@ -51,7 +51,6 @@ class UnsealResult:
     """The test result of a run."""
 
     record: Unsealed
-    """The scores, as the ledger keeps them."""
     first_time: bool
     """False when this run had been unsealed before."""
     opened_before: tuple[str, ...]
@@ -66,7 +65,6 @@ def unseal(
     A second call returns the first result. A model that fails on the test is recorded as a Failure.
 
     Args:
-        directory: run directory.
         process_consent: true to open the test although the candidates ran at level process;
             recorded.
         keys: folder of the key of an encrypted test; None for the user's own.
@@ -77,17 +75,25 @@ def unseal(
             is missing, or the level is process without consent.
     """
     with Chain(directory / "ledger.jsonl") as chain:
-        view = replay(line.event for line in chain.lines)
+        view = chain.view
         if view.unsealed is not None:
             before = view.unsealing.opened_before if view.unsealing else ()
             return UnsealResult(view.unsealed, first_time=False, opened_before=before)
-        best, digest = _check(directory, view)
+        check_lock(directory, view.started)
+        run, best, digest = view.started.run, view.best, view.started.test_digest
+        if not view.complete:
+            raise UserError(
+                f"run '{run}' is not finished: unsealing ends a search, finish it first"
+            )
+        if best is None:
+            raise UserError(f"run '{run}' has no scored model to unseal")
+        if digest is None:
+            raise UserError(f"problem '{view.started.problem}' has no test data")
         consented = process_consent and needs_consent(view)
         if needs_consent(view) and not consented:
             raise UserError(
-                f"{CONSENT.format(run=view.started.run)}; to open the test nevertheless, "
-                "give --yes-process (in Python: process_consent=True); the ledger records "
-                "it"
+                f"{CONSENT.format(run=run)}; to open the test nevertheless, give --yes-process "
+                "(in Python: process_consent=True); the ledger records it"
             )
         verify(directory)
         problem = load_lock(directory / LOCK)
@@ -97,30 +103,15 @@ def unseal(
             chain.append(Unsealing(best.number, digest, before, consented))
         event = _score(directory, view, best, problem, open_test(problem, keys))
         chain.append(event)
-        write_exports(directory, replay(line.event for line in chain.lines))
+        write_exports(directory, chain.view)
     return UnsealResult(event, first_time=True, opened_before=before)
 
 
 def needs_consent(view: SearchView) -> bool:
-    """Return whether only the user can permit the opening of the test, because nothing kept the
-    candidates of this search from reading it.
-    """
+    """Return whether the user must permit the opening, as candidates could read the test."""
     unopened = view.unsealing is None or not view.unsealing.process_consent
     open_levels = {level.isolation.value for level in LEVELS.values() if not level.confined}
     return unopened and view.started.isolation in open_levels
-
-
-def _check(directory: Path, view: SearchView) -> tuple[Experiment, str]:
-    """The winner and the digest of the test, when there is something to unseal."""
-    check_lock(directory, view.started)
-    run = view.started.run
-    if not view.complete:
-        raise UserError(f"run '{run}' is not finished: unsealing ends a search, finish it first")
-    if view.best is None:
-        raise UserError(f"run '{run}' has no scored model to unseal")
-    if view.started.test_digest is None:
-        raise UserError(f"problem '{view.started.problem}' has no test data")
-    return view.best, view.started.test_digest
 
 
 def _openers(directory: Path, digest: str) -> tuple[str, ...]:
@@ -187,20 +178,13 @@ def _by_record(parts: Sequence[Array], blocks: Sequence[Block]) -> tuple[Array, 
     return tuple(np.concatenate([p for p, block in pairs if block.record == r]) for r in records)
 
 
-def _share(held: Mask, known: Mask) -> Array:
-    """Return the share of measured samples (N, ny) in the held set, by output."""
-    if known.all():
-        return held.mean(axis=0)
-    return (held & known).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-
-
 @dataclass(frozen=True)
 class _TestScorer:
     evaluator: Evaluator
     store: Store
     blocks: tuple[Block, ...]
     problem: Problem
-    asked: dict[FinalMember, Sequence[Answers] | Failure] = field(
+    simulated: dict[FinalMember, Sequence[Answers] | Failure] = field(
         default_factory=dict[FinalMember, "Sequence[Answers] | Failure"]
     )
 
@@ -213,51 +197,57 @@ class _TestScorer:
                 return answers
             y_hat = mean_simulation(answers)
             total = [t + member.weight * one for t, one in zip(total, y_hat, strict=True)]
+        rule, y = self.problem.protocol.test, [b.y for b in self.blocks]
+        measured, simulated = (_by_record(parts, self.blocks) for parts in (y, total))
         try:
-            return self._record(tuple(total))
+            scores = tuple(
+                score_test(measured, simulated, m, rule.skip) for m in rule.metrics if m != MEE
+            )
+            mee = None
+            if MEE in rule.metrics:
+                names = [s.name for s in self.problem.outputs]
+                mee = mee_table(y, tuple(total), names, rule.groups, rule.horizons)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
+        return TestedModel(scores, self.store.put_arrays(simulated), mee)
 
     def bands(self, view: SearchView) -> TestBands | None:
         """The bands of the model to use, and how many of the measured samples they hold."""
         named = model_to_use(view)
         assert named is not None
-        final = self._each(final_members(view, named.model))
-        folds = self._each(models_behind(view, named.model))
+        final = self._each_simulation(final_members(view, named.model))
+        folds = self._each_simulation(models_behind(view, named.model))
         if final is None or folds is None:
             return None
         basis = band_basis(self.evaluator, view, self.store, named.model)
-        found = [
-            basis.around(block.case, each, mean.mean(axis=0), BAND_LEVEL)
-            for block, each, mean in zip(self.blocks, folds, final, strict=True)
-        ]
-        lower, upper, outside = (
+        lows: list[Array] = []
+        highs: list[Array] = []
+        outsides: list[Array] = []
+        for block, each, mean in zip(self.blocks, folds, final, strict=True):
+            found, out = basis.around(block.case, each, mean.mean(axis=0), BAND_LEVEL)
+            lows.append(found.lower)
+            highs.append(found.upper)
+            outsides.append(out[:, None].astype(np.float64))
+        y, lower, upper, outside = (
             _by_record(parts, self.blocks)
-            for parts in (
-                [bands.lower for bands, _ in found],
-                [bands.upper for bands, _ in found],
-                [out[:, None].astype(np.float64) for _, out in found],
-            )
+            for parts in ([b.y for b in self.blocks], lows, highs, outsides)
         )
-        y = _by_record([b.y for b in self.blocks], self.blocks)
         skip = self.problem.protocol.test.skip
-        held = [
-            (low[skip:] <= one[skip:]) & (one[skip:] <= high[skip:])
-            for one, low, high in zip(y, lower, upper, strict=True)
-        ]
-        known = ~np.isnan(np.concatenate([one[skip:] for one in y]))
+        scored, low, high = (np.concatenate([one[skip:] for one in p]) for p in (y, lower, upper))
+        # The comparison with an unmeasured output, NaN, is false.
+        held = ((low <= scored) & (scored <= high)).sum(axis=0)
+        measured = (~np.isnan(scored)).sum(axis=0)
         return TestBands(
             model=named.model,
             level=BAND_LEVEL,
-            covered=tuple(_share(np.concatenate(held), known).tolist()),
+            covered=tuple((held / np.maximum(measured, 1)).tolist()),
             outside=float(np.concatenate([out[skip:] for out in outside]).mean()),
             lower=self.store.put_arrays(lower),
             upper=self.store.put_arrays(upper),
         )
 
-    def _each(self, members: Sequence[FinalMember]) -> list[Array] | None:
-        """Simulations (K, H, ny) of each block whose mean is that of the members; None where one
-        fails."""
+    def _each_simulation(self, members: Sequence[FinalMember]) -> list[Array] | None:
+        """Simulations (K, H, ny) of each block with the members' mean; None where one fails."""
         total: list[Array] = [np.zeros((1, *block.y.shape)) for block in self.blocks]
         for member in members:
             answers = self._simulated(replace(member, weight=1.0))
@@ -268,36 +258,17 @@ class _TestScorer:
         return total
 
     def _simulated(self, member: FinalMember) -> Sequence[Answers] | Failure:
-        """Return the simulation of each of the member's models; each model is simulated once, even
-        if several members contain it.
-        """
-        if member not in self.asked:
+        """The simulation of each of the member's models, made once."""
+        if member not in self.simulated:
             source, models = self.store.text(member.source), map(self.store.get, member.models)
             try:
                 each = self.evaluator.simulate_scored(source, list(models), self.blocks)
-                self.asked[member] = _all_of(each)
+                failed = [one for one in each if isinstance(one, CandidateError)]
+                if failed:
+                    raise failed[0]
+                self.simulated[member] = [
+                    one for one in each if not isinstance(one, CandidateError)
+                ]
             except CandidateError as error:
-                self.asked[member] = Failure(error.reason, error.detail)
-        return self.asked[member]
-
-    def _record(self, y_hat: tuple[Array, ...]) -> TestedModel:
-        rule, y = self.problem.protocol.test, [b.y for b in self.blocks]
-        measured, simulated = (_by_record(parts, self.blocks) for parts in (y, y_hat))
-        scores = tuple(
-            score_test(measured, simulated, m, rule.skip) for m in rule.metrics if m != MEE
-        )
-        names = [s.name for s in self.problem.outputs]
-        mee = None
-        if MEE in rule.metrics:
-            mee = mee_table(y, y_hat, names, rule.groups, rule.horizons)
-        return TestedModel(scores, self.store.put_arrays(simulated), mee)
-
-
-def _all_of(each: Sequence[Answers | CandidateError]) -> list[Answers]:
-    """Raises the first error among the answers."""
-    found: list[Answers] = []
-    for one in each:
-        if isinstance(one, CandidateError):
-            raise one
-        found.append(one)
-    return found
+                self.simulated[member] = Failure(error.reason, error.detail)
+        return self.simulated[member]

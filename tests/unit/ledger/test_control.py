@@ -8,7 +8,8 @@ import pytest
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import Stopped
-from asia.ledger.run import Control, control, control_text
+from asia.ledger.run import Control, control
+from asia.ledger.text import control_text
 
 from .conftest import evaluated, proposed, score, started
 

@@ -15,16 +15,14 @@ from asia.ledger.events import Evaluated, FoldEvidence, Retest
 from asia.ledger.evidence import (
     ParameterSpread,
     RunSettings,
-    evidence_lines,
     evidence_of,
     findings_of,
-    last_lines,
     noise_of_repeats,
-    parameter_lines,
     parameter_spreads,
     put_findings,
     shared_residuals,
 )
+from asia.ledger.text import evidence_lines, last_lines, parameter_lines
 from asia.ledger.view import Experiment, SearchView, published, replay
 
 from .conftest import proposed, started

@@ -16,11 +16,10 @@ from asia.ledger.evidence import (
     IdentifiedModel,
     IdentifiedParameter,
     get_estimates,
-    identified_lines,
-    identified_object,
     put_estimates,
     with_fold_values,
 )
+from asia.ledger.text import identified_lines, identified_object
 
 INF = float("inf")
 

@@ -46,15 +46,17 @@ from asia.ledger.events import (
     Refitted,
     RungScored,
 )
-from asia.ledger.evidence import (
+from asia.ledger.evidence import identified, significance_threshold
+from asia.ledger.run import control, open_run
+from asia.ledger.text import (
+    control_text,
+    error_value,
     floor_words,
-    identified,
+    hand_over_text,
     identified_lines,
     method_note,
-    significance_threshold,
+    seed_mean_words,
 )
-from asia.ledger.run import control, control_text, open_run
-from asia.ledger.text import error_value, hand_over_text, seed_mean_words
 from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem

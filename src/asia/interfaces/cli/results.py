@@ -25,16 +25,16 @@ from asia.ledger.events import (
     LeftOut,
     Proposed,
 )
-from asia.ledger.evidence import (
+from asia.ledger.evidence import evidence_of, identified, settings_of_run
+from asia.ledger.run import Run
+from asia.ledger.text import (
+    describe_result,
+    error_value,
     evidence_lines,
-    evidence_of,
-    identified,
     identified_lines,
     identified_object,
-    settings_of_run,
+    phase_text,
 )
-from asia.ledger.run import Run
-from asia.ledger.text import describe_result, error_value, phase_text
 from asia.ledger.view import Experiment
 from asia.problem.metrics import metric_label
 

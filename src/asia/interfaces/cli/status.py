@@ -119,7 +119,8 @@ def _print(directory: Path, found: Brief) -> None:
         validation_words,
         value_words,
     )
-    from asia.ledger.run import control, control_text, error_of, metric_of
+    from asia.ledger.run import control, error_of, metric_of
+    from asia.ledger.text import control_text
     from asia.problem.metrics import metric_label
 
     view = found.view
@@ -190,8 +191,7 @@ def _print_course(view: SearchView, *, running: bool) -> None:
 def _print_winner(view: SearchView) -> None:
     """Print the evidence for the best candidate other than V."""
     from asia.interfaces.cli.text import again_words, guard_words, use_lines
-    from asia.ledger.evidence import floor_words, method_note
-    from asia.ledger.text import validation_summary
+    from asia.ledger.text import floor_words, method_note, validation_summary
 
     if words := method_note(view):
         say(f"method  {words}")

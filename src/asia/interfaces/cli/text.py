@@ -21,8 +21,8 @@ from asia.ledger.events import (
     RungScored,
     Usage,
 )
-from asia.ledger.run import model_to_use, stack_words
-from asia.ledger.text import error_value, seed_mean_words, validation_score_words
+from asia.ledger.run import model_to_use
+from asia.ledger.text import error_value, seed_mean_words, stack_words, validation_score_words
 from asia.ledger.view import Experiment, SearchView
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ from asia.agents.registry import reads_notes
 from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.ledger.events import TestedModel
-from asia.ledger.evidence import evidence_lines, evidence_of, settings_of_run
+from asia.ledger.evidence import evidence_of, settings_of_run
 from asia.ledger.run import model_to_use, tested_model
-from asia.ledger.text import error_value
+from asia.ledger.text import error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
 from asia.report.page.html import Html, join, said, table, tag

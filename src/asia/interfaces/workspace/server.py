@@ -37,16 +37,9 @@ from asia.judge.evaluation.dry_runs import DryRun
 from asia.judge.evaluation.references import LINEAR
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import Stopped
-from asia.ledger.evidence import (
-    ComparedScore,
-    FoldShown,
-    evidence_lines,
-    evidence_of,
-    last_lines,
-    settings_of_run,
-)
+from asia.ledger.evidence import ComparedScore, FoldShown, evidence_of, settings_of_run
 from asia.ledger.run import Run, open_run
-from asia.ledger.text import error_line
+from asia.ledger.text import error_line, evidence_lines, last_lines
 from asia.ledger.view import Experiment, SearchView, published
 from asia.report.simulated import SimulatedCases
 from asia.search.agent_views import digest

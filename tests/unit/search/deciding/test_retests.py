@@ -17,7 +17,8 @@ from asia.judge.evaluation.results import Evaluation, FoldResult
 from asia.judge.scoring.confirmation import least_significant_difference
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.events import Evaluated, Event, Proposed, Retest, Started
-from asia.ledger.evidence import floor_words, method_note, significance_threshold
+from asia.ledger.evidence import significance_threshold
+from asia.ledger.text import floor_words, method_note
 from asia.ledger.view import Experiment, SearchView, replay
 from asia.search.loop import Judged, judge
 from asia.search.replay import replay_run

@@ -13,12 +13,12 @@ from asia.ledger.evidence import (
     EstimatedParameter,
     IdentifiedModel,
     IdentifiedParameter,
-    disagreement_lines,
     get_curves,
     get_findings,
     identified,
 )
 from asia.ledger.run import Run
+from asia.ledger.text import disagreement_lines
 from asia.report.page.html import ONE, Html, facts, fixed, join, said, table, tag, write_number
 from asia.report.page.subject import Section, Subject, used_no_test
 from asia.report.page.svg import draw_panel
