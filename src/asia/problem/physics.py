@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import operator
 import re
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, pi
@@ -109,8 +110,6 @@ FUNCTIONS: Mapping[str, tuple[int, int | None]] = MappingProxyType(
 NAMED_NUMBERS: Mapping[str, float] = MappingProxyType({"pi": pi})
 """Names reserved for numbers."""
 
-_LONGEST = 4000
-
 
 @dataclass(frozen=True)
 class Number:
@@ -188,10 +187,10 @@ def parse_expression(text: str, where: str) -> Expression:
             **, parentheses and calls of the table's functions, or is longer than 4000
             characters
     """
-    if len(text) > _LONGEST:
+    if len(text) > 4000:
         raise UserError(
-            f"{where}: the expression has {len(text)} characters, at most {_LONGEST} are "
-            "allowed; split it into [physics.definitions]"
+            f"{where}: the expression has {len(text)} characters, at most 4000 are allowed; "
+            "split it into [physics.definitions]"
         )
     if "^" in text:
         power = text.replace("^", "**")
@@ -213,20 +212,18 @@ def parse_expression(text: str, where: str) -> Expression:
     return Expression(text, root, names)
 
 
-def _with_product(text: str) -> str | None:
+def _with_product(text: str) -> str:
     """The text with `*` between factors side by side, such as `b w1`, and parentheses behind the
-    name of a function; None where that does not make it an expression."""
-    changed = re.sub(r"(?<=[\w)])\s+(?=[A-Za-z_(])|(?<=\))(?=[\w(])", "*", text.strip())
+    name of a function; "" where that does not make it an expression."""
+    text = text.strip()
+    changed = re.sub(r"(?<=[\w)])\s+(?=[A-Za-z_(])|(?<=\))(?=[\w(])", "*", text)
     changed = re.sub(r"(?<![\w.])(\d+\.?\d*)(?=(?![eE][-+]?\d)[A-Za-z_(])", r"\1*", changed)
-    called = "|".join(FUNCTIONS)
-    changed = re.sub(rf"\b({called})\*(\w+)", r"\1(\2)", changed)
-    if changed == text.strip():
-        return None
+    changed = re.sub(rf"\b({'|'.join(FUNCTIONS)})\*(\w+)", r"\1(\2)", changed)
     try:
         expression_tree(changed)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return None
-    return changed
+        return ""
+    return changed if changed != text else ""
 
 
 def _convert(node: ast.expr, where: str) -> Node:
@@ -234,7 +231,7 @@ def _convert(node: ast.expr, where: str) -> Node:
         case ast.Constant(value=bool() | str() | bytes() | complex() | None):
             raise UserError(f"{where}: {ast.unparse(node)} is not a real number")
         case ast.Constant(value=int() | float() as value):
-            return _literal(value, where)
+            return _number(value, where)
         case ast.Name(id=name):
             return Number(NAMED_NUMBERS[name]) if name in NAMED_NUMBERS else Name(name)
         case ast.UnaryOp(op=ast.UAdd()):
@@ -254,17 +251,10 @@ def _convert(node: ast.expr, where: str) -> Node:
             )
 
 
-def _literal(value: float, where: str) -> Number:
-    try:
-        return _number(float(value), where)
-    except OverflowError:
-        raise UserError(f"{where}: a number in the expression is too large") from None
-
-
 def _number(value: float, where: str) -> Number:
-    if not isfinite(value):
+    if not abs(value) <= sys.float_info.max:
         raise UserError(f"{where}: a number in the expression is too large")
-    return Number(value)
+    return Number(float(value))
 
 
 def _binary(symbol: str, left: Node, right: Node, where: str) -> Node:
