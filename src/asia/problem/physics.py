@@ -6,10 +6,9 @@ import ast
 import operator
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, pi
-from types import MappingProxyType
 from typing import Annotated, Any, TypeVar
 
 from annotated_types import MinLen
@@ -97,17 +96,20 @@ class Physics:
 
 T = TypeVar("T")
 
-_OF_ONE = (
+_UNARY = (
     "sqrt", "exp", "log", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh",
     "sigmoid", "softplus", "abs", "sign",
 )  # fmt: skip
-FUNCTIONS: Mapping[str, tuple[int, int | None]] = MappingProxyType(
-    dict.fromkeys(_OF_ONE, (1, 1))
-    | {"arctan2": (2, 2), "min": (2, None), "max": (2, None), "clip": (3, 3)}
-)
+FUNCTIONS: Mapping[str, tuple[int, int | None]] = {
+    **dict.fromkeys(_UNARY, (1, 1)),
+    "arctan2": (2, 2),
+    "min": (2, None),
+    "max": (2, None),
+    "clip": (3, 3),
+}
 """Functions an expression may call, with their least and greatest number of arguments."""
 
-NAMED_NUMBERS: Mapping[str, float] = MappingProxyType({"pi": pi})
+NAMED_NUMBERS: Mapping[str, float] = {"pi": pi}
 """Names reserved for numbers."""
 
 
@@ -151,18 +153,13 @@ class Call:
 
 Node = Number | Name | Negative | Binary | Call
 
-_SYMBOLS: Mapping[type[ast.operator], str] = MappingProxyType(
-    {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
-)
-_OPERATIONS: Mapping[str, Callable[[Any, Any], Any]] = MappingProxyType(
-    {
-        "+": operator.add,
-        "-": operator.sub,
-        "*": operator.mul,
-        "/": operator.truediv,
-        "**": operator.pow,
-    }
-)
+_SYMBOLS: Mapping[type[ast.operator], str] = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**",
+}  # fmt: skip
+_OPERATIONS: Mapping[str, Callable[[Any, Any], Any]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
+    "**": operator.pow,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -340,12 +337,62 @@ def check_physics(physics: Physics, inputs: Sequence[str], outputs: Sequence[str
         inputs, outputs: the signal names of the problem
     """
     symbols = _symbols(physics, inputs)
-    _check_ranges(physics)
-    _check_priors(physics)
-    _check_keys(physics, outputs)
-    for where, text in _expressions(physics):
-        _check_names(parse_expression(text, where), where, symbols)
-    _check_corrections(physics)
+    for name, value in physics.parameters.items():
+        if not (isfinite(value.min) and isfinite(value.max) and value.min < value.max):
+            raise UserError(
+                f"[physics.parameters] {name}: min {value.min} must be below max {value.max}, "
+                "both finite"
+            )
+    for name, constant in physics.constants.items():
+        if not isfinite(constant):
+            raise UserError(f"[physics.constants] {name}: expected a finite number")
+    _check_known("bounds", physics.bounds, "state", physics.states)
+    for name, bounds in physics.bounds.items():
+        low, high = bounds.min, bounds.max
+        if low is not None and high is not None and not low < high:
+            raise UserError(f"[physics.bounds] {name}: min {low} must be below max {high}")
+    for text, prior in physics.priors.items():
+        where = f"[physics.priors] {text}"
+        names = _parse(text, where, {*physics.parameters, *physics.constants}).names
+        if not names & set(physics.parameters):
+            raise UserError(f"{where}: names no parameter; write an expression in parameters")
+        if not (isfinite(prior.mean) and isfinite(prior.deviation) and prior.deviation > 0):
+            raise UserError(
+                f"{where}: expected a finite mean and a deviation above 0, got {prior.mean} and "
+                f"{prior.deviation}"
+            )
+    for name in physics.states:
+        if name not in physics.dynamics:
+            raise UserError(f"[physics.dynamics] {name}: missing; give d/dt of every state")
+    _check_known("dynamics", physics.dynamics, "state", physics.states)
+    _check_known("observation", physics.observation, "output", outputs)
+    for name in outputs:
+        if name not in physics.observation and name not in physics.states:
+            raise UserError(
+                f"[physics.observation] {name}: missing; no state has this output's name, so say "
+                "how it follows from the states"
+            )
+    sections = {
+        "definitions": physics.definitions,
+        "dynamics": physics.dynamics,
+        "observation": physics.observation,
+    }
+    used = {
+        symbol
+        for section, entries in sections.items()
+        for name, text in entries.items()
+        for symbol in _parse(text, f"[physics.{section}] {name}", symbols).names
+    }
+    for name, correction in physics.corrections.items():
+        if name not in used:
+            raise UserError(
+                f"[physics.corrections] {name}: no equation uses it; write it where the unknown "
+                "effect enters"
+            )
+        if not (isfinite(correction.scale) and correction.scale > 0):
+            raise UserError(
+                f"[physics.corrections] {name}: expected a scale above 0, its typical size"
+            )
     definition_order(physics)
 
 
@@ -401,98 +448,19 @@ def _symbols(physics: Physics, inputs: Sequence[str]) -> set[str]:
     return set(owners) - set(FUNCTIONS) - set(NAMED_NUMBERS)
 
 
-def _check_ranges(physics: Physics) -> None:
-    for name, value in physics.parameters.items():
-        if not (isfinite(value.min) and isfinite(value.max) and value.min < value.max):
+def _check_known(table: str, names: Iterable[str], kind: str, known: Sequence[str]) -> None:
+    for name in names:
+        if name not in known:
             raise UserError(
-                f"[physics.parameters] {name}: min {value.min} must be below max {value.max}, "
-                "both finite"
-            )
-    for name, constant in physics.constants.items():
-        if not isfinite(constant):
-            raise UserError(f"[physics.constants] {name}: expected a finite number")
-    for name, bounds in physics.bounds.items():
-        if name not in physics.states:
-            raise UserError(
-                f"[physics.bounds] {name}: there is no such state"
-                f"{nearest(name, set(physics.states))}"
-            )
-        low, high = bounds.min, bounds.max
-        if low is not None and high is not None and not low < high:
-            raise UserError(f"[physics.bounds] {name}: min {low} must be below max {high}")
-
-
-def _check_priors(physics: Physics) -> None:
-    known = {*physics.parameters, *physics.constants}
-    for text, prior in physics.priors.items():
-        where = f"[physics.priors] {text}"
-        expression = parse_expression(text, where)
-        _check_names(expression, where, known)
-        if not expression.names & set(physics.parameters):
-            raise UserError(f"{where}: names no parameter; write an expression in parameters")
-        if not (isfinite(prior.mean) and isfinite(prior.deviation) and prior.deviation > 0):
-            raise UserError(
-                f"{where}: expected a finite mean and a deviation above 0, got {prior.mean} and "
-                f"{prior.deviation}"
+                f"[physics.{table}] {name}: there is no such {kind}{nearest(name, known)}"
             )
 
 
-def _check_corrections(physics: Physics) -> None:
-    used = {n for where, text in _expressions(physics) for n in parse_expression(text, where).names}
-    for name, correction in physics.corrections.items():
-        if name not in used:
-            raise UserError(
-                f"[physics.corrections] {name}: no equation uses it; write it where the unknown "
-                "effect enters"
-            )
-        if not (isfinite(correction.scale) and correction.scale > 0):
-            raise UserError(
-                f"[physics.corrections] {name}: expected a scale above 0, its typical size"
-            )
-
-
-def _check_keys(physics: Physics, outputs: Sequence[str]) -> None:
-    for name in physics.states:
-        if name not in physics.dynamics:
-            raise UserError(f"[physics.dynamics] {name}: missing; give d/dt of every state")
-    for name in physics.dynamics:
-        if name not in physics.states:
-            raise UserError(
-                f"[physics.dynamics] {name}: there is no such state"
-                f"{nearest(name, set(physics.states))}"
-            )
-    for name in physics.observation:
-        if name not in outputs:
-            raise UserError(
-                f"[physics.observation] {name}: there is no such output"
-                f"{nearest(name, set(outputs))}"
-            )
-    for name in outputs:
-        if name not in physics.observation and name not in physics.states:
-            raise UserError(
-                f"[physics.observation] {name}: missing; no state has this output's name, so say "
-                "how it follows from the states"
-            )
-
-
-def _expressions(physics: Physics) -> list[tuple[str, str]]:
-    sections: tuple[tuple[str, Mapping[str, str]], ...] = (
-        ("definitions", physics.definitions),
-        ("dynamics", physics.dynamics),
-        ("observation", physics.observation),
-    )
-    return [
-        (f"[physics.{section}] {name}", text)
-        for section, entries in sections
-        for name, text in entries.items()
-    ]
-
-
-def _check_names(expression: Expression, where: str, symbols: set[str]) -> None:
+def _parse(text: str, where: str, symbols: set[str]) -> Expression:
+    """Parse an expression that names nothing but `symbols`."""
+    expression = parse_expression(text, where)
     for name in sorted(expression.names - symbols):
-        what = "is a function: call it with its argument" if name in FUNCTIONS else None
-        raise UserError(
-            f"{where}: '{name}' {what}"
-            if what
-            else f"{where}: undefined symbol '{name}'{nearest(name, symbols)}"
-        )
+        if name in FUNCTIONS:
+            raise UserError(f"{where}: '{name}' is a function: call it with its argument")
+        raise UserError(f"{where}: undefined symbol '{name}'{nearest(name, sorted(symbols))}")
+    return expression

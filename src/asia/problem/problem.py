@@ -151,13 +151,13 @@ class Problem:
         train = read_arrays(us, ys, *signals, sampling_time, "train", "train", least)
         step = train.records[0].sampling_time
         test = read_arrays(test_us, test_ys, *signals, step, "test", "test")
-        given = arrays.ArrayProblem(
-            name=name or Path(directory).resolve().name,
+        problem: Problem = arrays.save_problem(
+            Path(directory),
+            name=name,
             train=train.records,
             test=test.records,
             inputs=signals[0],
             outputs=signals[1],
-            sampling_time=step,
             description=description,
             baseline=baseline,
             groups=groups,
@@ -166,7 +166,6 @@ class Problem:
             physics=physics,
             symmetry=symmetry,
         )
-        problem = arrays.save_problem(given, Path(directory))
         return replace(problem, warnings=(*train.notes, *test.notes, *problem.warnings))
 
     @property

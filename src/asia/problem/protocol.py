@@ -26,9 +26,7 @@ class Group:
     """Training records held out together, by name."""
 
     name: str
-    """Name of the group."""
     records: tuple[str, ...]
-    """Names of its records."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,6 @@ class FoldRule:
     each record, the samples before them always train; `leave_one_group_out`: a fold holds out
     the records of one group."""
     count: int = 2
-    """The number of folds."""
     groups: tuple[Group, ...] = ()
     """The groups; () for folds of another kind."""
     gap: int | None = None
@@ -58,11 +55,8 @@ class OutputGroup:
     rotations given by roll, pitch and yaw (Z-Y-X, rad)."""
 
     name: str
-    """Name of the group."""
     outputs: tuple[str, ...]
-    """Names of its outputs."""
     distance: Literal["euclidean", "geodesic"] = "euclidean"
-    """Distance measure."""
 
 
 @dataclass(frozen=True)
@@ -94,20 +88,16 @@ class ProtocolRule:
     """`simulation` of whole blocks, or `windows` of `horizon` samples, each started from its own
     past window."""
     folds: FoldRule = FoldRule()
-    """Samples that each fold holds out."""
     past_inputs: int = 10
     """Input samples that a model sees before it simulates."""
     past_outputs: int = 10
     """Output samples that a model sees before it simulates."""
     metric: str = "rmse"
-    """Name of the metric of V."""
     early_stopping: EarlyStopping = "inner"
     """`inner`, or `validation` as in Piga and Forgione, where a candidate may ask for its score on
     the held-out samples while it trains; V is then not leak-free."""
     horizon: int | None = None
-    """Samples of a window; None for whole blocks."""
     test: TestRule = TestRule()
-    """Rule for the metrics of the sealed test."""
     ladder: float | None = None
     """The share of V by which a new best must be better before agents see its score; None where
     they see every V."""
@@ -143,42 +133,54 @@ class FoldCut:
 
 def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> list[FoldCut]:
     """The folds of records of these names and lengths; empty parts where a record is too short."""
-    records = range(len(names))
     if rule.folds.kind == "leave_one_group_out":
+        records = list(zip(names, lengths, strict=True))
         return [
             FoldCut(
                 tuple(
-                    Excerpt(i, range(rule.past, lengths[i]))
-                    for i in records
-                    if names[i] in group.records
+                    Excerpt(i, range(rule.past, length))
+                    for i, (name, length) in enumerate(records)
+                    if name in group.records
                 ),
                 tuple(
-                    Excerpt(i, range(lengths[i])) for i in records if names[i] not in group.records
+                    Excerpt(i, range(length))
+                    for i, (name, length) in enumerate(records)
+                    if name not in group.records
                 ),
             )
             for group in rule.folds.groups
         ]
-    cuts = [blocks(length, rule) for length in lengths]
+    cuts = [_held_out_blocks(length, rule) for length in lengths]
     return [
         FoldCut(
-            tuple(Excerpt(i, cuts[i][k]) for i in records),
+            tuple(Excerpt(i, blocks[k]) for i, blocks in enumerate(cuts)),
             tuple(
-                Excerpt(i, rest) for i in records for rest in rests(lengths[i], cuts[i][k], rule)
+                Excerpt(i, rest)
+                for i, blocks in enumerate(cuts)
+                for rest in _training_parts(lengths[i], blocks[k], rule)
             ),
         )
         for k in range(rule.folds.count)
     ]
 
 
-def blocks(length: int, rule: ProtocolRule) -> list[range]:
+def block_count(rule: ProtocolRule) -> int:
+    """Into how many blocks a record is cut: in forward folds the first one trains only."""
+    return rule.folds.count + (rule.folds.kind == "forward")
+
+
+def least_case(rule: ProtocolRule) -> int:
+    """Samples of the shortest case."""
+    return rule.horizon or 1
+
+
+def _held_out_blocks(length: int, rule: ProtocolRule) -> list[range]:
     """Return the held-out block of each fold, empty where the record is too short.
 
     The samples after the first past window (in tail folds: the tail) are split into `block_count`
-    parts; the first parts are one sample longer when the length does not divide. In forward folds
-    the first part trains only.
+    parts; the first parts are one sample longer when the length does not divide.
     """
-    count = block_count(rule)
-    start = rule.past
+    count, start = block_count(rule), rule.past
     if rule.folds.tail is not None:
         start = max(start, length - rule.folds.tail)
     size, longer = divmod(max(length - start, 0), count)
@@ -186,12 +188,7 @@ def blocks(length: int, rule: ProtocolRule) -> list[range]:
     return [range(start, stop) for start, stop in pairwise(edges)][count - rule.folds.count :]
 
 
-def block_count(rule: ProtocolRule) -> int:
-    """Into how many blocks a record is cut."""
-    return rule.folds.count + (rule.folds.kind == "forward")
-
-
-def rests(length: int, block: range, rule: ProtocolRule) -> list[range]:
+def _training_parts(length: int, block: range, rule: ProtocolRule) -> list[range]:
     """Return the samples that train while `block` is held out.
 
     These are the samples before the block and, except in forward and tail folds, after it, without
@@ -202,11 +199,6 @@ def rests(length: int, block: range, rule: ProtocolRule) -> list[range]:
     if rule.folds.kind == "contiguous":
         parts.append(range(block.stop + gap, length))
     return [part for part in parts if len(part) >= rule.past + least_case(rule)]
-
-
-def least_case(rule: ProtocolRule) -> int:
-    """Samples of the shortest case."""
-    return rule.horizon if rule.horizon is not None else 1
 
 
 def windows(samples: range, rule: ProtocolRule) -> list[range]:
@@ -224,17 +216,12 @@ def windows(samples: range, rule: ProtocolRule) -> list[range]:
 # Training samples, simulated samples and past windows of each fold.
 
 
-# Share of a past window that was measured, and the part of a block in which that is looked for.
-_STARTS = ((1.0, 0.25), (0.75, 0.25), (0.5, 0.5))
-
-
 @dataclass(frozen=True)
 class Case:
     """One thing to simulate. It holds no output after the past window, so that a candidate may
     have it."""
 
     name: str
-    """Name of the record."""
     past_u: Array
     """Inputs of the past window (n_past_u, nu)."""
     past_y: Array
@@ -248,7 +235,6 @@ class Block:
     """Case together with the outputs that the evaluator keeps."""
 
     case: Case
-    """Data that a candidate receives."""
     y: Array
     """The measured outputs (H, ny), NaN where none was measured."""
     record: int
@@ -307,9 +293,9 @@ def _past_outputs(record: Trajectory, start: int, count: int) -> Array:
     Raises:
         UserError: where there is none
     """
-    window = record.y[start - count : start]
-    if record.missing is None or not record.missing[start - count : start].any():
-        return window
+    window = slice(start - count, start)
+    if record.missing is None or not record.missing[window].any():
+        return record.y[window]
     known = record.measured_y[:start]
     never = np.isnan(known).all(axis=0)
     if never.any():
@@ -318,7 +304,7 @@ def _past_outputs(record: Trajectory, start: int, count: int) -> Array:
             f"sample {start + 1}, where a simulation starts from past outputs: cut the record so "
             "that it begins with a measured sample"
         )
-    return filled(known)[start - count :]
+    return filled(known)[window]
 
 
 def whole(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Block, ...]:
@@ -362,22 +348,26 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
             )
     folds: list[Fold] = []
     for k, split in enumerate(found):
-        parts = [part for part in split.train if _is_measured(records, part)]
+        # Parts in which an output was never measured train nothing.
+        parts = [
+            p
+            for p in split.train
+            if records[p.record].measured[p.samples.start : p.samples.stop].any(axis=0).all()
+        ]
         train = tuple(records[p.record].alone(p.samples.start, p.samples.stop) for p in parts)
         held_out = _blocks(records, split.held_out, rule)
-        _check_measured(held_out, k)
+        if held_out:
+            never = np.isnan(np.concatenate([b.y for b in held_out])).all(axis=0)
+            if never.any():
+                raise UserError(
+                    f"output {int(np.argmax(never)) + 1} is never measured in what fold {k + 1} "
+                    "holds out: leave the output out or use fewer folds"
+                )
         last = {p.record: p.samples.stop for p in parts}
         followed = tuple(last.get(block.record, 0) > block.stop for block in held_out)
         offsets = tuple(p.samples.start for p in parts)
         folds.append(Fold(k, train, held_out, _scale(train, rule, k), followed, offsets))
     return tuple(folds)
-
-
-def _is_measured(records: Sequence[Trajectory], part: Excerpt) -> bool:
-    """Return whether each output was measured in it at least once."""
-    missing = records[part.record].missing
-    own = slice(part.samples.start, part.samples.stop)
-    return missing is None or not missing[own].all(axis=0).any()
 
 
 def _after_first_outputs(
@@ -396,21 +386,13 @@ def _after_first_outputs(
     counts = np.concatenate([np.zeros((1, missing.shape[1])), np.cumsum(~missing, axis=0)])
     places = np.arange(first, part.samples.start + (len(part.samples) + 1) // 2)
     shown = counts[places] - counts[np.maximum(places - rule.past_outputs, 0)]
-    for share, within in _STARTS:
+    # Share of a past window that was measured, and the part of a block in which to look for it.
+    for share, within in ((1.0, 0.25), (0.75, 0.25), (0.5, 0.5)):
         near = places < part.samples.start + within * len(part.samples)
         enough = near & (shown >= share * rule.past_outputs).all(axis=1)
         if enough.any():
             return Excerpt(part.record, range(int(places[np.argmax(enough)]), part.samples.stop))
     return Excerpt(part.record, range(first, part.samples.stop))
-
-
-def _check_measured(blocks: Sequence[Block], index: int) -> None:
-    never = np.isnan(np.concatenate([b.y for b in blocks])).all(axis=0) if blocks else np.array([])
-    if never.any():
-        raise UserError(
-            f"output {int(np.argmax(never)) + 1} is never measured in what fold {index + 1} holds "
-            "out: leave the output out or use fewer folds"
-        )
 
 
 def _blocks(
@@ -426,11 +408,10 @@ def _blocks(
 def _scale(train: Sequence[Trajectory], rule: ProtocolRule, index: int) -> Array:
     if not train:
         raise UserError(f"fold {index + 1} has no training record longer than the past window")
-    if rule.horizon is None:
-        samples = [t.measured_y for t in train]
-    else:
-        samples = [b.y for b in whole(train, rule)]
-    y = np.concatenate(samples)
+    windowed = rule.horizon is not None
+    y = np.concatenate(
+        [b.y for b in whole(train, rule)] if windowed else [t.measured_y for t in train]
+    )
     moves = np.nanmax(y, axis=0) - np.nanmin(y, axis=0) > LEAST_RANGE
     if not moves.all():
         channel = int(np.argmin(moves)) + 1
@@ -445,22 +426,20 @@ def fold_names(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[str, ...]:
     """Name the held-out samples of each fold, for example `chirp: 8 records` or `block 1 of 2:
     samples 6 to 515 of run1`; samples are counted from 1."""
     if rule.folds.kind == "leave_one_group_out":
-        return tuple(
-            f"{group.name}: {_counted(group.records)}"
-            for group, _ in zip(rule.folds.groups, folds, strict=True)
-        )
-    return tuple(f"block {f.index + 1} of {len(folds)}: {_excerpts(f)}" for f in folds)
-
-
-def _counted(records: Sequence[str]) -> str:
-    return f"record {records[0]}" if len(records) == 1 else f"{len(records)} records"
-
-
-def _excerpts(fold: Fold) -> str:
-    """The held-out samples of one record, or of how many."""
-    records = {block.record for block in fold.validation}
-    if len(records) > 1:
-        return f"of each of {len(records)} records"
-    blocks = fold.validation
-    first, last = min(b.start for b in blocks) + 1, max(b.stop for b in blocks)
-    return f"samples {first} to {last} of {blocks[0].case.name}"
+        counts = [
+            f"record {g.records[0]}" if len(g.records) == 1 else f"{len(g.records)} records"
+            for g in rule.folds.groups
+        ]
+        pairs = zip(rule.folds.groups, counts, strict=True)
+        return tuple(f"{group.name}: {count}" for group, count in pairs)
+    names: list[str] = []
+    for fold in folds:
+        blocks = fold.validation
+        records = {block.record for block in blocks}
+        if len(records) > 1:
+            where = f"of each of {len(records)} records"
+        else:
+            first, last = min(b.start for b in blocks) + 1, max(b.stop for b in blocks)
+            where = f"samples {first} to {last} of {blocks[0].case.name}"
+        names.append(f"block {fold.index + 1} of {len(folds)}: {where}")
+    return tuple(names)
