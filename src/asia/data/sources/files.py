@@ -128,16 +128,14 @@ class RecordFiles(Source):
     @property
     def guard_names(self) -> tuple[str, ...]:
         """Implement `Source.guard_names`."""
-        return _names(self.guard)
+        # The names of the files, with the folder where two files have one name.
+        stems = Counter(path.stem for path in self.guard)
+        return tuple(
+            p.stem if stems[p.stem] == 1 else f"{p.parent.name}/{p.stem}" for p in self.guard
+        )
 
     def check_openable(self) -> None:
         """Implement `Source.check_openable`."""
         for path in self.test:
             if not path.exists():
                 raise UserError(f"no such file: {path}; put the test data back")
-
-
-def _names(paths: tuple[Path, ...]) -> tuple[str, ...]:
-    """Name the records after their files, with the folder where two files have one name."""
-    stems = Counter(path.stem for path in paths)
-    return tuple(p.stem if stems[p.stem] == 1 else f"{p.parent.name}/{p.stem}" for p in paths)

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from asia._text import nearest
-from asia.data.sources.simulated import bouc_wen, two_tanks
-from asia.data.sources.simulated.record import Simulation
+from asia.data.sources.simulated import Simulation, bouc_wen, two_tanks
 from asia.data.sources.source import Channels, DataTable, Source, SourceData, Subset
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
