@@ -27,11 +27,8 @@ class Preprocess:
     """Delay of each input in samples: a model receives values measured this many samples
     earlier."""
     decimate: Annotated[int, Field(ge=1, le=1_000_000)] = 1
-    """N."""
     offset: Mapping[str, float] = field(default_factory=dict[str, float])
-    """Offset by signal, in its unit."""
     scale: Mapping[str, _Positive] = field(default_factory=dict[str, float])
-    """Scale by signal, in its unit."""
 
     def __bool__(self) -> bool:
         return self != Preprocess()

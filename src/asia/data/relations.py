@@ -244,7 +244,6 @@ class FoundTransport(NamedTuple):
     """The volume that explains most."""
 
     transport: Transport
-    """The pipe."""
     delay: float
     """Delay in samples at the mean pace."""
     ratio: float

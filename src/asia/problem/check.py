@@ -497,7 +497,6 @@ def _missing_codes(values: Array, name: str, repeated: bool) -> list[str]:
 
 
 def _scored_samples(seal: Seal, rule: ProtocolRule) -> list[int]:
-    """Return the number of scored samples of each test record."""
     return [max(length - rule.past - rule.test.skip, 0) for length in seal.lengths]
 
 

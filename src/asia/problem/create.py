@@ -33,8 +33,9 @@ from asia.data.trajectory import (
     unique_names,
 )
 from asia.errors import UserError
-from asia.problem.load import least_samples, load_problem, require_length
-from asia.problem.protocol import ProtocolRule
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
+from asia.problem.protocol import ProtocolRule, least_samples, require_length
 from asia.problem.sealing import STORE, Columns, Sealing, check_key_folder, remove_plain, seal_files
 from asia.problem.toml import toml_value
 
@@ -136,6 +137,27 @@ def write_directory(
     return key
 
 
+def save_problem(directory: Path, files: Mapping[str, str]) -> Problem:
+    """Write the problem directory, or verify that it holds the same files, and load it.
+
+    Raises:
+        UserError: for other files in the directory, with nothing overwritten, and for files that
+            make no problem
+    """
+    if (directory / "problem.toml").is_file():
+        for name, text in files.items():
+            path = directory / name
+            if not path.is_file() or path.read_bytes() != text.encode():
+                raise UserError(
+                    f"{directory} holds another problem ({name} differs), and nothing is "
+                    "overwritten: name another directory, or remove this one"
+                )
+    else:
+        check_directory(directory)
+        write_directory(directory, files)
+    return load_problem(directory)
+
+
 # The records of a new problem: files that stay as they are, or clean copies of them.
 
 
@@ -152,9 +174,7 @@ class _Records:
     plain: bool
     """Whether the files can stay where they are, because they need no change."""
     units: Mapping[str, str]
-    """Units by channel, where the files give them."""
     notes: tuple[str, ...]
-    """Findings and changes."""
 
 
 def _read_records(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -21,7 +20,7 @@ from asia.problem.check import check_period
 from asia.problem.lock import check_digests
 from asia.problem.physics import check_physics
 from asia.problem.problem import Problem, TestSource, prepared
-from asia.problem.protocol import ProtocolRule, block_count, least_case
+from asia.problem.protocol import least_samples, require_length
 from asia.problem.protocol_table import check_protocol, with_groups
 from asia.problem.schema import LockFile, ProblemFile, ProblemTables
 from asia.problem.symmetry import check_symmetry
@@ -182,43 +181,3 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         symmetry=file.symmetry,
         period=file.data.period,
     )
-
-
-def least_samples(rule: ProtocolRule) -> int:
-    """The shortest training record that the folds can divide."""
-    case = least_case(rule)
-    # Ten samples are the least to train on.
-    beyond = max(case, 10)
-    if rule.folds.kind == "leave_one_group_out":
-        return rule.past + beyond
-    gap = rule.folds.gap or 0
-    if rule.folds.tail is not None:
-        tail = max(rule.folds.tail, rule.folds.count * case)
-        return rule.past + tail + rule.past + case + gap
-    return rule.past + block_count(rule) * (rule.past + beyond + gap)
-
-
-def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> None:
-    """Raise UserError when a record is too short for the folds: each held-out block must be able to
-    hold a past window and some samples to train on."""
-    gap, count = rule.folds.gap, rule.folds.count
-    if rule.folds.kind == "leave_one_group_out":
-        wanted = f"a past window of {rule.past}"
-        advice = "a shorter past window"
-    elif rule.folds.tail is not None:
-        wanted = f"a tail of {rule.folds.tail} in {count} folds with a past window of {rule.past}"
-        advice = "fewer folds, a shorter tail or past window"
-    else:
-        wanted = f"{count} folds with a past window of {rule.past}"
-        wanted += f" and a gap of {gap}" if gap else ""
-        advice = "fewer folds, a shorter past window" + (" or gap" if gap else "")
-    if rule.horizon is not None:
-        wanted += f" and a horizon of {rule.horizon}"
-        advice = f"{advice} or horizon"
-    least = least_samples(rule)
-    for t in trajectories:
-        if len(t) < least:
-            raise UserError(
-                f"record '{t.name}' has {len(t)} samples, but {wanted} need at least {least}: "
-                f"use {advice} or a longer record"
-            )

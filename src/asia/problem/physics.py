@@ -27,7 +27,6 @@ class ParameterRange:
     min: float
     """The least starting value; above 0 the range is searched on a log scale."""
     max: float
-    """The largest starting value."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +34,7 @@ class Bounds:
     """Physical range of a state."""
 
     min: float | None = None
-    """The least value; None is open."""
     max: float | None = None
-    """The largest value; None is open."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,6 @@ class Prior:
     deviation: float
     """Standard deviation, above 0, in the same unit."""
     reason: str = ""
-    """Reason for the prior, in words."""
 
 
 @dataclass(frozen=True)
@@ -69,15 +65,12 @@ class Physics:
     """
 
     states: Annotated[tuple[str, ...], MinLen(1)]
-    """Names of the states."""
     dynamics: Mapping[str, str]
     """Time derivative of every state."""
     parameters: Mapping[str, ParameterRange] = field(default_factory=dict[str, ParameterRange])
     """Ranges of the numbers that are fitted."""
     constants: Mapping[str, float] = field(default_factory=dict[str, float])
-    """Known numbers."""
     definitions: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Named intermediate expressions."""
     observation: Mapping[str, str] = field(default_factory=dict[str, str])
     """Outputs from states; default: the state of the same name."""
     bounds: Mapping[str, Bounds] = field(default_factory=dict[str, Bounds])

@@ -64,11 +64,9 @@ class TestRule:
     """Rule for the metrics of the sealed test."""
 
     metrics: tuple[str, ...] = ("rmse",)
-    """Names of the metrics, in physical units."""
     skip: int = 0
     """Samples after the past window that are left out."""
     groups: tuple[OutputGroup, ...] = ()
-    """Groups of the Mean Euclidean Error table."""
     horizons: tuple[int, ...] = ()
     """Steps of a window that this table prints, 1 being the first."""
     unit: str | None = None
@@ -201,6 +199,46 @@ def _training_parts(length: int, block: range, rule: ProtocolRule) -> list[range
     return [part for part in parts if len(part) >= rule.past + least_case(rule)]
 
 
+def least_samples(rule: ProtocolRule) -> int:
+    """The shortest training record that the folds can divide."""
+    case = least_case(rule)
+    # Ten samples are the least to train on.
+    beyond = max(case, 10)
+    if rule.folds.kind == "leave_one_group_out":
+        return rule.past + beyond
+    gap = rule.folds.gap or 0
+    if rule.folds.tail is not None:
+        tail = max(rule.folds.tail, rule.folds.count * case)
+        return rule.past + tail + rule.past + case + gap
+    return rule.past + block_count(rule) * (rule.past + beyond + gap)
+
+
+def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> None:
+    """Raise UserError when a record is too short for the folds: each held-out block must be able to
+    hold a past window and some samples to train on."""
+    gap, count = rule.folds.gap, rule.folds.count
+    if rule.folds.kind == "leave_one_group_out":
+        wanted = f"a past window of {rule.past}"
+        advice = "a shorter past window"
+    elif rule.folds.tail is not None:
+        wanted = f"a tail of {rule.folds.tail} in {count} folds with a past window of {rule.past}"
+        advice = "fewer folds, a shorter tail or past window"
+    else:
+        wanted = f"{count} folds with a past window of {rule.past}"
+        wanted += f" and a gap of {gap}" if gap else ""
+        advice = "fewer folds, a shorter past window" + (" or gap" if gap else "")
+    if rule.horizon is not None:
+        wanted += f" and a horizon of {rule.horizon}"
+        advice = f"{advice} or horizon"
+    least = least_samples(rule)
+    for t in trajectories:
+        if len(t) < least:
+            raise UserError(
+                f"record '{t.name}' has {len(t)} samples, but {wanted} need at least {least}: "
+                f"use {advice} or a longer record"
+            )
+
+
 def windows(samples: range, rule: ProtocolRule) -> list[range]:
     """The cases that cover `samples`: all of them at once, or windows of `horizon`, one after the
     other, the last of which ends with them and may overlap its neighbour; none when too short."""
@@ -219,15 +257,18 @@ def windows(samples: range, rule: ProtocolRule) -> list[range]:
 @dataclass(frozen=True)
 class Case:
     """One thing to simulate. It holds no output after the past window, so that a candidate may
-    have it."""
+    have it.
+
+    Attributes:
+        name: of the record
+        past_u, past_y: past window (n_past_u, nu) and (n_past_y, ny)
+        u: inputs (H, nu) of the samples to simulate
+    """
 
     name: str
     past_u: Array
-    """Inputs of the past window (n_past_u, nu)."""
     past_y: Array
-    """Outputs of the past window (n_past_y, ny)."""
     u: Array
-    """Inputs of the samples to simulate (H, nu)."""
 
 
 @dataclass(frozen=True)
@@ -253,9 +294,7 @@ class Fold:
     """Training records and held-out blocks of one fold."""
 
     index: int
-    """Number of the fold, 0-based."""
     train: tuple[Trajectory, ...]
-    """Records that the models of this fold are fitted to."""
     validation: tuple[Block, ...]
     """Held-out blocks, those of each record in time order."""
     scale: Array

@@ -54,7 +54,6 @@ class RotationTable:
     """Outputs that are angles of one rotation."""
 
     roll_pitch_yaw: Annotated[tuple[str, ...], Field(min_length=3, max_length=3)]
-    """Names of the three outputs."""
 
 
 @dataclass(frozen=True)

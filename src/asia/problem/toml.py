@@ -66,7 +66,6 @@ def read_table(path: Path, schema: type[T]) -> T:
 
 
 def _sentence(error: ErrorDetails, schema: type) -> str:
-    """Describe a mistake in one sentence."""
     *where, key = error["loc"] or ("",)
     table = f"[{_path(where)}]" if where else "the top level"
     name = _path(error["loc"])

@@ -93,7 +93,6 @@ class _Linear:
         self.start = 0.2 * random.normal(size=(_PAST * (_NU + _NY), 3))
 
     def initial(self, past_u: Any, past_y: Any, u: Any) -> Any:
-        """State (B, 3)."""
         del u
         rows = len(past_u)
         flat = past_u.reshape(rows, -1), past_y.reshape(rows, -1)
@@ -101,7 +100,6 @@ class _Linear:
         return flat[0] @ self.start[:half] + flat[1] @ self.start[half:]
 
     def step(self, state: Any, u: Any) -> tuple[Any, Any]:
-        """State and output."""
         return state @ self.a + u @ self.b, state @ self.c
 
 
@@ -113,7 +111,6 @@ class _Nonlinear(_Linear):
         return super().initial(past_u, past_y, u), past_u[:, -1]
 
     def step(self, state: Any, u: Any) -> tuple[Any, Any]:
-        """State and output."""
         import jax.numpy as jnp
 
         x, before = state

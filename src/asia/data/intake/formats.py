@@ -78,7 +78,6 @@ class Matlab(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".mat",)
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         from scipy.io import loadmat
         from scipy.io.matlab import MatReadError
 
@@ -112,7 +111,6 @@ class Hdf5(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".h5", ".hdf5", ".hdf", ".he5")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         return tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=False), wanted)
 
 
@@ -183,7 +181,6 @@ class Arrow(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".parquet", ".pq", ".arrow", ".feather", ".ipc")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         pyarrow = need("pyarrow", path, "intake")
         try:
             if path.suffix.lower() in (".parquet", ".pq"):
@@ -247,7 +244,6 @@ class Excel(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".xlsx", ".xlsm")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         openpyxl = need("openpyxl", path, "intake")
         try:
             book: Any = openpyxl.load_workbook(path, read_only=True, data_only=True)
@@ -320,7 +316,6 @@ class Tdms(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".tdms",)
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         nptdms = need("nptdms", path, "loggers")
         try:
             file: Any = nptdms.TdmsFile.read(path)
@@ -351,7 +346,6 @@ class Mdf(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".mf4", ".mdf", ".dat4")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         asammdf = need("asammdf", path, "loggers")
         try:
             file: Any = asammdf.MDF(path)
@@ -388,7 +382,6 @@ class Rosbag(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".bag", ".db3", ".mcap", "/")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         highlevel: Any = need("rosbags.highlevel", path, "ros")
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise UserError(f"{path} is a folder without a metadata.yaml: name a file or a bag")

@@ -433,7 +433,6 @@ class _Grid:
         ]
 
     def _resampled(self, part: TablePart, timestamps: Array, own: Clock) -> list[TablePart]:
-        """Interpolate a part between its time stamps."""
         # Beyond a jitter of half a sample the stamps follow no one grid.
         if own.jitter > 0.5:
             low, high = np.quantile(np.diff(timestamps), (0.01, 0.99))
@@ -523,7 +522,6 @@ class FileColumns:
     names: tuple[str, ...]
     """All but that of the sample times, without their units."""
     time: str | None
-    """The column with the sample times."""
     timed: bool
     """Whether the file contains its sampling time."""
     unusable: Mapping[str, str] = field(default_factory=dict[str, str])

@@ -140,7 +140,6 @@ class Text(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".csv", ".txt", ".tsv", ".dat", ".asc")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         return (self.parse(path, read_file(path, "name a CSV file"), wanted),)
 
     def parse(self, path: Path, raw: bytes, wanted: Wanted) -> FileTable:

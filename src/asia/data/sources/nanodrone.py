@@ -45,7 +45,6 @@ class Nanodrone(DataSet):
             raise UserError(f"data.source is '{self.source}': write 'nanodrone' alone")
 
     def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
-        """Implement `DataSet.load`."""
         inputs, outputs = channels.names
         wanted = Wanted(tuple(inputs), tuple(outputs))
         sheets = [Text().read(path, wanted)[0] for path in _flights(subset)]
@@ -54,7 +53,6 @@ class Nanodrone(DataSet):
         )
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """Implement `Source.places`."""
         if subset == "guard":
             return tuple(path for path in _flights("train") if path.stem in self.guard)
         return _flights(subset)

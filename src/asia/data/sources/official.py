@@ -196,13 +196,10 @@ class BenchmarkLayout:
     folder: str
     """Folder below `nonlinear_benchmarks`."""
     train: tuple[PublishedFile, ...]
-    """The files with the training records."""
     test: tuple[PublishedFile, ...]
     """The files with the test records; some benchmarks have all records in one file."""
     read: Callable[[Path, _Subset], Iterator[Trajectory]]
-    """The records of a subset, from the folder."""
     page: str = "https://www.nonlinearbenchmark.org"
-    """Web page of the files."""
     digests: Mapping[_Subset, str] = field(default_factory=dict["_Subset", str])
     """Digest of the records of a subset, as `data_digest` gives it, where that of the file is not
     known."""

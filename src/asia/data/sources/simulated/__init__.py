@@ -12,8 +12,5 @@ class Simulation:
     """A simulated record, (T, 1) each."""
 
     u: Array
-    """The input."""
     y: Array
-    """The measured output."""
     truth: Array
-    """The same without noise."""
