@@ -289,11 +289,6 @@ def _prepare(
     return replace(first, offset=offset, scale={n: s for n, s in spread.items() if s > 0})
 
 
-def _preprocess_lines(done: Preprocess) -> list[str]:
-    tables = {n: getattr(done, n) for n in ("delay", "decimate", "offset", "scale")}
-    return [f"{name} = {toml_value(v)}" for name, v in tables.items() if v and v != 1]
-
-
 # A new problem directory from files of records.
 
 
@@ -487,7 +482,8 @@ def init_problem(
         data.append(f"test = {toml_value(test_files)}")
     else:
         data.append('# test = ["run2.csv"]             # opened once, at the end')
-    preprocess = _preprocess_lines(done)
+    tables = {n: getattr(done, n) for n in ("delay", "decimate", "offset", "scale")}
+    preprocess = [f"{name} = {toml_value(v)}" for name, v in tables.items() if v and v != 1]
     if done:
         data += [
             "",

@@ -122,17 +122,14 @@ def _data(
             return None
         return np.tile(_simulated(np.tile(u, HORIZONS))[:, None], (1, outputs))
 
+    size = -1e-3 if defect == "gain" else 1e-3
+    up = np.tile(_simulated(np.full(300, size))[:, None], (1, outputs))
+    response = LinearResponse("middle inputs", "input", impulse_response(up, -up, 1e-3))
     return ValidationData(
         simulations=SimulatedBlocks(blocks, ("input",), names, 0.5),
-        linear_responses=() if defect == "unstable" else (_response(outputs, defect == "gain"),),
+        linear_responses=() if defect == "unstable" else (response,),
         lowest=lowest,
         highest=highest,
         noise=lambda: [0.02 / float(s) for s in np.nanstd(measured, axis=0)],
         long_run=long_run,
     )
-
-
-def _response(outputs: int, reversed_gain: bool) -> LinearResponse:
-    size = -1e-3 if reversed_gain else 1e-3
-    up = np.tile(_simulated(np.full(300, size))[:, None], (1, outputs))
-    return LinearResponse("middle inputs", "input", impulse_response(up, -up, 1e-3))

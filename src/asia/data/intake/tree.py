@@ -38,13 +38,9 @@ def _search(name: str, where: str, tree: Mapping[str, Any], wanted: Wanted) -> I
     for key, node in tree.items():
         if isinstance(node, Mapping):
             yield from _search(key, f"{where}, {key}", node, wanted)
-        elif _is_many(node):
+        elif isinstance(node, list) and all(isinstance(n, Mapping) for n in node):
             for k, one in enumerate(node, 1):
                 yield from _search(f"{key}{k}", f"{where}, {key}({k})", one, wanted)
-
-
-def _is_many(node: object) -> bool:
-    return isinstance(node, list) and bool(node) and all(isinstance(n, Mapping) for n in node)
 
 
 def _sheet(name: str, where: str, tree: Mapping[str, Any]) -> FileTable:

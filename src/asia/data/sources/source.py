@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -18,8 +18,6 @@ from asia.errors import UserError
 
 Subset = Literal["train", "test", "guard"]
 """Records to train on, the sealed test, and records that no fold and no agent sees."""
-
-_KINDS: dict[Subset, str] = {"train": "training", "test": "test", "guard": "guard"}
 
 
 @dataclass(frozen=True)
@@ -187,8 +185,20 @@ class Source(ABC):
                 name, and for values whose squares a double cannot hold
         """
         found = self.read(subset, channels)
-        _check_channels(found.trajectories, channels)
-        check_magnitudes(found.trajectories, *channels.names, _KINDS[subset])
+        for t in found.trajectories:
+            for what, have, named in (
+                ("inputs", t.u.shape[1], len(channels.inputs)),
+                ("outputs", t.y.shape[1], len(channels.outputs)),
+            ):
+                if have != named:
+                    raise UserError(f"record '{t.name}' has {have} {what}, but {named} are named")
+            if abs(t.sampling_time - channels.sampling_time) > 1e-3 * t.sampling_time:
+                raise UserError(
+                    f"sampling_time is {channels.sampling_time:g} s, but record '{t.name}' was "
+                    f"sampled every {t.sampling_time:g} s"
+                )
+        kind = "training" if subset == "train" else subset
+        check_magnitudes(found.trajectories, *channels.names, kind)
         if subset == "train":
             check_ranges(found.trajectories, *channels.names)
         for name, count in Counter(t.name for t in found.trajectories).items():
@@ -286,18 +296,3 @@ def not_counted(guard: int, what: str) -> UserError:
     return UserError(
         f"data.guard is {guard}, which only a simulated source understands: name the {what}"
     )
-
-
-def _check_channels(trajectories: Sequence[Trajectory], channels: Channels) -> None:
-    for t in trajectories:
-        for what, have, named in (
-            ("inputs", t.u.shape[1], len(channels.inputs)),
-            ("outputs", t.y.shape[1], len(channels.outputs)),
-        ):
-            if have != named:
-                raise UserError(f"record '{t.name}' has {have} {what}, but {named} are named")
-        if abs(t.sampling_time - channels.sampling_time) > 1e-3 * t.sampling_time:
-            raise UserError(
-                f"sampling_time is {channels.sampling_time:g} s, but record '{t.name}' was "
-                f"sampled every {t.sampling_time:g} s"
-            )
