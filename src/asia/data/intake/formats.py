@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -18,12 +19,12 @@ from asia.data.intake.sheet import (
     FileTable,
     Wanted,
     as_objects,
+    find_channels,
     find_column,
     split_unit,
 )
 from asia.data.intake.text import Text, number
 from asia.data.intake.time import time_column
-from asia.data.intake.tree import tree_sheets
 from asia.errors import UserError
 
 # Libraries that come with an extra.
@@ -47,6 +48,87 @@ def need(module: str, path: Path, extra: str) -> Any:
 # Files of named arrays: NumPy, MATLAB, HDF5.
 
 
+_STEPS = ("ts", "dt", "sampling_time", "sample_time", "samplingtime", "fs", "sampling_rate")
+_RATES = ("fs", "sampling_rate")
+
+
+def _tree_sheets(
+    name: str, where: str, tree: Mapping[str, Any], wanted: Wanted
+) -> tuple[FileTable, ...]:
+    """The folders of the tree that hold all wanted channels, one sheet each; the whole tree where
+    none does.
+
+    A matrix of n columns is n channels, called `name1` to `namen`; a channel is known by its own
+    name, where that is the only one, and by its path.
+
+    Args:
+        tree: arrays, mappings and lists of mappings
+    """
+    found = list(_matching_tables(name, where, tree, wanted))
+    return tuple(found) or (_tree_table(name, where, tree),)
+
+
+def _matching_tables(
+    name: str, where: str, tree: Mapping[str, Any], wanted: Wanted
+) -> Iterator[FileTable]:
+    sheet = _tree_table(name, where, tree)
+    if all(find_channels(sheet.columns, n) for n in wanted.names):
+        yield sheet
+        return
+    for key, node in tree.items():
+        if isinstance(node, Mapping):
+            yield from _matching_tables(key, f"{where}, {key}", node, wanted)
+        elif isinstance(node, list) and all(isinstance(n, Mapping) for n in node):
+            for k, one in enumerate(node, 1):
+                yield from _matching_tables(f"{key}{k}", f"{where}, {key}({k})", one, wanted)
+
+
+def _tree_table(name: str, where: str, tree: Mapping[str, Any]) -> FileTable:
+    leaves = dict(_arrays_in(tree, ""))
+    short = Counter(path.rpartition(".")[2] for path in leaves)
+    columns: dict[str, Column] = {}
+    step = None
+    for path, values in leaves.items():
+        bare = path.rpartition(".")[2]
+        label = bare if short[bare] == 1 else path
+        if values.size == 1:
+            if bare.casefold() in _STEPS and values.dtype.kind in "fiu":
+                value = float(values.flat[0])
+                step = 1.0 / value if bare.casefold() in _RATES else value
+            continue
+        for key, cells in _matrix_columns(label, values):
+            columns[key] = Column(cells, matrix="" if key == label else label)
+    lengths = Counter(len(c.cells) for c in columns.values())
+    longest = max(lengths, key=lambda n: (lengths[n], n), default=0)
+    kept = {k: c for k, c in columns.items() if len(c.cells) == longest}
+    return FileTable(name, kept, step if step is not None and step > 0 else None, where)
+
+
+def _arrays_in(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Cells]]:
+    for key, node in tree.items():
+        path = f"{prefix}{key}"
+        if isinstance(node, Mapping):
+            yield from _arrays_in(node, f"{path}.")
+        elif isinstance(node, np.ndarray) and node.dtype.kind in "fiubMOUS" and node.ndim <= 3:
+            yield path, np.asarray(node)
+        elif isinstance(node, float | int | np.number):
+            yield path, np.asarray(node, dtype=np.float64)
+
+
+def _matrix_columns(label: str, values: Cells) -> Sequence[tuple[str, Cells]]:
+    """A matrix as its columns; time runs along the longer side."""
+    values = np.squeeze(values)
+    if values.dtype.kind in "US":
+        values = values.astype(object)
+    if values.ndim == 1:
+        return [(label, values)]
+    if values.ndim != 2:
+        return []
+    if values.shape[0] < values.shape[1]:
+        values = values.T
+    return [(f"{label}{k + 1}", values[:, k]) for k in range(values.shape[1])]
+
+
 class NumpyFile(FileFormat):
     """`.npz` and `.npy`."""
 
@@ -68,7 +150,7 @@ class NumpyFile(FileFormat):
                     f"{len(wanted.columns)}: name every column, in the order of the file"
                 )
             tree = {name: values[:, k] for k, name in enumerate(wanted.columns)}
-        return tree_sheets(path.stem, str(path), tree, wanted)
+        return _tree_sheets(path.stem, str(path), tree, wanted)
 
 
 class Matlab(FileFormat):
@@ -84,11 +166,11 @@ class Matlab(FileFormat):
         try:
             found: dict[str, Any] = loadmat(path, simplify_cells=True)
         except NotImplementedError:
-            return tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=True), wanted)
+            return _tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=True), wanted)
         except (OSError, ValueError, TypeError, IndexError, MatReadError) as error:
             raise UserError(f"{path} does not read as a MAT file: {error}") from None
         tree = {k: v for k, v in found.items() if not k.startswith("__")}
-        sheets = tree_sheets(path.stem, str(path), tree, wanted)
+        sheets = _tree_sheets(path.stem, str(path), tree, wanted)
         opaque = "None" in found or "__function_workspace__" in found
         if opaque and not any(sheet.columns for sheet in sheets):
             raise _object(path, "None")
@@ -111,7 +193,7 @@ class Hdf5(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".h5", ".hdf5", ".hdf", ".he5")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        return tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=False), wanted)
+        return _tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=False), wanted)
 
 
 def _hdf5_tree(path: Path, *, matlab: bool) -> dict[str, Any]:
