@@ -11,9 +11,7 @@ from asia.agents.registry import NamedAgent, choose_agent
 from asia.agents.relay import legs_of
 from asia.agents.view import Agent, settings_of
 from asia.judge.executors import Executor, make_executor
-from asia.ledger.events import Event
 from asia.ledger.run import Run, open_run
-from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
 from asia.problem.protocol import EarlyStopping
@@ -37,17 +35,25 @@ def run(
     stop_folds: bool = False,
     device: str = "cpu",
 ) -> Run:
-    """Search for a model; the finished run, with its view and artifacts.
+    """Search for a model, and return the finished run with its view and artifacts.
 
-    problem: a loaded problem, a built-in name or a path. The same call again resumes; more
-    `experiments` extends. agent: an agent, or its name as in `asia run --agent`, `module:Class` for
-    one of your own, `expert*5+bayes` for several one after the other. early_stopping: instead of
-    the problem's own setting. space: what the agent "random" draws from. executor: what runs the
-    evaluations, one of `executor_names()` or one of your own. sinks: where events go as they come,
-    by the name of an installed one, `module:Name`, or what opens one; see `asia.search.sinks.Sink`.
-    parallel: experiments in flight. stop_folds: pass over the folds of a candidate that is
-    far behind the best without them. device: what networks are trained on, `cpu`, `gpu` or `auto`.
-    Raises UserError for anything the caller can mend.
+    The same call again resumes; more `experiments` extends.
+
+    Args:
+        problem: a loaded problem, a built-in name or a path
+        agent: an agent, or its name as in `asia run --agent`: `module:Class` for one of your own,
+            `expert*5+bayes` for several one after the other
+        early_stopping: in place of the problem's own setting
+        space: search space of the agent "random"
+        executor: one of `executor_names()`, or an object, that runs the evaluations
+        sinks: receivers of events: an installed one by name, `module:Name`, or a function that
+            opens one, see `asia.search.sinks.Sink`
+        parallel: experiments in flight
+        stop_folds: skip the remaining folds of a candidate that is far behind the best
+        device: `cpu`, `gpu` or `auto`, for training networks
+
+    Raises:
+        UserError: for anything the caller can correct
     """
     loaded = problem if isinstance(problem, Problem) else load_problem(problem)
     if experiments is not None:
@@ -76,14 +82,7 @@ def run(
     )
     runs_on = make_executor(executor) if isinstance(executor, str) else executor
     with open_sinks(ready.directory, sinks) as opened:
-        on_event, on_start = opened.after_event(_silent), opened.after_start(_silent_start)
+        on_event = opened.after_event(lambda event, view: None)
+        on_start = opened.after_start(lambda view: None)
         search(ready, chosen.agent, on_event, on_start, runs_on)
     return open_run(ready.directory)
-
-
-def _silent(event: Event, view: SearchView) -> None:
-    del event, view
-
-
-def _silent_start(view: SearchView) -> None:
-    del view

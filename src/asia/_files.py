@@ -1,6 +1,5 @@
 """Files that a user names, with clear errors for anything but ordinary files; folders that are
-safely on the disk.
-"""
+safely on the disk."""
 
 from __future__ import annotations
 

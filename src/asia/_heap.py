@@ -9,8 +9,6 @@ import sys
 
 LARGE_RECORDS = 4_000_000
 """Bytes of records from which this is worth its time."""
-_MMAP_THRESHOLD = -3
-_LARGE = 128 * 1024
 
 
 def give_back_large_arrays() -> None:
@@ -20,4 +18,5 @@ def give_back_large_arrays() -> None:
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
-            ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE)
+            mmap_threshold, size = -3, 128 * 1024
+            ctypes.CDLL(None).mallopt(mmap_threshold, size)

@@ -35,9 +35,7 @@ class Part:
     target: str
     """Definition of the part, `module:Name`."""
     package: str
-    """The package that brings it."""
     version: str
-    """The version of that package."""
 
     def load(self) -> object:
         """The part itself. Raises UserError when its module cannot be imported or lacks it."""
@@ -115,13 +113,6 @@ class PluginPackage:
     `__init__.py`, which can be more than one."""
 
 
-def plugin_packages() -> tuple[PluginPackage, ...]:
-    """The packages that bring parts, for workers to read: candidates import from them. One that
-    cannot be found is left out: to use its part says so."""
-    found = [PluginPackage(name, _places(name)) for name in _package_names()]
-    return tuple(package for package in found if package.places)
-
-
 @cache
 def _package_names() -> tuple[str, ...]:
     """Top-level names, whether or not the parts' own names clash."""
@@ -129,16 +120,24 @@ def _package_names() -> tuple[str, ...]:
     return tuple(dict.fromkeys(point.value.partition(":")[0].partition(".")[0] for point in points))
 
 
-def _places(name: str) -> tuple[Path, ...]:
-    try:
-        spec = find_spec(name)
-    except (ImportError, ValueError):
-        return ()
-    if spec is None:
-        return ()
-    if spec.submodule_search_locations is not None:
-        return tuple(Path(place).absolute() for place in spec.submodule_search_locations)
-    return (Path(spec.origin).absolute(),) if spec.has_location and spec.origin else ()
+def plugin_packages() -> tuple[PluginPackage, ...]:
+    """The packages that bring parts, for workers to read: candidates import from them. One that
+    cannot be found is left out: to use its part says so."""
+    found: list[PluginPackage] = []
+    for name in _package_names():
+        try:
+            spec = find_spec(name)
+        except (ImportError, ValueError):
+            continue
+        if spec is None:
+            continue
+        places = spec.submodule_search_locations
+        if places is None:
+            places = [spec.origin] if spec.has_location and spec.origin else []
+        if places:
+            package = PluginPackage(name, tuple(Path(place).absolute() for place in places))
+            found.append(package)
+    return tuple(found)
 
 
 def _points(distribution: Distribution) -> tuple[EntryPoint, ...]:

@@ -15,7 +15,6 @@ from typing import TextIO
 # there.
 
 
-_LINE_BREAKS = "\n\t\r"
 # Special characters of a line of Markdown: escapes, emphasis, code, links, HTML and its names of
 # characters, columns, deletions, mentions; an underscore inside a word is none of these.
 _MARKED = re.compile(r"[\\`*\[\]<>|~@&]|(?<![^\W_])_|_(?![^\W_])")
@@ -30,16 +29,16 @@ def printable(text: str) -> str:
 
 
 def printable_line(text: str) -> str:
-    """Return a text on one line: spaces for line breaks, a mark for each other control
-    character.
-    """
-    return "".join(_fit(c) for c in text)
+    """Return a text on one line: spaces for line breaks, a mark for other control characters."""
+    replaced = {"\n": " ", "\t": " ", "\r": " "}
+    return "".join(
+        c if c.isprintable() else replaced.get(c, "\N{REPLACEMENT CHARACTER}") for c in text
+    )
 
 
 def table_cell(text: str) -> str:
     """Return one cell of a tab-separated table. A text that a spreadsheet would read as a formula
-    gets an apostrophe; a number stays one.
-    """
+    gets an apostrophe; a number stays one."""
     line = printable_line(text)
     if not line.lstrip().startswith(("=", "+", "-", "@")):
         return line
@@ -57,9 +56,7 @@ def one_line(text: str, most: int = 300) -> str:
 
 
 def markdown_line(text: str) -> str:
-    """Return one line that Markdown shows literally: no heading, link, column, HTML or emphasis in
-    it.
-    """
+    """Return one line that Markdown shows literally: no heading, link, column, HTML or emphasis."""
     line = _MARKED.sub(r"\\\g<0>", printable_line(" ".join(text.split())))
     return _ADDRESS.sub(r"\1\3\\\2\4", line)
 
@@ -78,12 +75,6 @@ def hand_over(text: str) -> None:
     """Give a text to whatever reads standard output: unchanged to a file or a program, printable to
     a terminal."""
     sys.stdout.write(printable(text) if sys.stdout.isatty() else text)
-
-
-def _fit(character: str) -> str:
-    if character.isprintable():
-        return character
-    return " " if character in _LINE_BREAKS else "\N{REPLACEMENT CHARACTER}"
 
 
 # Suggestions for misspelt names ("did you mean").

@@ -67,11 +67,9 @@ class TimeSpent:
     """Seconds of one activity."""
 
     activity: Activity
-    """The activity."""
     wall: float
     """Wall-clock time on the critical path, s: of concurrent jobs, that of the thread that ends
-    last.
-    """
+    last."""
     processor: float
     """Processor time over all workers and threads, s."""
 
@@ -152,9 +150,17 @@ class ActivityTimer:
     ) -> list[T]:
         """`run(jobs)`. Of jobs in several threads the wall seconds of the last one to end count."""
         lanes: dict[int, Lane] = {}
+
+        def timed(job: Callable[[], T]) -> T:
+            with self.aside(lanes.setdefault(threading.get_ident(), Lane())) as lane:
+                try:
+                    return job()
+                finally:
+                    lane.ended = time.monotonic()
+
         begin = time.thread_time()
         try:
-            return run([lambda job=job: self._in_lane(lanes, job) for job in jobs])
+            return run([lambda job=job: timed(job) for job in jobs])
         finally:
             longest = max(lanes.values(), key=lambda lane: lane.ended, default=None)
             for lane in list(lanes.values()):
@@ -164,9 +170,9 @@ class ActivityTimer:
                 self._lane.under_way[-1].processor += time.thread_time() - begin
 
     @contextmanager
-    def aside(self) -> Generator[Lane]:
+    def aside(self, own: Lane | None = None) -> Generator[Lane]:
         """Count the time of this thread separately, for the thread that waits for it."""
-        before, own = self._lane, Lane()
+        before, own = self._lane, own or Lane()
         self._lanes.now = own
         try:
             yield own
@@ -203,12 +209,3 @@ class ActivityTimer:
     def _lane(self) -> Lane | None:
         """Profile of this thread; None in a thread without a job."""
         return getattr(self._lanes, "now", None)
-
-    def _in_lane(self, lanes: dict[int, Lane], job: Callable[[], T]) -> T:
-        before = self._lane
-        lane = self._lanes.now = lanes.setdefault(threading.get_ident(), Lane())
-        try:
-            return job()
-        finally:
-            lane.ended = time.monotonic()
-            self._lanes.now = before

@@ -165,7 +165,14 @@ def _columns(values: Any, signals: Sequence[Signal], what: str) -> Array:
         array = np.asarray(values.to_numpy() if names else values)
         # Of a data frame only the columns that are asked for need to be numbers.
         if names:
-            array = array[:, [_index(names, s.name, what) for s in signals]]
+            found = [find_column(names, s.name) for s in signals]
+            if None in found:
+                missing = signals[found.index(None)].name
+                raise UserError(
+                    f"{what}: no column '{missing}' (it has {', '.join(names)})"
+                    f"{suggestion(missing, names)}"
+                )
+            array = array[:, [names.index(name) for name in found if name is not None]]
         array = array.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise UserError(f"{what} do not read as numbers: {error}") from None
@@ -178,12 +185,3 @@ def _columns(values: Any, signals: Sequence[Signal], what: str) -> Array:
     if array.shape[1] != len(signals):
         raise UserError(f"{what}: {array.shape[1]} channels, but {len(signals)} are named")
     return array
-
-
-def _index(names: Sequence[str], name: str, what: str) -> int:
-    found = find_column(names, name)
-    if found is None:
-        raise UserError(
-            f"{what}: no column '{name}' (it has {', '.join(names)}){suggestion(name, names)}"
-        )
-    return names.index(found)

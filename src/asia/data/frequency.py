@@ -15,7 +15,7 @@ from asia.data.trajectory import Array, Trajectory
 
 
 # A period is where the input is alike again, after it was not alike in between.
-_ALIKE, _UNLIKE, _SHORTEST = 0.98, 0.5, 16
+_ALIKE, _UNLIKE = 0.98, 0.5
 
 
 def find_period(records: Sequence[Trajectory]) -> int | None:
@@ -35,7 +35,7 @@ def _period(u: Array) -> int | None:
     unlike = np.flatnonzero(likeness < _UNLIKE)
     if not len(unlike):
         return None
-    first = max(int(unlike[0]), _SHORTEST)
+    first = max(int(unlike[0]), 16)
     alike = np.flatnonzero(likeness[first:] >= _ALIKE)
     if not len(alike):
         return None
@@ -69,12 +69,8 @@ def _likeness(u: Array) -> Array:
 
 Spectrum = NDArray[np.complex128]
 
-# Of the largest amplitude: an input line below it is not excited.
-_EXCITED = 1e-3
-# How much more than usual the first period may differ from the others before it is left out.
-_TRANSIENT = 2.0
-# Local polynomials: degree, number of lines, and samples of the records in use.
-_DEGREE, _AT_ONCE, _MOST_SAMPLES, _MOST_RECORDS = 2, 4096, 65_536, 20
+# Degree of the local polynomials.
+_DEGREE = 2
 
 
 @dataclass(frozen=True)
@@ -138,22 +134,32 @@ def frequency_response(
 
 
 def _of_periods(records: Sequence[Trajectory], output: int, period: int) -> FrequencyResponse:
-    y = [_cut(r.y[:, output : output + 1], period) for r in records]
-    count = min(_settled(v) for v in y)
-    y = [v[-count:, :, 0] for v in y]
-    u = [_cut(r.u, period)[-count:] for r in records]
+    y = [_whole_periods(r.y[:, output : output + 1], period)[..., 0] for r in records]
+    # The first periods are left out where they are further from the last than twice what the last
+    # two are from each other.
+    settled: list[int] = []
+    for v in y:
+        apart = [float(((one - v[-1]) ** 2).mean()) for one in v[:-1]]
+        kept = 0
+        while kept < len(apart) - 1 and apart[kept] > 2.0 * apart[-1]:
+            kept += 1
+        settled.append(len(v) - kept)
+    count = min(settled)
+    y = [v[-count:] for v in y]
+    u = [_whole_periods(r.u, period)[-count:] for r in records]
     # Amplitudes such that their squares sum to the variance, the mean apart.
     lines = slice(1, period // 2 + (period % 2))
     scale = np.sqrt(2.0) / period
     y_lines = np.array([scale * np.fft.rfft(v.mean(axis=0))[lines] for v in y])
     u_lines = np.array([scale * np.fft.rfft(v.mean(axis=0), axis=0)[lines] for v in u])
-    apart = np.array([v - v.mean(axis=0) for v in y])
-    noise_power = (abs(scale * np.fft.rfft(apart, axis=-1)[..., lines]) ** 2).sum(axis=1) / (
+    rests = np.array([v - v.mean(axis=0) for v in y])
+    noise_power = (abs(scale * np.fft.rfft(rests, axis=-1)[..., lines]) ** 2).sum(axis=1) / (
         count - 1
     )
     floor = noise_power.mean(axis=0)
     size = abs(u_lines).max(axis=(0, 2))
-    excited = size > _EXCITED * size.max()
+    # Input lines far below the largest one are not excited.
+    excited = size > 1e-3 * size.max()
     gain, left, known = _approximated(u_lines, y_lines, excited, floor / count)
     variance = float(np.mean([v.mean(axis=0).var() for v in y])) + float(floor.sum())
     levels = _levels(left, known, excited, floor, variance)
@@ -172,20 +178,10 @@ def _of_periods(records: Sequence[Trajectory], output: int, period: int) -> Freq
     )
 
 
-def _cut(values: Array, period: int) -> Array:
+def _whole_periods(values: Array, period: int) -> Array:
     """(periods, N, n): the whole periods at the end of a record."""
     periods = len(values) // period
     return values[len(values) - periods * period :].reshape(periods, period, -1)
-
-
-def _settled(y: Array) -> int:
-    """Periods (P, N, 1) at the end that are alike: at least two, and the first is left out where
-    it is further from the last than the last two are from each other."""
-    apart = [float(((one - y[-1]) ** 2).mean()) for one in y[:-1]]
-    kept = 0
-    while kept < len(apart) - 1 and apart[kept] > _TRANSIENT * apart[-1]:
-        kept += 1
-    return len(y) - kept
 
 
 def _approximated(
@@ -253,10 +249,10 @@ def _of_records(records: Sequence[Trajectory], output: int) -> FrequencyResponse
     """Local polynomial method: near a frequency, response and leakage are smooth polynomials. Of a
     system whose time constants are near the length of the records it leaves too much."""
     nu = records[0].u.shape[1]
-    longest = min(max(len(r) for r in records), _MOST_SAMPLES)
+    longest = min(max(len(r) for r in records), 65_536)
     # Records much shorter than the others tell nothing of their frequencies.
     length = min([len(r) for r in records if 2 * len(r) >= longest] + [longest])
-    segments = [r for r in records if len(r) >= length][:_MOST_RECORDS]
+    segments = [r for r in records if len(r) >= length][:20]
     terms = (_DEGREE + 1) * (nu + 1)
     reach = terms // 2 + 3
     if length < 8 * reach:
@@ -293,8 +289,10 @@ def _local_fit(u: Spectrum, y: Spectrum, reach: int) -> tuple[Spectrum, Array]:
     count, nu = u.shape
     gain, rest = np.empty((count, nu), complex), np.empty(count)
     width = 2 * reach + 1
-    for first in range(0, count, _AT_ONCE):
-        middle = np.arange(first, min(first + _AT_ONCE, count))
+    # So many lines at a time, to save memory.
+    size_of_block = 4096
+    for first in range(0, count, size_of_block):
+        middle = np.arange(first, min(first + size_of_block, count))
         start = np.clip(middle - reach, 0, count - width)
         rows = start[:, None] + np.arange(width)
         place = (rows - middle[:, None]) / reach

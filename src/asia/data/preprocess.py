@@ -27,11 +27,8 @@ class Preprocess:
     """Delay of each input in samples: a model receives values measured this many samples
     earlier."""
     decimate: Annotated[int, Field(ge=1, le=1_000_000)] = 1
-    """N."""
     offset: Mapping[str, float] = field(default_factory=dict[str, float])
-    """Offset by signal, in its unit."""
     scale: Mapping[str, _Positive] = field(default_factory=dict[str, float])
-    """Scale by signal, in its unit."""
 
     def __bool__(self) -> bool:
         return self != Preprocess()
@@ -43,13 +40,9 @@ class Preprocess:
 
     def check(self, inputs: Sequence[str], outputs: Sequence[str]) -> None:
         """Raise UserError for a name that is no signal, or no input where one is wanted."""
-        tables: tuple[tuple[str, Mapping[str, float], Sequence[str]], ...] = (
-            ("delay", self.delay, inputs),
-            ("offset", self.offset, [*inputs, *outputs]),
-            ("scale", self.scale, [*inputs, *outputs]),
-        )
-        for table, entries, known in tables:
-            for name in entries:
+        signals = [*inputs, *outputs]
+        for table, known in (("delay", inputs), ("offset", signals), ("scale", signals)):
+            for name in getattr(self, table):
                 if name not in known:
                     raise UserError(
                         f"preprocess.{table} names '{name}', expected one of {', '.join(known)}"
@@ -110,8 +103,7 @@ class Preprocess:
         the samples that were kept, and held after the last."""
         if not self:
             return y
-        physical = y * self._scales(signals) + self._offsets(signals)
-        return self.refined(physical, samples)
+        return self.refined(y * self._scales(signals) + self._offsets(signals), samples)
 
     def refined(self, values: Array, samples: int) -> Array:
         """(K, n) -> (samples, n), on straight lines between the samples that were kept."""

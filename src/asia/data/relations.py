@@ -32,10 +32,13 @@ def shared_samples(test: Sequence[Trajectory], train: Sequence[Trajectory]) -> i
         hashes = _run_hashes(record)[0]
         copied = np.concatenate([copied, hashes[_is_in(hashes, wanted)]])
     copied = np.sort(copied)
-    return sum(
-        _covered(len(record), _is_in(hashes, copied) & moves)
-        for record, (hashes, moves) in zip(test, own, strict=True)
-    )
+    count = 0
+    for record, (hashes, moves) in zip(test, own, strict=True):
+        inside = np.zeros(len(record), dtype=bool)
+        for start in np.flatnonzero(_is_in(hashes, copied) & moves):
+            inside[start : start + _RUN] = True
+        count += int(inside.sum())
+    return count
 
 
 def samples_outside(test: Sequence[Trajectory], train: Sequence[Trajectory]) -> tuple[int, ...]:
@@ -56,14 +59,6 @@ def _is_in(values: NDArray[np.uint64], ordered: NDArray[np.uint64]) -> NDArray[n
     places = np.searchsorted(ordered, values)
     places[places == ordered.size] = 0
     return ordered[places] == values
-
-
-def _covered(samples: int, starts: NDArray[np.bool_]) -> int:
-    """Samples inside the runs that begin where `starts` is true."""
-    inside = np.zeros(samples, dtype=bool)
-    for start in np.flatnonzero(starts):
-        inside[start : start + _RUN] = True
-    return int(inside.sum())
 
 
 def _run_hashes(record: Trajectory) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
@@ -91,14 +86,6 @@ def _run_hashes(record: Trajectory) -> tuple[NDArray[np.uint64], NDArray[np.bool
 # Delays between inputs and outputs, and feedback, by correlation.
 
 
-# Lags of the whitening filter, and the 99 % point of a normal distribution.
-_WHITENING, _BAND = 15, 2.576
-LONGEST_DELAY = 100
-"""Samples."""
-# Lags of feedback that are looked at; the 99 % point of the largest of so many correlations.
-_BACK, _LARGEST = 20, 3.48
-
-
 @dataclass(frozen=True)
 class FoundDelay:
     """Delay from an input to an output.
@@ -118,16 +105,14 @@ def find_delay(records: Sequence[Trajectory], channel: int, output: int) -> Foun
     """The first of two neighbouring lags at which the prewhitened input and the output correlate
     beyond the 99 % band (Box and Jenkins, Time Series Analysis, section 11.2); the band is widened
     for the number of lags."""
-    longest = min(LONGEST_DELAY, min(len(r) for r in records) // 4)
-    weights = _whitening([r.u[:, channel] for r in records])
-    sums, energy_u, energy_y, count = np.zeros(longest + 1), 0.0, 0.0, 0
-    for r in records:
-        u = _filtered(r.u[:, channel] - r.u[:, channel].mean(), weights)
-        y = _filtered(r.y[:, output] - r.y[:, output].mean(), weights)
-        sums += [u[: len(u) - k] @ y[k:] for k in range(longest + 1)]
-        energy_u, energy_y, count = energy_u + u @ u, energy_y + y @ y, count + len(u)
+    longest = min(100, min(len(r) for r in records) // 4)
+    pairs = _whitened(records, channel, output)
+    energy_u, energy_y = sum(u @ u for u, _ in pairs), sum(y @ y for _, y in pairs)
+    lags = range(longest + 1)
+    sums = np.sum([[u[: len(u) - k] @ y[k:] for k in lags] for u, y in pairs], axis=0)
     correlation = sums / max(np.sqrt(energy_u * energy_y), 1e-300)
-    band = _BAND / np.sqrt(max(count, 1))
+    # The 99 % point of a normal distribution.
+    band = 2.576 / np.sqrt(max(sum(len(u) for u, _ in pairs), 1))
     beyond = np.abs(correlation) > band * 1.35
     strong = np.abs(correlation) > 2 * band
     hits = np.flatnonzero(strong | (beyond & np.append(beyond[1:], False)))
@@ -142,40 +127,34 @@ def find_feedback(records: Sequence[Trajectory], channel: int, output: int) -> b
     2nd ed., section 13.4). None where the filter leaves an innovation that is not white, as for a
     few sines: the band does not hold for it.
     """
-    longest = min(_BACK, min(len(r) for r in records) // 4)
-    weights = _whitening([r.u[:, channel] for r in records])
-    back, own = np.zeros(longest), np.zeros(longest)
-    energy_u, energy_y, count = 0.0, 0.0, 0
-    for r in records:
-        u = _filtered(r.u[:, channel] - r.u[:, channel].mean(), weights)
-        y = _filtered(r.y[:, output] - r.y[:, output].mean(), weights)
-        lags = range(1, longest + 1)
-        back += [u[k:] @ y[: len(y) - k] for k in lags]
-        own += [u[k:] @ u[: len(u) - k] for k in lags]
-        energy_u, energy_y, count = energy_u + u @ u, energy_y + y @ y, count + len(u)
-    band = _LARGEST / np.sqrt(max(count, 1))
+    lags = range(1, min(20, min(len(r) for r in records) // 4) + 1)
+    pairs = _whitened(records, channel, output)
+    energy_u, energy_y = sum(u @ u for u, _ in pairs), sum(y @ y for _, y in pairs)
+    back = np.sum([[u[k:] @ y[: len(y) - k] for k in lags] for u, y in pairs], axis=0)
+    own = np.sum([[u[k:] @ u[: len(u) - k] for k in lags] for u, _ in pairs], axis=0)
+    # The 99 % point of the largest of twenty correlations.
+    band = 3.48 / np.sqrt(max(sum(len(u) for u, _ in pairs), 1))
     if energy_u <= 0 or energy_y <= 0 or np.abs(own).max() > band * energy_u:
         return None
     return bool(np.abs(back).max() > band * np.sqrt(energy_u * energy_y))
 
 
-def _whitening(signals: Sequence[Array]) -> Array:
-    """Coefficients of an autoregressive filter that makes the signals white, the leading 1
-    included."""
-    order = min(_WHITENING, min(len(s) for s in signals) // 8)
-    rows: list[Array] = []
-    targets: list[Array] = []
-    for signal in signals:
-        centred = signal - signal.mean()
-        lags = np.lib.stride_tricks.sliding_window_view(centred, order + 1)
-        rows.append(lags[:, :-1][:, ::-1])
-        targets.append(lags[:, -1])
-    weights = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=1e-8)[0]
-    return np.concatenate([[1.0], -weights])
+def _whitened(
+    records: Sequence[Trajectory], channel: int, output: int
+) -> list[tuple[Array, Array]]:
+    """Input and output of each record, filtered by an autoregressive filter that makes the inputs
+    white."""
+    inputs = [r.u[:, channel] - r.u[:, channel].mean() for r in records]
+    outputs = [r.y[:, output] - r.y[:, output].mean() for r in records]
+    order = min(15, min(len(u) for u in inputs) // 8)
+    lags = np.concatenate([np.lib.stride_tricks.sliding_window_view(u, order + 1) for u in inputs])
+    found = np.linalg.lstsq(lags[:, :-1][:, ::-1], lags[:, -1], rcond=1e-8)[0]
+    weights = np.concatenate([[1.0], -found])
 
+    def filtered(values: Array) -> Array:
+        return np.convolve(values, weights)[order : len(values)]
 
-def _filtered(values: Array, weights: Array) -> Array:
-    return np.convolve(values, weights)[len(weights) - 1 : len(values)]
+    return [(filtered(u), filtered(y)) for u, y in zip(inputs, outputs, strict=True)]
 
 
 # Relation between the increments of outputs and the integrals of others.
@@ -200,20 +179,17 @@ def motion(records: Sequence[Trajectory], span: int) -> Motion:
 
     Integrals use Euler steps: the rate at a sample moves the output of the next sample.
     """
-    moved, integrals = (np.concatenate(parts) for parts in zip(*_pairs(records, span), strict=True))
+    moves: list[Array] = []
+    sums: list[Array] = []
+    for t in records:
+        total = np.cumsum(t.y * t.sampling_time, axis=0)
+        sums.append(total[span - 1 : -1] - np.pad(total, ((1, 0), (0, 0)))[: len(t) - span])
+        moves.append(t.y[span:] - t.y[:-span])
+    moved, integrals = np.concatenate(moves), np.concatenate(sums)
     energy = np.maximum((moved**2).sum(axis=0), 1e-300)
     effect = np.maximum((integrals**2).sum(axis=0), 1e-300)
     products = moved.T @ integrals
     return Motion(products / np.sqrt(energy[:, None] * effect), products / effect)
-
-
-def _pairs(records: Sequence[Trajectory], span: int) -> list[tuple[Array, Array]]:
-    found: list[tuple[Array, Array]] = []
-    for t in records:
-        total = np.cumsum(t.y * t.sampling_time, axis=0)
-        integral = total[span - 1 : -1] - np.pad(total, ((1, 0), (0, 0)))[: len(t) - span]
-        found.append((t.y[span:] - t.y[:-span], integral))
-    return found
 
 
 # Transport delays through a pipe or along a belt whose pace is an input.
@@ -223,14 +199,8 @@ def _pairs(records: Sequence[Trajectory], span: int) -> list[tuple[Array, Array]
 # delay.
 
 
-# Least pace as a share of the volume per sample, so that the transport never stops.
-_LEAST_PACE = 1e-4
-# Lower limit of the pace in a simulation, as a share of the least one in the records.
-_SLOWEST = 0.5
-# Delays in samples at the mean pace between which volumes are compared, and how many.
-_LONGEST, _COMPARED = 30.0, 31
-# Lags of the one-step model, the most samples and the most columns for each sample.
-_LAGS, _MOST_SAMPLES, _MOST_COLUMNS = 2, 4000, 0.2
+# The longest delay that is looked for, in samples at the mean pace.
+_LONGEST = 30
 
 
 @dataclass(frozen=True)
@@ -247,8 +217,8 @@ class Transport:
 
     @property
     def least_pace(self) -> float:
-        """Lower limit of the pace."""
-        return max(self.slowest, _LEAST_PACE * self.volume)
+        """Lower limit of the pace, above 0 so that the transport never stops."""
+        return max(self.slowest, 1e-4 * self.volume)
 
     @property
     def longest(self) -> int:
@@ -274,7 +244,6 @@ class FoundTransport(NamedTuple):
     """The volume that explains most."""
 
     transport: Transport
-    """The pipe."""
     delay: float
     """Delay in samples at the mean pace."""
     ratio: float
@@ -292,22 +261,26 @@ def find_transport(records: Sequence[Trajectory], pace: int) -> FoundTransport:
     if least <= 0.0:
         raise ValueError(f"input {pace} cannot be a pace: it has values that are not positive")
     mean = float(np.concatenate([r.u[:, pace] for r in records]).mean())
-    delays = np.geomspace(1.0, _LONGEST, _COMPARED)
-    parts = _parts(records)
+    delays = np.geomspace(1.0, float(_LONGEST), 31)
+    # The first samples of each record that is longer than the longest delay.
+    most = max(4000 // len(records), 4 * _LONGEST)
+    parts = [
+        Trajectory(r.u[:most], r.y[:most], r.sampling_time, r.name)
+        for r in records
+        if len(r) > 2 * _LONGEST
+    ]
     each = [
         _one_step_error([Transport(pace, mean * d).carried(r.u) for r in parts], parts)
         for d in delays
     ]
     constant = [
-        _one_step_error([_late(r.u, d, pace) for r in parts], parts)
-        for d in range(round(_LONGEST) + 1)
+        _one_step_error([_delayed(r.u, d, pace) for r in parts], parts) for d in range(_LONGEST + 1)
     ]
     best = int(np.argmin(each))
     known = np.isfinite(each[best]) and min(constant) > 0.0
     ratio = each[best] / min(constant) if known else float("inf")
     delay = float(delays[best])
-    found = Transport(pace, mean * delay, _SLOWEST * least)
-    return FoundTransport(found, delay, float(ratio))
+    return FoundTransport(Transport(pace, mean * delay, 0.5 * least), delay, float(ratio))
 
 
 def _sums(values: Array) -> Array:
@@ -315,14 +288,7 @@ def _sums(values: Array) -> Array:
     return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
 
 
-def _parts(records: Sequence[Trajectory]) -> list[Trajectory]:
-    """The first samples of each record that is longer than the longest delay."""
-    most = max(_MOST_SAMPLES // len(records), 4 * round(_LONGEST))
-    long = [r for r in records if len(r) > 2 * _LONGEST]
-    return [Trajectory(r.u[:most], r.y[:most], r.sampling_time, r.name) for r in long]
-
-
-def _late(u: Array, delay: int, pace: int) -> Array:
+def _delayed(u: Array, delay: int, pace: int) -> Array:
     held = np.concatenate([np.repeat(u[:1], delay, axis=0), u])[: len(u)]
     return np.hstack([held, u[:, pace, None]])
 
@@ -332,24 +298,23 @@ def _one_step_error(inputs: Sequence[Array], records: Sequence[Trajectory]) -> f
     infinite with too few samples for it."""
     if not records:
         return float("inf")
-    rows = np.concatenate([_lagged(v, r.y) for v, r in zip(inputs, records, strict=True)])
+    # Outputs, the two outputs before, and the inputs now and before, from where every delay is
+    # known.
+    first = _LONGEST
+    lagged: list[Array] = []
+    for v, r in zip(inputs, records, strict=True):
+        before = [r.y[first - k : len(r) - k] for k in range(3)]
+        lagged.append(np.hstack([*before, v[first:], v[first - 1 : len(r) - 1]]))
+    rows = np.concatenate(lagged)
     ny = records[0].y.shape[1]
     spread = rows.std(axis=0)
     rows = (rows - rows.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
     y, x = rows[:, :ny], rows[:, ny:]
     columns = x.shape[1] * (x.shape[1] + 3) // 2 + 1
-    if columns > _MOST_COLUMNS * len(x):
+    if columns > 0.2 * len(x):
         return float("inf")
     products = [x[:, i] * x[:, j] for i, j in combinations_with_replacement(range(x.shape[1]), 2)]
     terms = np.column_stack([np.ones(len(x)), x, *products])
     gram = terms.T @ terms + 1e-9 * len(x) * np.eye(columns)
     left = y - terms @ np.linalg.solve(gram, terms.T @ y)
     return float((left**2).mean())
-
-
-def _lagged(v: Array, y: Array) -> Array:
-    """Outputs, the outputs before, and the inputs now and before, from where every delay is
-    known."""
-    first, n = round(_LONGEST), len(y)
-    before = [y[first - k : n - k] for k in range(_LAGS + 1)]
-    return np.hstack([*before, v[first:], v[first - 1 : n - 1]])

@@ -9,6 +9,7 @@ its own.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 from collections.abc import Sequence
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 KEYS_VARIABLE = "ASIA_KEYS"
 SUFFIX = ".sealed"
-_LONGEST_HEAD = 1_000_000
-_FORMAT = "asia-sealed-1"
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -66,10 +65,7 @@ class SealHead:
     shared_samples: Annotated[int, Field(ge=0)]
     outside_inputs: tuple[Annotated[int, Field(ge=0)], ...] = ()
     payload_sha256: Digest | Literal[""] = ""
-    format: Literal["asia-sealed-1"] = _FORMAT
-
-
-_heads = TypeAdapter(SealHead)
+    format: Literal["asia-sealed-1"] = "asia-sealed-1"
 
 
 @dataclass(frozen=True)
@@ -135,9 +131,9 @@ def write_store(path: Path, head: SealHead, contents: Sequence[PlainFile], keys:
     """
     plain = _line(head) + b"\n" + b"".join(content.data for content in contents)
     payload = _fernet(head, path, keys).encrypt(plain)
-    told = replace(head, payload_sha256=hashlib.sha256(payload).hexdigest())
+    public = replace(head, payload_sha256=hashlib.sha256(payload).hexdigest())
     with path.open("xb") as stream:
-        stream.write(_line(told) + b"\n" + payload)
+        stream.write(_line(public) + b"\n" + payload)
         stream.flush()
         os.fsync(stream.fileno())
 
@@ -170,30 +166,26 @@ def open_store(path: Path, keys: Path) -> tuple[PlainFile, ...]:
 
     head, payload = _split(path)
     fernet = _fernet(head, path, keys)
-    inner = replace(head, payload_sha256="")
     try:
         line, _, plain = fernet.decrypt(payload).partition(b"\n")
     except InvalidToken:
         line, plain = b"", b""
-    if line != _line(inner) or len(plain) != sum(file.bytes for file in head.files):
+    size = sum(file.bytes for file in head.files)
+    if line != _line(replace(head, payload_sha256="")) or len(plain) != size:
         raise UserError(f"{path} was changed after it was sealed: bring the one that was sealed")
-    contents: list[PlainFile] = []
-    at = 0
-    for file in head.files:
-        contents.append(PlainFile(file.name, plain[at : at + file.bytes]))
-        at += file.bytes
-    return tuple(contents)
+    content = io.BytesIO(plain)
+    return tuple(PlainFile(file.name, content.read(file.bytes)) for file in head.files)
 
 
 def _split(path: Path) -> tuple[SealHead, bytes]:
     try:
         with path.open("rb") as stream:
-            line = stream.readline(_LONGEST_HEAD)
+            line = stream.readline(1_000_000)
             payload = stream.read()
     except OSError as error:
         raise UserError(f"cannot read the sealed test {path}: {error.strerror}") from error
     try:
-        head = _heads.validate_json(line)
+        head = TypeAdapter(SealHead).validate_json(line)
     except ValidationError:
         raise UserError(
             f"{path} is not a sealed test, or one of another version: expected a file that asia "

@@ -92,8 +92,14 @@ class Trajectory:
         object.__setattr__(self, "y", _frozen(self.y, what, gaps=True))
         found = np.isnan(self.y)
         if found.any():
+            never = found.all(axis=0)
+            if never.any():
+                raise UserError(
+                    f"{what}: output {int(np.argmax(never)) + 1} was never measured; leave the "
+                    "output or the record out"
+                )
             missing = found if self.missing is None else found | self.missing
-            object.__setattr__(self, "y", _frozen(_complete(self.y, what), what))
+            object.__setattr__(self, "y", _frozen(filled(self.y), what))
             object.__setattr__(self, "missing", missing)
         if self.missing is not None:
             missing = np.array(self.missing, dtype=np.bool_)
@@ -160,16 +166,6 @@ def spread_of(values: Array) -> Array:
     return np.nanstd(values, axis=0) if np.isnan(values).any() else values.std(axis=0)
 
 
-def _complete(y: Array, what: str) -> Array:
-    never = np.isnan(y).all(axis=0)
-    if never.any():
-        raise UserError(
-            f"{what}: output {int(np.argmax(never)) + 1} was never measured; leave the output or "
-            "the record out"
-        )
-    return filled(y)
-
-
 # sha256 of records.
 
 
@@ -221,20 +217,18 @@ def check_ranges(
     trajectories: Sequence[Trajectory], inputs: Sequence[str], outputs: Sequence[str]
 ) -> None:
     """Raise UserError for a signal that moves, but so little that its variance comes out as 0."""
-    if not trajectories:
-        return
-    _check_range([t.u for t in trajectories], "input", inputs)
-    _check_range([t.y for t in trajectories], "output", outputs)
-
-
-def _check_range(arrays: Sequence[Array], role: str, names: Sequence[str]) -> None:
-    values = np.concatenate(arrays)
-    if not values.size:
-        return
-    for name, span in zip(names, np.ptp(values, axis=0).tolist(), strict=True):
-        if 0 < span < LEAST_RANGE:
-            raise UserError(
-                f"{role} '{name}' moves by {span:.3g} in all training records together, expected "
-                f"a range of at least {LEAST_RANGE:g}, since its square must not vanish: give the "
-                "signal in a smaller unit (multiply its column by a power of ten)"
-            )
+    for role, names, channels in (
+        ("input", inputs, [t.u for t in trajectories]),
+        ("output", outputs, [t.y for t in trajectories]),
+    ):
+        values = np.concatenate(channels) if channels else np.zeros((0, 0))
+        if not values.size:
+            continue
+        for name, span in zip(names, np.ptp(values, axis=0).tolist(), strict=True):
+            if 0 < span < LEAST_RANGE:
+                raise UserError(
+                    f"{role} '{name}' moves by {span:.3g} in all training records together, "
+                    f"expected a range of at least {LEAST_RANGE:g}, since its square must not "
+                    "vanish: give the signal in a smaller unit (multiply its column by a power of "
+                    "ten)"
+                )

@@ -20,7 +20,6 @@ class Budget:
     fit_seconds: Annotated[float, Gt(0)] = 120.0
     """Seconds that the fit of one fold may take."""
     memory_mb: Annotated[int, Ge(LEAST_MEMORY_MB)] = 4096
-    """Memory of a worker, MB."""
     patience: Annotated[int, Ge(1)] = 10
     """Experiments in the refine phase without a better model before the search counts as
     saturated."""

@@ -13,345 +13,17 @@ import numpy as np
 
 from asia.data.frequency import FrequencyResponse, find_period, frequency_response
 from asia.data.relations import FoundDelay, find_delay, find_feedback
-from asia.data.trajectory import Array, Signal, Trajectory, data_digest
+from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.problem.lock import protocol_digest
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem, Seal, correction_lines, prior_lines, symmetry_lines
 from asia.problem.protocol import ProtocolRule, splits, windows
 
-# Missing outputs, delay, feedback, drift, converter steps and outliers of training records.
-
-
 # Shorter records hold too little for a correlation.
 _SHORTEST = 64
-# Samples times pairs of signals: with many pairs the beginning of the records has to do.
-_WORK = 200_000
-_TREND = 0.5
-_STEP = 0.05
-_SPIKE = 10.0
-_NINES = re.compile(r"-?999+(\.9+)?")
-# Shares between which usual values lie, and how many times their range others are away from them.
-_USUAL, _FAR = (0.025, 0.975), 3.0
-
-
-@dataclass(frozen=True)
-class InputDelay:
-    """Delay from an input to an output, by their names."""
-
-    given: str
-    output: str
-    delay: FoundDelay
-
-
-def input_delays(problem: Problem) -> tuple[InputDelay, ...]:
-    """Every output with every input, where both move; none for short records."""
-    if min(len(r) for r in problem.train) < _SHORTEST:
-        return ()
-    records = _first_samples(problem)
-    return tuple(
-        InputDelay(given.name, output.name, find_delay(records, i, j))
-        for j, output in enumerate(problem.outputs)
-        for i, given in enumerate(problem.inputs)
-        if _moves(records, i, j)
-    )
-
-
-def delay_lines(problem: Problem, found: Sequence[InputDelay]) -> tuple[str, ...]:
-    """Describe the delay from each input to each output, and the pairs where feedback was not
-    tested."""
-    lines: list[str] = []
-    for output in problem.outputs:
-        lags = [(a.given, a.delay.lag) for a in found if a.output == output.name]
-        said = ", ".join(f"{n} {'not found' if lag is None else lag}" for n, lag in lags)
-        if lags:
-            lines.append(
-                f"delay of output {output.name} in samples, the first correlation beyond its 99 % "
-                f"band: {said}"
-            )
-    lines += [
-        f"delay 0: output {a.output} responds to input {a.given} in the same sample. If the system "
-        "cannot be so fast, a controller computes the input from that output"
-        for a in found
-        if a.delay.lag == 0
-    ]
-    if not found:
-        return ()
-    records = _first_samples(problem)
-    blind = [
-        given.name
-        for i, given in enumerate(problem.inputs)
-        if _moves(records, i, 0) and find_feedback(records, i, 0) is None
-    ]
-    if blind:
-        lines.append(
-            f"feedback: not tested for input {', '.join(blind)}, which no short filter whitens"
-        )
-    return tuple(lines)
-
-
-def missing_lines(problem: Problem) -> list[str]:
-    """Count the missing samples of each output."""
-    measured = np.concatenate([r.measured for r in problem.train])
-    found = [
-        f"{output.name} {int(lost)} of {len(measured)}"
-        for output, lost in zip(problem.outputs, (~measured).sum(axis=0), strict=True)
-        if lost
-    ]
-    if not found:
-        return ["missing values: none"]
-    return [f"missing outputs, in samples, left out of fit and V: {', '.join(found)}"]
-
-
-def data_doubts(problem: Problem) -> list[str]:
-    """Sentences on feedback, and on drift, steps and outliers of the outputs."""
-    doubts = _feedback(problem)
-    for i, given in enumerate(problem.inputs):
-        values = np.concatenate([r.u[:, i] for r in problem.train])
-        doubts += _codes(values, f"input {given.name}", repeated=False)
-    for j, output in enumerate(problem.outputs):
-        name, unit = f"output {output.name}", f" {output.unit}".rstrip()
-        parts = [r.y[:, j] for r in problem.train]
-        if np.ptp(np.concatenate(parts)) == 0:
-            continue
-        doubts += _drift(problem.train, parts, name, unit)
-        doubts += _steps(np.concatenate(parts), name, unit)
-        doubts += _outliers(problem.train, parts, name)
-        doubts += _codes(np.concatenate(parts), name, repeated=True)
-    return doubts
-
-
-def _first_samples(problem: Problem) -> list[Trajectory]:
-    """Whole records up to a number of samples, at least the start of the first."""
-    kept: list[Trajectory] = []
-    left = max(_WORK // (len(problem.inputs) * len(problem.outputs)), _SHORTEST)
-    for record in problem.train:
-        if left < _SHORTEST:
-            break
-        kept.append(record[: min(len(record), left)])
-        left -= len(record)
-    return kept
-
-
-def _moves(records: Sequence[Trajectory], channel: int, output: int) -> bool:
-    return all(np.ptp(r.u[:, channel]) > 0 and np.ptp(r.y[:, output]) > 0 for r in records)
-
-
-def _feedback(problem: Problem) -> list[str]:
-    if min(len(r) for r in problem.train) < _SHORTEST:
-        return []
-    records = _first_samples(problem)
-    return [
-        f"input {given.name} follows earlier values of output {output.name}: it may come from a "
-        "controller, and a model fitted in closed loop may describe the controller instead of "
-        "the system"
-        for i, given in enumerate(problem.inputs)
-        for j, output in enumerate(problem.outputs)
-        if _moves(records, i, j) and find_feedback(records, i, j)
-    ]
-
-
-def _drift(
-    records: Sequence[Trajectory], parts: Sequence[Array], name: str, unit: str
-) -> list[str]:
-    """Describe a linear drift that explains most of the variance of the longest record."""
-    k = int(np.argmax([len(p) for p in parts]))
-    y = parts[k] - parts[k].mean()
-    time = np.arange(len(y)) - (len(y) - 1) / 2
-    total = float(y @ y)
-    if len(y) < _SHORTEST or total == 0:
-        return []
-    slope = float(time @ y / (time @ time))
-    if slope**2 * float(time @ time) <= _TREND * total:
-        return []
-    return [
-        f"{name} {'rises' if slope > 0 else 'falls'} by {abs(slope) * (len(y) - 1):.3g}{unit} over "
-        f"record '{records[k].name}', more than its other variation: the sensor may drift, or the "
-        "record starts far from steady state"
-    ]
-
-
-def _steps(values: Array, name: str, unit: str) -> list[str]:
-    """Describe a quantization step that is large relative to the signal."""
-    levels = np.unique(values)
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-9 * (levels[-1] - levels[0])]
-    step, std = float(gaps.min()), float(values.std())
-    if len(gaps) < 2 or step <= _STEP * std:
-        return []
-    multiples = (levels - levels[0]) / step
-    if np.abs(multiples - np.round(multiples)).max() > 1e-3:
-        return []
-    floor = step / np.sqrt(12.0) / std
-    return [
-        f"{name} is quantized in steps of {step:.3g}{unit}: this alone causes an error of about "
-        f"{floor:.1%} "
-        "of its standard deviation"
-    ]
-
-
-def _outliers(records: Sequence[Trajectory], parts: Sequence[Array], name: str) -> list[str]:
-    """Single samples that jump away from both neighbours, far beyond a usual change."""
-    usual = float(np.median(np.abs(np.concatenate([np.diff(p) for p in parts]))))
-    limit = max(_SPIKE * 1.4826 * usual, float(np.concatenate(parts).std()))
-    if usual == 0:
-        return []
-    found: list[tuple[str, int]] = []
-    for record, y in zip(records, parts, strict=True):
-        if len(y) < 3:
-            continue
-        middle = np.median(np.stack([y[:-2], y[1:-1], y[2:]]), axis=0)
-        hits = np.flatnonzero(np.abs(y[1:-1] - middle) > limit) + 2
-        found += [(record.name, int(k)) for k in hits]
-    if not found:
-        return []
-    many = "1 sample jumps" if len(found) == 1 else f"{len(found)} samples jump"
-    where = f"sample {found[0][1]} of record '{found[0][0]}'"
-    return [
-        f"{name}: {many} away from both neighbours, the first at {where}: check for outliers, and "
-        "cut the record there"
-    ]
-
-
-def _codes(values: Array, name: str, repeated: bool) -> list[str]:
-    """Values far from all others that a logger writes where it has none: nines, such as -9999, and
-    with `repeated` any that stay the same to the last digit."""
-    low, high = (float(v) for v in np.quantile(values, _USUAL))
-    away = _FAR * (high - low)
-    far = (values < low - away) | (values > high + away)
-    if away == 0 or not far.any():
-        return []
-    code = np.array([_NINES.fullmatch(f"{v:g}") is not None for v in values[far]])
-    if repeated:
-        same = np.diff(values) == 0
-        code |= (np.append(same, False) | np.append(False, same))[far]
-    found, others = values[far][code], values[~far]
-    if not found.size:
-        return []
-    shown = ", ".join(f"{v:g}" for v in np.unique(found)[:3])
-    return [
-        f"{name} has {shown} in {len(found)} sample{'s' if len(found) > 1 else ''}, the others lie "
-        f"from {others.min():.3g} to {others.max():.3g}: if these mark missing values, leave the "
-        "cells empty"
-    ]
-
-
-# Advice from the public header of the sealed test.
-
-
-_FEW_SCORED = 50
-_OUTSIDE = 0.01
-
-
-def sealed_doubts(problem: Problem, seal: Seal, *, in_workspace: bool) -> list[str]:
-    """Sentences on a test that is missing, short, not unseen, or beyond the training inputs."""
-    doubts: list[str] = []
-    if seal.sha256 is None and not in_workspace:
-        doubts.append("there is no test data: the winner cannot be judged on unseen records")
-    doubts += [
-        f"test record '{name}' has {scored} samples to score, after the past window and "
-        f"protocol.test.skip: fewer than {_FEW_SCORED} say little about a model"
-        for name, scored in zip(seal.names, scored_samples(seal, problem.protocol), strict=True)
-        if scored < _FEW_SCORED
-    ]
-    doubts += [
-        f"[protocol.test.figures] {figure.name} names no test record (they are "
-        f"{', '.join(seal.names)}): there will be no official figures"
-        for figure in problem.protocol.test.figures
-        if seal.names and not any(fnmatchcase(n, p) for n in seal.names for p in figure.records)
-    ]
-    if seal.shared_samples:
-        doubts.append(
-            f"{seal.shared_samples} test samples also occur, in runs of ten or more, in the "
-            "training records: the test is not unseen"
-        )
-    doubts += [
-        f"{count} of {sum(seal.lengths)} test samples of input {given.name} are outside its "
-        "range in the training records: a model must extrapolate there"
-        for given, count in zip(problem.inputs, seal.outside_inputs, strict=False)
-        if count > _OUTSIDE * sum(seal.lengths)
-    ]
-    return doubts
-
-
-def scored_samples(seal: Seal, rule: ProtocolRule) -> tuple[int, ...]:
-    """Return the number of scored samples of each test record."""
-    return tuple(max(length - rule.past - rule.test.skip, 0) for length in seal.lengths)
-
-
-# Frequency responses of a problem's training records, for `asia check`.
-
-
-def check_period(records: Sequence[Trajectory], period: int | None) -> None:
-    """Raise UserError where a record holds less than two periods."""
-    for record in records:
-        if period is not None and len(record) < 2 * period:
-            raise UserError(
-                f"data.period = {period}: record '{record.name}' has {len(record)} samples, "
-                "expected two periods or more: correct it, or leave it out"
-            )
-
-
-def responses(problem: Problem) -> tuple[FrequencyResponse | None, ...]:
-    """Return the frequency response of each output.
-
-    A declared or detected period is used where there is one. None for an output with too little
-    data.
-    """
-    period = problem.period or find_period(problem.train)
-    return tuple(frequency_response(problem.train, k, period) for k in range(len(problem.outputs)))
-
-
-def response_lines(problem: Problem) -> tuple[str, ...]:
-    """The same in words, for people."""
-    found = responses(problem)
-    first = next((one for one in found if one is not None and one.period is not None), None)
-    lines: list[str] = []
-    if first is not None:
-        whence = "declared" if problem.period else "found"
-        records = len(problem.train)
-        lines.append(
-            f"period ({whence}): {first.period} samples; {first.periods} periods used of each of "
-            f"{records} record{'s' if records > 1 else ''}"
-        )
-    pairs = zip(problem.outputs, found, strict=True)
-    lines += [f"output {s.name}: {_words(one)}" for s, one in pairs if one is not None]
-    return tuple(lines)
-
-
-def _words(found: FrequencyResponse) -> str:
-    levels = found.levels
-    if levels.noise is None:
-        return (
-            f"no period; noise and distortion together {_decibels(levels.both)} (squared coherence "
-            f"{1.0 - levels.both**2:.3g}): a linear model has V of about {levels.both:.2g}, "
-            "or less where the system is as slow as the records are long"
-        )
-    parts = [f"noise {_decibels(levels.noise)}"]
-    if levels.odd is not None:
-        parts.append(f"odd distortion {_decibels(levels.odd)}")
-    if levels.even is not None:
-        parts.append(f"even distortion {_decibels(levels.even)}")
-    if len(parts) == 1 and levels.distortion is not None:
-        parts.append(f"distortion {_decibels(levels.distortion)}")
-    text = f"{', '.join(parts)}; V cannot go below {levels.noise:.2g}"
-    if levels.distortion is None:
-        return text
-    return f"{text}, and that of a linear model not below {levels.both:.2g}"
-
-
-def _decibels(level: float) -> str:
-    return f"{20.0 * np.log10(level):.0f} dB" if level > 1e-10 else "none"
-
-
-# Summary of a problem and warnings about its data.
-
-
-_ORDER = 50
-_ORDER_SAMPLES = 10_000
-_STUCK = 0.01
-_OVERSAMPLED = 0.005
-_TOGETHER = 0.999
+_HIGHEST_ORDER = 50
+_MISSING_CODE = re.compile(r"-?999+(\.9+)?")
 
 
 @dataclass(frozen=True)
@@ -370,7 +42,6 @@ class SignalCheck:
     role: Literal["input", "output"]
     minimum: float
     maximum: float
-    mean: float
     std: float
     at_minimum: float
     at_maximum: float
@@ -382,16 +53,6 @@ class SignalCheck:
     def constant(self) -> bool:
         """Whether it never moves; std may be above 0 by rounding."""
         return self.minimum == self.maximum
-
-
-@dataclass(frozen=True)
-class TrajectoryCheck:
-    """A training record."""
-
-    name: str
-    samples: int
-    seconds: float
-    sha256: str
 
 
 @dataclass(frozen=True)
@@ -422,45 +83,65 @@ class FoldCheck:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """Everything `asia check` says, as data."""
+    """Everything `asia check` says."""
 
     problem: Problem
     seal: Seal
     signals: tuple[SignalCheck, ...]
-    records: tuple[TrajectoryCheck, ...]
     folds: tuple[FoldCheck, ...]
-    protocol_sha256: str
-    physics: str | None
     warnings: tuple[str, ...]
     in_workspace: bool = False
-    response: tuple[str, ...] = ()
-    delays: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """The report as plain text."""
-        p = self.problem
-        rule = p.protocol
-        past = f"{rule.past_inputs} input and {rule.past_outputs} output samples"
-        return [
-            f"problem {p.name}, sampled every {p.sampling_time:g} s",
-            *(_signal_line(s) for s in self.signals),
-            *(f"record {r.name}: {r.samples} samples, {r.seconds:g} s" for r in self.records),
-            *missing_lines(p),
-            *self.delays,
-            *self.response,
-            *(_fold_line(f) for f in self.folds),
-            f"{_cases(rule)}; past window: {past}; V: {find_metric(rule.metric).summary}; "
-            f"protocol {self.protocol_sha256[:12]}",
-            *_early_stopping_lines(rule),
-            *_residuals_lines(rule),
-            *_seal_lines(self.seal, rule, in_workspace=self.in_workspace),
-            *_kept_lines(p),
-            *_guard_lines(p),
-            f"physics: {self.physics or 'none'}",
-            *_knowledge_lines(p),
-            f"baseline: {'baseline.py' if p.baseline else 'none'}",
-            *(f"warning: {w}" for w in self.warnings),
+        problem, rule, physics = self.problem, self.problem.protocol, self.problem.physics
+        lines = [f"problem {problem.name}, sampled every {problem.sampling_time:g} s"]
+        lines += map(_signal_line, self.signals)
+        lines += [
+            f"record {t.name}: {len(t)} samples, {len(t) * t.sampling_time:g} s"
+            for t in problem.train
         ]
+        lines += [_missing_line(problem), *delay_lines(problem), *response_lines(problem)]
+        lines += map(_fold_line, self.folds)
+        if rule.horizon is None:
+            cases = "whole blocks are simulated"
+        else:
+            cases = f"windows of {rule.horizon} samples are simulated"
+        lines.append(
+            f"{cases}; past window: {rule.past_inputs} input and {rule.past_outputs} output "
+            f"samples; V: {find_metric(rule.metric).summary}; "
+            f"protocol {protocol_digest(problem)[:12]}"
+        )
+        if rule.early_stopping != "inner":
+            lines.append(
+                "early stopping: on the validation fold, so that V is not leak-free and compares "
+                "with other runs of this setting alone"
+            )
+        if rule.residuals != "train":
+            lines.append(
+                "residuals: of the held-out samples too, so that V compares with other runs of "
+                "this setting alone"
+            )
+        lines.append(_seal_line(self.seal, rule, in_workspace=self.in_workspace))
+        if problem.test.source is not None:
+            lines.append(f"test kept: {problem.test.source.test_kept}")
+        if problem.data.guard_names:
+            lines.append(
+                f"guard: {', '.join(problem.data.guard_names)}; seen by no fold and no agent, "
+                "looked at when the search ends"
+            )
+        if physics is None:
+            lines.append("physics: none")
+        else:
+            count = len(physics.parameters)
+            free = f"{count} parameters to fit" if count else "no parameters"
+            states = f"{len(physics.states)} states ({', '.join(physics.states)})"
+            lines.append(f"physics: {states}, {free}")
+            lines += [f"prior {line}" for line in prior_lines(physics)]
+            lines += [f"correction {line}" for line in correction_lines(physics)]
+        lines += [f"symmetry {line}" for line in symmetry_lines(problem.symmetry)]
+        lines.append(f"baseline: {'baseline.py' if problem.baseline else 'none'}")
+        return lines + [f"warning: {w}" for w in self.warnings]
 
 
 def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -> CheckReport:
@@ -469,68 +150,117 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
     Args:
         in_workspace: whether the problem is read from a workspace, which holds no test
     """
-    inputs = (_signal_check(problem, "input", i) for i in range(len(problem.inputs)))
-    outputs = (_signal_check(problem, "output", i) for i in range(len(problem.outputs)))
-    signals = (*inputs, *outputs)
+    signals = (
+        *(
+            _signal_check(s, "input", [t.u[:, i] for t in problem.train], problem.sampling_time)
+            for i, s in enumerate(problem.inputs)
+        ),
+        *(
+            _signal_check(s, "output", [t.y[:, i] for t in problem.train], problem.sampling_time)
+            for i, s in enumerate(problem.outputs)
+        ),
+    )
+    doubts = [d for s in signals for d in _signal_doubts(s)]
+    doubts += _collinear_inputs(problem)
+    doubts += data_doubts(problem)
+    if not problem.description.strip():
+        doubts.append("there is no description: agents that read know nothing of the system")
+    if problem.protocol.past_outputs == 0:
+        doubts.append("past_outputs is 0: a model cannot know the state it starts from")
+    doubts += _sealed_doubts(problem, seal, in_workspace=in_workspace)
     return CheckReport(
         problem=problem,
         seal=seal,
         signals=signals,
-        records=tuple(
-            TrajectoryCheck(t.name, len(t), len(t) * t.sampling_time, data_digest([t]))
-            for t in problem.train
-        ),
         folds=_folds(problem),
-        protocol_sha256=protocol_digest(problem),
-        physics=_physics_summary(problem),
-        warnings=(*problem.warnings, *_doubts(problem, seal, signals, in_workspace=in_workspace)),
+        warnings=(*problem.warnings, *doubts),
         in_workspace=in_workspace,
-        response=response_lines(problem),
-        delays=delay_lines(problem, input_delays(problem)),
     )
 
 
-def _signal_check(problem: Problem, role: Literal["input", "output"], index: int) -> SignalCheck:
-    parts = [(t.u if role == "input" else t.y)[:, index] for t in problem.train]
-    values = np.concatenate(parts)
+# Signals and folds.
+
+
+def _signal_check(
+    signal: Signal, role: Literal["input", "output"], parts: Sequence[Array], sampling_time: float
+) -> SignalCheck:
+    values, longest = np.concatenate(parts), max(parts, key=len)
     low, high = float(values.min()), float(values.max())
     near = 1e-6 * (high - low)
-    nyquist = 0.5 / problem.sampling_time
-    share = _bandwidth_share(parts)
+    # A Hann window: without it the jump between a record's ends looks like fast motion.
+    power = np.abs(np.fft.rfft((longest - longest.mean()) * np.hanning(len(longest)))) ** 2
+    line = int(np.searchsorted(np.cumsum(power), 0.99 * power.sum()))
+    share = line / max(len(power) - 1, 1) if power.sum() > 0 else 0.0
+    # Ljung, System Identification (2nd ed.), section 13.2: u is persistently exciting of order n
+    # when the n x n covariance of its successive samples is non-singular.
+    start = longest[:10_000]
+    size = min(_HIGHEST_ORDER, len(start) // 4)
+    rows = np.lib.stride_tricks.sliding_window_view(start - start.mean(), size)
+    order = int(np.linalg.matrix_rank(rows.T @ rows, tol=None, rtol=1e-9, hermitian=True))
     return SignalCheck(
-        signal=(problem.inputs if role == "input" else problem.outputs)[index],
+        signal=signal,
         role=role,
         minimum=low,
         maximum=high,
-        mean=float(values.mean()),
         std=float(values.std()),
         at_minimum=float((values <= low + near).mean()),
         at_maximum=float((values >= high - near).mean()),
-        bandwidth=share * nyquist,
+        bandwidth=share * (0.5 / sampling_time),
         bandwidth_share=share,
-        excitation_order=_excitation_order(parts),
+        excitation_order=order,
     )
 
 
-def _bandwidth_share(parts: Sequence[Array]) -> float:
-    """Share of the Nyquist frequency below which 99 % of the power lies, of the longest record."""
-    values = max(parts, key=len)
-    # A Hann window: without it the jump between a record's ends looks like fast motion.
-    power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values)))) ** 2
-    total = power.sum()
-    if total <= 0:
-        return 0.0
-    line = int(np.searchsorted(np.cumsum(power), 0.99 * total))
-    return line / max(len(power) - 1, 1)
+def _signal_line(s: SignalCheck) -> str:
+    if s.constant:
+        return f"{s.role} {s.signal.label}: constant at {s.minimum:.4g}"
+    at_least = ">= " if s.excitation_order == _HIGHEST_ORDER else ""
+    order = f", practical excitation order {at_least}{s.excitation_order}"
+    return (
+        f"{s.role} {s.signal.label}: {s.minimum:.4g} to {s.maximum:.4g}, std {s.std:.4g}, 99 % of "
+        f"the power below {s.bandwidth:.3g} Hz ({s.bandwidth_share:.1%} of Nyquist)"
+        f"{order if s.role == 'input' else ''}, "
+        f"at the extremes {s.at_minimum + s.at_maximum:.1%}"
+    )
 
 
-def _excitation_order(parts: Sequence[Array]) -> int:
-    """Ljung, System Identification (2nd ed.), section 13.2: u is persistently exciting of order n
-    when the n x n covariance of its successive samples is non-singular."""
-    values = max(parts, key=len)[:_ORDER_SAMPLES]
-    size = min(_ORDER, len(values) // 4)
-    windows = np.lib.stride_tricks.sliding_window_view(values - values.mean(), size)
-    return int(np.linalg.matrix_rank(windows.T @ windows, tol=None, rtol=1e-9, hermitian=True))
+def _signal_doubts(check: SignalCheck) -> list[str]:
+    name = f"{check.role} {check.signal.name}"
+    if check.constant:
+        return [f"{name} is constant: nothing can be learned from it"]
+    if check.role == "input":
+        if check.excitation_order >= 4:
+            return []
+        return [
+            f"{name} excites at most {check.excitation_order} modes: use an input with more "
+            "frequencies"
+        ]
+    limits = ((check.at_minimum, check.minimum), (check.at_maximum, check.maximum))
+    doubts = [
+        f"{name} is at its limit {value:g} {check.signal.unit}".rstrip()
+        + f" in {share:.1%} of the samples: it may saturate there"
+        for share, value in limits
+        if share > 0.01
+    ]
+    if check.bandwidth_share < 0.005:
+        doubts.append(
+            f"{name} is sampled much faster than it changes (99 % of its power below "
+            f"{check.bandwidth_share:.2%} of the Nyquist frequency): every tenth sample may suffice"
+        )
+    return doubts
+
+
+def _collinear_inputs(problem: Problem) -> list[str]:
+    u = np.concatenate([t.u for t in problem.train])
+    centred = u - u.mean(axis=0)
+    norms = np.sqrt((centred**2).sum(axis=0))
+    names = [signal.name for signal in problem.inputs]
+    return [
+        f"inputs {names[i]} and {names[j]} are collinear: their effects cannot be separated"
+        for i, j in combinations(range(len(names)), 2)
+        if norms[i] * norms[j] > 0
+        and abs(centred[:, i] @ centred[:, j]) > 0.999 * norms[i] * norms[j]
+    ]
 
 
 def _folds(problem: Problem) -> tuple[FoldCheck, ...]:
@@ -554,116 +284,6 @@ def _folds(problem: Problem) -> tuple[FoldCheck, ...]:
     )
 
 
-def _physics_summary(problem: Problem) -> str | None:
-    physics = problem.physics
-    if physics is None:
-        return None
-    free = f"{len(physics.parameters)} parameters to fit" if physics.parameters else "no parameters"
-    return f"{len(physics.states)} states ({', '.join(physics.states)}), {free}"
-
-
-def _knowledge_lines(problem: Problem) -> list[str]:
-    physics = problem.physics
-    lines = [f"symmetry {line}" for line in symmetry_lines(problem.symmetry)]
-    if physics is None:
-        return lines
-    priors = [f"prior {line}" for line in prior_lines(physics)]
-    return [*priors, *(f"correction {line}" for line in correction_lines(physics)), *lines]
-
-
-def _doubts(
-    problem: Problem, seal: Seal, signals: Sequence[SignalCheck], *, in_workspace: bool
-) -> list[str]:
-    doubts = [d for s in signals for d in _signal_doubts(s)]
-    doubts += _inputs_together(problem.inputs, problem.train)
-    doubts += data_doubts(problem)
-    if not problem.description.strip():
-        doubts.append("there is no description: agents that read know nothing of the system")
-    if problem.protocol.past_outputs == 0:
-        doubts.append("past_outputs is 0: a model cannot know the state it starts from")
-    doubts += sealed_doubts(problem, seal, in_workspace=in_workspace)
-    return doubts
-
-
-def _signal_doubts(check: SignalCheck) -> list[str]:
-    name = f"{check.role} {check.signal.name}"
-    if check.constant:
-        return [f"{name} is constant: nothing can be learned from it"]
-    doubts: list[str] = []
-    if check.role == "output":
-        for share, value in (
-            (check.at_minimum, check.minimum),
-            (check.at_maximum, check.maximum),
-        ):
-            if share > _STUCK:
-                doubts.append(
-                    f"{name} is at its limit {value:g} {check.signal.unit}".rstrip()
-                    + f" in {share:.1%} of the samples: it may saturate there"
-                )
-        if check.bandwidth_share < _OVERSAMPLED:
-            doubts.append(
-                f"{name} is sampled much faster than it changes (99 % of its power below "
-                f"{check.bandwidth_share:.2%} of the Nyquist frequency): every tenth sample may "
-                f"suffice"
-            )
-    elif check.excitation_order < 4:
-        doubts.append(
-            f"{name} excites at most {check.excitation_order} modes: use an input with more "
-            "frequencies"
-        )
-    return doubts
-
-
-def _inputs_together(inputs: Sequence[Signal], train: Sequence[Trajectory]) -> list[str]:
-    u = np.concatenate([t.u for t in train])
-    centred = u - u.mean(axis=0)
-    norms = np.sqrt((centred**2).sum(axis=0))
-    return [
-        f"inputs {inputs[i].name} and {inputs[j].name} are collinear: their effects cannot be "
-        "separated"
-        for i, j in combinations(range(u.shape[1]), 2)
-        if norms[i] * norms[j] > 0
-        and abs(centred[:, i] @ centred[:, j]) > _TOGETHER * norms[i] * norms[j]
-    ]
-
-
-def _cases(rule: ProtocolRule) -> str:
-    if rule.horizon is None:
-        return "whole blocks are simulated"
-    return f"windows of {rule.horizon} samples are simulated"
-
-
-def _early_stopping_lines(rule: ProtocolRule) -> list[str]:
-    if rule.early_stopping == "inner":
-        return []
-    return [
-        "early stopping: on the validation fold, so that V is not leak-free and compares with "
-        "other runs of this setting alone"
-    ]
-
-
-def _residuals_lines(rule: ProtocolRule) -> list[str]:
-    if rule.residuals == "train":
-        return []
-    return [
-        "residuals: of the held-out samples too, so that V compares with other runs of this "
-        "setting alone"
-    ]
-
-
-def _signal_line(s: SignalCheck) -> str:
-    if s.constant:
-        return f"{s.role} {s.signal.label}: constant at {s.minimum:.4g}"
-    at_least = ">= " if s.excitation_order == _ORDER else ""
-    order = f", practical excitation order {at_least}{s.excitation_order}"
-    return (
-        f"{s.role} {s.signal.label}: {s.minimum:.4g} to {s.maximum:.4g}, std {s.std:.4g}, 99 % of "
-        f"the power below {s.bandwidth:.3g} Hz ({s.bandwidth_share:.1%} of Nyquist)"
-        f"{order if s.role == 'input' else ''}, "
-        f"at the extremes {s.at_minimum + s.at_maximum:.1%}"
-    )
-
-
 def _fold_line(fold: FoldCheck) -> str:
     name = f"fold {fold.number}" + (f", {fold.group}" if fold.group else "")
     many = "" if fold.windows is None else f"{fold.windows} windows of "
@@ -674,40 +294,322 @@ def _fold_line(fold: FoldCheck) -> str:
     return f"{name}: holds out {many}{parts}; trains on {fold.training_samples} samples"
 
 
-def _seal_lines(seal: Seal, rule: ProtocolRule, *, in_workspace: bool) -> list[str]:
-    if seal.sha256 is None:
-        kept = "not in a workspace; PROGRAM.md says whether the evaluator keeps one, sealed"
-        return [f"test: {kept if in_workspace else 'none'}"]
-    digest = f"sha256 {seal.sha256[:12]}"
-    if rule.horizon is not None:
-        counts = [len(windows(range(rule.past, length), rule)) for length in seal.lengths]
-        sizes = zip(seal.names, seal.lengths, counts, strict=True)
-        records = ", ".join(f"{name} ({length} samples, {n} windows)" for name, length, n in sizes)
-        table = "" if not rule.test.groups else f"; {_table_summary(rule)}"
-        return [f"test, sealed: {records}; {sum(counts)} windows{table}; {digest}"]
-    sizes = zip(seal.names, seal.lengths, scored_samples(seal, rule), strict=True)
-    records = ", ".join(
-        f"{name} ({length} samples, {scored} scored)" for name, length, scored in sizes
+# Delays and feedback.
+
+
+@dataclass(frozen=True)
+class InputDelay:
+    """Delay from an input to an output, by their names."""
+
+    given: str
+    output: str
+    delay: FoundDelay
+
+
+def input_delays(problem: Problem) -> tuple[InputDelay, ...]:
+    """Every output with every input, where both move; none for short records."""
+    records = _first_samples(problem)
+    return tuple(
+        InputDelay(given.name, output.name, find_delay(records, i, j))
+        for j, output in enumerate(problem.outputs)
+        for i, given in enumerate(problem.inputs)
+        if _both_move(records, i, j)
     )
-    skipped = f"{rule.test.skip} samples after the past window are skipped"
-    return [f"test, sealed: {records}; {skipped}; {digest}"]
 
 
-def _kept_lines(problem: Problem) -> list[str]:
-    source = problem.test.source
-    return [] if source is None else [f"test kept: {source.test_kept}"]
-
-
-def _guard_lines(problem: Problem) -> list[str]:
-    names = ", ".join(problem.data.guard_names)
-    if not names:
+def _first_samples(problem: Problem) -> list[Trajectory]:
+    """Whole records up to a number of samples, at least the start of the first; none where a record
+    is too short for a correlation."""
+    if min(len(r) for r in problem.train) < _SHORTEST:
         return []
-    return [f"guard: {names}; seen by no fold and no agent, looked at when the search ends"]
+    kept: list[Trajectory] = []
+    # With many pairs of signals the beginning of the records has to do.
+    left = max(200_000 // (len(problem.inputs) * len(problem.outputs)), _SHORTEST)
+    for record in problem.train:
+        if left < _SHORTEST:
+            break
+        kept.append(record[: min(len(record), left)])
+        left -= len(record)
+    return kept
 
 
-def _table_summary(rule: ProtocolRule) -> str:
+def _both_move(records: Sequence[Trajectory], channel: int, output: int) -> bool:
+    moving = [np.ptp(r.u[:, channel]) > 0 and np.ptp(r.y[:, output]) > 0 for r in records]
+    return bool(moving) and all(moving)
+
+
+def delay_lines(problem: Problem) -> list[str]:
+    """Describe the delay from each input to each output, and the pairs where feedback was not
+    tested."""
+    found = input_delays(problem)
+    if not found:
+        return []
+    lines: list[str] = []
+    for output in problem.outputs:
+        lags = [(a.given, a.delay.lag) for a in found if a.output == output.name]
+        text = ", ".join(f"{n} {'not found' if lag is None else lag}" for n, lag in lags)
+        if lags:
+            lines.append(
+                f"delay of output {output.name} in samples, the first correlation beyond its 99 % "
+                f"band: {text}"
+            )
+    lines += [
+        f"delay 0: output {a.output} responds to input {a.given} in the same sample. If the system "
+        "cannot be so fast, a controller computes the input from that output"
+        for a in found
+        if a.delay.lag == 0
+    ]
+    records = _first_samples(problem)
+    untested = [
+        given.name
+        for i, given in enumerate(problem.inputs)
+        if _both_move(records, i, 0) and find_feedback(records, i, 0) is None
+    ]
+    if untested:
+        lines.append(
+            f"feedback: not tested for input {', '.join(untested)}, which no short filter whitens"
+        )
+    return lines
+
+
+# Missing outputs, feedback, drift, converter steps and outliers of training records.
+
+
+def _missing_line(problem: Problem) -> str:
+    measured = np.concatenate([r.measured for r in problem.train])
+    found = [
+        f"{output.name} {int(lost)} of {len(measured)}"
+        for output, lost in zip(problem.outputs, (~measured).sum(axis=0), strict=True)
+        if lost
+    ]
+    if not found:
+        return "missing values: none"
+    return f"missing outputs, in samples, left out of fit and V: {', '.join(found)}"
+
+
+def data_doubts(problem: Problem) -> list[str]:
+    """Sentences on feedback, and on drift, steps, outliers and missing-value codes."""
+    records = _first_samples(problem)
+    doubts = [
+        f"input {given.name} follows earlier values of output {output.name}: it may come from a "
+        "controller, and a model fitted in closed loop may describe the controller instead of "
+        "the system"
+        for i, given in enumerate(problem.inputs)
+        for j, output in enumerate(problem.outputs)
+        if _both_move(records, i, j) and find_feedback(records, i, j)
+    ]
+    for i, given in enumerate(problem.inputs):
+        values = np.concatenate([r.u[:, i] for r in problem.train])
+        doubts += _missing_codes(values, f"input {given.name}", repeated=False)
+    for j, output in enumerate(problem.outputs):
+        name, unit = f"output {output.name}", f" {output.unit}".rstrip()
+        parts = [r.y[:, j] for r in problem.train]
+        values = np.concatenate(parts)
+        if np.ptp(values) > 0:
+            doubts += _drift(problem.train, parts, name, unit)
+            doubts += _quantization(values, name, unit)
+            doubts += _outliers(problem.train, parts, name)
+            doubts += _missing_codes(values, name, repeated=True)
+    return doubts
+
+
+def _drift(
+    records: Sequence[Trajectory], parts: Sequence[Array], name: str, unit: str
+) -> list[str]:
+    """Describe a linear drift that explains most of the variance of the longest record."""
+    k = int(np.argmax([len(p) for p in parts]))
+    y = parts[k] - parts[k].mean()
+    time = np.arange(len(y)) - (len(y) - 1) / 2
+    total = float(y @ y)
+    if len(y) < _SHORTEST or total == 0:
+        return []
+    slope = float(time @ y / (time @ time))
+    if slope**2 * float(time @ time) <= 0.5 * total:
+        return []
+    return [
+        f"{name} {'rises' if slope > 0 else 'falls'} by {abs(slope) * (len(y) - 1):.3g}{unit} over "
+        f"record '{records[k].name}', more than its other variation: the sensor may drift, or the "
+        "record starts far from steady state"
+    ]
+
+
+def _quantization(values: Array, name: str, unit: str) -> list[str]:
+    """Describe a quantization step that is large relative to the signal."""
+    levels = np.unique(values)
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * (levels[-1] - levels[0])]
+    step, std = float(gaps.min()), float(values.std())
+    multiples = (levels - levels[0]) / step
+    if len(gaps) < 2 or step <= 0.05 * std or np.abs(multiples - np.round(multiples)).max() > 1e-3:
+        return []
+    return [
+        f"{name} is quantized in steps of {step:.3g}{unit}: this alone causes an error of about "
+        f"{step / np.sqrt(12.0) / std:.1%} of its standard deviation"
+    ]
+
+
+def _outliers(records: Sequence[Trajectory], parts: Sequence[Array], name: str) -> list[str]:
+    """Single samples that jump away from both neighbours, far beyond a usual change."""
+    usual = float(np.median(np.abs(np.concatenate([np.diff(p) for p in parts]))))
+    limit = max(10.0 * 1.4826 * usual, float(np.concatenate(parts).std()))
+    if usual == 0:
+        return []
+    found: list[tuple[str, int]] = []
+    for record, y in zip(records, parts, strict=True):
+        if len(y) < 3:
+            continue
+        middle = np.median(np.stack([y[:-2], y[1:-1], y[2:]]), axis=0)
+        found += [(record.name, int(k) + 2) for k in np.flatnonzero(abs(y[1:-1] - middle) > limit)]
+    if not found:
+        return []
+    many = "1 sample jumps" if len(found) == 1 else f"{len(found)} samples jump"
+    where = f"sample {found[0][1]} of record '{found[0][0]}'"
+    return [
+        f"{name}: {many} away from both neighbours, the first at {where}: check for outliers, and "
+        "cut the record there"
+    ]
+
+
+def _missing_codes(values: Array, name: str, repeated: bool) -> list[str]:
+    """Values far from all others that a logger writes where it has none: nines, such as -9999, and
+    with `repeated` any that stay the same to the last digit."""
+    low, high = (float(v) for v in np.quantile(values, (0.025, 0.975)))
+    away = 3.0 * (high - low)
+    far = (values < low - away) | (values > high + away)
+    if away == 0 or not far.any():
+        return []
+    code = np.array([_MISSING_CODE.fullmatch(f"{v:g}") is not None for v in values[far]])
+    if repeated:
+        same = np.diff(values) == 0
+        code |= (np.append(same, False) | np.append(False, same))[far]
+    found, others = values[far][code], values[~far]
+    if not found.size:
+        return []
+    shown = ", ".join(f"{v:g}" for v in np.unique(found)[:3])
+    return [
+        f"{name} has {shown} in {len(found)} sample{'s' if len(found) > 1 else ''}, the others lie "
+        f"from {others.min():.3g} to {others.max():.3g}: if these mark missing values, leave the "
+        "cells empty"
+    ]
+
+
+# The sealed test, from its public header.
+
+
+def _scored_samples(seal: Seal, rule: ProtocolRule) -> list[int]:
+    return [max(length - rule.past - rule.test.skip, 0) for length in seal.lengths]
+
+
+def _seal_line(seal: Seal, rule: ProtocolRule, *, in_workspace: bool) -> str:
+    if seal.sha256 is None and in_workspace:
+        return "test: not in a workspace; PROGRAM.md says whether the evaluator keeps one, sealed"
+    if seal.sha256 is None:
+        return "test: none"
+    digest = f"sha256 {seal.sha256[:12]}"
+    if rule.horizon is None:
+        sizes = zip(seal.names, seal.lengths, _scored_samples(seal, rule), strict=True)
+        records = ", ".join(f"{name} ({length} samples, {n} scored)" for name, length, n in sizes)
+        skipped = f"{rule.test.skip} samples after the past window are skipped"
+        return f"test, sealed: {records}; {skipped}; {digest}"
+    counts = [len(windows(range(rule.past, length), rule)) for length in seal.lengths]
+    sizes = zip(seal.names, seal.lengths, counts, strict=True)
+    records = ", ".join(f"{name} ({length} samples, {n} windows)" for name, length, n in sizes)
     groups = ", ".join(
         f"{g.name} ({' '.join(g.outputs)}{', rotation' if g.distance == 'geodesic' else ''})"
         for g in rule.test.groups
     )
-    return f"mean Euclidean error of {groups}"
+    table = f"; mean Euclidean error of {groups}" if groups else ""
+    return f"test, sealed: {records}; {sum(counts)} windows{table}; {digest}"
+
+
+def _sealed_doubts(problem: Problem, seal: Seal, *, in_workspace: bool) -> list[str]:
+    """Sentences on a test that is missing, short, not unseen, or beyond the training inputs."""
+    doubts: list[str] = []
+    if seal.sha256 is None and not in_workspace:
+        doubts.append("there is no test data: the winner cannot be judged on unseen records")
+    least = 50
+    doubts += [
+        f"test record '{name}' has {scored} samples to score, after the past window and "
+        f"protocol.test.skip: fewer than {least} say little about a model"
+        for name, scored in zip(seal.names, _scored_samples(seal, problem.protocol), strict=True)
+        if scored < least
+    ]
+    doubts += [
+        f"[protocol.test.figures] {figure.name} names no test record (they are "
+        f"{', '.join(seal.names)}): there will be no official figures"
+        for figure in problem.protocol.test.figures
+        if seal.names and not any(fnmatchcase(n, p) for n in seal.names for p in figure.records)
+    ]
+    if seal.shared_samples:
+        doubts.append(
+            f"{seal.shared_samples} test samples also occur, in runs of ten or more, in the "
+            "training records: the test is not unseen"
+        )
+    doubts += [
+        f"{count} of {sum(seal.lengths)} test samples of input {given.name} are outside its "
+        "range in the training records: a model must extrapolate there"
+        for given, count in zip(problem.inputs, seal.outside_inputs, strict=False)
+        if count > 0.01 * sum(seal.lengths)
+    ]
+    return doubts
+
+
+# Frequency responses of a problem's training records.
+
+
+def check_period(records: Sequence[Trajectory], period: int | None) -> None:
+    """Raise UserError where a record holds less than two periods."""
+    for record in records:
+        if period is not None and len(record) < 2 * period:
+            raise UserError(
+                f"data.period = {period}: record '{record.name}' has {len(record)} samples, "
+                "expected two periods or more: correct it, or leave it out"
+            )
+
+
+def responses(problem: Problem) -> tuple[FrequencyResponse | None, ...]:
+    """Return the frequency response of each output; None for an output with too little data.
+
+    A declared or detected period is used where there is one.
+    """
+    period = problem.period or find_period(problem.train)
+    return tuple(frequency_response(problem.train, k, period) for k in range(len(problem.outputs)))
+
+
+def response_lines(problem: Problem) -> list[str]:
+    """Describe the period, and noise and distortion of each output."""
+    pairs = zip(problem.outputs, responses(problem), strict=True)
+    found = [(signal.name, one) for signal, one in pairs if one is not None]
+    lines = [f"output {name}: {_levels_text(one)}" for name, one in found]
+    first = next((one for _, one in found if one.period is not None), None)
+    if first is not None:
+        records = len(problem.train)
+        lines.insert(
+            0,
+            f"period ({'declared' if problem.period else 'found'}): {first.period} samples; "
+            f"{first.periods} periods used of each of {records} record{'s' if records > 1 else ''}",
+        )
+    return lines
+
+
+def _levels_text(found: FrequencyResponse) -> str:
+    levels = found.levels
+    if levels.noise is None:
+        return (
+            f"no period; noise and distortion together {_decibels(levels.both)} (squared coherence "
+            f"{1.0 - levels.both**2:.3g}): a linear model has V of about {levels.both:.2g}, "
+            "or less where the system is as slow as the records are long"
+        )
+    parts = {"odd distortion": levels.odd, "even distortion": levels.even}
+    if levels.odd is None and levels.even is None:
+        parts = {"distortion": levels.distortion}
+    parts = {"noise": levels.noise, **parts}
+    shown = ", ".join(f"{name} {_decibels(v)}" for name, v in parts.items() if v is not None)
+    text = f"{shown}; V cannot go below {levels.noise:.2g}"
+    if levels.distortion is None:
+        return text
+    return f"{text}, and that of a linear model not below {levels.both:.2g}"
+
+
+def _decibels(level: float) -> str:
+    return f"{20.0 * np.log10(level):.0f} dB" if level > 1e-10 else "none"

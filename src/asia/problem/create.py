@@ -12,6 +12,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import ceil
 from pathlib import Path
 
@@ -25,7 +26,6 @@ from asia.data.preprocess import Preprocess
 from asia.data.relations import find_delay
 from asia.data.store import PlainFile, key_folder
 from asia.data.trajectory import (
-    Array,
     Signal,
     Trajectory,
     check_magnitudes,
@@ -33,8 +33,9 @@ from asia.data.trajectory import (
     unique_names,
 )
 from asia.errors import UserError
-from asia.problem.load import least_samples, load_problem, require_length
-from asia.problem.protocol import ProtocolRule
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
+from asia.problem.protocol import ProtocolRule, least_samples, require_length
 from asia.problem.sealing import STORE, Columns, Sealing, check_key_folder, remove_plain, seal_files
 from asia.problem.toml import toml_value
 
@@ -49,7 +50,6 @@ class RecordRows:
     """The text of a record that is too long to be held as a whole."""
 
     record: Trajectory
-    """The record."""
     names: Sequence[str]
     """Names of inputs and outputs."""
     progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
@@ -93,10 +93,10 @@ def check_directory(directory: Path) -> None:
 
 def write_directory(
     directory: Path,
-    files: Sequence[tuple[str, str | RecordRows]],
+    files: Mapping[str, str | RecordRows],
     seal: Callable[[Path], Path] | None = None,
 ) -> Path | None:
-    """Write `files`, names and texts, and load the problem, all or nothing.
+    """Write `files`, texts by name, and load the problem, all or nothing.
 
     A temporary directory next to the final one is filled, loaded, then renamed.
 
@@ -117,7 +117,7 @@ def write_directory(
     except OSError as error:
         raise UserError(f"cannot write to {directory.parent}: {error.strerror}") from error
     try:
-        for name, text in files:
+        for name, text in files.items():
             with (draft / name).open("w", encoding="utf-8") as file:
                 file.writelines([text] if isinstance(text, str) else text.blocks())
         load_problem(draft)
@@ -137,14 +137,32 @@ def write_directory(
     return key
 
 
+def save_problem(directory: Path, files: Mapping[str, str]) -> Problem:
+    """Write the problem directory, or verify that it holds the same files, and load it.
+
+    Raises:
+        UserError: for other files in the directory, with nothing overwritten, and for files that
+            make no problem
+    """
+    if (directory / "problem.toml").is_file():
+        for name, text in files.items():
+            path = directory / name
+            if not path.is_file() or path.read_bytes() != text.encode():
+                raise UserError(
+                    f"{directory} holds another problem ({name} differs), and nothing is "
+                    "overwritten: name another directory, or remove this one"
+                )
+    else:
+        check_directory(directory)
+        write_directory(directory, files)
+    return load_problem(directory)
+
+
 # The records of a new problem: files that stay as they are, or clean copies of them.
 
 
-_HASHED = 64_000_000
-
-
 @dataclass(frozen=True)
-class Taken:
+class _Records:
     """The records of a new problem."""
 
     train: tuple[Trajectory, ...]
@@ -156,23 +174,19 @@ class Taken:
     plain: bool
     """Whether the files can stay where they are, because they need no change."""
     units: Mapping[str, str]
-    """Units by channel, where the files give them."""
     notes: tuple[str, ...]
-    """Findings and changes."""
-    progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
-    """Callback for the progress of a long write."""
 
 
-def take(
+def _read_records(
     train: Sequence[Path],
     test: Sequence[Path],
     wanted: Wanted,
     sampling_time: float | None,
     least: tuple[int, int],
-    test_experiments: Sequence[str] = (),
+    test_experiments: Sequence[str],
     *,
-    split: bool = False,
-) -> Taken:
+    split: bool,
+) -> _Records:
     """Read the records.
 
     Args:
@@ -204,43 +218,24 @@ def take(
                 "one by one"
             )
     notes = tuple(dict.fromkeys(note for one in (found, *tests) for note in one.notes))
-    records = _renamed([t for one in (found, *tests) for t in one.records])
     units = {name: unit for one in (*tests, found) for name, unit in one.units.items()}
-    cut = len(found.records)
+    # The names become distinct file names.
+    every = [t for one in (found, *tests) for t in one.records]
+    bare = [re.sub(r"[^\w.+-]+", "_", t.name).strip("._") or "record" for t in every]
+    records = [replace(t, name=n) for t, n in zip(every, unique_names(bare), strict=True)]
     is_text = all(path.suffix.lower() in Text.suffixes for path in (*train, *test))
     is_special = bool(wanted.experiment or wanted.columns or wanted.time_unit or test_experiments)
-    plain = (
-        is_text and not (notes or units or is_special) and len(records) == len(train) + len(test)
+    is_whole = len(records) == len(train) + len(test)
+    return _Records(
+        train=tuple(records[: len(found.records)]),
+        test=tuple(records[len(found.records) :]),
+        inputs=found.inputs,
+        outputs=found.outputs,
+        sampling_time=step,
+        plain=is_text and is_whole and not (notes or units or is_special),
+        units=units,
+        notes=notes,
     )
-    return Taken(
-        records[:cut],
-        records[cut:],
-        found.inputs,
-        found.outputs,
-        step,
-        plain,
-        units,
-        notes,
-        wanted.progress,
-    )
-
-
-def origins(paths: Sequence[Path]) -> list[str]:
-    """Describe the origin of clean copies, one line a file."""
-    return [f"{path}{_hash(path)}" for path in paths]
-
-
-def _hash(path: Path) -> str:
-    if not path.is_file() or path.stat().st_size > _HASHED:
-        return ""
-    return f", sha256 {hashlib.sha256(read_file(path, 'name a file')).hexdigest()[:16]}"
-
-
-def _renamed(records: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
-    """Rename records so that their names are distinct file names."""
-    bare = [re.sub(r"[^\w.+-]+", "_", t.name).strip("._") or "record" for t in records]
-    names = unique_names(bare)
-    return tuple(replace(t, name=n) for t, n in zip(records, names, strict=True))
 
 
 # Preprocessing of a new problem, derived from its training records.
@@ -260,7 +255,7 @@ class Preparation:
     """Every signal is divided by its standard deviation over the training records."""
 
 
-def prepare(
+def _prepare(
     wish: Preparation,
     records: Sequence[Trajectory],
     inputs: Sequence[str],
@@ -271,56 +266,27 @@ def prepare(
         raise UserError(f"--decimate is {wish.decimate}: expected a whole number of at least 1")
     if wish == Preparation():
         return Preprocess()
-    first = Preprocess(_delays(wish.delay, records, inputs), wish.decimate)
+    delay: dict[str, int] = {}
+    if wish.delay == "auto":
+        for k, name in enumerate(inputs):
+            lags = [find_delay(records, k, c).lag for c in range(len(outputs))]
+            known = [lag for lag in lags if lag is not None]
+            # A model without delay responds at the sample after the input's.
+            if known and min(known) > 1:
+                delay[name] = min(known) - 1
+    elif wish.delay is not None:
+        if not wish.delay.isdecimal():
+            raise UserError(f"--delay is {wish.delay}: expected auto, or a whole number of samples")
+        delay = {name: int(wish.delay) for name in inputs if int(wish.delay)}
+    first = Preprocess(delay, wish.decimate)
     signals = tuple(map(Signal, inputs)), tuple(map(Signal, outputs))
     records = [first.record(t, *signals) for t in records]
-    values = dict(
-        zip(
-            (*inputs, *outputs),
-            [*_columns([t.u for t in records]), *_columns([t.measured_y for t in records])],
-            strict=True,
-        )
-    )
+    columns = np.concatenate([np.hstack([t.u, t.measured_y]) for t in records]).T
+    values = dict(zip((*inputs, *outputs), columns, strict=True))
     # Six digits suffice and are readable.
     offset = {n: float(f"{np.nanmean(v):.6g}") for n, v in values.items()} if wish.detrend else {}
     spread = {n: float(f"{np.nanstd(v):.6g}") for n, v in values.items()} if wish.scale else {}
     return replace(first, offset=offset, scale={n: s for n, s in spread.items() if s > 0})
-
-
-def preprocess_lines(done: Preprocess) -> str:
-    """`[preprocess]` of problem.toml; "" where nothing is done."""
-    if not done:
-        return ""
-    lines = ["", "[preprocess]                        # done to every record alike"]
-    for name in ("delay", "decimate", "offset", "scale"):
-        value = getattr(done, name)
-        if value and value != 1:
-            lines.append(f"{name} = {toml_value(value)}")
-    return "\n".join(lines) + "\n"
-
-
-def _columns(arrays: Sequence[Array]) -> list[Array]:
-    return list(np.concatenate(arrays).T)
-
-
-def _delays(
-    wish: str | None, records: Sequence[Trajectory], inputs: Sequence[str]
-) -> dict[str, int]:
-    """Return the delays by input in samples; a model without delay responds at the sample after the
-    input's."""
-    if wish is None:
-        return {}
-    if wish != "auto":
-        if not wish.isdecimal():
-            raise UserError(f"--delay is {wish}: expected auto, or a whole number of samples")
-        return {name: int(wish) for name in inputs if int(wish)}
-    found: dict[str, int] = {}
-    for k, name in enumerate(inputs):
-        lags = [find_delay(records, k, c).lag for c in range(records[0].y.shape[1])]
-        known = [lag for lag in lags if lag is not None]
-        if known and min(known) > 1:
-            found[name] = min(known) - 1
-    return found
 
 
 # A new problem directory from files of records.
@@ -342,7 +308,8 @@ inputs  = {inputs}
 outputs = {outputs}
 
 [data]
-{data}{preprocess}
+{data}
+
 [protocol]
 folds = {{ kind = "contiguous", count = {folds} }}
 past_inputs = {past_inputs}                    # samples a model sees before it simulates
@@ -381,21 +348,6 @@ class NewProblem:
     notes: tuple[str, ...] = ()
     read: tuple[str, ...] = ()
     """Findings in the files and the changes made to them."""
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """Files to write: `files` by name inside the directory; `sealing` into its store."""
-
-    train: tuple[str, ...]
-    test: tuple[str, ...] = ()
-    files: tuple[tuple[str, str | RecordRows], ...] = ()
-    sealing: Sealing | None = None
-    notes: tuple[str, ...] = ()
-    comments: tuple[str, ...] = ()
-    units: Mapping[str, str] = field(default_factory=dict[str, str])
-    done: Preprocess = field(default_factory=Preprocess)
-    time: str | None = None
 
 
 def init_problem(
@@ -446,210 +398,145 @@ def init_problem(
             raise UserError(f"--{what} is empty: name at least one column")
     if sampling_time is not None and not sampling_time > 0:
         raise UserError(f"sampling_time is {sampling_time}, expected a number above 0")
+
+    # The records.
     rule = ProtocolRule()
     wanted = replace(wanted or Wanted((), ()), inputs=tuple(inputs), outputs=tuple(outputs))
     has_test = bool(test or test_experiments)
-    split = seal_fraction is not None and not has_test
-    least = _least(rule, seal_fraction if split else None)
-    taken = take(train, test, wanted, sampling_time, least, test_experiments, split=split)
-    if split:
-        _check_split(taken.train, rule, least[0], seal_fraction or 0.0)
-    inputs, outputs = taken.inputs, taken.outputs
-    columns = Columns(inputs, outputs, taken.sampling_time)
-    records = taken.train
-    if seal_fraction is not None and not has_test:
-        plan = _split_copies(train, columns, seal_fraction, taken)
-        records = tuple(r[: len(r) - round(seal_fraction * len(r))] for r in records)
-    else:
-        make = _plan if taken.plain else _copied
-        plan = make(train, test, columns, directory, taken, seal=seal and has_test)
-    plan = replace(plan, time=wanted.time if taken.plain else None)
-    done = prepare(preparation or Preparation(), records, inputs, outputs)
-    tests = plan.sealing.records if plan.sealing else taken.test
-    _check_test(tests, rule)
-    check_magnitudes(records, inputs, outputs, "training")
-    check_ranges(records, inputs, outputs)
-    check_magnitudes(tests, inputs, outputs, "test")
-    require_length(records, rule)
-    files = (
-        *plan.files,
-        ("description.md", _DESCRIPTION.format(name=directory.name)),
-        ("problem.toml", _text(directory.name, columns, rule, replace(plan, done=done))),
+    share = None if has_test else seal_fraction
+    least = least_samples(rule)
+    if share is not None:
+        least = ceil(least / (1.0 - share)) + 1
+    taken = _read_records(
+        train,
+        test,
+        wanted,
+        sampling_time,
+        (least, rule.past + 1),
+        test_experiments,
+        split=share is not None,
     )
-    return _write(directory, files, plan, records, keys, _read_lines(taken, done))
-
-
-def _write(
-    directory: Path,
-    files: Sequence[tuple[str, str | RecordRows]],
-    plan: _Plan,
-    records: Sequence[Trajectory],
-    keys: Path | None,
-    read: tuple[str, ...],
-) -> NewProblem:
-    sealing = plan.sealing
-    if sealing is None:
-        write_directory(directory, files)
-        return NewProblem(directory / "problem.toml", notes=plan.notes, read=read)
-    folder = key_folder(keys)
-    check_key_folder(folder, directory)
-    key = write_directory(directory, files, lambda draft: sealing.write(draft, records, folder))
-    gone = remove_plain(sealing, directory / STORE, folder)
-    notes = (*plan.notes, *gone.notes)
-    return NewProblem(directory / "problem.toml", directory / STORE, key, gone.removed, notes, read)
-
-
-def _least(rule: ProtocolRule, seal_fraction: float | None) -> tuple[int, int]:
-    """Return the least samples of a segment of a training record, and of a test record."""
-    train = least_samples(rule)
-    if seal_fraction is not None:
-        train = ceil(train / (1.0 - seal_fraction)) + 1
-    return train, rule.past + 1
-
-
-def _check_split(
-    records: Sequence[Trajectory], rule: ProtocolRule, least: int, share: float
-) -> None:
-    """Raise UserError for a record too short to be divided into training and test."""
-    for t in records:
+    for t in taken.train if share is not None else ():
         if len(t) < least:
             raise UserError(
                 f"record '{t.name}' has {len(t)} samples, but {rule.folds.count} folds and a "
                 f"sealed test of the last {share:.0%} need at least {least}: bring a longer "
                 f"record, or use --no-seal, which needs {least_samples(rule)}"
             )
+    inputs, outputs = taken.inputs, taken.outputs
+    columns = Columns(inputs, outputs, taken.sampling_time)
 
+    def copies(records: Sequence[Trajectory], ending: str = "") -> dict[str, RecordRows]:
+        names = (*inputs, *outputs)
+        return {f"{t.name}{ending}.csv": RecordRows(t, names, wanted.progress) for t in records}
 
-def _read_lines(taken: Taken, done: Preprocess) -> tuple[str, ...]:
-    many = f"{len(taken.train)} training and {len(taken.test)} test records"
-    prepared = [line for line in preprocess_lines(done).split("\n")[2:] if line]
-    return (f"{many}, sampled every {taken.sampling_time:g} s", *taken.notes, *prepared)
+    # The files: the user's own or clean copies, and what goes into the store.
+    records, tests = taken.train, taken.test
+    files: dict[str, str | RecordRows] = {}
+    sealing: Sealing | None = None
+    if share is None and taken.plain:
+        train_files = [_relative(path, directory) for path in train]
+        test_files = [_relative(path, directory) for path in test]
+        if seal and test:
+            sealing = seal_files(test, columns)
+    else:
+        endings = ("", "")
+        if share is not None:
+            kept = [len(t) - round(share * len(t)) for t in taken.train]
+            records = tuple(t[:n] for t, n in zip(taken.train, kept, strict=True))
+            tests = tuple(t[n:] for t, n in zip(taken.train, kept, strict=True))
+            endings = ("_train", "_sealed")
+        train_copies, test_copies = copies(records, endings[0]), copies(tests, endings[1])
+        train_files, test_files = list(train_copies), list(test_copies)
+        files |= train_copies
+        if share is not None or (seal and has_test):
+            contents = [PlainFile(n, "".join(r.blocks()).encode()) for n, r in test_copies.items()]
+            sealing = Sealing(columns, tuple(contents))
+        else:
+            files |= test_copies
+    done = _prepare(preparation or Preparation(), records, inputs, outputs)
+    tests = sealing.records if sealing else tests
+    for t in tests:
+        if len(t) <= rule.past:
+            raise UserError(
+                f"test record '{t.name}' has {len(t)} samples, the past window alone takes "
+                f"{rule.past}: bring a longer record"
+            )
+    check_magnitudes(records, inputs, outputs, "training")
+    check_ranges(records, inputs, outputs)
+    check_magnitudes(tests, inputs, outputs, "test")
+    require_length(records, rule)
 
-
-def _text(name: str, columns: Columns, rule: ProtocolRule, plan: _Plan) -> str:
-    return _TOML.format(
-        name=toml_value(name),
-        sampling_time=toml_value(float(columns.sampling_time)),
-        inputs=_signals(columns.inputs, plan),
-        outputs=_signals(columns.outputs, plan),
-        data=_data_lines(plan),
-        preprocess=preprocess_lines(plan.done),
+    # problem.toml.
+    data: list[str] = []
+    if files:
+        origins = [f"made by asia init from {_origin(path)}" for path in (*train, *test)]
+        comments = [*origins, *taken.notes]
+        data = [f"# {''.join(c if c.isprintable() else ' ' for c in line)}" for line in comments]
+    data.append(f"train = {toml_value(train_files)}")
+    if not files and wanted.time is not None:
+        data.append(f"time = {toml_value(wanted.time)}")
+    if sealing is not None:
+        data.append(sealing.toml().rstrip("\n"))
+    elif test_files:
+        data.append(f"test = {toml_value(test_files)}")
+    else:
+        data.append('# test = ["run2.csv"]             # opened once, at the end')
+    tables = {n: getattr(done, n) for n in ("delay", "decimate", "offset", "scale")}
+    preprocess = [f"{name} = {toml_value(v)}" for name, v in tables.items() if v and v != 1]
+    if done:
+        data += [
+            "",
+            "[preprocess]                        # done to every record alike",
+            *preprocess,
+        ]
+    signals = [
+        toml_value([{"name": n, "unit": taken.units.get(n, "")} for n in names])
+        for names in (inputs, outputs)
+    ]
+    files["description.md"] = _DESCRIPTION.format(name=directory.name)
+    files["problem.toml"] = _TOML.format(
+        name=toml_value(directory.name),
+        sampling_time=toml_value(float(taken.sampling_time)),
+        inputs=signals[0],
+        outputs=signals[1],
+        data="\n".join(data),
         folds=rule.folds.count,
         past_inputs=rule.past_inputs,
         past_outputs=rule.past_outputs,
     )
+    many = f"{len(taken.train)} training and {len(taken.test)} test records"
+    read = (f"{many}, sampled every {taken.sampling_time:g} s", *taken.notes, *preprocess)
+
+    if sealing is None:
+        write_directory(directory, files)
+        return NewProblem(directory / "problem.toml", read=read)
+    folder = key_folder(keys)
+    check_key_folder(folder, directory)
+    key = write_directory(directory, files, partial(sealing.write, train=records, keys=folder))
+    removed, notes = remove_plain(sealing, directory / STORE, folder)
+    if not sealing.originals:
+        held = ", ".join(map(str, test or train))
+        notes = (
+            f"the test rows are also in {held}, unencrypted. Do not show these rows to people or "
+            "agents that build the models",
+            *notes,
+        )
+    return NewProblem(directory / "problem.toml", directory / STORE, key, removed, notes, read)
 
 
-def _signals(names: Sequence[str], plan: _Plan) -> str:
-    return toml_value([{"name": name, "unit": plan.units.get(name, "")} for name in names])
+def _origin(path: Path) -> str:
+    """The path of a file, with the digest of its content unless that is long."""
+    if not path.is_file() or path.stat().st_size > 64_000_000:
+        return str(path)
+    content = read_file(path, "name a file")
+    return f"{path}, sha256 {hashlib.sha256(content).hexdigest()[:16]}"
 
 
-def _check_test(records: Sequence[Trajectory], rule: ProtocolRule) -> None:
-    for record in records:
-        if len(record) <= rule.past:
-            raise UserError(
-                f"test record '{record.name}' has {len(record)} samples, the past window alone "
-                f"takes {rule.past}: bring a longer record"
-            )
-
-
-def _plan(
-    train: Sequence[Path],
-    test: Sequence[Path],
-    columns: Columns,
-    directory: Path,
-    taken: Taken,
-    *,
-    seal: bool,
-) -> _Plan:
-    """All records where they are, but for a test that is to be sealed."""
-    del taken
-    kept = tuple(_written(path, directory) for path in train)
-    if seal:
-        return _Plan(kept, sealing=seal_files(test, columns))
-    return _Plan(kept, tuple(_written(path, directory) for path in test))
-
-
-def _copied(
-    train: Sequence[Path],
-    test: Sequence[Path],
-    columns: Columns,
-    directory: Path,
-    taken: Taken,
-    *,
-    seal: bool,
-) -> _Plan:
-    """Clean copies of all records, those of the test in the store where it is to be sealed."""
-    del directory
-    names = (*columns.inputs, *columns.outputs)
-    files = tuple((f"{t.name}.csv", RecordRows(t, names, taken.progress)) for t in taken.train)
-    tests = tuple((f"{t.name}.csv", RecordRows(t, names, taken.progress)) for t in taken.test)
-    plan = _Plan(tuple(name for name, _ in files), comments=_comments(taken, (*train, *test)))
-    plan = replace(plan, units=taken.units)
-    if not seal:
-        tested = tuple(name for name, _ in tests)
-        return replace(plan, test=tested, files=(*files, *tests))
-    contents = tuple(PlainFile(n, "".join(rows.blocks()).encode()) for n, rows in tests)
-    return replace(
-        plan,
-        files=files,
-        sealing=Sealing(columns, contents),
-        notes=(_still_held(test or train),),
-    )
-
-
-def _split_copies(train: Sequence[Path], columns: Columns, share: float, taken: Taken) -> _Plan:
-    """Clean copies, the last `share` of each record to seal."""
-    names = (*columns.inputs, *columns.outputs)
-    files: list[tuple[str, RecordRows]] = []
-    sealed: list[PlainFile] = []
-    for t in taken.train:
-        keep = len(t) - round(share * len(t))
-        files.append((f"{t.name}_train.csv", RecordRows(t[:keep], names, taken.progress)))
-        text = record_csv(t[keep:], names)
-        sealed.append(PlainFile(f"{t.name}_sealed.csv", text.encode()))
-    return _Plan(
-        tuple(name for name, _ in files),
-        files=tuple(files),
-        sealing=Sealing(columns, tuple(sealed)),
-        notes=(_still_held(train),),
-        comments=_comments(taken, train),
-        units=taken.units,
-    )
-
-
-def _comments(taken: Taken, paths: Sequence[Path]) -> tuple[str, ...]:
-    made = [f"made by asia init from {line}" for line in origins(paths)]
-    return (*made, *taken.notes)
-
-
-def _still_held(paths: Sequence[Path]) -> str:
-    return (
-        f"the test rows are also in {', '.join(map(str, paths))}, unencrypted. Do not show these "
-        "rows to people or agents that build the models"
-    )
-
-
-def _written(path: Path, directory: Path) -> str:
+def _relative(path: Path, directory: Path) -> str:
     """Return a relative path when the data are in the problem's directory, so that both can move
     together."""
     path = path.resolve()
     if path.is_relative_to(directory.parent):
         return Path(os.path.relpath(path, directory)).as_posix()
     return str(path)
-
-
-def _data_lines(plan: _Plan) -> str:
-    done = "".join(f"# {_one_line(text)}\n" for text in plan.comments)
-    lines = f"{done}train = {toml_value(plan.train)}\n"
-    if plan.time is not None:
-        lines += f"time = {toml_value(plan.time)}\n"
-    if plan.sealing is not None:
-        return lines + plan.sealing.toml()
-    if plan.test:
-        return lines + f"test = {toml_value(plan.test)}\n"
-    return lines + '# test = ["run2.csv"]             # opened once, at the end\n'
-
-
-def _one_line(text: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in text)

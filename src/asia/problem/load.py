@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -15,34 +14,25 @@ from asia.data.intake.sheet import Wanted
 from asia.data.sources.files import RecordFiles
 from asia.data.sources.registry import data_source, test_source
 from asia.data.sources.source import Channels
-from asia.data.trajectory import Signal, Trajectory
+from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.problem.check import check_period
 from asia.problem.lock import check_digests
 from asia.problem.physics import check_physics
 from asia.problem.problem import Problem, TestSource, prepared
-from asia.problem.protocol import ProtocolRule, block_count, least_case
+from asia.problem.protocol import least_samples, require_length
 from asia.problem.protocol_table import check_protocol, with_groups
 from asia.problem.schema import LockFile, ProblemFile, ProblemTables
 from asia.problem.symmetry import check_symmetry
 from asia.problem.toml import read_table
 
 _FILE = "problem.toml"
-LEAST_BEYOND_PAST = 10
-
-
-@dataclass(frozen=True)
-class _Texts:
-    name: str
-    description: str
-    baseline: str | None
-    notes: str = ""
-    strategies: str = ""
+_BUILTIN = Path(str(resources.files("asia"))) / "problems"
 
 
 def builtin_problems() -> tuple[str, ...]:
     """Names of the problems that come with ASIA."""
-    return tuple(sorted(p.parent.name for p in _builtin_root().glob(f"*/{_FILE}")))
+    return tuple(sorted(p.parent.name for p in _BUILTIN.glob(f"*/{_FILE}")))
 
 
 def load_problem(name_or_path: str | Path) -> Problem:
@@ -55,14 +45,27 @@ def load_problem(name_or_path: str | Path) -> Problem:
     """
     path = _find(name_or_path)
     file = read_table(path, ProblemFile)
-    texts = _Texts(
-        name=file.name or path.resolve().parent.name,
-        description=_description(path, file.description),
-        baseline=_optional_text(path.parent / "baseline.py"),
-        notes=_named_text(path, file.notes),
-        strategies=_named_text(path, file.strategies),
+
+    def text(named: str | None, default: str) -> str | None:
+        if named is not None:
+            remedy = "problem.toml names it: put a file of text there, or leave it out"
+            return read_text(path.parent / named, remedy)
+        if default and os.path.lexists(path.parent / default):
+            return read_text(path.parent / default, "put a file of text there, or nothing")
+        return None
+
+    description = text(file.description, "description.md") or ""
+    baseline = text(None, "baseline.py")
+    notes, strategies = text(file.notes, "") or "", text(file.strategies, "") or ""
+    root = path.resolve().parent
+    return replace(
+        _assemble(file, root),
+        name=file.name or root.name,
+        description=description,
+        baseline=baseline,
+        notes=notes,
+        strategies=strategies,
     )
-    return _assemble(file, path.resolve().parent, texts)
 
 
 def load_lock(path: Path) -> Problem:
@@ -74,8 +77,17 @@ def load_lock(path: Path) -> Problem:
         UserError: for data that no longer have the digest recorded when the run began
     """
     file = read_table(path, LockFile)
-    texts = _Texts(file.name, file.description, file.baseline, file.notes, file.strategies)
-    problem = _assemble(file, path.resolve().parent, texts, file.digests.test, file.digests.guard)
+    found = _assemble(file, path.resolve().parent)
+    problem = replace(
+        found,
+        name=file.name,
+        description=file.description,
+        baseline=file.baseline,
+        notes=file.notes,
+        strategies=file.strategies,
+        test=replace(found.test, sha256=file.digests.test),
+        guard_sha256=file.digests.guard,
+    )
     check_digests(problem, file.digests, path)
     return problem
 
@@ -93,169 +105,79 @@ def read_records(
     return prepared(problem, data.records_of(path, problem.channels, reading).records)
 
 
-def _builtin_root() -> Path:
-    return Path(str(resources.files("asia"))) / "problems"
-
-
 def _find(name_or_path: str | Path) -> Path:
-    path = Path(name_or_path)
+    path, name, known = Path(name_or_path), str(name_or_path), builtin_problems()
     if (path / _FILE).is_file():
         return path / _FILE
     if path.is_file():
         return path
-    builtin = _builtin_root() / str(name_or_path) / _FILE
-    if str(name_or_path) in builtin_problems():
-        return builtin
+    if name in known:
+        return _BUILTIN / name / _FILE
     if path.is_dir():
         raise UserError(f"{path} has no {_FILE}: make one with asia init")
-    known = builtin_problems()
     raise UserError(
         f"no problem '{name_or_path}': expected a directory with {_FILE} or a built-in name "
-        f"({', '.join(known)}){suggestion(str(name_or_path), known)}"
+        f"({', '.join(known)}){suggestion(name, known)}"
     )
 
 
-def _optional_text(path: Path) -> str | None:
-    there = os.path.lexists(path)
-    return read_text(path, "put a file of text there, or nothing") if there else None
+def _assemble(file: ProblemTables, root: Path) -> Problem:
+    """Check the tables against each other and read the training records; the texts are left out.
 
-
-def _text(path: Path) -> str:
-    return read_text(path, "problem.toml names it: put a file of text there, or leave it out")
-
-
-def _description(path: Path, named: str | None) -> str:
-    if named is None:
-        return _optional_text(path.parent / "description.md") or ""
-    return _text(path.parent / named)
-
-
-def _named_text(path: Path, named: str | None) -> str:
-    return "" if named is None else _text(path.parent / named)
-
-
-def _assemble(
-    file: ProblemTables,
-    root: Path,
-    texts: _Texts,
-    test_sha256: str | None = None,
-    guard_sha256: str | None = None,
-) -> Problem:
+    Args:
+        root: folder of the file, absolute
+    """
     channels = Channels(file.inputs, file.outputs, file.sampling_time)
-    _check_names(channels)
-    physics = file.physics
-    names = [s.name for s in channels.inputs], [s.name for s in channels.outputs]
+    inputs, outputs = channels.names
+    for name, count in Counter((*inputs, *outputs)).items():
+        if count > 1:
+            raise UserError(f"signal '{name}' is named {count} times among inputs and outputs")
+    physics, done, rule = file.physics, file.preprocess, file.protocol.rule()
     if physics is not None:
-        check_physics(physics, *names)
-    check_symmetry(file.symmetry, *names, physics)
-    _check_preprocess(file, *names)
-    check_protocol(file.protocol, file.data.groups, [s.name for s in channels.outputs])
-    data = data_source(file.data, root)
-    least = least_samples(file.protocol.rule()) * file.preprocess.decimate
-    records = data.records("train", replace(channels, least=least))
-    recorded = [t.name for t in records.trajectories]
-    _require_records(recorded, file)
-    rule = with_groups(file.protocol.rule(), file.data.groups, recorded)
-    done = file.preprocess
-    train = done.records(records.trajectories, channels.inputs, channels.outputs)
-    require_length(train, rule)
-    check_period(train, file.data.period)
-    _require_motion(train, channels.outputs)
-    return Problem(
-        name=texts.name,
-        description=texts.description,
-        sampling_time=channels.sampling_time * done.decimate,
-        inputs=done.signals(channels.inputs),
-        outputs=done.signals(channels.outputs),
-        train=train,
-        data=data,
-        test=TestSource(test_source(file.data, data, root), test_sha256),
-        protocol=rule,
-        budget=file.budget,
-        physics=physics,
-        baseline=texts.baseline,
-        notes=texts.notes,
-        strategies=texts.strategies,
-        truth=None if done else records.truth,
-        preprocess=done,
-        recorded=channels if done else None,
-        warnings=records.warnings,
-        guard_sha256=guard_sha256,
-        symmetry=file.symmetry,
-        period=file.data.period,
-    )
-
-
-def _require_records(names: Sequence[str], file: ProblemTables) -> None:
-    if not names:
-        raise UserError(
-            f"data.source '{file.data.source}' has no training records: name a folder that has them"
-        )
-
-
-def _check_preprocess(file: ProblemTables, inputs: list[str], outputs: list[str]) -> None:
-    done = file.preprocess
+        check_physics(physics, inputs, outputs)
+    check_symmetry(file.symmetry, inputs, outputs, physics)
     done.check(inputs, outputs)
-    if file.physics is not None and (done.offset or done.scale):
+    if physics is not None and (done.offset or done.scale):
         raise UserError(
             "preprocess.offset and preprocess.scale change the units in which [physics] is "
             "written: leave them out, or the equations"
         )
     if isinstance(file.data.guard, int) and done:
         raise UserError("[preprocess] is for measured records: leave it out for a simulated source")
-
-
-def _check_names(channels: Channels) -> None:
-    counts = Counter(s.name for s in (*channels.inputs, *channels.outputs))
-    for name, count in counts.items():
-        if count > 1:
-            raise UserError(f"signal '{name}' is named {count} times among inputs and outputs")
-
-
-def least_samples(rule: ProtocolRule) -> int:
-    """The shortest training record that the folds can divide."""
-    if rule.folds.kind == "leave_one_group_out":
-        return rule.past + max(least_case(rule), LEAST_BEYOND_PAST)
-    gap = rule.folds.gap or 0
-    if rule.folds.tail is not None:
-        shortest = rule.past + least_case(rule) + gap
-        return rule.past + max(rule.folds.tail, rule.folds.count * least_case(rule)) + shortest
-    beyond = max(least_case(rule), LEAST_BEYOND_PAST) + gap
-    return rule.past + block_count(rule) * (rule.past + beyond)
-
-
-def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> None:
-    """Raise UserError when a record is too short for the folds: each held-out block must be able to
-    hold a past window and some samples to train on."""
-    gap = rule.folds.gap or 0
-    if rule.folds.kind == "leave_one_group_out":
-        wanted = f"a past window of {rule.past}"
-        advice = "a shorter past window"
-    elif rule.folds.tail is not None:
-        tail, count = rule.folds.tail, rule.folds.count
-        wanted = f"a tail of {tail} in {count} folds with a past window of {rule.past}"
-        advice = "fewer folds, a shorter tail or past window"
-    else:
-        wanted = f"{rule.folds.count} folds with a past window of {rule.past}"
-        wanted += f" and a gap of {gap}" if gap else ""
-        advice = "fewer folds, a shorter past window" + (" or gap" if gap else "")
-    if rule.horizon is not None:
-        wanted += f" and a horizon of {rule.horizon}"
-        advice = f"{advice} or horizon"
-    least = least_samples(rule)
-    for t in trajectories:
-        if len(t) < least:
+    check_protocol(file.protocol, file.data.groups, outputs)
+    data = data_source(file.data, root)
+    records = data.records("train", replace(channels, least=least_samples(rule) * done.decimate))
+    if not records.trajectories:
+        raise UserError(
+            f"data.source '{file.data.source}' has no training records: name a folder that has them"
+        )
+    rule = with_groups(rule, file.data.groups, [t.name for t in records.trajectories])
+    train = done.records(records.trajectories, channels.inputs, channels.outputs)
+    require_length(train, rule)
+    check_period(train, file.data.period)
+    for index, name in enumerate(outputs):
+        value = float(train[0].y[0, index])
+        if all((t.y[:, index] == value).all() for t in train):
             raise UserError(
-                f"record '{t.name}' has {len(t)} samples, but {wanted} need at least {least}: "
-                f"use {advice} or a longer record"
-            )
-
-
-def _require_motion(trajectories: Sequence[Trajectory], outputs: Sequence[Signal]) -> None:
-    for index, signal in enumerate(outputs):
-        value = float(trajectories[0].y[0, index])
-        if all((t.y[:, index] == value).all() for t in trajectories):
-            raise UserError(
-                f"output '{signal.name}' is {value:g} in every training sample: there is nothing "
+                f"output '{name}' is {value:g} in every training sample: there is nothing "
                 "to identify; name another column or bring records in which it moves"
             )
+    return Problem(
+        name="",
+        description="",
+        sampling_time=channels.sampling_time * done.decimate,
+        inputs=done.signals(channels.inputs),
+        outputs=done.signals(channels.outputs),
+        train=train,
+        data=data,
+        test=TestSource(test_source(file.data, data, root)),
+        protocol=rule,
+        budget=file.budget,
+        physics=physics,
+        truth=None if done else records.truth,
+        preprocess=done,
+        recorded=channels if done else None,
+        warnings=records.warnings,
+        symmetry=file.symmetry,
+        period=file.data.period,
+    )

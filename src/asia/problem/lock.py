@@ -23,10 +23,6 @@ from asia.problem.toml import toml_text
 # sha256 digests of the inputs of a search.
 
 
-# Tables that count only where they hold something: a digest outlives additions to the rules.
-_LATER = ("priors", "corrections")
-
-
 def protocol_digest(problem: Problem) -> str:
     """Return the sha256 (hex) of the protocol with its defaults filled in.
 
@@ -35,18 +31,19 @@ def protocol_digest(problem: Problem) -> str:
     rule = asdict(problem.protocol)
     if problem.protocol.residuals == ProtocolRule.residuals:
         del rule["residuals"]
-    return _of_json(_present(rule))
+    return _json_digest(_present(rule))
 
 
 def physics_digest(physics: Physics) -> str:
     """Hex sha256 of the equations, ranges, bounds, and the priors and corrections there are."""
-    tables = asdict(physics)
-    return _of_json({k: v for k, v in tables.items() if v or k not in _LATER})
+    # These count only where they hold something: a digest outlives additions to the rules.
+    later = ("priors", "corrections")
+    return _json_digest({k: v for k, v in asdict(physics).items() if v or k not in later})
 
 
 def symmetry_digest(symmetry: Symmetry) -> str:
     """Hex sha256 of the generators."""
-    return _of_json({name: dict(generator) for name, generator in symmetry.items()})
+    return _json_digest({name: dict(generator) for name, generator in symmetry.items()})
 
 
 def text_digest(text: str) -> str:
@@ -55,7 +52,7 @@ def text_digest(text: str) -> str:
 
 
 def _present(value: Any) -> Any:
-    """Mappings without their entries that are None or an empty tuple."""
+    """Leave out the entries of mappings that are None or an empty tuple."""
     if isinstance(value, dict):
         return {k: _present(v) for k, v in value.items() if v is not None and v != ()}
     if isinstance(value, tuple):
@@ -63,17 +60,15 @@ def _present(value: Any) -> Any:
     return value
 
 
-def _of_json(value: Any) -> str:
+def _json_digest(value: Any) -> str:
     return text_digest(json.dumps(value, sort_keys=True))
 
 
 # Lock file: the resolved problem of a run as text, and the changes since.
 
 
-_PARTS = (
-    "description", "notes", "strategies", "baseline", "physics", "symmetry", "protocol",
-)  # fmt: skip
 _HEADER = "# Written by ASIA when the run began. A change in here, or in the data, ends the run.\n"
+_TEXTS = ("description", "notes", "strategies", "baseline")
 
 
 @dataclass(frozen=True)
@@ -95,7 +90,32 @@ def lock_text(problem: Problem, seal: Seal) -> str:
 
     `load_lock` restores the problem from it.
     """
-    return _HEADER + toml_text(_tables(problem, seal))
+    test = problem.test.source
+    data = {**problem.data.to_toml(), **(test.to_toml() if test else {})}
+    guard = data.pop("guard", None)
+    tables = {
+        "name": problem.name,
+        "description": problem.description,
+        "notes": problem.notes or None,
+        "strategies": problem.strategies or None,
+        "baseline": problem.baseline,
+        "sampling_time": problem.channels.sampling_time,
+        "inputs": [asdict(s) for s in problem.channels.inputs],
+        "outputs": [asdict(s) for s in problem.channels.outputs],
+        "data": {
+            **data,
+            "groups": groups_table(problem.protocol),
+            "guard": guard,
+            "period": problem.period,
+        },
+        "protocol": protocol_table(problem.protocol),
+        "budget": asdict(problem.budget),
+        "physics": None if problem.physics is None else asdict(problem.physics),
+        "preprocess": asdict(problem.preprocess) if problem.preprocess else None,
+        "symmetry": {k: dict(v) for k, v in problem.symmetry.items()} or None,
+        "digests": {**_digests(problem, seal.sha256), "guard": seal.guard},
+    }
+    return _HEADER + toml_text(tables)
 
 
 def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Difference, ...]:
@@ -111,8 +131,7 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
     except (OSError, ValueError, RecursionError) as error:
         raise UserError(f"cannot read {path}: {error}") from error
     now = dict(_flat(tomllib.loads(lock_text(problem, seal))))
-    texts = {"description", "notes", "strategies", "baseline"}
-    moved = {"data.train", "data.test", "data.guard", "data.sealed.file", *texts}
+    moved = {"data.train", "data.test", "data.guard", "data.sealed.file", *_TEXTS}
     keys = [k for k in {**before, **now} if k not in moved and before.get(k) != now.get(k)]
     return tuple(Difference(k, before.get(k), now.get(k)) for k in keys)
 
@@ -120,7 +139,8 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
 def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
     """Raise UserError that names every part whose digest is not the expected one."""
     found = _digests(problem, None)
-    changed = [f"the {part}" for part in _PARTS if found[part] != getattr(expected, part)]
+    parts = (*_TEXTS, "physics", "symmetry", "protocol")
+    changed = [f"the {part}" for part in parts if found[part] != getattr(expected, part)]
     train = found["train"]
     if len(train) != len(expected.train):
         changed.append("the number of training records")
@@ -145,34 +165,6 @@ def _digests(problem: Problem, test: str | None) -> dict[str, Any]:
         "physics": None if problem.physics is None else physics_digest(problem.physics),
         "symmetry": symmetry_digest(problem.symmetry) if problem.symmetry else None,
         "protocol": protocol_digest(problem),
-    }
-
-
-def _tables(problem: Problem, seal: Seal) -> dict[str, Any]:
-    test = problem.test.source
-    data = {**problem.data.to_toml(), **(test.to_toml() if test else {})}
-    guard = data.pop("guard", None)
-    return {
-        "name": problem.name,
-        "description": problem.description,
-        "notes": problem.notes or None,
-        "strategies": problem.strategies or None,
-        "baseline": problem.baseline,
-        "sampling_time": problem.channels.sampling_time,
-        "inputs": [asdict(s) for s in problem.channels.inputs],
-        "outputs": [asdict(s) for s in problem.channels.outputs],
-        "data": {
-            **data,
-            "groups": groups_table(problem.protocol),
-            "guard": guard,
-            "period": problem.period,
-        },
-        "protocol": protocol_table(problem.protocol),
-        "budget": asdict(problem.budget),
-        "physics": None if problem.physics is None else asdict(problem.physics),
-        "preprocess": asdict(problem.preprocess) if problem.preprocess else None,
-        "symmetry": {k: dict(v) for k, v in problem.symmetry.items()} or None,
-        "digests": {**_digests(problem, seal.sha256), "guard": seal.guard},
     }
 
 

@@ -27,7 +27,6 @@ class Metric:
     name: str
     """Name in problem files, lock files and ledgers."""
     label: str
-    """Label in tables and figures."""
     function: Callable[[Array, Array], Array]
     """Function of y and y_hat, each (samples, ny) in physical units, that returns one value per
     output, (ny,)."""
@@ -37,7 +36,6 @@ class Metric:
     """`signal`: the unit of the output, and V divides by the output's standard deviation; any
     other text is the unit itself, `""` for none, and V divides by nothing."""
     direction: Literal["lower", "higher"] = "lower"
-    """Direction of better values."""
     best: float = 0.0
     """The value of a simulation that equals the measurement."""
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import ast
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, pi
-from types import MappingProxyType
 from typing import Annotated, Any, TypeVar
 
 from annotated_types import MinLen
@@ -27,7 +27,6 @@ class ParameterRange:
     min: float
     """The least starting value; above 0 the range is searched on a log scale."""
     max: float
-    """The largest starting value."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +34,7 @@ class Bounds:
     """Physical range of a state."""
 
     min: float | None = None
-    """The least value; None is open."""
     max: float | None = None
-    """The largest value; None is open."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,6 @@ class Prior:
     deviation: float
     """Standard deviation, above 0, in the same unit."""
     reason: str = ""
-    """Reason for the prior, in words."""
 
 
 @dataclass(frozen=True)
@@ -69,15 +65,12 @@ class Physics:
     """
 
     states: Annotated[tuple[str, ...], MinLen(1)]
-    """Names of the states."""
     dynamics: Mapping[str, str]
     """Time derivative of every state."""
     parameters: Mapping[str, ParameterRange] = field(default_factory=dict[str, ParameterRange])
     """Ranges of the numbers that are fitted."""
     constants: Mapping[str, float] = field(default_factory=dict[str, float])
-    """Known numbers."""
     definitions: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Named intermediate expressions."""
     observation: Mapping[str, str] = field(default_factory=dict[str, str])
     """Outputs from states; default: the state of the same name."""
     bounds: Mapping[str, Bounds] = field(default_factory=dict[str, Bounds])
@@ -96,20 +89,21 @@ class Physics:
 
 T = TypeVar("T")
 
-_OF_ONE = (
+_UNARY = (
     "sqrt", "exp", "log", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh",
     "sigmoid", "softplus", "abs", "sign",
 )  # fmt: skip
-FUNCTIONS: Mapping[str, tuple[int, int | None]] = MappingProxyType(
-    dict.fromkeys(_OF_ONE, (1, 1))
-    | {"arctan2": (2, 2), "min": (2, None), "max": (2, None), "clip": (3, 3)}
-)
+FUNCTIONS: Mapping[str, tuple[int, int | None]] = {
+    **dict.fromkeys(_UNARY, (1, 1)),
+    "arctan2": (2, 2),
+    "min": (2, None),
+    "max": (2, None),
+    "clip": (3, 3),
+}
 """Functions an expression may call, with their least and greatest number of arguments."""
 
-NAMED_NUMBERS: Mapping[str, float] = MappingProxyType({"pi": pi})
+NAMED_NUMBERS: Mapping[str, float] = {"pi": pi}
 """Names reserved for numbers."""
-
-_LONGEST = 4000
 
 
 @dataclass(frozen=True)
@@ -152,18 +146,13 @@ class Call:
 
 Node = Number | Name | Negative | Binary | Call
 
-_SYMBOLS: Mapping[type[ast.operator], str] = MappingProxyType(
-    {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
-)
-_OPERATIONS: Mapping[str, Callable[[Any, Any], Any]] = MappingProxyType(
-    {
-        "+": operator.add,
-        "-": operator.sub,
-        "*": operator.mul,
-        "/": operator.truediv,
-        "**": operator.pow,
-    }
-)
+_SYMBOLS: Mapping[type[ast.operator], str] = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**",
+}  # fmt: skip
+_OPERATIONS: Mapping[str, Callable[[Any, Any], Any]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
+    "**": operator.pow,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -188,10 +177,10 @@ def parse_expression(text: str, where: str) -> Expression:
             **, parentheses and calls of the table's functions, or is longer than 4000
             characters
     """
-    if len(text) > _LONGEST:
+    if len(text) > 4000:
         raise UserError(
-            f"{where}: the expression has {len(text)} characters, at most {_LONGEST} are "
-            "allowed; split it into [physics.definitions]"
+            f"{where}: the expression has {len(text)} characters, at most 4000 are allowed; "
+            "split it into [physics.definitions]"
         )
     if "^" in text:
         power = text.replace("^", "**")
@@ -213,20 +202,18 @@ def parse_expression(text: str, where: str) -> Expression:
     return Expression(text, root, names)
 
 
-def _with_product(text: str) -> str | None:
+def _with_product(text: str) -> str:
     """The text with `*` between factors side by side, such as `b w1`, and parentheses behind the
-    name of a function; None where that does not make it an expression."""
-    changed = re.sub(r"(?<=[\w)])\s+(?=[A-Za-z_(])|(?<=\))(?=[\w(])", "*", text.strip())
+    name of a function; "" where that does not make it an expression."""
+    text = text.strip()
+    changed = re.sub(r"(?<=[\w)])\s+(?=[A-Za-z_(])|(?<=\))(?=[\w(])", "*", text)
     changed = re.sub(r"(?<![\w.])(\d+\.?\d*)(?=(?![eE][-+]?\d)[A-Za-z_(])", r"\1*", changed)
-    called = "|".join(FUNCTIONS)
-    changed = re.sub(rf"\b({called})\*(\w+)", r"\1(\2)", changed)
-    if changed == text.strip():
-        return None
+    changed = re.sub(rf"\b({'|'.join(FUNCTIONS)})\*(\w+)", r"\1(\2)", changed)
     try:
         expression_tree(changed)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return None
-    return changed
+        return ""
+    return changed if changed != text else ""
 
 
 def _convert(node: ast.expr, where: str) -> Node:
@@ -234,7 +221,7 @@ def _convert(node: ast.expr, where: str) -> Node:
         case ast.Constant(value=bool() | str() | bytes() | complex() | None):
             raise UserError(f"{where}: {ast.unparse(node)} is not a real number")
         case ast.Constant(value=int() | float() as value):
-            return _literal(value, where)
+            return _number(value, where)
         case ast.Name(id=name):
             return Number(NAMED_NUMBERS[name]) if name in NAMED_NUMBERS else Name(name)
         case ast.UnaryOp(op=ast.UAdd()):
@@ -254,17 +241,10 @@ def _convert(node: ast.expr, where: str) -> Node:
             )
 
 
-def _literal(value: float, where: str) -> Number:
-    try:
-        return _number(float(value), where)
-    except OverflowError:
-        raise UserError(f"{where}: a number in the expression is too large") from None
-
-
 def _number(value: float, where: str) -> Number:
-    if not isfinite(value):
+    if not abs(value) <= sys.float_info.max:
         raise UserError(f"{where}: a number in the expression is too large")
-    return Number(value)
+    return Number(float(value))
 
 
 def _binary(symbol: str, left: Node, right: Node, where: str) -> Node:
@@ -350,12 +330,62 @@ def check_physics(physics: Physics, inputs: Sequence[str], outputs: Sequence[str
         inputs, outputs: the signal names of the problem
     """
     symbols = _symbols(physics, inputs)
-    _check_ranges(physics)
-    _check_priors(physics)
-    _check_keys(physics, outputs)
-    for where, text in _expressions(physics):
-        _check_names(parse_expression(text, where), where, symbols)
-    _check_corrections(physics)
+    for name, value in physics.parameters.items():
+        if not (isfinite(value.min) and isfinite(value.max) and value.min < value.max):
+            raise UserError(
+                f"[physics.parameters] {name}: min {value.min} must be below max {value.max}, "
+                "both finite"
+            )
+    for name, constant in physics.constants.items():
+        if not isfinite(constant):
+            raise UserError(f"[physics.constants] {name}: expected a finite number")
+    _check_known("bounds", physics.bounds, "state", physics.states)
+    for name, bounds in physics.bounds.items():
+        low, high = bounds.min, bounds.max
+        if low is not None and high is not None and not low < high:
+            raise UserError(f"[physics.bounds] {name}: min {low} must be below max {high}")
+    for text, prior in physics.priors.items():
+        where = f"[physics.priors] {text}"
+        names = _parse(text, where, {*physics.parameters, *physics.constants}).names
+        if not names & set(physics.parameters):
+            raise UserError(f"{where}: names no parameter; write an expression in parameters")
+        if not (isfinite(prior.mean) and isfinite(prior.deviation) and prior.deviation > 0):
+            raise UserError(
+                f"{where}: expected a finite mean and a deviation above 0, got {prior.mean} and "
+                f"{prior.deviation}"
+            )
+    for name in physics.states:
+        if name not in physics.dynamics:
+            raise UserError(f"[physics.dynamics] {name}: missing; give d/dt of every state")
+    _check_known("dynamics", physics.dynamics, "state", physics.states)
+    _check_known("observation", physics.observation, "output", outputs)
+    for name in outputs:
+        if name not in physics.observation and name not in physics.states:
+            raise UserError(
+                f"[physics.observation] {name}: missing; no state has this output's name, so say "
+                "how it follows from the states"
+            )
+    sections = {
+        "definitions": physics.definitions,
+        "dynamics": physics.dynamics,
+        "observation": physics.observation,
+    }
+    used = {
+        symbol
+        for section, entries in sections.items()
+        for name, text in entries.items()
+        for symbol in _parse(text, f"[physics.{section}] {name}", symbols).names
+    }
+    for name, correction in physics.corrections.items():
+        if name not in used:
+            raise UserError(
+                f"[physics.corrections] {name}: no equation uses it; write it where the unknown "
+                "effect enters"
+            )
+        if not (isfinite(correction.scale) and correction.scale > 0):
+            raise UserError(
+                f"[physics.corrections] {name}: expected a scale above 0, its typical size"
+            )
     definition_order(physics)
 
 
@@ -411,98 +441,19 @@ def _symbols(physics: Physics, inputs: Sequence[str]) -> set[str]:
     return set(owners) - set(FUNCTIONS) - set(NAMED_NUMBERS)
 
 
-def _check_ranges(physics: Physics) -> None:
-    for name, value in physics.parameters.items():
-        if not (isfinite(value.min) and isfinite(value.max) and value.min < value.max):
+def _check_known(table: str, names: Iterable[str], kind: str, known: Sequence[str]) -> None:
+    for name in names:
+        if name not in known:
             raise UserError(
-                f"[physics.parameters] {name}: min {value.min} must be below max {value.max}, "
-                "both finite"
-            )
-    for name, constant in physics.constants.items():
-        if not isfinite(constant):
-            raise UserError(f"[physics.constants] {name}: expected a finite number")
-    for name, bounds in physics.bounds.items():
-        if name not in physics.states:
-            raise UserError(
-                f"[physics.bounds] {name}: there is no such state"
-                f"{nearest(name, set(physics.states))}"
-            )
-        low, high = bounds.min, bounds.max
-        if low is not None and high is not None and not low < high:
-            raise UserError(f"[physics.bounds] {name}: min {low} must be below max {high}")
-
-
-def _check_priors(physics: Physics) -> None:
-    known = {*physics.parameters, *physics.constants}
-    for text, prior in physics.priors.items():
-        where = f"[physics.priors] {text}"
-        expression = parse_expression(text, where)
-        _check_names(expression, where, known)
-        if not expression.names & set(physics.parameters):
-            raise UserError(f"{where}: names no parameter; write an expression in parameters")
-        if not (isfinite(prior.mean) and isfinite(prior.deviation) and prior.deviation > 0):
-            raise UserError(
-                f"{where}: expected a finite mean and a deviation above 0, got {prior.mean} and "
-                f"{prior.deviation}"
+                f"[physics.{table}] {name}: there is no such {kind}{nearest(name, known)}"
             )
 
 
-def _check_corrections(physics: Physics) -> None:
-    used = {n for where, text in _expressions(physics) for n in parse_expression(text, where).names}
-    for name, correction in physics.corrections.items():
-        if name not in used:
-            raise UserError(
-                f"[physics.corrections] {name}: no equation uses it; write it where the unknown "
-                "effect enters"
-            )
-        if not (isfinite(correction.scale) and correction.scale > 0):
-            raise UserError(
-                f"[physics.corrections] {name}: expected a scale above 0, its typical size"
-            )
-
-
-def _check_keys(physics: Physics, outputs: Sequence[str]) -> None:
-    for name in physics.states:
-        if name not in physics.dynamics:
-            raise UserError(f"[physics.dynamics] {name}: missing; give d/dt of every state")
-    for name in physics.dynamics:
-        if name not in physics.states:
-            raise UserError(
-                f"[physics.dynamics] {name}: there is no such state"
-                f"{nearest(name, set(physics.states))}"
-            )
-    for name in physics.observation:
-        if name not in outputs:
-            raise UserError(
-                f"[physics.observation] {name}: there is no such output"
-                f"{nearest(name, set(outputs))}"
-            )
-    for name in outputs:
-        if name not in physics.observation and name not in physics.states:
-            raise UserError(
-                f"[physics.observation] {name}: missing; no state has this output's name, so say "
-                "how it follows from the states"
-            )
-
-
-def _expressions(physics: Physics) -> list[tuple[str, str]]:
-    sections: tuple[tuple[str, Mapping[str, str]], ...] = (
-        ("definitions", physics.definitions),
-        ("dynamics", physics.dynamics),
-        ("observation", physics.observation),
-    )
-    return [
-        (f"[physics.{section}] {name}", text)
-        for section, entries in sections
-        for name, text in entries.items()
-    ]
-
-
-def _check_names(expression: Expression, where: str, symbols: set[str]) -> None:
+def _parse(text: str, where: str, symbols: set[str]) -> Expression:
+    """Parse an expression that names nothing but `symbols`."""
+    expression = parse_expression(text, where)
     for name in sorted(expression.names - symbols):
-        what = "is a function: call it with its argument" if name in FUNCTIONS else None
-        raise UserError(
-            f"{where}: '{name}' {what}"
-            if what
-            else f"{where}: undefined symbol '{name}'{nearest(name, symbols)}"
-        )
+        if name in FUNCTIONS:
+            raise UserError(f"{where}: '{name}' is a function: call it with its argument")
+        raise UserError(f"{where}: undefined symbol '{name}'{nearest(name, sorted(symbols))}")
+    return expression

@@ -8,6 +8,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from asia._text import one_line
 from asia.data.arrays import name_signals, one_a_record, read_arrays
 from asia.data.preprocess import Preprocess
@@ -15,8 +17,8 @@ from asia.data.sources.source import Channels, Source
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.problem.budget import Budget
 from asia.problem.physics import Physics
-from asia.problem.protocol import ProtocolRule
-from asia.problem.protocol_table import groups_table, protocol_table
+from asia.problem.protocol import ProtocolRule, least_samples
+from asia.problem.protocol_table import ProtocolTable, groups_table, protocol_table
 from asia.problem.symmetry import Symmetry
 from asia.problem.toml import toml_text
 
@@ -38,46 +40,36 @@ class Seal:
     """Public facts about the test records before they are opened."""
 
     sha256: str | None
-    """Digest of all values; None when the problem has no test data."""
     names: tuple[str, ...] = ()
-    """Names of the records."""
     lengths: tuple[int, ...] = ()
-    """Number of samples of each record."""
     shared_samples: int = 0
     """Test samples inside runs of consecutive samples, inputs and outputs, that also occur in a
     training record."""
     outside_inputs: tuple[int, ...] = ()
     """Test samples of each input beyond the range of the training records; empty if not known."""
     guard: str | None = None
-    """Digest of the guard records; None without any."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Identification problem: records, signals, protocol, budget and physics."""
+    """Identification problem: records, signals, protocol, budget and physics; times in s."""
 
     name: str
     """Part of the run's name."""
     description: str
     """The system in plain English; "" for none."""
     sampling_time: float
-    """s."""
     inputs: tuple[Signal, ...]
     """The inputs, in the order of `Trajectory.u`."""
     outputs: tuple[Signal, ...]
     """The outputs, in the order of `Trajectory.y`."""
     train: tuple[Trajectory, ...]
-    """The records the search may use."""
     data: Source
     """Source of the training and guard records."""
     test: TestSource
-    """Handle for the one opener of test data."""
     protocol: ProtocolRule
-    """Rule for V and the test metric."""
     budget: Budget
-    """Limits of the search."""
     physics: Physics | None = None
-    """Equations from the problem file."""
     baseline: str | None = None
     """Source of the problem's own first candidate."""
     truth: tuple[Array, ...] | None = None
@@ -85,7 +77,6 @@ class Problem:
     warnings: tuple[str, ...] = ()
     """Doubts about the data, in plain words."""
     preprocess: Preprocess = field(default_factory=Preprocess)
-    """Preprocessing of every record before the search sees it."""
     recorded: Channels | None = None
     """Signals and sampling time before that; None where nothing is done."""
     notes: str = ""
@@ -145,34 +136,66 @@ class Problem:
         us, ys = one_a_record(u), one_a_record(y)
         test_us, test_ys = ([] if v is None else one_a_record(v) for v in (test_u, test_y))
         signals = name_signals(inputs, us[0], "u"), name_signals(outputs, ys[0], "y")
-        # The module makes problems: imported above, it would close a circle.
-        arrays = import_module("asia.problem.from_arrays")
-        least = arrays.least_segment(protocol)
+        try:
+            rule = protocol or ProtocolRule()
+            if not isinstance(rule, ProtocolRule):
+                rule = TypeAdapter(ProtocolTable).validate_python(_plain(rule)).rule()
+            least = least_samples(rule)
+        except ValueError:
+            # Loading the problem reports the mistake.
+            least = 1
         train = read_arrays(us, ys, *signals, sampling_time, "train", "train", least)
         step = train.records[0].sampling_time
         test = read_arrays(test_us, test_ys, *signals, step, "test", "test")
-        given = arrays.ArrayProblem(
-            name=name or Path(directory).resolve().name,
-            train=train.records,
-            test=test.records,
-            inputs=signals[0],
-            outputs=signals[1],
-            sampling_time=step,
-            description=description,
-            baseline=baseline,
-            groups=groups,
-            protocol=protocol,
-            budget=budget,
-            physics=physics,
-            symmetry=symmetry,
-        )
-        problem = arrays.save_problem(given, Path(directory))
+        directory = Path(directory).resolve()
+        if isinstance(protocol, ProtocolRule):
+            groups = groups_table(protocol) if groups is None else groups
+            protocol = protocol_table(protocol)
+        tables = {
+            "name": name or directory.name,
+            "description": "description.md" if description else None,
+            "sampling_time": float(step),
+            "inputs": [asdict(signal) for signal in signals[0]],
+            "outputs": [asdict(signal) for signal in signals[1]],
+            "data": {
+                "train": [f"{t.name}.csv" for t in train.records],
+                "test": [f"{t.name}.csv" for t in test.records],
+                "groups": groups,
+            },
+            "protocol": _plain(protocol),
+            "budget": _plain(budget),
+            "physics": _plain(physics),
+            "symmetry": {k: dict(v) for k, v in symmetry.items()} if symmetry else None,
+        }
+        # The module loads problems: imported above, it would close a circle.
+        create = import_module("asia.problem.create")
+        names = [signal.name for side in signals for signal in side]
+        files = {
+            f"{t.name}.csv": create.record_csv(t, names) for t in (*train.records, *test.records)
+        }
+        if description:
+            files["description.md"] = description
+        if baseline is not None:
+            files["baseline.py"] = baseline
+        files["problem.toml"] = toml_text(tables)
+        problem: Problem = create.save_problem(directory, files)
         return replace(problem, warnings=(*train.notes, *test.notes, *problem.warnings))
 
     @property
     def channels(self) -> Channels:
         """Channels of the data to read, as they were recorded."""
         return self.recorded or Channels(self.inputs, self.outputs, self.sampling_time)
+
+
+def _plain(value: Any) -> Any:
+    """Tables and lists of Python's own numbers, at any depth."""
+    if isinstance(value, (Budget, Physics)):
+        return asdict(value)
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return value.item() if hasattr(value, "item") else value
 
 
 def prepared(problem: Problem, records: Sequence[Trajectory]) -> tuple[Trajectory, ...]:

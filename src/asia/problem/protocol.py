@@ -26,9 +26,7 @@ class Group:
     """Training records held out together, by name."""
 
     name: str
-    """Name of the group."""
     records: tuple[str, ...]
-    """Names of its records."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,6 @@ class FoldRule:
     each record, the samples before them always train; `leave_one_group_out`: a fold holds out
     the records of one group."""
     count: int = 2
-    """The number of folds."""
     groups: tuple[Group, ...] = ()
     """The groups; () for folds of another kind."""
     gap: int | None = None
@@ -58,11 +55,8 @@ class OutputGroup:
     rotations given by roll, pitch and yaw (Z-Y-X, rad)."""
 
     name: str
-    """Name of the group."""
     outputs: tuple[str, ...]
-    """Names of its outputs."""
     distance: Literal["euclidean", "geodesic"] = "euclidean"
-    """Distance measure."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +64,9 @@ class TestRule:
     """Rule for the metrics of the sealed test."""
 
     metrics: tuple[str, ...] = ("rmse",)
-    """Names of the metrics, in physical units."""
     skip: int = 0
     """Samples after the past window that are left out."""
     groups: tuple[OutputGroup, ...] = ()
-    """Groups of the Mean Euclidean Error table."""
     horizons: tuple[int, ...] = ()
     """Steps of a window that this table prints, 1 being the first."""
     unit: str | None = None
@@ -94,20 +86,16 @@ class ProtocolRule:
     """`simulation` of whole blocks, or `windows` of `horizon` samples, each started from its own
     past window."""
     folds: FoldRule = FoldRule()
-    """Samples that each fold holds out."""
     past_inputs: int = 10
     """Input samples that a model sees before it simulates."""
     past_outputs: int = 10
     """Output samples that a model sees before it simulates."""
     metric: str = "rmse"
-    """Name of the metric of V."""
     early_stopping: EarlyStopping = "inner"
     """`inner`, or `validation` as in Piga and Forgione, where a candidate may ask for its score on
     the held-out samples while it trains; V is then not leak-free."""
     horizon: int | None = None
-    """Samples of a window; None for whole blocks."""
     test: TestRule = TestRule()
-    """Rule for the metrics of the sealed test."""
     ladder: float | None = None
     """The share of V by which a new best must be better before agents see its score; None where
     they see every V."""
@@ -143,42 +131,54 @@ class FoldCut:
 
 def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> list[FoldCut]:
     """The folds of records of these names and lengths; empty parts where a record is too short."""
-    records = range(len(names))
     if rule.folds.kind == "leave_one_group_out":
+        records = list(zip(names, lengths, strict=True))
         return [
             FoldCut(
                 tuple(
-                    Excerpt(i, range(rule.past, lengths[i]))
-                    for i in records
-                    if names[i] in group.records
+                    Excerpt(i, range(rule.past, length))
+                    for i, (name, length) in enumerate(records)
+                    if name in group.records
                 ),
                 tuple(
-                    Excerpt(i, range(lengths[i])) for i in records if names[i] not in group.records
+                    Excerpt(i, range(length))
+                    for i, (name, length) in enumerate(records)
+                    if name not in group.records
                 ),
             )
             for group in rule.folds.groups
         ]
-    cuts = [blocks(length, rule) for length in lengths]
+    cuts = [_held_out_blocks(length, rule) for length in lengths]
     return [
         FoldCut(
-            tuple(Excerpt(i, cuts[i][k]) for i in records),
+            tuple(Excerpt(i, blocks[k]) for i, blocks in enumerate(cuts)),
             tuple(
-                Excerpt(i, rest) for i in records for rest in rests(lengths[i], cuts[i][k], rule)
+                Excerpt(i, rest)
+                for i, blocks in enumerate(cuts)
+                for rest in _training_parts(lengths[i], blocks[k], rule)
             ),
         )
         for k in range(rule.folds.count)
     ]
 
 
-def blocks(length: int, rule: ProtocolRule) -> list[range]:
+def block_count(rule: ProtocolRule) -> int:
+    """Into how many blocks a record is cut: in forward folds the first one trains only."""
+    return rule.folds.count + (rule.folds.kind == "forward")
+
+
+def least_case(rule: ProtocolRule) -> int:
+    """Samples of the shortest case."""
+    return rule.horizon or 1
+
+
+def _held_out_blocks(length: int, rule: ProtocolRule) -> list[range]:
     """Return the held-out block of each fold, empty where the record is too short.
 
     The samples after the first past window (in tail folds: the tail) are split into `block_count`
-    parts; the first parts are one sample longer when the length does not divide. In forward folds
-    the first part trains only.
+    parts; the first parts are one sample longer when the length does not divide.
     """
-    count = block_count(rule)
-    start = rule.past
+    count, start = block_count(rule), rule.past
     if rule.folds.tail is not None:
         start = max(start, length - rule.folds.tail)
     size, longer = divmod(max(length - start, 0), count)
@@ -186,12 +186,7 @@ def blocks(length: int, rule: ProtocolRule) -> list[range]:
     return [range(start, stop) for start, stop in pairwise(edges)][count - rule.folds.count :]
 
 
-def block_count(rule: ProtocolRule) -> int:
-    """Into how many blocks a record is cut."""
-    return rule.folds.count + (rule.folds.kind == "forward")
-
-
-def rests(length: int, block: range, rule: ProtocolRule) -> list[range]:
+def _training_parts(length: int, block: range, rule: ProtocolRule) -> list[range]:
     """Return the samples that train while `block` is held out.
 
     These are the samples before the block and, except in forward and tail folds, after it, without
@@ -204,9 +199,44 @@ def rests(length: int, block: range, rule: ProtocolRule) -> list[range]:
     return [part for part in parts if len(part) >= rule.past + least_case(rule)]
 
 
-def least_case(rule: ProtocolRule) -> int:
-    """Samples of the shortest case."""
-    return rule.horizon if rule.horizon is not None else 1
+def least_samples(rule: ProtocolRule) -> int:
+    """The shortest training record that the folds can divide."""
+    case = least_case(rule)
+    # Ten samples are the least to train on.
+    beyond = max(case, 10)
+    if rule.folds.kind == "leave_one_group_out":
+        return rule.past + beyond
+    gap = rule.folds.gap or 0
+    if rule.folds.tail is not None:
+        tail = max(rule.folds.tail, rule.folds.count * case)
+        return rule.past + tail + rule.past + case + gap
+    return rule.past + block_count(rule) * (rule.past + beyond + gap)
+
+
+def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> None:
+    """Raise UserError when a record is too short for the folds: each held-out block must be able to
+    hold a past window and some samples to train on."""
+    gap, count = rule.folds.gap, rule.folds.count
+    if rule.folds.kind == "leave_one_group_out":
+        wanted = f"a past window of {rule.past}"
+        advice = "a shorter past window"
+    elif rule.folds.tail is not None:
+        wanted = f"a tail of {rule.folds.tail} in {count} folds with a past window of {rule.past}"
+        advice = "fewer folds, a shorter tail or past window"
+    else:
+        wanted = f"{count} folds with a past window of {rule.past}"
+        wanted += f" and a gap of {gap}" if gap else ""
+        advice = "fewer folds, a shorter past window" + (" or gap" if gap else "")
+    if rule.horizon is not None:
+        wanted += f" and a horizon of {rule.horizon}"
+        advice = f"{advice} or horizon"
+    least = least_samples(rule)
+    for t in trajectories:
+        if len(t) < least:
+            raise UserError(
+                f"record '{t.name}' has {len(t)} samples, but {wanted} need at least {least}: "
+                f"use {advice} or a longer record"
+            )
 
 
 def windows(samples: range, rule: ProtocolRule) -> list[range]:
@@ -224,23 +254,21 @@ def windows(samples: range, rule: ProtocolRule) -> list[range]:
 # Training samples, simulated samples and past windows of each fold.
 
 
-# Share of a past window that was measured, and the part of a block in which that is looked for.
-_STARTS = ((1.0, 0.25), (0.75, 0.25), (0.5, 0.5))
-
-
 @dataclass(frozen=True)
 class Case:
     """One thing to simulate. It holds no output after the past window, so that a candidate may
-    have it."""
+    have it.
+
+    Attributes:
+        name: of the record
+        past_u, past_y: past window (n_past_u, nu) and (n_past_y, ny)
+        u: inputs (H, nu) of the samples to simulate
+    """
 
     name: str
-    """Name of the record."""
     past_u: Array
-    """Inputs of the past window (n_past_u, nu)."""
     past_y: Array
-    """Outputs of the past window (n_past_y, ny)."""
     u: Array
-    """Inputs of the samples to simulate (H, nu)."""
 
 
 @dataclass(frozen=True)
@@ -248,7 +276,6 @@ class Block:
     """Case together with the outputs that the evaluator keeps."""
 
     case: Case
-    """Data that a candidate receives."""
     y: Array
     """The measured outputs (H, ny), NaN where none was measured."""
     record: int
@@ -267,9 +294,7 @@ class Fold:
     """Training records and held-out blocks of one fold."""
 
     index: int
-    """Number of the fold, 0-based."""
     train: tuple[Trajectory, ...]
-    """Records that the models of this fold are fitted to."""
     validation: tuple[Block, ...]
     """Held-out blocks, those of each record in time order."""
     scale: Array
@@ -307,9 +332,9 @@ def _past_outputs(record: Trajectory, start: int, count: int) -> Array:
     Raises:
         UserError: where there is none
     """
-    window = record.y[start - count : start]
-    if record.missing is None or not record.missing[start - count : start].any():
-        return window
+    window = slice(start - count, start)
+    if record.missing is None or not record.missing[window].any():
+        return record.y[window]
     known = record.measured_y[:start]
     never = np.isnan(known).all(axis=0)
     if never.any():
@@ -318,7 +343,7 @@ def _past_outputs(record: Trajectory, start: int, count: int) -> Array:
             f"sample {start + 1}, where a simulation starts from past outputs: cut the record so "
             "that it begins with a measured sample"
         )
-    return filled(known)[start - count :]
+    return filled(known)[window]
 
 
 def whole(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Block, ...]:
@@ -362,22 +387,26 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
             )
     folds: list[Fold] = []
     for k, split in enumerate(found):
-        parts = [part for part in split.train if _is_measured(records, part)]
+        # Parts in which an output was never measured train nothing.
+        parts = [
+            p
+            for p in split.train
+            if records[p.record].measured[p.samples.start : p.samples.stop].any(axis=0).all()
+        ]
         train = tuple(records[p.record].alone(p.samples.start, p.samples.stop) for p in parts)
         held_out = _blocks(records, split.held_out, rule)
-        _check_measured(held_out, k)
+        if held_out:
+            never = np.isnan(np.concatenate([b.y for b in held_out])).all(axis=0)
+            if never.any():
+                raise UserError(
+                    f"output {int(np.argmax(never)) + 1} is never measured in what fold {k + 1} "
+                    "holds out: leave the output out or use fewer folds"
+                )
         last = {p.record: p.samples.stop for p in parts}
         followed = tuple(last.get(block.record, 0) > block.stop for block in held_out)
         offsets = tuple(p.samples.start for p in parts)
         folds.append(Fold(k, train, held_out, _scale(train, rule, k), followed, offsets))
     return tuple(folds)
-
-
-def _is_measured(records: Sequence[Trajectory], part: Excerpt) -> bool:
-    """Return whether each output was measured in it at least once."""
-    missing = records[part.record].missing
-    own = slice(part.samples.start, part.samples.stop)
-    return missing is None or not missing[own].all(axis=0).any()
 
 
 def _after_first_outputs(
@@ -396,21 +425,13 @@ def _after_first_outputs(
     counts = np.concatenate([np.zeros((1, missing.shape[1])), np.cumsum(~missing, axis=0)])
     places = np.arange(first, part.samples.start + (len(part.samples) + 1) // 2)
     shown = counts[places] - counts[np.maximum(places - rule.past_outputs, 0)]
-    for share, within in _STARTS:
+    # Share of a past window that was measured, and the part of a block in which to look for it.
+    for share, within in ((1.0, 0.25), (0.75, 0.25), (0.5, 0.5)):
         near = places < part.samples.start + within * len(part.samples)
         enough = near & (shown >= share * rule.past_outputs).all(axis=1)
         if enough.any():
             return Excerpt(part.record, range(int(places[np.argmax(enough)]), part.samples.stop))
     return Excerpt(part.record, range(first, part.samples.stop))
-
-
-def _check_measured(blocks: Sequence[Block], index: int) -> None:
-    never = np.isnan(np.concatenate([b.y for b in blocks])).all(axis=0) if blocks else np.array([])
-    if never.any():
-        raise UserError(
-            f"output {int(np.argmax(never)) + 1} is never measured in what fold {index + 1} holds "
-            "out: leave the output out or use fewer folds"
-        )
 
 
 def _blocks(
@@ -426,11 +447,10 @@ def _blocks(
 def _scale(train: Sequence[Trajectory], rule: ProtocolRule, index: int) -> Array:
     if not train:
         raise UserError(f"fold {index + 1} has no training record longer than the past window")
-    if rule.horizon is None:
-        samples = [t.measured_y for t in train]
-    else:
-        samples = [b.y for b in whole(train, rule)]
-    y = np.concatenate(samples)
+    windowed = rule.horizon is not None
+    y = np.concatenate(
+        [b.y for b in whole(train, rule)] if windowed else [t.measured_y for t in train]
+    )
     moves = np.nanmax(y, axis=0) - np.nanmin(y, axis=0) > LEAST_RANGE
     if not moves.all():
         channel = int(np.argmin(moves)) + 1
@@ -445,22 +465,20 @@ def fold_names(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[str, ...]:
     """Name the held-out samples of each fold, for example `chirp: 8 records` or `block 1 of 2:
     samples 6 to 515 of run1`; samples are counted from 1."""
     if rule.folds.kind == "leave_one_group_out":
-        return tuple(
-            f"{group.name}: {_counted(group.records)}"
-            for group, _ in zip(rule.folds.groups, folds, strict=True)
-        )
-    return tuple(f"block {f.index + 1} of {len(folds)}: {_excerpts(f)}" for f in folds)
-
-
-def _counted(records: Sequence[str]) -> str:
-    return f"record {records[0]}" if len(records) == 1 else f"{len(records)} records"
-
-
-def _excerpts(fold: Fold) -> str:
-    """The held-out samples of one record, or of how many."""
-    records = {block.record for block in fold.validation}
-    if len(records) > 1:
-        return f"of each of {len(records)} records"
-    blocks = fold.validation
-    first, last = min(b.start for b in blocks) + 1, max(b.stop for b in blocks)
-    return f"samples {first} to {last} of {blocks[0].case.name}"
+        counts = [
+            f"record {g.records[0]}" if len(g.records) == 1 else f"{len(g.records)} records"
+            for g in rule.folds.groups
+        ]
+        pairs = zip(rule.folds.groups, counts, strict=True)
+        return tuple(f"{group.name}: {count}" for group, count in pairs)
+    names: list[str] = []
+    for fold in folds:
+        blocks = fold.validation
+        records = {block.record for block in blocks}
+        if len(records) > 1:
+            where = f"of each of {len(records)} records"
+        else:
+            first, last = min(b.start for b in blocks) + 1, max(b.stop for b in blocks)
+            where = f"samples {first} to {last} of {blocks[0].case.name}"
+        names.append(f"block {fold.index + 1} of {len(folds)}: {where}")
+    return tuple(names)

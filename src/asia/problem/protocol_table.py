@@ -1,18 +1,115 @@
-"""Consistency checks of a protocol, and its conversion to and from tables."""
+"""`[protocol]` of a problem file: its tables, their checks, and conversion to and from a rule.
+
+The digest of a protocol covers every field of its rule, so that the rule has no room for words of
+the file alone (`feedback`, a fold count that may be left out): these are in the tables.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field
 
 from asia._text import suggestion
 from asia.errors import UserError
-from asia.problem.protocol import Group, ProtocolRule, TestRule
-from asia.problem.schema import ProtocolTable
+from asia.problem.metrics import known_metric, known_test_metric
+from asia.problem.protocol import (
+    EarlyStopping,
+    Feedback,
+    FoldKind,
+    FoldRule,
+    Group,
+    OutputGroup,
+    ProtocolRule,
+    ShownResidual,
+    TestRule,
+)
 
+LADDER_STEP = 0.1
 GroupsTable = Mapping[str, Sequence[str]]
+Names = Annotated[tuple[str, ...], Field(min_length=1)]
+_PastSamples = Annotated[int, Field(ge=0, le=100_000)]
+
+
+@dataclass(frozen=True)
+class FoldsTable:
+    kind: FoldKind = "contiguous"
+    count: Annotated[int, Field(ge=1, le=100)] | None = None
+    gap: Annotated[int, Field(ge=0, le=1_000_000)] | None = None
+    tail: Annotated[int, Field(ge=1, le=100_000_000)] | None = None
+
+    def rule(self) -> FoldRule:
+        """Return the fold rule without its groups, which are known once the records were read."""
+        if self.kind == "leave_one_group_out":
+            return FoldRule(self.kind, 0)
+        count = FoldRule.count if self.count is None else self.count
+        return FoldRule(self.kind, count, gap=self.gap or None, tail=self.tail)
+
+
+@dataclass(frozen=True)
+class RotationTable:
+    """Outputs that are angles of one rotation."""
+
+    roll_pitch_yaw: Annotated[tuple[str, ...], Field(min_length=3, max_length=3)]
+
+
+@dataclass(frozen=True)
+class TestTable:
+    metrics: Annotated[
+        tuple[Annotated[str, AfterValidator(known_test_metric)], ...], Field(min_length=1)
+    ] = ("rmse",)
+    skip: Annotated[int, Field(ge=0)] = 0
+    groups: Mapping[str, Names | RotationTable] = field(
+        default_factory=dict[str, "Names | RotationTable"]
+    )
+    horizons: tuple[Annotated[int, Field(ge=1)], ...] = ()
+    unit: Annotated[str, Field(min_length=1)] | None = None
+    unit_factor: Annotated[float, Field(gt=0)] | None = None
+    figures: Mapping[str, Names] = field(default_factory=dict[str, Names])
+
+    def rule(self) -> TestRule:
+        groups = tuple(
+            OutputGroup(name, entry.roll_pitch_yaw, "geodesic")
+            if isinstance(entry, RotationTable)
+            else OutputGroup(name, entry)
+            for name, entry in self.groups.items()
+        )
+        figures = tuple(Group(name, records) for name, records in self.figures.items())
+        return TestRule(
+            self.metrics, self.skip, groups, self.horizons, self.unit, self.unit_factor, figures
+        )
+
+
+@dataclass(frozen=True)
+class ProtocolTable:
+    kind: Literal["simulation", "windows"] = "simulation"
+    folds: FoldsTable = FoldsTable()
+    past_inputs: _PastSamples = ProtocolRule.past_inputs
+    past_outputs: _PastSamples = ProtocolRule.past_outputs
+    metric: Annotated[str, AfterValidator(known_metric)] = "rmse"
+    early_stopping: EarlyStopping = "inner"
+    feedback: Feedback = "exact"
+    ladder_step: Annotated[float, Field(gt=0, lt=1)] | None = None
+    horizon: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    test: TestTable = TestTable()
+    residuals: ShownResidual = "train"
+
+    def rule(self) -> ProtocolRule:
+        return ProtocolRule(
+            kind=self.kind,
+            folds=self.folds.rule(),
+            past_inputs=self.past_inputs,
+            past_outputs=self.past_outputs,
+            metric=self.metric,
+            early_stopping=self.early_stopping,
+            horizon=self.horizon,
+            test=self.test.rule(),
+            residuals=self.residuals,
+            ladder=(self.ladder_step or LADDER_STEP) if self.feedback == "ladder" else None,
+        )
 
 
 def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[str]) -> None:
@@ -27,14 +124,23 @@ def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[
             'protocol.horizon belongs to kind = "windows": set that, or leave the horizon out to '
             "simulate whole blocks"
         )
-    _check_tail(table)
-    if table.folds.kind == "leave_one_group_out":
-        if table.folds.count is not None:
+    folds = table.folds
+    if (folds.kind == "tail") != (folds.tail is not None):
+        raise UserError(
+            'protocol.folds.tail, the samples at the end of each record, and kind = "tail" belong '
+            'together: write folds = { kind = "tail", tail = 100, count = 2 }, or neither'
+        )
+    if folds.count == 1 and folds.kind != "tail":
+        raise UserError(
+            'protocol.folds.count is 1, which only folds of kind = "tail" can have: use 2 or more'
+        )
+    if folds.kind == "leave_one_group_out":
+        if folds.count is not None:
             raise UserError(
                 "protocol.folds.count belongs to contiguous folds: leave it out, [data.groups] "
                 "says how many there are"
             )
-        if table.folds.gap:
+        if folds.gap:
             raise UserError(
                 "protocol.folds.gap belongs to folds within a record: leave it out, "
                 "leave_one_group_out holds out whole records"
@@ -56,19 +162,6 @@ def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[
             "to report every V to agents"
         )
     _check_test(table, table.test.rule(), outputs)
-
-
-def _check_tail(table: ProtocolTable) -> None:
-    folds = table.folds
-    if (folds.kind == "tail") != (folds.tail is not None):
-        raise UserError(
-            'protocol.folds.tail, the samples at the end of each record, and kind = "tail" belong '
-            'together: write folds = { kind = "tail", tail = 100, count = 2 }, or neither'
-        )
-    if folds.count == 1 and folds.kind != "tail":
-        raise UserError(
-            'protocol.folds.count is 1, which only folds of kind = "tail" can have: use 2 or more'
-        )
 
 
 def check_feedback(rule: ProtocolRule) -> None:
@@ -143,19 +236,23 @@ def with_groups(rule: ProtocolRule, groups: GroupsTable, names: Sequence[str]) -
     """
     if rule.folds.kind != "leave_one_group_out":
         return rule
-    found = tuple(
-        Group(name, tuple(n for n in names if any(_matches(n, p, names) for p in patterns)))
-        for name, patterns in groups.items()
-    )
-    for (name, patterns), group in zip(groups.items(), found, strict=True):
+    found: list[Group] = []
+    for group, patterns in groups.items():
+        inside: set[str] = set()
         for pattern in patterns:
-            if not any(_matches(n, pattern, names) for n in names):
+            matching = [n for n in names if fnmatchcase(n, pattern)]
+            if pattern in names:
+                matching = [pattern]
+            if not matching:
+                known = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
                 raise UserError(
-                    f"[data.groups] {name}: no training record is called '{pattern}'"
-                    f"{suggestion(pattern, names)} (they are {_few(names)})"
+                    f"[data.groups] {group}: no training record is called '{pattern}'"
+                    f"{suggestion(pattern, names)} (they are {known})"
                 )
-        if not group.records:
-            raise UserError(f"[data.groups] {name} is empty: name its records, or leave it out")
+            inside.update(matching)
+        if not inside:
+            raise UserError(f"[data.groups] {group} is empty: name its records, or leave it out")
+        found.append(Group(group, tuple(n for n in names if n in inside)))
     for record in names:
         owners = [group.name for group in found if record in group.records]
         if len(owners) != 1:
@@ -164,15 +261,7 @@ def with_groups(rule: ProtocolRule, groups: GroupsTable, names: Sequence[str]) -
                 f"[data.groups]: training record '{record}' is {where}, expected exactly one: "
                 "correct the names or wildcards"
             )
-    return replace(rule, folds=replace(rule.folds, count=len(found), groups=found))
-
-
-def _matches(name: str, pattern: str, names: Sequence[str]) -> bool:
-    return name == pattern if pattern in names else fnmatchcase(name, pattern)
-
-
-def _few(names: Sequence[str]) -> str:
-    return ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
+    return replace(rule, folds=replace(rule.folds, count=len(found), groups=tuple(found)))
 
 
 def groups_table(rule: ProtocolRule) -> dict[str, list[str]] | None:

@@ -28,9 +28,8 @@ def seal(problem: Problem) -> Seal:
         return Seal(None)
     outline = source.outline(problem.channels)
     if outline is not None:
-        found = Seal(**vars(outline))
-        lengths = tuple(problem.preprocess.length(n) for n in found.lengths)
-        found = replace(found, lengths=lengths)
+        lengths = tuple(problem.preprocess.length(n) for n in outline.lengths)
+        found = replace(Seal(**vars(outline)), lengths=lengths)
     else:
         measured = source.records("test", problem.channels).trajectories
         records = prepared(problem, measured)
@@ -41,7 +40,20 @@ def seal(problem: Problem) -> Seal:
             shared_samples=shared_samples(records, problem.train),
             outside_inputs=samples_outside(records, problem.train),
         )
-    _check_lengths(problem, found)
+    rule = problem.protocol
+    least = rule.past + rule.test.skip + least_case(rule)
+    for name, length in zip(found.names, found.lengths, strict=True):
+        if length >= least:
+            continue
+        if rule.horizon is not None:
+            raise UserError(
+                f"test record '{name}' has {length} samples, but the past window and one window "
+                f"of {rule.horizon} need {least}: bring a longer record"
+            )
+        raise UserError(
+            f"test record '{name}' has {length} samples, but the past window and "
+            f"protocol.test.skip leave out {least - 1}: shorten them or bring a longer record"
+        )
     return found
 
 
@@ -81,22 +93,6 @@ def open_test(problem: Problem, keys: Path | None = None) -> tuple[Trajectory, .
             "back, or start a new run"
         )
     return prepared(problem, records)
-
-
-def _check_lengths(problem: Problem, found: Seal) -> None:
-    rule = problem.protocol
-    least = rule.past + rule.test.skip + least_case(rule)
-    for name, length in zip(found.names, found.lengths, strict=True):
-        if rule.horizon is not None and length < least:
-            raise UserError(
-                f"test record '{name}' has {length} samples, but the past window and one window "
-                f"of {rule.horizon} need {least}: bring a longer record"
-            )
-        if length < least:
-            raise UserError(
-                f"test record '{name}' has {length} samples, but the past window and "
-                f"protocol.test.skip leave out {least - 1}: shorten them or bring a longer record"
-            )
 
 
 # The only reader of guard records.

@@ -109,14 +109,6 @@ class Sealing:
         return key
 
 
-@dataclass(frozen=True)
-class Removal:
-    """Removed plain files, and messages about those and about others."""
-
-    removed: tuple[Path, ...]
-    notes: tuple[str, ...]
-
-
 def seal_files(paths: Sequence[Path], columns: Columns) -> Sealing:
     """Return the files as content to seal.
 
@@ -150,8 +142,13 @@ def check_key_folder(keys: Path, directory: Path) -> None:
         )
 
 
-def remove_plain(sealing: Sealing, store: Path, keys: Path) -> Removal:
+def remove_plain(
+    sealing: Sealing, store: Path, keys: Path
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """Remove the plain files, once the store was read back and holds the same bytes.
+
+    Returns:
+        the removed files, and messages about those and about others
 
     Raises:
         UserError: with all files still there, when it does not
@@ -160,49 +157,34 @@ def remove_plain(sealing: Sealing, store: Path, keys: Path) -> Removal:
         raise UserError(f"{store} does not hold what was sealed: the plain files were left alone")
     removed: list[Path] = []
     notes: list[str] = []
-    for path, content in zip(sealing.originals, sealing.contents, strict=False):
-        why = _why_kept(path, content)
-        if why is None:
-            notes += _left_behind(path)
-            try:
-                path.unlink()
-                sync_folder(path.parent)
-            except OSError as error:
-                why = f"could not be removed ({error.strerror}): remove it yourself"
-        if why is None:
-            removed.append(path)
-        else:
-            notes.append(f"the plain file {path} {why}")
-    return Removal(tuple(removed), tuple(notes))
-
-
-def _why_kept(path: Path, content: PlainFile) -> str | None:
-    for folder in _downloads():
-        if folder in path.parents:
-            return (
-                "belongs to a download and stays, for others read it from there: the store hides "
-                "nothing that is not public"
-            )
-    if read_file(path, "name a file") != content.data:
-        return "changed while it was sealed and stays: compare it with your original"
-    return None
-
-
-def _left_behind(path: Path) -> list[str]:
-    """List other places where the rows of a removed file may still exist."""
-    notes: list[str] = []
-    if path.stat().st_nlink > 1:
-        notes.append(f"{path} has other names on this disk (hard links), which still hold it")
-    if any((folder / ".git").exists() for folder in path.parents):
-        notes.append(f"{path} lies in a git repository, whose history may still hold it")
-    return notes
-
-
-def _downloads() -> list[Path]:
-    """Folders of public data sets."""
     own = os.environ.get("ASIA_DATA_DIR")
-    home = Path.home()
-    return [
-        *([Path(own).resolve()] if own else []),
-        *((home / name).resolve() for name in (".nonlinear_benchmarks", ".asia")),
-    ]
+    downloads = [Path.home() / name for name in (".nonlinear_benchmarks", ".asia")]
+    downloads = [folder.resolve() for folder in (*([Path(own)] if own else []), *downloads)]
+    for path, content in zip(sealing.originals, sealing.contents, strict=False):
+        if any(folder in path.parents for folder in downloads):
+            notes.append(
+                f"the plain file {path} belongs to a download and stays, for others read it from "
+                "there: the store hides nothing that is not public"
+            )
+            continue
+        if read_file(path, "name a file") != content.data:
+            notes.append(
+                f"the plain file {path} changed while it was sealed and stays: compare it with "
+                "your original"
+            )
+            continue
+        # Other places where the rows may still exist.
+        if path.stat().st_nlink > 1:
+            notes.append(f"{path} has other names on this disk (hard links), which still hold it")
+        if any((folder / ".git").exists() for folder in path.parents):
+            notes.append(f"{path} lies in a git repository, whose history may still hold it")
+        try:
+            path.unlink()
+            sync_folder(path.parent)
+        except OSError as error:
+            notes.append(
+                f"the plain file {path} could not be removed ({error.strerror}): remove it yourself"
+            )
+        else:
+            removed.append(path)
+    return tuple(removed), tuple(notes)

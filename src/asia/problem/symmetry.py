@@ -67,7 +67,22 @@ def group(symmetry: Symmetry, names: Sequence[str]) -> Array:
     identity = np.eye(len(names))
     found = [identity]
     seen = {identity.tobytes()}
-    generators = [_matrix(generator, names) for generator in symmetry.values()]
+    generators: list[Array] = []
+    for generator in symmetry.values():
+        matrix = np.eye(len(names))
+        for row, name in enumerate(names):
+            if name not in generator:
+                continue
+            value = generator[name]
+            other = _unsigned(value)
+            if other not in names:
+                raise UserError(
+                    f"[symmetry]: '{name}' becomes '{value}', which is not among {', '.join(names)}"
+                )
+            matrix[row] = 0.0
+            matrix[row, names.index(other)] = -1.0 if value.startswith("-") else 1.0
+        # -0.0 and 0.0 are one element.
+        generators.append(matrix + 0.0)
     for element in found:
         for generator in generators:
             turned = generator @ element
@@ -103,22 +118,6 @@ def of_signals(symmetry: Symmetry, inputs: Collection[str], outputs: Collection[
             for signal, value in generator.items()
         )
     }
-
-
-def _matrix(generator: Mapping[str, str], names: Sequence[str]) -> Array:
-    matrix = np.eye(len(names))
-    for row, name in enumerate(names):
-        if name in generator:
-            value = generator[name]
-            other = _unsigned(value)
-            if other not in names:
-                raise UserError(
-                    f"[symmetry]: '{name}' becomes '{value}', which is not among {', '.join(names)}"
-                )
-            matrix[row] = 0.0
-            matrix[row, names.index(other)] = -1.0 if value.startswith("-") else 1.0
-    # -0.0 and 0.0 are one element.
-    return matrix + 0.0
 
 
 def _unsigned(value: str) -> str:

@@ -18,8 +18,7 @@ from asia._text import nearest
 from asia.errors import UserError
 from asia.problem.budget import LEAST_MEMORY_MB
 
-_SHOWN = 3
-_WANTED = {
+_EXPECTED = {
     "string_type": "text in quotes",
     "int_type": "a whole number",
     "int_from_float": "a whole number",
@@ -29,6 +28,8 @@ _WANTED = {
     "mapping_type": "a table",
     "dataclass_type": "a table",
     "finite_number": "a finite number",
+    "too_short": "at least one entry",
+    "string_too_short": "a name",
 }
 
 T = TypeVar("T")
@@ -40,6 +41,10 @@ def read_table(path: Path, schema: type[T]) -> T:
     Raises:
         UserError: at most three sentences
     """
+
+    def refuse_date(value: object) -> NoReturn:
+        raise UserError(f"{value} is a date or a time, which no key of a problem file takes")
+
     try:
         raw = tomllib.loads(read_file(path, "name a problem file").decode("utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -48,69 +53,56 @@ def read_table(path: Path, schema: type[T]) -> T:
         raise UserError(f"{path} is not valid TOML: {error}") from error
     try:
         # As JSON, where strictness takes a list for a tuple and a table for a dataclass.
-        text = json.dumps(raw, default=_refuse_date)
+        text = json.dumps(raw, default=refuse_date)
     except RecursionError as error:
         raise UserError(f"{path}: its tables are nested too deeply") from error
     try:
         return TypeAdapter(schema).validate_json(text)
     except ValidationError as error:
-        found = [_sentence(e, schema) for e in error.errors(include_url=False)]
-        more = len(found) - _SHOWN
-        tail = [f"and {more} more"] if more > 0 else []
-        raise UserError(f"{path.name}: " + "; ".join(found[:_SHOWN] + tail)) from error
+        sentences = [_sentence(e, schema) for e in error.errors(include_url=False)]
+        if len(sentences) > 3:
+            sentences[3:] = [f"and {len(sentences) - 3} more"]
+        raise UserError(f"{path.name}: {'; '.join(sentences)}") from error
 
 
 def _sentence(error: ErrorDetails, schema: type) -> str:
     *where, key = error["loc"] or ("",)
-    table = _table_name(where)
-    kind = error["type"]
-    if kind == "unexpected_keyword_argument":
-        known = _known_keys(schema, where)
-        return f"unknown key '{key}' in {table}{nearest(str(key), known)}"
-    if kind == "missing":
-        return f"'{key}' is missing in {table}"
+    table = f"[{_path(where)}]" if where else "the top level"
     name = _path(error["loc"])
-    if kind == "value_error":
-        reason = str(error["ctx"]["error"]) if "ctx" in error else error["msg"]
-        return f"{name} {reason}" if reason.startswith("is ") else f"{name} = {reason}"
-    shown = _shown(error["input"])
+    context: Mapping[str, Any] = error.get("ctx", {})
+    kind = error["type"]
+    match kind:
+        case "unexpected_keyword_argument":
+            return f"unknown key '{key}' in {table}{nearest(str(key), _known_keys(schema, where))}"
+        case "missing":
+            return f"'{key}' is missing in {table}"
+        case "value_error":
+            reason = str(context.get("error", error["msg"]))
+            return f"{name} {reason}" if reason.startswith("is ") else f"{name} = {reason}"
+        case "greater_than":
+            expected = f"a number above {context['gt']:g}"
+        case "greater_than_equal":
+            expected = f"at least {context['ge']:g}"
+        case "less_than" | "less_than_equal":
+            expected = f"at most {context.get('le', context.get('lt')):g}"
+        case "literal_error":
+            expected = str(context["expected"])
+        case _:
+            expected = _EXPECTED.get(kind) or error["msg"].removeprefix("Input should be ")
+    shown = json.dumps(error["input"], default=str, ensure_ascii=False)
+    if len(shown) > 60:
+        shown = shown[:57] + "..."
     if name == "budget.memory_mb" and kind == "greater_than_equal":
         return (
             f"budget.memory_mb is {shown}: JAX cannot start under {LEAST_MEMORY_MB} MB, "
             f"set it to {LEAST_MEMORY_MB} or more"
         )
-    return f"{name} is {shown}, expected {_expected(error)}"
-
-
-def _expected(error: ErrorDetails) -> str:
-    context: Mapping[str, Any] = error.get("ctx", {})
-    match error["type"]:
-        case "greater_than":
-            return f"a number above {context['gt']:g}"
-        case "greater_than_equal":
-            return f"at least {context['ge']:g}"
-        case "less_than" | "less_than_equal":
-            return f"at most {context.get('le', context.get('lt')):g}"
-        case "literal_error":
-            return str(context["expected"])
-        case "too_short" | "string_too_short":
-            return "at least one entry" if error["type"] == "too_short" else "a name"
-        case other:
-            return _WANTED.get(other) or error["msg"].removeprefix("Input should be ")
-
-
-def _shown(value: object) -> str:
-    text = json.dumps(value, default=str, ensure_ascii=False)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return f"{name} is {shown}, expected {expected}"
 
 
 def _path(where: Sequence[int | str]) -> str:
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where)
     return text.removeprefix(".")
-
-
-def _table_name(where: Sequence[int | str]) -> str:
-    return f"[{_path(where)}]" if where else "the top level"
 
 
 def _known_keys(schema: type, where: Sequence[int | str]) -> list[str]:
@@ -127,10 +119,6 @@ def _table_in(annotation: object) -> type | None:
         return annotation
     found = (_table_in(argument) for argument in get_args(annotation))
     return next((table for table in found if table), None)
-
-
-def _refuse_date(value: object) -> NoReturn:
-    raise UserError(f"{value} is a date or a time, which no key of a problem file takes")
 
 
 def toml_text(tables: Mapping[str, Any]) -> str:

@@ -15,8 +15,6 @@ from asia.judge.scoring.residuals import Diagnostics
 from asia.problem.physics import ParameterRange, Physics, Prior
 
 EXPERIMENTS = 20
-_AHEAD = 3
-_FAILED = 1 / 6
 
 
 def check_agent(make: Callable[[], Agent]) -> None:
@@ -30,28 +28,23 @@ def check_agent(make: Callable[[], Agent]) -> None:
     """
     for facts in _problems():
         for luck in ("mixed", "failing"):
-            _drive(make, facts, luck)
+            _drive(make, facts, luck, EXPERIMENTS)
         if proposes_ahead(make()):
-            _drive_ahead(make, facts)
+            _drive(make, facts, "mixed", EXPERIMENTS // 2 + 2, in_flight=3)
 
 
-def _drive(make: Callable[[], Agent], facts: Facts, luck: str) -> None:
-    trials = (_outcome(_start(), 1, "failing" if luck == "failing" else "good"),)
-    for _ in range(EXPERIMENTS):
-        view = _view(facts, trials)
-        first, second = make().propose(view), make().propose(view)
-        assert first == second, "the proposal is not a function of the view"
-        if first is None:
-            return
-        _check_proposal(first, view)
-        trials = (*trials, _outcome(first, len(trials) + 1, luck))
-
-
-def _drive_ahead(make: Callable[[], Agent], facts: Facts) -> None:
-    """Proposals while the last ones have no result, the first with no result at all."""
+def _drive(
+    make: Callable[[], Agent], facts: Facts, luck: str, proposals: int, in_flight: int = 1
+) -> None:
+    """Ask for proposals while the last ones before have no result: none of them by default."""
+    source = "def fit(trajectories, context):\n    raise RuntimeError('made up')\n"
     trials: tuple[Trial, ...] = ()
-    running: tuple[Proposal, ...] = (_start(),)
-    while len(trials) < EXPERIMENTS // 2:
+    running = (Proposal(source, "baseline", "baseline", "made up", "made up"),)
+    for _ in range(proposals):
+        if len(running) == in_flight:
+            ending = luck if trials or luck == "failing" else "good"
+            trials = (*trials, _outcome(running[0], len(trials) + 1, ending))
+            running = running[1:]
         view = _view(facts, trials, running)
         first, second = make().propose(view), make().propose(view)
         assert first == second, "the proposal is not a function of the view"
@@ -59,9 +52,6 @@ def _drive_ahead(make: Callable[[], Agent], facts: Facts) -> None:
             return
         _check_proposal(first, view)
         running = (*running, first)
-        if len(running) == _AHEAD:
-            trials = (*trials, _outcome(running[0], len(trials) + 1, "mixed"))
-            running = running[1:]
 
 
 def _check_proposal(proposal: Proposal, view: AgentView) -> None:
@@ -77,9 +67,7 @@ def _check_proposal(proposal: Proposal, view: AgentView) -> None:
     assert proposal.parent is None or proposal.parent in known, "the parent does not exist"
 
 
-def _view(
-    facts: Facts, trials: tuple[Trial, ...], proposals: tuple[Proposal, ...] = ()
-) -> AgentView:
+def _view(facts: Facts, trials: tuple[Trial, ...], proposals: tuple[Proposal, ...]) -> AgentView:
     running = tuple(
         Running(n, p.parent, p.family, p.title, p.hypothesis, p.expected, p.source)
         for n, p in enumerate(proposals, len(trials) + 1)
@@ -96,17 +84,12 @@ def _view(
     )
 
 
-def _start() -> Proposal:
-    source = "def fit(trajectories, context):\n    raise RuntimeError('made up')\n"
-    return Proposal(source, "baseline", "baseline", "made up", "made up")
-
-
 def _outcome(proposal: Proposal, number: int, luck: str) -> Trial:
     """A trial with numbers made up from the source, so that they repeat."""
     digest = hashlib.sha256(source_digest(proposal.source).encode()).digest()
     chance = digest[0] / 256
     value = 0.1 + digest[1] / 256
-    failed = luck == "failing" or (luck == "mixed" and chance < _FAILED)
+    failed = luck == "failing" or (luck == "mixed" and chance < 1 / 6)
     evidence = Diagnostics(
         train_error=value * (0.3 + 0.7 * digest[2] / 256),
         bias=digest[3] / 2560,

@@ -43,10 +43,8 @@ def check_candidate(
         AssertionError: that says what fails
     """
     records = list(trajectories) or [tank()]
-    context = context or tank_context()
-    level = level or probe().level
     try:
-        _check(source, records, context, level)
+        _check(source, records, context or tank_context(), level or probe().level)
     except CandidateError as error:
         words = f"{error.reason.advice}: {error.detail}" if error.detail else error.reason.advice
         raise AssertionError(f"the candidate fails ({error.reason}): {words}") from error
@@ -54,7 +52,12 @@ def check_candidate(
 
 def _check(source: str, records: Sequence[Trajectory], context: Context, level: Isolation) -> None:
     check_source(source)
-    rule = _rule(context)
+    rule = ProtocolRule(
+        kind="simulation" if context.horizon is None else "windows",
+        past_inputs=context.n_past_u,
+        past_outputs=context.n_past_y,
+        horizon=context.horizon,
+    )
     blocks = whole(records, rule)
     scale = np.concatenate([record.y for record in records]).std(axis=0)
     with open_worker(level, _LIMITS) as worker:
@@ -88,15 +91,6 @@ def _fitted(
 
 def _same(one: Sequence[Array], other: Sequence[Array]) -> bool:
     return all(a.tobytes() == b.tobytes() for a, b in zip(one, other, strict=True))
-
-
-def _rule(context: Context) -> ProtocolRule:
-    return ProtocolRule(
-        kind="simulation" if context.horizon is None else "windows",
-        past_inputs=context.n_past_u,
-        past_outputs=context.n_past_y,
-        horizon=context.horizon,
-    )
 
 
 def tank() -> Trajectory:

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from asia.judge.executors import Executor
 
-_JOBS = 20
-
 
 def check_executor(make: Callable[[], Executor]) -> None:
     """Give an executor jobs that return, wait and raise.
@@ -25,39 +23,28 @@ def check_executor(make: Callable[[], Executor]) -> None:
     executor = make()
     assert executor.run(list[Callable[[], int]]()) == [], "no jobs must give no results"
     assert executor.run([partial(_after, 0.0, 7)]) == [7], "one job must give its result"
-    jobs = [partial(_after, 0.02 * (number % 3 == 0), number) for number in range(_JOBS)]
+    jobs = [partial(_after, 0.02 * (number % 3 == 0), number) for number in range(20)]
     for _ in range(2):
-        assert executor.run(jobs) == list(range(_JOBS)), "results must come in the order of jobs"
-    _check_exceptions(make())
-    _check_several_threads(make())
-
-
-def _check_exceptions(executor: Executor) -> None:
+        assert executor.run(jobs) == list(range(20)), "results must come in the order of jobs"
+    executor = make()
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder, str(number)) for number in range(4)]
-        jobs = [partial(_fail, "first"), *(partial(_touch, file) for file in files)]
-        raised = _raised(executor, [*jobs, partial(_fail, "second")])
+        touches = [partial(_touch, file) for file in files]
+        raised: LookupError | None = None
+        try:
+            executor.run([partial(_fail, "first"), *touches, partial(_fail, "second")])
+        except LookupError as error:
+            raised = error
         assert raised is not None, "the exception of a job was lost"
         assert raised.args == ("first",), f"the first exception must be raised, not {raised!r}"
         missing = [file.name for file in files if not file.exists()]
         assert not missing, f"{len(missing)} jobs had not ended when another's exception was raised"
     assert executor.run([partial(_after, 0.0, 1)]) == [1], "an exception left it unusable"
-
-
-def _check_several_threads(executor: Executor) -> None:
-    given = [[partial(_after, 0.01, 100 * batch + n) for n in range(3)] for batch in range(4)]
-    with ThreadPoolExecutor(len(given)) as threads:
-        found = list(threads.map(executor.run, given))
-    expected = [[100 * batch + n for n in range(3)] for batch in range(4)]
-    assert found == expected, "jobs that several threads give must not mix"
-
-
-def _raised(executor: Executor, jobs: list[partial[None]]) -> LookupError | None:
-    try:
-        executor.run(jobs)
-    except LookupError as error:
-        return error
-    return None
+    numbers = [[100 * batch + n for n in range(3)] for batch in range(4)]
+    batches = [[partial(_after, 0.01, n) for n in batch] for batch in numbers]
+    with ThreadPoolExecutor(len(batches)) as threads:
+        found = list(threads.map(make().run, batches))
+    assert found == numbers, "jobs that several threads give must not mix"
 
 
 def _after(seconds: float, value: int) -> int:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from asia.candidate import StepModel
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
 from asia.export.model import ExportModel, Printed, TrainingWindow
@@ -46,19 +44,19 @@ def check_export_target(target: Target) -> None:
             except UserError:
                 assert not name.startswith("linear"), f"the {name} model is refused"
                 continue
-            _check_files(printed, target.print(model), name)
+            again = target.print(model)
+            assert printed.files, f"the {name} model: no file was printed"
+            for file, data in printed.files.items():
+                place = PurePosixPath(file)
+                inside = not place.is_absolute() and ".." not in place.parts
+                assert inside, f"the {name} model: file {file!r} lies outside the folder"
+                written = file in ("USE.md", "model.json")
+                assert not written, f"{file} is written by `asia export`"
+                same = data == again.files.get(file)
+                assert same, f"the {name} model: {file} differs when printed again"
+            same = printed.files.keys() == again.files.keys()
+            assert same, f"the {name} model: other files when again"
             _check_simulations(target, folder, printed, model, name)
-
-
-def _check_files(printed: Printed, again: Printed, name: str) -> None:
-    assert printed.files, f"the {name} model: no file was printed"
-    for file, data in printed.files.items():
-        path = PurePosixPath(file)
-        inside = not path.is_absolute() and ".." not in path.parts
-        assert inside, f"the {name} model: file {file!r} lies outside the folder"
-        assert file not in ("USE.md", "model.json"), f"{file} is written by `asia export`"
-        assert data == again.files.get(file), f"the {name} model: {file} differs when printed again"
-    assert printed.files.keys() == again.files.keys(), f"the {name} model: other files when again"
 
 
 def _check_simulations(
@@ -75,14 +73,13 @@ def _check_simulations(
         return
     assert answers, f"the {name} model: run gives no simulation"
     for answer in answers:
-        assert len(answer.y_hat) == len(windows), (
-            f"the {name} model, {answer.variant}: {len(answer.y_hat)} simulations of "
-            f"{len(windows)} windows"
-        )
+        where = f"the {name} model, {answer.variant}"
+        count = len(answer.y_hat)
+        assert count == len(windows), f"{where}: {count} simulations of {len(windows)} windows"
         row = parity_row(target.name, answer, windows, model.lowered.single, printed.bytes)
         assert row.holds, (
-            f"the {name} model, {answer.variant}: the files differ by {row.difference:.1e} of the "
-            f"outputs' spread, at most {row.limit:.0e} is allowed"
+            f"{where}: the files differ by {row.difference:.1e} of the outputs' spread, at most "
+            f"{row.limit:.0e} is allowed"
         )
 
 
@@ -96,7 +93,6 @@ class _Linear:
         self.start = 0.2 * random.normal(size=(_PAST * (_NU + _NY), 3))
 
     def initial(self, past_u: Any, past_y: Any, u: Any) -> Any:
-        """State (B, 3)."""
         del u
         rows = len(past_u)
         flat = past_u.reshape(rows, -1), past_y.reshape(rows, -1)
@@ -104,7 +100,6 @@ class _Linear:
         return flat[0] @ self.start[:half] + flat[1] @ self.start[half:]
 
     def step(self, state: Any, u: Any) -> tuple[Any, Any]:
-        """State and output."""
         return state @ self.a + u @ self.b, state @ self.c
 
 
@@ -116,7 +111,6 @@ class _Nonlinear(_Linear):
         return super().initial(past_u, past_y, u), past_u[:, -1]
 
     def step(self, state: Any, u: Any) -> tuple[Any, Any]:
-        """State and output."""
         import jax.numpy as jnp
 
         x, before = state
@@ -127,36 +121,25 @@ class _Nonlinear(_Linear):
 
 
 def _models() -> dict[str, ExportModel]:
-    made = {"linear": _Linear(1), "other linear": _Linear(2), "nonlinear": _Nonlinear(3)}
-    with _precision_restored():
-        return {name: _export_model(_lowered(model)) for name, model in made.items()}
-
-
-@contextmanager
-def _precision_restored() -> Generator[None]:
     import jax
 
-    before = jax.dtypes.canonicalize_dtype(float) == np.float64
-    try:
-        yield
-    finally:
-        jax.config.update("jax_enable_x64", before)
-
-
-def _lowered(model: StepModel) -> LoweredModel:
-    found = unpack(lowered_bytes(model, _PAST, _PAST, _NU, _NY))
-    assert isinstance(found, LoweredModel), found
-    return found
-
-
-def _export_model(lowered: LoweredModel) -> ExportModel:
     spans = np.array([[-1.0, 1.0], [-1.0, 1.0]])
     inputs = Signal("valve", "V"), Signal("heater 2", "W")
     outputs = Signal("level", "mm"), Signal("temperature", "°C")
-    example = _windows(lowered)[0].first(10)
-    return ExportModel(
-        "made_up", "refit", "made_up", lowered, inputs, outputs, 0.5, spans, spans, example
-    )
+    made = {"linear": _Linear(1), "other linear": _Linear(2), "nonlinear": _Nonlinear(3)}
+    models: dict[str, ExportModel] = {}
+    double = jax.dtypes.canonicalize_dtype(float) == np.float64
+    try:
+        for name, model in made.items():
+            lowered = unpack(lowered_bytes(model, _PAST, _PAST, _NU, _NY))
+            assert isinstance(lowered, LoweredModel), lowered
+            example = _windows(lowered)[0].first(10)
+            models[name] = ExportModel(
+                "made_up", "refit", "made_up", lowered, inputs, outputs, 0.5, spans, spans, example
+            )
+    finally:
+        jax.config.update("jax_enable_x64", double)
+    return models
 
 
 def _windows(lowered: LoweredModel) -> Sequence[TrainingWindow]:

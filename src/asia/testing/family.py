@@ -33,7 +33,14 @@ def check_family(row: Family) -> None:
         for change in row.methods:
             check_recipe(change(facts, recipe))
     check_candidate(row.smallest(facts).source(row.label), [record], context)
-    _check_unequal(row, record, context)
+    context = replace(context, n_past_u=2, n_past_y=6)
+    module = types.ModuleType(row.name)
+    exec(smallest_source(row, record, context), module.__dict__)
+    model = module.fit([record[:120], record[120:]], context)
+    y = model.simulate(record.u[None, 4:6], record.y[None, :6], record.u[None, 6:])
+    assert y.shape == (1, len(record) - 6, context.ny), f"y_hat has shape {y.shape}"
+    assert np.isfinite(y).all(), "y_hat is not finite"
+    assert np.std(y) > 0, "no output moves"
 
 
 def check_recipe(recipe: Recipe) -> None:
@@ -63,17 +70,6 @@ def family_problem(row: Family) -> tuple[Trajectory, Context]:
 def smallest_source(row: Family, record: Trajectory, context: Context) -> str:
     """The candidate that the family is tested with."""
     return row.smallest(_facts(record, context)).source(row.label)
-
-
-def _check_unequal(row: Family, record: Trajectory, context: Context) -> None:
-    context = replace(context, n_past_u=2, n_past_y=6)
-    module = types.ModuleType(row.name)
-    exec(smallest_source(row, record, context), module.__dict__)
-    model = module.fit([record[:120], record[120:]], context)
-    y = model.simulate(record.u[None, 4:6], record.y[None, :6], record.u[None, 6:])
-    assert y.shape == (1, len(record) - 6, context.ny), f"y_hat has shape {y.shape}"
-    assert np.isfinite(y).all(), "y_hat is not finite"
-    assert np.std(y) > 0, "no output moves"
 
 
 def _facts(record: Trajectory, context: Context) -> Facts:

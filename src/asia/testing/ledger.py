@@ -29,8 +29,6 @@ from asia.ledger.events import (
 )
 from asia.ledger.view import SearchView
 
-_PLACES = 40
-
 
 class OpenLedger(Protocol):
     """A ledger open for writing; use it as a context manager."""
@@ -65,61 +63,45 @@ def check_ledger(open_ledger: Callable[[Path], OpenLedger]) -> None:
     Args:
         open_ledger: of the path of a file, which need not exist
     """
+    events = made_up_events()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "run", "ledger.jsonl")
-        _check_events(open_ledger, path)
-        _check_one_writer(open_ledger, path)
-        _check_torn_tail(open_ledger, path)
-        _check_damage(open_ledger, path)
-
-
-def _check_events(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
-    events = made_up_events()
-    with open_ledger(path) as ledger:
-        for event in events:
-            ledger.append(event)
-        assert [line.event for line in ledger.lines] == events, "events changed in writing"
-    with open_ledger(path) as ledger:
-        assert [line.event for line in ledger.lines] == events, "events changed in reading"
-        assert [line.seq for line in ledger.lines] == list(range(len(events))), "seq must count"
-        best = ledger.view.best
-        assert best is not None, "the view lost the incumbent"
-        assert best.number == 1, "the view is not that of the events"
-
-
-def _check_one_writer(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
-    with open_ledger(path):
-        assert _refused(open_ledger, path), "two writers at once"
-    assert not _refused(open_ledger, path), "a ledger that was closed is still held"
-
-
-def _check_torn_tail(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
-    whole, events = path.read_bytes(), made_up_events()
-    last = whole.rstrip(b"\n").rfind(b"\n") + 1
-    step = max((len(whole) - last) // _PLACES, 1)
-    for cut in range(last, len(whole), step):
-        path.write_bytes(whole[:cut])
         with open_ledger(path) as ledger:
-            kept = [line.event for line in ledger.lines]
-            assert kept == events[:-1], f"cut {len(whole) - cut} bytes before its end: not repaired"
-            ledger.append(events[-1])
+            for event in events:
+                ledger.append(event)
+            assert [line.event for line in ledger.lines] == events, "events changed in writing"
         with open_ledger(path) as ledger:
-            assert len(ledger.lines) == len(events), "the record after a repair was lost"
-    path.write_bytes(whole)
+            assert [line.event for line in ledger.lines] == events, "events changed in reading"
+            numbers = [line.seq for line in ledger.lines]
+            assert numbers == list(range(len(events))), "seq must count"
+            best = ledger.view.best
+            assert best is not None, "the view lost the incumbent"
+            assert best.number == 1, "the view is not that of the events"
+            assert _refused(open_ledger, path), "two writers at once"
+        assert not _refused(open_ledger, path), "a ledger that was closed is still held"
 
+        # A last record that was cut, at up to 40 places.
+        whole = path.read_bytes()
+        last = whole.rstrip(b"\n").rfind(b"\n") + 1
+        for cut in range(last, len(whole), max((len(whole) - last) // 40, 1)):
+            path.write_bytes(whole[:cut])
+            with open_ledger(path) as ledger:
+                kept = [line.event for line in ledger.lines]
+                before_end = len(whole) - cut
+                assert kept == events[:-1], f"cut {before_end} bytes before its end: not repaired"
+                ledger.append(events[-1])
+            with open_ledger(path) as ledger:
+                assert len(ledger.lines) == len(events), "the record after a repair was lost"
 
-def _check_damage(open_ledger: Callable[[Path], OpenLedger], path: Path) -> None:
-    whole = path.read_bytes()
-    last = whole.rstrip(b"\n").rfind(b"\n") + 1
-    for place in range(0, last, max(last // _PLACES, 1)):
-        damaged = bytearray(whole)
-        damaged[place] ^= 1
-        path.write_bytes(damaged)
-        assert _refused(open_ledger, path), f"byte {place} was changed and nobody noticed"
-    first, _, rest = whole.partition(b"\n")
-    path.write_bytes(first + b"\n" + rest.partition(b"\n")[2])
-    assert _refused(open_ledger, path), "a record was taken out and nobody noticed"
-    path.write_bytes(whole)
+        # A byte that was changed, and a record that was taken out.
+        for place in range(0, last, max(last // 40, 1)):
+            damaged = bytearray(whole)
+            damaged[place] ^= 1
+            path.write_bytes(damaged)
+            assert _refused(open_ledger, path), f"byte {place} was changed and nobody noticed"
+        first, _, rest = whole.partition(b"\n")
+        path.write_bytes(first + b"\n" + rest.partition(b"\n")[2])
+        assert _refused(open_ledger, path), "a record was taken out and nobody noticed"
 
 
 def _refused(open_ledger: Callable[[Path], OpenLedger], path: Path) -> bool:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from asia.data.sources.source import Channels, DataTable, SealedEntry, Source, SourceData, Subset
 from asia.data.trajectory import data_digest
@@ -38,9 +38,17 @@ def check_source(
     assert bool(found["test"].trajectories) == source.has_test, "has_test must say what is read"
     names = tuple(t.name for t in found["guard"].trajectories)
     assert sorted(names) == sorted(source.guard_names), "guard_names must say what is read"
-    _check_apart(found["train"], found["test"], "test")
-    _check_apart(found["train"], found["guard"], "guard")
-    _check_round_trip(source)
+    digests = {data_digest([t]): t.name for t in found["train"].trajectories}
+    for subset in ("test", "guard"):
+        for t in found[subset].trajectories:
+            same = digests.get(data_digest([t]))
+            assert same is None, f"{subset} record '{t.name}' is also training record '{same}'"
+    entries = {k: v for k, v in source.to_toml().items() if v is not None}
+    table: dict[str, Any] = {k: tuple(v) if type(v) is list else v for k, v in entries.items()}
+    if "sealed" in table:
+        table["sealed"] = SealedEntry(**table["sealed"])
+    again = type(source).from_table(DataTable(**table), Path("/"))
+    assert again == source, f"from_table must make an equal source from to_toml, not {again}"
 
 
 def _read(
@@ -63,24 +71,6 @@ def _read(
     return found
 
 
-def _check_apart(train: SourceData, other: SourceData, subset: str) -> None:
-    digests = {data_digest([t]): t.name for t in train.trajectories}
-    for t in other.trajectories:
-        same = digests.get(data_digest([t]))
-        assert same is None, f"{subset} record '{t.name}' is also training record '{same}'"
-
-
-def _check_round_trip(source: Source) -> None:
-    table = {k: v for k, v in source.to_toml().items() if v is not None}
-    for key, value in table.items():
-        if isinstance(value, list):
-            table[key] = tuple(value)
-    if "sealed" in table:
-        table["sealed"] = SealedEntry(**table["sealed"])
-    again = type(source).from_table(DataTable(**table), Path("/"))
-    assert again == source, f"from_table must make an equal source from to_toml, not {again}"
-
-
 _watching: list[list[str]] = []
 
 
@@ -98,12 +88,12 @@ def _files_opened() -> Generator[list[str]]:
         _watching.remove(opened)
         own = [Path(p).resolve() for p in (sys.prefix, sys.base_prefix, *sys.path) if p]
         own += [Path(p) for p in ("/proc", "/sys", "/dev", "/etc")]
-        opened[:] = [p for p in opened if not _below(Path(p), own)]
-
-
-def _below(path: Path, folders: Sequence[Path]) -> bool:
-    real = path.resolve()
-    return real.suffix in (".py", ".pyc") or any(folder in real.parents for folder in folders)
+        opened[:] = [
+            p
+            for p in opened
+            if (real := Path(p).resolve()).suffix not in (".py", ".pyc")
+            and not any(folder in real.parents for folder in own)
+        ]
 
 
 def _note(event: str, arguments: tuple[object, ...]) -> None:

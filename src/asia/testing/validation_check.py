@@ -12,11 +12,6 @@ from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
 from asia.judge.scoring.checks.registry import ValidationCheck, ValidationData
 from asia.judge.scoring.checks.response import HORIZONS, LinearResponse, impulse_response
 
-_SAMPLING_TIME = 0.5
-_SAMPLES = 720
-_SETTLED = 300
-_JUDGED = (Verdict.DOUBT, Verdict.FAIL)
-
 
 def check_validation_check(check: ValidationCheck) -> None:
     """Apply the check to models of made-up systems: a sound model and seven with a known defect.
@@ -27,26 +22,26 @@ def check_validation_check(check: ValidationCheck) -> None:
     raise nothing; a sound model does not FAIL; at least one of the defects changes the result.
     Raises AssertionError that says what fails, and whatever the check raises.
     """
+
+    def results(checks: Sequence[Check]) -> list[tuple[Verdict, str]]:
+        return [(c.verdict, c.sentence) for c in checks]
+
     sound = _applied(check, "a sound model", _data())
     again = _applied(check, "a sound model", _data())
-    assert _said(sound) == _said(again), "the same data give another result"
+    assert results(sound) == results(again), "the same data give another result"
     failed = [c.name for c in sound if c.verdict is Verdict.FAIL]
     assert not failed, f"a sound model fails: {', '.join(failed)}"
     defects = ("gain", "delay", "saturation", "drift", "friction", "bias", "unstable")
     found = [_applied(check, f"a model with the defect {d}", _data(d)) for d in defects]
-    same = all([(c.verdict, c.sentence) for c in one] == _said(sound) for one in found)
+    same = all(results(one) == results(sound) for one in found)
     assert not same, f"none of the defects {', '.join(defects)} changes the result"
     _applied(check, "records of 40 samples", _data(samples=40))
     _applied(check, "two outputs", _data(outputs=2))
     _applied(check, "records with missing measurements", _data(missing=True))
 
 
-def _said(checks: Sequence[Check]) -> list[tuple[Verdict, str]]:
-    return [(c.verdict, c.sentence) for c in checks]
-
-
 def _applied(check: ValidationCheck, data_name: str, data: ValidationData) -> tuple[Check, ...]:
-    before = _copies(data)
+    before = [a.copy() for a in _arrays(data)]
     found = check(data)
     results = found if isinstance(found, tuple) else (found,)
     for one in results:
@@ -66,7 +61,7 @@ def _check_result(one: object, data_name: str) -> None:
     assert isinstance(one.verdict, Verdict), f"{where}: {one.verdict!r} is no Verdict"
     assert len(one.sentence.splitlines()) == 1, f"{where}: expected a sentence of one line"
     assert one.cause is None or isinstance(one.cause, Cause), f"{where}: {one.cause!r} is no Cause"
-    judged = one.verdict in _JUDGED
+    judged = one.verdict in (Verdict.DOUBT, Verdict.FAIL)
     assert judged or (one.cause is None and one.weight == 0.0), (
         f"{where}: a cause or a weight with verdict {one.verdict}"
     )
@@ -85,10 +80,6 @@ def _arrays(data: ValidationData) -> list[Array]:
     return [*blocks, *(r.impulse for r in data.linear_responses), data.lowest, data.highest]
 
 
-def _copies(data: ValidationData) -> list[Array]:
-    return [a.copy() for a in _arrays(data)]
-
-
 def _simulated(u: Array, a: tuple[float, float] = (1.3, -0.5)) -> Array:
     """Second-order system with static gain 1.5."""
     y = np.zeros(len(u))
@@ -99,7 +90,7 @@ def _simulated(u: Array, a: tuple[float, float] = (1.3, -0.5)) -> Array:
 
 
 def _data(
-    defect: str = "", *, samples: int = _SAMPLES, outputs: int = 1, missing: bool = False
+    defect: str = "", *, samples: int = 720, outputs: int = 1, missing: bool = False
 ) -> ValidationData:
     """Data of a model that lacks what the system has."""
     random = np.random.default_rng(3)
@@ -131,17 +122,14 @@ def _data(
             return None
         return np.tile(_simulated(np.tile(u, HORIZONS))[:, None], (1, outputs))
 
+    size = -1e-3 if defect == "gain" else 1e-3
+    up = np.tile(_simulated(np.full(300, size))[:, None], (1, outputs))
+    response = LinearResponse("middle inputs", "input", impulse_response(up, -up, 1e-3))
     return ValidationData(
-        simulations=SimulatedBlocks(blocks, ("input",), names, _SAMPLING_TIME),
-        linear_responses=() if defect == "unstable" else (_response(outputs, defect == "gain"),),
+        simulations=SimulatedBlocks(blocks, ("input",), names, 0.5),
+        linear_responses=() if defect == "unstable" else (response,),
         lowest=lowest,
         highest=highest,
         noise=lambda: [0.02 / float(s) for s in np.nanstd(measured, axis=0)],
         long_run=long_run,
     )
-
-
-def _response(outputs: int, reversed_gain: bool) -> LinearResponse:
-    size = -1e-3 if reversed_gain else 1e-3
-    up = np.tile(_simulated(np.full(_SETTLED, size))[:, None], (1, outputs))
-    return LinearResponse("middle inputs", "input", impulse_response(up, -up, 1e-3))

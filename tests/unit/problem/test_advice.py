@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asia.data import Array, Signal, Trajectory
-from asia.problem.check import data_doubts, delay_lines, input_delays
+from asia.problem.check import data_doubts, delay_lines
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
 
@@ -39,7 +39,7 @@ def of(tanks: Problem, u: Array, y: Array) -> Problem:
 def test_a_clean_record_has_its_delay_and_no_doubts(tanks: Problem, seed: int) -> None:
     problem = of(tanks, *clean(seed))
     assert data_doubts(problem) == []
-    (line,) = delay_lines(problem, input_delays(problem))
+    (line,) = delay_lines(problem)
     assert line.endswith("99 % band: u 3")
 
 
@@ -79,7 +79,7 @@ def test_an_input_that_reads_the_output_of_the_same_sample_is_doubted(tanks: Pro
         u[k] = rng.normal() - 1.5 * y[k]
         y[k + 1] = 0.9 * y[k] + 0.1 * u[k] + rng.normal()
     problem = of(tanks, u, y)
-    lines = delay_lines(problem, input_delays(problem))
+    lines = delay_lines(problem)
     assert any("delay 0: output y" in line and "controller" in line for line in lines)
 
 
@@ -98,8 +98,5 @@ def test_feedback_is_distinguished_from_an_open_loop(tanks: Problem) -> None:
 def test_feedback_to_a_sine_is_not_judged(tanks: Problem) -> None:
     u = np.sin(2 * np.pi * np.arange(SAMPLES) / 37)
     problem = of(tanks, u, np.roll(u, 3))
-    assert any(
-        line.startswith("feedback: not tested for input u")
-        for line in delay_lines(problem, input_delays(problem))
-    )
+    assert any(line.startswith("feedback: not tested for input u") for line in delay_lines(problem))
     assert not any("follows earlier" in doubt for doubt in data_doubts(problem))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,12 +19,12 @@ from asia.data.intake.sheet import (
     FileTable,
     Wanted,
     as_objects,
+    find_channels,
     find_column,
     split_unit,
 )
 from asia.data.intake.text import Text, number
 from asia.data.intake.time import time_column
-from asia.data.intake.tree import tree_sheets
 from asia.errors import UserError
 
 # Libraries that come with an extra.
@@ -46,7 +48,85 @@ def need(module: str, path: Path, extra: str) -> Any:
 # Files of named arrays: NumPy, MATLAB, HDF5.
 
 
-_EXPORT = "s = struct('y', z.y, 'u', z.u, 'Ts', z.Ts); save('{name}.mat', '-struct', 's', '-v7')"
+_STEPS = ("ts", "dt", "sampling_time", "sample_time", "samplingtime", "fs", "sampling_rate")
+_RATES = ("fs", "sampling_rate")
+
+
+def _tree_sheets(
+    name: str, where: str, tree: Mapping[str, Any], wanted: Wanted
+) -> tuple[FileTable, ...]:
+    """The folders of the tree that hold all wanted channels, one sheet each; the whole tree where
+    none does.
+
+    A matrix of n columns is n channels, called `name1` to `namen`; a channel is known by its own
+    name, where that is the only one, and by its path.
+
+    Args:
+        tree: arrays, mappings and lists of mappings
+    """
+    found = list(_matching_tables(name, where, tree, wanted))
+    return tuple(found) or (_tree_table(name, where, tree),)
+
+
+def _matching_tables(
+    name: str, where: str, tree: Mapping[str, Any], wanted: Wanted
+) -> Iterator[FileTable]:
+    sheet = _tree_table(name, where, tree)
+    if all(find_channels(sheet.columns, n) for n in wanted.names):
+        yield sheet
+        return
+    for key, node in tree.items():
+        if isinstance(node, Mapping):
+            yield from _matching_tables(key, f"{where}, {key}", node, wanted)
+        elif isinstance(node, list) and all(isinstance(n, Mapping) for n in node):
+            for k, one in enumerate(node, 1):
+                yield from _matching_tables(f"{key}{k}", f"{where}, {key}({k})", one, wanted)
+
+
+def _tree_table(name: str, where: str, tree: Mapping[str, Any]) -> FileTable:
+    leaves = dict(_arrays_in(tree, ""))
+    short = Counter(path.rpartition(".")[2] for path in leaves)
+    columns: dict[str, Column] = {}
+    step = None
+    for path, values in leaves.items():
+        bare = path.rpartition(".")[2]
+        label = bare if short[bare] == 1 else path
+        if values.size == 1:
+            if bare.casefold() in _STEPS and values.dtype.kind in "fiu":
+                value = float(values.flat[0])
+                step = 1.0 / value if bare.casefold() in _RATES else value
+            continue
+        for key, cells in _matrix_columns(label, values):
+            columns[key] = Column(cells, matrix="" if key == label else label)
+    lengths = Counter(len(c.cells) for c in columns.values())
+    longest = max(lengths, key=lambda n: (lengths[n], n), default=0)
+    kept = {k: c for k, c in columns.items() if len(c.cells) == longest}
+    return FileTable(name, kept, step if step is not None and step > 0 else None, where)
+
+
+def _arrays_in(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Cells]]:
+    for key, node in tree.items():
+        path = f"{prefix}{key}"
+        if isinstance(node, Mapping):
+            yield from _arrays_in(node, f"{path}.")
+        elif isinstance(node, np.ndarray) and node.dtype.kind in "fiubMOUS" and node.ndim <= 3:
+            yield path, np.asarray(node)
+        elif isinstance(node, float | int | np.number):
+            yield path, np.asarray(node, dtype=np.float64)
+
+
+def _matrix_columns(label: str, values: Cells) -> Sequence[tuple[str, Cells]]:
+    """A matrix as its columns; time runs along the longer side."""
+    values = np.squeeze(values)
+    if values.dtype.kind in "US":
+        values = values.astype(object)
+    if values.ndim == 1:
+        return [(label, values)]
+    if values.ndim != 2:
+        return []
+    if values.shape[0] < values.shape[1]:
+        values = values.T
+    return [(f"{label}{k + 1}", values[:, k]) for k in range(values.shape[1])]
 
 
 class NumpyFile(FileFormat):
@@ -63,17 +143,14 @@ class NumpyFile(FileFormat):
         except (OSError, ValueError, EOFError, KeyError) as error:
             raise UserError(f"{path} does not read as a NumPy file: {error}") from None
         if set(tree) == {path.stem} and wanted.columns:
-            tree = _named(path, np.atleast_2d(tree[path.stem]), wanted)
-        return tree_sheets(path.stem, str(path), tree, wanted)
-
-
-def _named(path: Path, values: Any, wanted: Wanted) -> dict[str, Any]:
-    if values.shape[-1] != len(wanted.columns):
-        raise UserError(
-            f"{path} has {values.shape[-1]} columns, but --columns names {len(wanted.columns)}: "
-            "name every column, in the order of the file"
-        )
-    return {name: values[:, k] for k, name in enumerate(wanted.columns)}
+            values = np.atleast_2d(tree[path.stem])
+            if values.shape[-1] != len(wanted.columns):
+                raise UserError(
+                    f"{path} has {values.shape[-1]} columns, but --columns names "
+                    f"{len(wanted.columns)}: name every column, in the order of the file"
+                )
+            tree = {name: values[:, k] for k, name in enumerate(wanted.columns)}
+        return _tree_sheets(path.stem, str(path), tree, wanted)
 
 
 class Matlab(FileFormat):
@@ -83,18 +160,17 @@ class Matlab(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".mat",)
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         from scipy.io import loadmat
         from scipy.io.matlab import MatReadError
 
         try:
             found: dict[str, Any] = loadmat(path, simplify_cells=True)
         except NotImplementedError:
-            return tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=True), wanted)
+            return _tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=True), wanted)
         except (OSError, ValueError, TypeError, IndexError, MatReadError) as error:
             raise UserError(f"{path} does not read as a MAT file: {error}") from None
         tree = {k: v for k, v in found.items() if not k.startswith("__")}
-        sheets = tree_sheets(path.stem, str(path), tree, wanted)
+        sheets = _tree_sheets(path.stem, str(path), tree, wanted)
         opaque = "None" in found or "__function_workspace__" in found
         if opaque and not any(sheet.columns for sheet in sheets):
             raise _object(path, "None")
@@ -105,7 +181,8 @@ def _object(path: Path, name: str) -> UserError:
     what = f"the MATLAB object '{name}'" if name != "None" else "a MATLAB object"
     return UserError(
         f"{path} holds {what}, such as iddata, which only MATLAB reads: export it there with "
-        + _EXPORT.format(name=path.stem + "_arrays")
+        "s = struct('y', z.y, 'u', z.u, 'Ts', z.Ts); "
+        f"save('{path.stem}_arrays.mat', '-struct', 's', '-v7')"
     )
 
 
@@ -116,8 +193,7 @@ class Hdf5(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".h5", ".hdf5", ".hdf", ".he5")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
-        return tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=False), wanted)
+        return _tree_sheets(path.stem, str(path), _hdf5_tree(path, matlab=False), wanted)
 
 
 def _hdf5_tree(path: Path, *, matlab: bool) -> dict[str, Any]:
@@ -187,85 +263,57 @@ class Arrow(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".parquet", ".pq", ".arrow", ".feather", ".ipc")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
-        file = _open(path)
-        empty = {n: Column(np.zeros(0, _kind(t))) for n, t in file.types.items()}
+        pyarrow = need("pyarrow", path, "intake")
+        try:
+            if path.suffix.lower() in (".parquet", ".pq"):
+                file: Any = need("pyarrow.parquet", path, "intake").ParquetFile(path)
+                schema, rows, read_batches = (
+                    file.schema_arrow,
+                    file.metadata.num_rows,
+                    partial(file.iter_batches, batch_size=_ROWS),
+                )
+            else:
+                dataset: Any = need("pyarrow.dataset", path, "intake")
+                file = dataset.dataset(path, format="feather")
+                schema, rows, read_batches = (
+                    file.schema,
+                    file.count_rows(),
+                    partial(file.to_batches, batch_size=_ROWS, use_threads=False),
+                )
+        except (OSError, pyarrow.lib.ArrowException) as error:
+            raise UserError(f"{path} does not read as Parquet or Arrow: {error}") from None
+        kinds: dict[str, str] = {
+            n: _kind(t) for n, t in zip(schema.names, schema.types, strict=True)
+        }
+        empty = {n: Column(np.zeros(0, kind)) for n, kind in kinds.items()}
         names = {find_column(list(empty), n) for n in wanted.names}
         names |= {n for n in empty if n.casefold() in ("date", "datum")} if wanted.names else set()
         names.add(time_column(FileTable(path.stem, empty, where=str(path)), wanted))
-        kept = [n for n in empty if n in names]
         if not wanted.names or not all(find_column(list(empty), n) for n in wanted.names):
             return (FileTable(path.stem, empty, where=str(path)),)
-        columns = {n: Column(cells) for n, cells in _collect(file, kept, path, wanted).items()}
+        cells = {n: np.empty(rows, dtype=kinds[n]) for n in empty if n in names}
+        done = 0
+        for batch in read_batches(columns=list(cells)):
+            for name, column in cells.items():
+                column[done : done + batch.num_rows] = _cells(batch.column(name), kinds[name])
+            done += batch.num_rows
+            if rows > _ROWS:
+                wanted.progress(f"{path.name}: {done / rows:.0%} of {rows} rows")
+        columns = {n: Column(column) for n, column in cells.items()}
         return (FileTable(path.stem, columns, where=str(path)),)
 
 
-class _Batches:
-    """A file of batches.
-
-    Args:
-        types: of Arrow, by column
-        rows: number of them
-    """
-
-    def __init__(self, types: Mapping[str, Any], rows: int, batches: Any) -> None:
-        self.types = types
-        self.rows = rows
-        self.batches = batches
-
-
-def _open(path: Path) -> _Batches:
-    pyarrow = need("pyarrow", path, "intake")
-    try:
-        if path.suffix.lower() in (".parquet", ".pq"):
-            parquet: Any = need("pyarrow.parquet", path, "intake")
-            file: Any = parquet.ParquetFile(path)
-            schema: Any = file.schema_arrow
-            types = dict(zip(schema.names, schema.types, strict=True))
-            return _Batches(
-                types,
-                file.metadata.num_rows,
-                lambda names: file.iter_batches(batch_size=_ROWS, columns=names),
-            )
-        dataset: Any = need("pyarrow.dataset", path, "intake")
-        opened: Any = dataset.dataset(path, format="feather")
-        types = dict(zip(opened.schema.names, opened.schema.types, strict=True))
-        return _Batches(
-            types,
-            opened.count_rows(),
-            lambda names: opened.to_batches(columns=names, batch_size=_ROWS, use_threads=False),
-        )
-    except (OSError, pyarrow.lib.ArrowException) as error:
-        raise UserError(f"{path} does not read as Parquet or Arrow: {error}") from None
-
-
-def _kind(kind: Any) -> str:
-    text = str(kind)
+def _kind(arrow_type: object) -> str:
+    text = str(arrow_type)
     if text.startswith(("timestamp", "date")):
         return "datetime64[ns]"
     return "float64" if text.startswith(("int", "uint", "float", "double", "half")) else "object"
 
 
-def _collect(file: _Batches, names: list[str], path: Path, wanted: Wanted) -> dict[str, Cells]:
-    """The columns, filled batch by batch."""
-    kinds = {n: _kind(file.types[n]) for n in names}
-    found = {n: np.empty(file.rows, dtype=kinds[n]) for n in names}
-    done = 0
-    batches: Iterator[Any] = file.batches(names)
-    for batch in batches:
-        for name in names:
-            found[name][done : done + batch.num_rows] = _cells(batch.column(name), kinds[name])
-        done += batch.num_rows
-        if file.rows > _ROWS:
-            wanted.progress(f"{path.name}: {done / file.rows:.0%} of {file.rows} rows")
-    return found
-
-
 def _cells(array: Any, kind: str) -> Cells:
     if kind == "object":
         return as_objects(array.to_pylist())
-    values = np.asarray(array.to_numpy(zero_copy_only=False))
-    return values.astype(kind)
+    return np.asarray(array.to_numpy(zero_copy_only=False)).astype(kind)
 
 
 # Excel.
@@ -278,7 +326,6 @@ class Excel(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".xlsx", ".xlsm")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         openpyxl = need("openpyxl", path, "intake")
         try:
             book: Any = openpyxl.load_workbook(path, read_only=True, data_only=True)
@@ -287,12 +334,16 @@ class Excel(FileFormat):
         many = len(book.worksheets) > 1
         found: list[FileTable] = []
         for page in book.worksheets:
-            rows = [row for row in page.iter_rows(values_only=True) if _filled(row)]
+            rows = [
+                row
+                for row in page.iter_rows(values_only=True)
+                if any(cell is not None and str(cell).strip() for cell in row)
+            ]
             name = page.title if many else path.stem
             where = f"{path}, worksheet {page.title}" if many else str(path)
-            sheet = _sheet(rows, name, where, wanted)
-            if sheet is not None:
-                found.append(sheet)
+            first = next((k for k, row in enumerate(rows) if not _is_head(row)), None)
+            if first is not None:
+                found.append(_worksheet(rows, first, name, where, wanted))
         book.close()
         if not found:
             raise UserError(f"{path} is empty: expected a header row, then numbers")
@@ -300,49 +351,41 @@ class Excel(FileFormat):
         return tuple(full or found[:1])
 
 
-def _filled(row: tuple[Any, ...]) -> bool:
-    return any(cell is not None and str(cell).strip() for cell in row)
-
-
 def _is_head(row: tuple[Any, ...]) -> bool:
     cells = [c for c in row if c is not None]
     return all(isinstance(c, str) and number(c) is None for c in cells)
 
 
-def _sheet(rows: list[tuple[Any, ...]], name: str, where: str, wanted: Wanted) -> FileTable | None:
-    first = next((k for k, row in enumerate(rows) if not _is_head(row)), None)
-    if first is None:
-        return None
-    wide = max(len(row) for row in rows[first:])
-    units = [""] * wide
+def _worksheet(
+    rows: list[tuple[Any, ...]], first: int, name: str, where: str, wanted: Wanted
+) -> FileTable:
+    """Make a table of the rows of a worksheet; `first` is the first one with data."""
+    width = max(len(row) for row in rows[first:])
+    units = [""] * width
     if wanted.columns:
         labels = list(wanted.columns)
-        if len(labels) != wide:
-            raise UserError(f"{where} has {wide} columns, but --columns names {len(labels)}")
+        if len(labels) != width:
+            raise UserError(f"{where} has {width} columns, but --columns names {len(labels)}")
     else:
-        heads = [_texts(row, wide) for row in rows[max(first - 2, 0) : first]]
+        heads = [
+            ["" if c is None else str(c).strip() for c in (*row, *[None] * width)[:width]]
+            for row in rows[max(first - 2, 0) : first]
+        ]
         if not heads:
             raise UserError(
                 f"{where}: the first row holds numbers: add a header row with the column names, or "
                 "give --columns"
             )
-        wished = set(wanted.names)
-        hits = [sum(split_unit(c)[0] in wished for c in row) for row in heads]
+        hits = [sum(split_unit(c)[0] in wanted.names for c in row) for row in heads]
         top = 0 if len(heads) == 1 or hits[0] >= max(hits[1], 1) else 1
         labels = heads[top]
         units = [u.strip("[]() ") for u in heads[top + 1]] if top + 1 < len(heads) else units
     units = [u or split_unit(n)[1] for u, n in zip(units, labels, strict=True)]
-    padded = [(*row, *[None] * (wide - len(row))) for row in rows[first:]]
-    cells = zip(*padded, strict=True)
+    cells = zip(*((*row, *[None] * (width - len(row))) for row in rows[first:]), strict=True)
     columns = {
         n: Column(as_objects(c), u) for n, u, c in zip(labels, units, cells, strict=True) if n
     }
     return FileTable(name, columns, None, where, first + 1)
-
-
-def _texts(row: tuple[Any, ...], wide: int) -> list[str]:
-    texts = ["" if c is None else str(c).strip() for c in row[:wide]]
-    return texts + [""] * (wide - len(texts))
 
 
 # Data loggers: TDMS and MDF4. Channels may have times of their own.
@@ -355,7 +398,6 @@ class Tdms(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".tdms",)
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         nptdms = need("nptdms", path, "loggers")
         try:
             file: Any = nptdms.TdmsFile.read(path)
@@ -363,22 +405,20 @@ class Tdms(FileFormat):
             raise UserError(f"{path} does not read as TDMS: {error}") from None
         groups: list[FileTable] = []
         for group in file.groups():
-            columns = {c.name: _tdms_column(c) for c in group.channels() if len(c)}
-            where = f"{path}, group {group.name}"
-            groups.append(FileTable(group.name, columns, where=where))
+            columns: dict[str, Column] = {}
+            for channel in (c for c in group.channels() if len(c)):
+                timed = "wf_increment" in channel.properties
+                columns[channel.name] = Column(
+                    np.asarray(channel[:]),
+                    str(channel.properties.get("unit_string", "")),
+                    np.asarray(channel.time_track(), dtype=np.float64) if timed else None,
+                )
+            groups.append(FileTable(group.name, columns, where=f"{path}, group {group.name}"))
         full = [s for s in groups if all(find_column(list(s.columns), n) for n in wanted.names)]
         if len(full) > 1 and wanted.names:
             return tuple(full)
         every = {n: c for s in groups for n, c in s.columns.items()}
         return (FileTable(path.stem, full[0].columns if full else every, where=str(path)),)
-
-
-def _tdms_column(channel: Any) -> Column:
-    unit = str(channel.properties.get("unit_string", ""))
-    timestamps = None
-    if "wf_increment" in channel.properties:
-        timestamps = np.asarray(channel.time_track(), dtype=np.float64)
-    return Column(np.asarray(channel[:]), unit, timestamps)
 
 
 class Mdf(FileFormat):
@@ -388,7 +428,6 @@ class Mdf(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".mf4", ".mdf", ".dat4")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         asammdf = need("asammdf", path, "loggers")
         try:
             file: Any = asammdf.MDF(path)
@@ -425,7 +464,6 @@ class Rosbag(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".bag", ".db3", ".mcap", "/")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         highlevel: Any = need("rosbags.highlevel", path, "ros")
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise UserError(f"{path} is a folder without a metadata.yaml: name a file or a bag")
@@ -443,11 +481,18 @@ class Rosbag(FileFormat):
 def _columns(reader: Any, wanted: Wanted) -> dict[str, Column]:
     values: dict[str, list[float]] = {}
     stamps: dict[str, list[float]] = {}
-    topics = [c for c in reader.connections if _is_asked(c.topic, wanted)]
+    topics = [
+        c
+        for c in reader.connections
+        if any(name.startswith(c.topic) or find_column([c.topic], name) for name in wanted.names)
+    ]
     first = int(reader.start_time)
     for connection, received, raw in reader.messages(connections=topics or reader.connections):
         message = reader.deserialize(raw, connection.msgtype)
-        when = received if wanted.time == "receipt" else _stamp(message, received)
+        when: int = received
+        header: Any = getattr(message, "header", None)
+        if header is not None and wanted.time != "receipt":
+            when = int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec) or received
         for name, value in _fields(message, connection.topic):
             values.setdefault(name, []).append(value)
             stamps.setdefault(name, []).append((when - first) * 1e-9)
@@ -455,17 +500,6 @@ def _columns(reader: Any, wanted: Wanted) -> dict[str, Column]:
         name: Column(np.array(found), "", np.round(np.array(stamps[name], dtype=np.float64), 9))
         for name, found in values.items()
     }
-
-
-def _is_asked(topic: str, wanted: Wanted) -> bool:
-    return any(name.startswith(topic) or find_column([topic], name) for name in wanted.names)
-
-
-def _stamp(message: Any, received: int) -> int:
-    header: Any = getattr(message, "header", None)
-    if header is None:
-        return received
-    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec) or received
 
 
 def _fields(value: Any, name: str) -> Iterator[tuple[str, float]]:
@@ -499,12 +533,3 @@ def file_format(path: Path) -> FileFormat:
         what = "a folder" if suffix == "/" else f"a file of the kind '{suffix}'"
         raise UserError(f"{path} is {what}, which ASIA does not read: expected one of {known}")
     return found()
-
-
-def read_sheets(path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-    """Read the tables in a file.
-
-    Raises:
-        UserError: when the file cannot be read
-    """
-    return file_format(path).read(path, wanted)

@@ -12,9 +12,8 @@ from typing import Literal
 import numpy as np
 
 from asia._text import suggestion
-from asia.data.intake.formats import FORMATS, file_format, read_sheets
+from asia.data.intake.formats import FORMATS, file_format
 from asia.data.intake.sheet import (
-    Column,
     FileTable,
     Wanted,
     find_channels,
@@ -56,6 +55,17 @@ class TablePart:
     is_file: bool = False
     """Whether it is the one record of its file."""
 
+    def rows(self, rows: slice | Rows) -> TablePart:
+        """Return the part with these rows alone."""
+        skipped = (rows.start or 0) if isinstance(rows, slice) else 0
+        return replace(
+            self,
+            u=self.u[rows],
+            y=self.y[rows],
+            timestamps=None if self.timestamps is None else self.timestamps[rows],
+            first_line=self.first_line + skipped,
+        )
+
 
 def expanded(sheet: FileTable, wanted: Wanted) -> Wanted:
     """Replace the name of a matrix by its columns."""
@@ -72,21 +82,28 @@ def parts(sheet: FileTable, wanted: Wanted) -> list[TablePart]:
     """Raise UserError where a column is missing or holds no numbers."""
     for name in wanted.names:
         require_column(sheet, name)
-    own = [require_column(sheet, n).seconds for n in (*wanted.inputs, *wanted.outputs)]
-    whole = _one_clock(sheet, wanted) if any(s is None for s in own) else _merged(sheet, wanted)
+    names = (*wanted.inputs, *wanted.outputs)
+    values = {
+        n: to_numbers(
+            require_column(sheet, n).cells, f"{sheet.where}, column '{n}'", sheet.first_line
+        )
+        for n in names
+    }
+    if any(require_column(sheet, n).seconds is None for n in names):
+        whole = _one_clock(sheet, wanted, values)
+    else:
+        whole = _merged(sheet, wanted, values)
     if wanted.experiment is None:
         return [whole]
-    every = [_label(c) for c in require_column(sheet, wanted.experiment).cells]
+    labels = [_label(c) for c in require_column(sheet, wanted.experiment).cells]
+    column = np.array(labels, dtype=object)
     return [
         replace(
-            whole,
+            whole.rows(np.flatnonzero(column == label)),
             name=label,
-            u=whole.u[rows],
-            y=whole.y[rows],
-            timestamps=None if whole.timestamps is None else whole.timestamps[rows],
             where=f"{whole.where}, experiment {label}",
         )
-        for label, rows in _experiments(every)
+        for label in _distinct(labels)
     ]
 
 
@@ -96,20 +113,12 @@ def units(sheet: FileTable, names: Sequence[str]) -> dict[str, str]:
     return {n: sheet.columns[c].unit for n, c in found.items() if c and sheet.columns[c].unit}
 
 
-def _numbers(sheet: FileTable, names: Sequence[str]) -> list[Array]:
-    return [
-        to_numbers(require_column(sheet, n).cells, f"{sheet.where}, column '{n}'", sheet.first_line)
-        for n in names
-    ]
-
-
-def _one_clock(sheet: FileTable, wanted: Wanted) -> TablePart:
-    lengths = {n: len(require_column(sheet, n).cells) for n in (*wanted.inputs, *wanted.outputs)}
-    if len(set(lengths.values())) > 1:
-        many = ", ".join(f"{n} {count}" for n, count in lengths.items())
+def _one_clock(sheet: FileTable, wanted: Wanted, values: Mapping[str, Array]) -> TablePart:
+    if len({len(v) for v in values.values()}) > 1:
+        many = ", ".join(f"{n} {len(v)}" for n, v in values.items())
         raise UserError(f"{sheet.where}: channels of unequal lengths and without times ({many})")
-    u = np.stack(_numbers(sheet, wanted.inputs), axis=1)
-    y = np.stack(_numbers(sheet, wanted.outputs), axis=1)
+    u = np.stack([values[n] for n in wanted.inputs], axis=1)
+    y = np.stack([values[n] for n in wanted.outputs], axis=1)
     time = time_column(sheet, wanted)
     timestamps = None if time is None else seconds(sheet, time, wanted)
     part = TablePart(
@@ -117,18 +126,15 @@ def _one_clock(sheet: FileTable, wanted: Wanted) -> TablePart:
     )
     if timestamps is None or np.isfinite(timestamps).all():
         return part
-    rows = np.isfinite(timestamps)
-    return replace(part, u=u[rows], y=y[rows], timestamps=timestamps[rows])
+    return part.rows(np.flatnonzero(np.isfinite(timestamps)))
 
 
-def _merged(sheet: FileTable, wanted: Wanted) -> TablePart:
+def _merged(sheet: FileTable, wanted: Wanted, values: Mapping[str, Array]) -> TablePart:
     """Channels with times of their own on those of the fastest: inputs held, outputs where they
     were measured."""
-    names = (*wanted.inputs, *wanted.outputs)
-    values = dict(zip(names, _numbers(sheet, names), strict=True))
-    times = {n: require_column(sheet, n).seconds for n in names}
+    times = {n: require_column(sheet, n).seconds for n in values}
     axes = {n: t for n, t in times.items() if t is not None and len(t)}
-    for name in names:
+    for name in values:
         if name not in axes:
             raise UserError(f"{sheet.where}: channel '{name}' has no samples")
     steps = {n: float(np.median(np.diff(t))) if len(t) > 1 else np.inf for n, t in axes.items()}
@@ -164,9 +170,9 @@ def _placed(timestamps: Array, values: Array, at: Array, step: float) -> Array:
     return np.where(np.abs(timestamps[near] - at) <= JITTER * step, values[near], np.nan)
 
 
-def labels(column: Column) -> list[str]:
-    """Names of the experiments in a column, in the order in which they come up."""
-    return [name for name in dict.fromkeys(map(_label, column.cells)) if name]
+def _distinct(labels: Sequence[str]) -> list[str]:
+    """Labels in the order in which they come up; rows without one have no experiment."""
+    return [name for name in dict.fromkeys(labels) if name]
 
 
 def _label(cell: object) -> str:
@@ -174,16 +180,6 @@ def _label(cell: object) -> str:
         return str(int(cell))
     text = "" if cell is None else str(cell).strip()
     return "".join(c if c.isprintable() else "_" for c in text)
-
-
-def _experiments(every: Sequence[str]) -> list[tuple[str, Rows]]:
-    """Labels in the order in which they come up, and their rows. Rows without one are left out."""
-    values = np.array(every, dtype=object)
-    return [
-        (name, np.flatnonzero(values == name).astype(np.int64))
-        for name in dict.fromkeys(every)
-        if name
-    ]
 
 
 # Conversion of laboratory files to records, with notes on the changes.
@@ -195,11 +191,7 @@ IGNORE_STAMPS = (
     'ignore them: --time none and --sampling-time, or time = "none" in [data] of problem.toml'
 )
 _SAME = 1e-3
-_EXACT = 1e-6
-_GAP = 2.5
-_COARSER = 1.5
-_DRIFT = 0.5
-"""Jitter, as a share of a sample, from which on the stamps follow no one grid."""
+"""Share by which two sampling times may differ and still count as one."""
 
 
 @dataclass(frozen=True)
@@ -215,18 +207,6 @@ class Intake:
     """Names of the inputs, with the columns of a matrix in place of its name."""
     outputs: tuple[str, ...] = ()
     """Names of the outputs, likewise."""
-
-
-@dataclass(frozen=True)
-class _Timed:
-    """Part in which time increases.
-
-    Attributes:
-        clock: None where the file has no usable time stamps
-    """
-
-    part: TablePart
-    clock: Clock | None
 
 
 def take_in(
@@ -255,7 +235,7 @@ def take_in(
     asked: Wanted | None = None
     stems = Counter(path.stem for path in paths)
     for path in paths:
-        for sheet in read_sheets(path, wanted):
+        for sheet in file_format(path).read(path, wanted):
             own = expanded(sheet, wanted)
             if asked is not None and own.names != asked.names:
                 raise UserError(
@@ -320,12 +300,43 @@ def make_records(
     """Put channels on one time grid, cut them at gaps, and name the records. ignore: how the user
     can do without the time stamps, for messages. Raises UserError."""
     notes: list[str] = []
-    timed = [one for part in found for one in _stretches(_oldest_first(part, notes), ignore, notes)]
+    timed: list[tuple[TablePart, Clock | None]] = []
+    for part in found:
+        stamps = part.timestamps
+        if stamps is None:
+            timed.append((part, None))
+            continue
+        if len(stamps) >= 3 and (np.diff(stamps) <= 0).all():
+            notes.append(f"{part.where}: the newest row came first, the order was turned round")
+            part, stamps = part.rows(slice(None, None, -1)), stamps[::-1]
+        cuts = runs(stamps, part.where, part.first_line, ignore)
+        if len(cuts) > 1:
+            back = _many(len(cuts) - 1, "time")
+            notes.append(f"{part.where}: time goes back {back}, a new record begins at each")
+        timed += [(part.rows(rows), clock(stamps[rows])) for rows in cuts]
     where = ", ".join(dict.fromkeys(part.where for part in found))
     step = _slowest(timed, where) if sampling_time is None else sampling_time
+    grid = _Grid(step, use, ignore, notes)
     made: list[Trajectory] = []
-    for one in timed:
-        made += _pieces(one, step, use, least, notes, ignore)
+    for part, own_clock in timed:
+        pieces = grid.put(part, own_clock)
+        cuts = [cut for piece in pieces for cut in _without_missing(piece)]
+        _note_missing(part.where, pieces, cuts, notes)
+        # A whole file that is too short is an error, which the folds raise.
+        is_whole = part.is_file and len(cuts) == 1
+        long = [cut for cut in cuts if is_whole or len(cut.u) >= least]
+        if len(long) < len(cuts):
+            lost = sum(len(cut.u) for cut in cuts if len(cut.u) < least)
+            notes.append(
+                f"{part.where}: {_many(len(cuts) - len(long), 'piece')} shorter than {least} "
+                f"samples left out ({lost} samples)"
+            )
+        if len(long) > 1:
+            notes.append(f"{part.where}: cut into {len(long)} records")
+        made += [
+            Trajectory(cut.u, cut.y, step, part.name if len(long) == 1 else f"{part.name}_{k}")
+            for k, cut in enumerate(long, 1)
+        ]
     if not made:
         found_here = f" ({'; '.join(dict.fromkeys(notes))})" if notes else ""
         raise UserError(
@@ -344,47 +355,11 @@ def as_written(sheet: FileTable, wanted: Wanted, sampling_time: float) -> Trajec
     return Trajectory(part.u, part.y, sampling_time, sheet.name)
 
 
-def _oldest_first(part: TablePart, notes: list[str]) -> TablePart:
-    """Return the part in increasing time; reverse it where time decreases from row to row."""
-    if (
-        part.timestamps is None
-        or len(part.timestamps) < 3
-        or not (np.diff(part.timestamps) <= 0).all()
-    ):
-        return part
-    notes.append(f"{part.where}: the newest row came first, the order was turned round")
-    back = slice(None, None, -1)
-    return replace(part, u=part.u[back], y=part.y[back], timestamps=part.timestamps[back])
-
-
-def _stretches(part: TablePart, ignore: str, notes: list[str]) -> list[_Timed]:
-    if part.timestamps is None:
-        return [_Timed(part, None)]
-    found = runs(part.timestamps, part.where, part.first_line, ignore)
-    if len(found) > 1:
-        back = _many(len(found) - 1, "time")
-        notes.append(f"{part.where}: time goes back {back}, a new record begins at each")
-    return [_Timed(cut, clock(_timestamps(cut))) for cut in (_cut(part, rows) for rows in found)]
-
-
-def _cut(part: TablePart, rows: slice) -> TablePart:
-    timestamps = None if part.timestamps is None else part.timestamps[rows]
-    line = part.first_line + rows.start
-    return replace(part, u=part.u[rows], y=part.y[rows], timestamps=timestamps, first_line=line)
-
-
-def _timestamps(part: TablePart) -> Array:
-    return np.zeros(0) if part.timestamps is None else part.timestamps
-
-
-def _own_step(one: _Timed) -> float | None:
-    return one.part.sampling_time if one.clock is None else one.clock.step
-
-
-def _slowest(timed: Sequence[_Timed], where: str) -> float:
-    known = [step for step in map(_own_step, timed) if step is not None]
-    rows = sum(len(one.part.u) for one in timed)
-    if not known and any(one.part.timestamps is not None for one in timed):
+def _slowest(timed: Sequence[tuple[TablePart, Clock | None]], where: str) -> float:
+    steps = [part.sampling_time if own is None else own.step for part, own in timed]
+    known = [step for step in steps if step is not None]
+    if not known and any(part.timestamps is not None for part, _ in timed):
+        rows = sum(len(part.u) for part, _ in timed)
         raise UserError(
             f"{where}: {_many(rows, 'row')} with a time stamp, too few to find the sampling time: "
             "bring longer records"
@@ -400,142 +375,114 @@ def _slowest(timed: Sequence[_Timed], where: str) -> float:
     return min(alike, key=lambda s: (len(f"{s:.12g}"), s))
 
 
-def _pieces(
-    one: _Timed, step: float, use: Use, least: int, notes: list[str], ignore: str
-) -> list[Trajectory]:
-    on_grid = _on_grid(one, step, use, notes, ignore)
-    cuts = [cut for whole in on_grid for cut in _without_missing(whole)]
-    _note_missing(one.part.where, on_grid, cuts, notes)
-    # A whole file that is too short is an error, which the folds raise.
-    is_whole = one.part.is_file and len(cuts) == 1
-    long = [cut for cut in cuts if is_whole or len(cut.u) >= least]
-    if len(long) < len(cuts):
-        lost = sum(len(cut.u) for cut in cuts if len(cut.u) < least)
-        notes.append(
-            f"{one.part.where}: {_many(len(cuts) - len(long), 'piece')} shorter than {least} "
-            f"samples left out ({lost} samples)"
-        )
-    if len(long) > 1:
-        notes.append(f"{one.part.where}: cut into {len(long)} records")
-    name = one.part.name
-    return [
-        Trajectory(cut.u, cut.y, step, name if len(long) == 1 else f"{name}_{k}")
-        for k, cut in enumerate(long, 1)
-    ]
+@dataclass(frozen=True)
+class _Grid:
+    """Time grid of all records; changes of a part are added to the notes."""
 
+    step: float
+    use: Use
+    ignore: str
+    notes: list[str]
 
-def _on_grid(one: _Timed, step: float, use: Use, notes: list[str], ignore: str) -> list[TablePart]:
-    """Resample a part to the sampling time `step`, and cut it at its gaps."""
-    part = one.part
-    own = _own_step(one) or step
-    if one.clock is not None and not one.clock.regular:
-        return _resampled(part, one.clock, step, use, notes, ignore)
-    if one.clock is None:
-        whole = [part]
-    else:
-        if one.clock.coarse and one.clock.jitter > _EXACT:
-            notes.append(f"{part.where}: stamps rounded to coarse steps lie on a grid")
-        cuts = segments(places(_timestamps(part), own))
-        if len(cuts) > 1:
-            notes.append(f"{part.where}: {_many(len(cuts) - 1, 'gap')} in time")
-        whole = [_cut(part, rows) for rows in cuts]
-    if abs(own - step) <= _SAME * step:
-        return whole
-    if own > _COARSER * step:
-        raise UserError(
-            f"{part.where}: it is sampled every {own:g} s, but the sampling time is {step:g} s: "
-            "give that sampling time, or the unit of the time stamps (--time-unit, or time_unit in "
-            f"[data]); if the stamps are wrong, {ignore}"
-        )
-    return _other_rate(whole, own, step, use, notes, ignore)
-
-
-def _other_rate(
-    whole: Sequence[TablePart], own: float, step: float, use: Use, notes: list[str], ignore: str
-) -> list[TablePart]:
-    ratio = step / own
-    where = whole[0].where
-    if abs(ratio - round(ratio)) < _SAME * ratio and ratio > 1:
+    def put(self, part: TablePart, own_clock: Clock | None) -> list[TablePart]:
+        """Resample a part to the grid, and cut it at its gaps."""
+        step, where = self.step, part.where
+        if own_clock is None or part.timestamps is None:
+            own, pieces = part.sampling_time or step, [part]
+        elif not own_clock.regular:
+            return self._resampled(part, part.timestamps, own_clock)
+        else:
+            own = own_clock.step
+            if own_clock.coarse and own_clock.jitter > 1e-6:
+                self.notes.append(f"{where}: stamps rounded to coarse steps lie on a grid")
+            pieces = [part.rows(rows) for rows in segments(places(part.timestamps, own))]
+            if len(pieces) > 1:
+                self.notes.append(f"{where}: {_many(len(pieces) - 1, 'gap')} in time")
+        if abs(own - step) <= _SAME * step:
+            return pieces
+        if own > 1.5 * step:
+            raise UserError(
+                f"{where}: it is sampled every {own:g} s, but the sampling time is {step:g} s: "
+                "give that sampling time, or the unit of the time stamps (--time-unit, or "
+                f"time_unit in [data]); if the stamps are wrong, {self.ignore}"
+            )
+        ratio = step / own
         count = round(ratio)
-        notes.append(
-            f"{where}: sampled every {own:g} s, one output in {count} is kept and the inputs are "
-            "averaged in between"
+        if abs(ratio - count) < _SAME * ratio and ratio > 1:
+            self.notes.append(
+                f"{where}: sampled every {own:g} s, one output in {count} is kept and the inputs "
+                "are averaged in between"
+            )
+            lengths = [len(piece.u) // count for piece in pieces]
+            return [
+                replace(
+                    piece,
+                    u=piece.u[: rows * count].reshape(rows, count, -1).mean(axis=1),
+                    y=piece.y[: rows * count : count],
+                    timestamps=None,
+                )
+                for piece, rows in zip(pieces, lengths, strict=True)
+                if rows
+            ]
+        return [
+            one
+            for piece in pieces
+            for one in self._resampled(
+                piece, np.arange(len(piece.u), dtype=np.float64) * own, Clock(own, 0.0)
+            )
+        ]
+
+    def _resampled(self, part: TablePart, timestamps: Array, own: Clock) -> list[TablePart]:
+        # Beyond a jitter of half a sample the stamps follow no one grid.
+        if own.jitter > 0.5:
+            low, high = np.quantile(np.diff(timestamps), (0.01, 0.99))
+            reason = f"the sampling time varies from {low:.3g} s to {high:.3g} s"
+        elif own.jitter > 0:
+            reason = f"the time stamps jitter by {own.jitter:.1%} of a sample"
+        else:
+            reason = f"it is sampled every {own.step:g} s"
+        if self.use != "train":
+            mend = f"bring a test record sampled every {self.step:g} s"
+            if self.use == "split":
+                mend = f"keep the last part for training (--no-seal) and {mend}"
+            if own.jitter > 0:
+                mend += f"; if only the stamps are wrong, {self.ignore}"
+            raise UserError(
+                f"{part.where}: {reason}, and outputs of a test are never interpolated: {mend}"
+            )
+        self.notes.append(
+            f"{part.where}: {reason}; resampled to {self.step:g} s: inputs held, outputs on "
+            "straight lines between their neighbours"
         )
-        return [_decimated(part, count) for part in whole if len(part.u) >= count]
-    made: list[TablePart] = []
-    for part in whole:
-        timestamps = np.arange(len(part.u), dtype=np.float64) * own
-        timed = TablePart(part.name, part.u, part.y, timestamps, own, part.where, part.first_line)
-        made += _resampled(timed, Clock(own, 0.0), step, use, notes, ignore)
-    return made
-
-
-def _decimated(part: TablePart, count: int) -> TablePart:
-    rows = len(part.u) // count
-    u = part.u[: rows * count].reshape(rows, count, -1).mean(axis=1)
-    return TablePart(
-        part.name, u, part.y[: rows * count : count], None, None, part.where, part.first_line
-    )
-
-
-def _resampled(
-    part: TablePart, found: Clock, step: float, use: Use, notes: list[str], ignore: str
-) -> list[TablePart]:
-    if found.jitter > _DRIFT:
-        low, high = np.quantile(np.diff(_timestamps(part)), (0.01, 0.99))
-        reason = f"the sampling time varies from {low:.3g} s to {high:.3g} s"
-    elif found.jitter > 0:
-        reason = f"the time stamps jitter by {found.jitter:.1%} of a sample"
-    else:
-        reason = f"it is sampled every {found.step:g} s"
-    if use != "train":
-        mend = f"bring a test record sampled every {step:g} s"
-        if use == "split":
-            mend = f"keep the last part for training (--no-seal) and {mend}"
-        if found.jitter > 0:
-            mend += f"; if only the stamps are wrong, {ignore}"
-        raise UserError(
-            f"{part.where}: {reason}, and outputs of a test are never interpolated: {mend}"
-        )
-    notes.append(
-        f"{part.where}: {reason}; resampled to {step:g} s: inputs held, outputs on straight lines "
-        "between their neighbours"
-    )
-    timestamps = _timestamps(part)
-    breaks = (np.flatnonzero(np.diff(timestamps) > _GAP * max(found.step, step)) + 1).tolist()
-    if breaks:
-        notes.append(f"{part.where}: {_many(len(breaks), 'gap')} in time")
-    made: list[TablePart] = []
-    for a, b in zip([0, *breaks], [*breaks, len(timestamps)], strict=True):
-        own = timestamps[a:b]
-        at = own[0] + step * np.arange(int((own[-1] - own[0]) / step + 1e-9) + 1)
-        u, y = held(own, part.u[a:b], at), between(own, part.y[a:b], at)
-        made.append(TablePart(part.name, u, y, None, None, part.where, part.first_line + a))
-    return made
+        gap = 2.5 * max(own.step, self.step)
+        breaks = (np.flatnonzero(np.diff(timestamps) > gap) + 1).tolist()
+        if breaks:
+            self.notes.append(f"{part.where}: {_many(len(breaks), 'gap')} in time")
+        made: list[TablePart] = []
+        for a, b in zip([0, *breaks], [*breaks, len(timestamps)], strict=True):
+            stamps = timestamps[a:b]
+            count = int((stamps[-1] - stamps[0]) / self.step + 1e-9) + 1
+            at = stamps[0] + self.step * np.arange(count)
+            u, y = held(stamps, part.u[a:b], at), between(stamps, part.y[a:b], at)
+            made.append(replace(part, u=u, y=y, timestamps=None))
+        return made
 
 
 def _without_missing(part: TablePart) -> list[TablePart]:
     """Cut a part to the segments in which every input was measured; outputs may be missing, but not
-    all of them at either end."""
-    rows = np.flatnonzero(np.isfinite(part.u).all(axis=1)).astype(np.int64)
-    if not rows.size:
-        return []
-    spans = (slice(int(rows[s.start]), int(rows[s.stop - 1]) + 1) for s in segments(rows))
-    return [one for rows in spans for one in _measured_segment(_cut(part, rows))]
-
-
-def _measured_segment(part: TablePart) -> list[TablePart]:
-    """Cut the part to the samples between the first and the last with measured outputs.
-
-    Samples with all outputs measured are the limits where there are any. Returns [] where an output
-    was never measured.
-    """
-    known = ~np.isnan(part.y)
-    if not known.any(axis=0).all():
-        return []
-    whole = known.all(axis=1) if known.all(axis=1).any() else known.any(axis=1)
-    rows = np.flatnonzero(whole)
-    return [_cut(part, slice(int(rows[0]), int(rows[-1]) + 1))]
+    all of them at either end, and none of them everywhere."""
+    rows = np.flatnonzero(np.isfinite(part.u).all(axis=1))
+    kept: list[TablePart] = []
+    for segment in segments(rows) if rows.size else ():
+        first = int(rows[segment.start])
+        known = ~np.isnan(part.y[first : int(rows[segment.stop - 1]) + 1])
+        if not known.any(axis=0).all():
+            continue
+        # Samples with all outputs measured are the limits where there are any.
+        whole = known.all(axis=1) if known.all(axis=1).any() else known.any(axis=1)
+        limits = first + np.flatnonzero(whole)
+        kept.append(part.rows(slice(int(limits[0]), int(limits[-1]) + 1)))
+    return kept
 
 
 def _note_missing(
@@ -566,7 +513,6 @@ def _many(count: int, what: str) -> str:
 
 _INPUT = re.compile(r"(u|in|input)[ _.]?\d*")
 _OUTPUT = re.compile(r"(y|out|output)[ _.]?\d*")
-_MOST_FILES = 50
 
 
 @dataclass(frozen=True)
@@ -576,7 +522,6 @@ class FileColumns:
     names: tuple[str, ...]
     """All but that of the sample times, without their units."""
     time: str | None
-    """The column with the sample times."""
     timed: bool
     """Whether the file contains its sampling time."""
     unusable: Mapping[str, str] = field(default_factory=dict[str, str])
@@ -653,7 +598,8 @@ def experiments_in(paths: Sequence[Path], wanted: Wanted) -> tuple[str, ...]:
             found += [s.name for s in sheets] if len(sheets) > 1 else []
             continue
         for sheet in sheets:
-            found += labels(require_column(sheet, wanted.experiment))
+            cells = require_column(sheet, wanted.experiment).cells
+            found += _distinct([_label(cell) for cell in cells])
     return tuple(dict.fromkeys(found))
 
 
@@ -662,7 +608,7 @@ def record_files(folder: Path) -> tuple[list[Path], list[Path]]:
     whose names say that they are for a test. Empty where there are too many to be meant."""
     suffixes = {s for fmt in FORMATS for s in fmt.suffixes if s != "/"}
     found = sorted(p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in suffixes)
-    if len(found) > _MOST_FILES:
+    if len(found) > 50:
         return [], []
     tests = [p for p in found if "test" in p.stem.casefold()]
     return [p for p in found if p not in tests], tests

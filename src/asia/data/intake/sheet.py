@@ -41,7 +41,6 @@ class FileTable:
     name: str
     columns: Mapping[str, Column]
     sampling_time: float | None = None
-    """s, where the file states it."""
     where: str = ""
     """The file, and the part of it, for messages."""
     first_line: int = 1
@@ -76,7 +75,6 @@ class FileFormat(ABC):
     """A kind of file. One subclass a format."""
 
     name: ClassVar[str]
-    """Name of the format, in words."""
     suffixes: ClassVar[tuple[str, ...]]
     """File name suffixes, in lower case; "/" is a folder."""
 

@@ -50,35 +50,26 @@ def to_numbers(cells: Cells, where: str, first_line: int) -> Array:
     Raises:
         UserError: for a text that is no number, and for an infinite value
     """
-    if cells.dtype.kind in "fiub":
-        numbers = cells.astype(np.float64)
-    elif cells.dtype.kind in "Mmc":
+    if cells.dtype.kind in "Mmc":
         raise UserError(f"{where} holds dates or complex numbers, expected real numbers")
-    else:
-        numbers = _parse(cells, where, first_line)
+    try:
+        numbers = cells.astype(np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty(len(cells))
+        for k, cell in enumerate(cells):
+            value = number(cell)
+            if value is None:
+                raise UserError(
+                    f"{where}, line {first_line + k}: '{cell}' is not a number: correct the cell, "
+                    "or leave it empty where nothing was measured"
+                ) from None
+            numbers[k] = value
     bad = np.flatnonzero(np.isinf(numbers))
     if bad.size:
         raise UserError(
             f"{where}, line {first_line + int(bad[0])}: the value is infinite: leave the cell "
             "empty where nothing was measured"
         )
-    return numbers
-
-
-def _parse(cells: Cells, where: str, first_line: int) -> Array:
-    try:
-        return cells.astype(np.float64)
-    except (TypeError, ValueError):
-        pass
-    numbers = np.empty(len(cells))
-    for k, cell in enumerate(cells):
-        value = number(cell)
-        if value is None:
-            raise UserError(
-                f"{where}, line {first_line + k}: '{cell}' is not a number: correct the cell, or "
-                "leave it empty where nothing was measured"
-            )
-        numbers[k] = value
     return numbers
 
 
@@ -114,11 +105,9 @@ def number(cell: object) -> float | None:
 # CSV and other tables of text.
 
 
+# Rows from which the layout is found.
 _SAMPLE = 400
-_HEAD_LINES = 2000
 _BLOCK = 2**20
-# Rows of names and units that are looked at, at most.
-_HEADS = 4
 _COMMENTS = ("#", "%", "//", "!")
 _WITH_UNIT = re.compile(r"^[-+−]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*(?P<unit>[^\d\s.,:/+-]\S{0,9})$")
 _STAMP = re.compile(r"^[\dT:.,+\-/ Zampm]*\d[:/\-.]\d[\dT:.,+\-/ Zampm]*$", re.IGNORECASE)
@@ -129,17 +118,19 @@ class _Layout:
     """Layout of the rows of a text file.
 
     Attributes:
-        heads: rows of names and units
+        heads: rows of names and units, at most four
         above: cells of the line over the data, where it is no such row
         units: whether values may carry their unit
+        share: share of the cells that are values
     """
 
     delimiter: str | None
     cells: int
     first: int
     heads: tuple[tuple[str, ...], ...]
-    above: int = 0
-    units: bool = False
+    above: int
+    units: bool
+    share: float
 
 
 class Text(FileFormat):
@@ -149,14 +140,13 @@ class Text(FileFormat):
     suffixes: ClassVar[tuple[str, ...]] = (".csv", ".txt", ".tsv", ".dat", ".asc")
 
     def read(self, path: Path, wanted: Wanted) -> tuple[FileTable, ...]:
-        """Implement `FileFormat.read`."""
         return (self.parse(path, read_file(path, "name a CSV file"), wanted),)
 
     def parse(self, path: Path, raw: bytes, wanted: Wanted) -> FileTable:
         """The content `raw` of a file called `path`. Raises UserError."""
         text = decode(path, raw)
         # The layout shows in the first lines: a long file is not cut into lines for it.
-        lines = text.split("\n", _HEAD_LINES)[:_HEAD_LINES]
+        lines = text.split("\n", 2000)[:2000]
         if sum(bool(line.strip()) and not _is_comment(line) for line in lines) < _SAMPLE:
             lines = text.split("\n")
         layout = _layout(path, lines, wanted)
@@ -256,33 +246,21 @@ def _layout(path: Path, lines: Sequence[str], wanted: Wanted) -> _Layout:
     filled = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)]
     if not filled:
         raise UserError(f"{path} is empty: expected a header row with column names, then numbers")
-    ranked = _ranked(lines, filled, wanted) or _ranked(lines, filled, wanted, units=True)
-    if not ranked:
-        raise UserError(
-            f"{path} has a header row and no data below it: expected rows of numbers there"
-        )
-    # The first of equals: max keeps it.
-    return max(ranked, key=lambda found: found[0])[1]
+    for units in (False, True):
+        tried = [
+            _with_delimiter(lines, filled, d, units, wanted) for d in (",", ";", "\t", "|", None)
+        ]
+        found = [layout for layout in tried if layout is not None]
+        if found:
+            # The first of equals: max keeps it.
+            return max(found, key=lambda layout: _rank(layout, wanted))
+    raise UserError(f"{path} has a header row and no data below it: expected rows of numbers there")
 
 
-def _ranked(
-    lines: Sequence[str], filled: Sequence[int], wanted: Wanted, units: bool = False
-) -> list[tuple[tuple[float, float, int], _Layout]]:
-    """The layouts by separator, each with how well it suits."""
-    ranked: list[tuple[tuple[float, float, int], _Layout]] = []
-    for delimiter in (",", ";", "\t", "|", None):
-        found = _with_delimiter(lines, filled, delimiter, units, wanted)
-        if found is None:
-            continue
-        share, layout = found
-        names = {split_unit(c)[0] for row in layout.heads for c in row} if layout.heads else set()
-        rank = (
-            sum(name in names for name in wanted.names) + (layout.cells == len(wanted.columns)),
-            share,
-            layout.cells,
-        )
-        ranked.append((rank, layout))
-    return ranked
+def _rank(layout: _Layout, wanted: Wanted) -> tuple[int, float, int]:
+    names = {split_unit(cell)[0] for row in layout.heads for cell in row}
+    known = sum(name in names for name in wanted.names)
+    return known + (layout.cells == len(wanted.columns)), layout.share, layout.cells
 
 
 def _with_delimiter(
@@ -291,8 +269,8 @@ def _with_delimiter(
     delimiter: str | None,
     units: bool,
     wanted: Wanted,
-) -> tuple[float, _Layout] | None:
-    """The layout with this delimiter, and the share of its cells that are values."""
+) -> _Layout | None:
+    """The layout with this delimiter; None where no row is data."""
     sample = [(k, _cut(lines[k], delimiter)) for k in filled[:_SAMPLE]]
     data = [(k, row) for k, row in sample if _is_data(row, delimiter, units)]
     if not data:
@@ -310,8 +288,8 @@ def _with_delimiter(
         heads = (tuple(names),)
         first = next(k for k, _ in data if k > first)
     above = [line for line in lines[:first] if line.strip()][-1:]
-    wide = len(_cut(above[0], delimiter)) if above and not heads else 0
-    return values / max(total, 1), _Layout(delimiter, cells, first, heads, wide, units)
+    width = len(_cut(above[0], delimiter)) if above and not heads else 0
+    return _Layout(delimiter, cells, first, heads, width, units, values / max(total, 1))
 
 
 def _first(sample: Sequence[tuple[int, Sequence[str]]], data: set[int]) -> int:
@@ -350,7 +328,7 @@ def _heads(
                 break
             continue
         found.insert(0, (*row, *[""] * (cells - len(row))))
-        if len(found) == _HEADS:
+        if len(found) == 4:
             break
     return tuple(found)
 

@@ -24,10 +24,6 @@ Rows = NDArray[np.int64]
 
 JITTER = 0.01
 """Share of the sampling time by which stamps may lie off the grid and still count as on it."""
-_UNSORTED = 0.1
-"""Share of rows at which time goes back, above which the rows are in no order; records that begin
-anew are longer than ten samples."""
-_RESOLUTIONS = (1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)
 
 
 @dataclass(frozen=True)
@@ -60,7 +56,8 @@ def runs(timestamps: Array, where: str, first_line: int, ignore: str) -> list[sl
         UserError: for repeated time stamps, and for rows in no order
     """
     back = np.flatnonzero(np.diff(timestamps) < 0) + 1
-    if back.size > _UNSORTED * len(timestamps):
+    # Records that begin anew are longer than ten samples: else the rows are in no order.
+    if back.size > 0.1 * len(timestamps):
         raise UserError(
             f"{where}, line {first_line + int(back[0])}: time goes back, as in {back.size} of "
             f"{len(timestamps)} rows: sort the rows by time, or {ignore}"
@@ -88,8 +85,9 @@ def clock(timestamps: Array) -> Clock | None:
         step, offset = (float(v) for v in np.polyfit(count, timestamps, 1))
         count = _count(timestamps, step)
     off = np.abs(timestamps - (offset + step * count))
+    resolutions = (1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-5, 1e-6)
     resolution = next(
-        (r for r in _RESOLUTIONS if np.abs(timestamps / r - np.round(timestamps / r)).max() < 1e-3),
+        (r for r in resolutions if np.abs(timestamps / r - np.round(timestamps / r)).max() < 1e-3),
         0.0,
     )
     # So much the slope of a line may be off, through stamps that are off by so much at worst.
@@ -107,15 +105,15 @@ def _count(timestamps: Array, step: float) -> Array:
 
 def _round(step: float, tolerance: float) -> float:
     """The roundest number, or rate, within the tolerance."""
-    for digits in range(1, 8):
-        for value in (_digits(step, digits), 1.0 / _digits(1.0 / step, digits)):
+
+    def digits(value: float, count: int) -> float:
+        return round(value, count - 1 - floor(log10(abs(value))))
+
+    for count in range(1, 8):
+        for value in (digits(step, count), 1.0 / digits(1.0 / step, count)):
             if abs(value - step) <= tolerance:
                 return value
     return step
-
-
-def _digits(value: float, count: int) -> float:
-    return round(value, count - 1 - floor(log10(abs(value))))
 
 
 def places(timestamps: Array, step: float) -> Rows:
@@ -167,10 +165,6 @@ _SLASHED = tuple(
 )
 _DAY = 86400.0
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_EXCEL = (20_000, 80_000)
-# The years 2000 to 2050.
-_SPREADSHEET = (36_526, 54_789)
-_MATLAB = (700_000, 800_000)
 
 
 def time_column(sheet: FileTable, wanted: Wanted) -> str | None:
@@ -248,19 +242,17 @@ def _factor(numbers: Array, name: str, unit: str, wanted: Wanted) -> float:
         if low > least:
             return factor
     dated = any(word in bare.casefold() for word in ("date", "stamp", "datum", "excel"))
-    if dated and any(a < low and high < b for a, b in (_EXCEL, _MATLAB)):
+    # Days as Excel and MATLAB count them.
+    if dated and any(a < low and high < b for a, b in ((20_000, 80_000), (700_000, 800_000))):
         return _DAY
-    return _DAY if _SPREADSHEET[0] < low and high < _SPREADSHEET[1] and _in_days(known) else 1.0
-
-
-def _in_days(numbers: Array) -> bool:
-    """Return whether the stamps of this century lie a round number of seconds apart if they are
-    days, and neither a round number nor a round rate if they are seconds."""
-    steps = np.diff(numbers)
+    # Without such a name: days of the years 2000 to 2050 that lie a round number of seconds apart,
+    # while as seconds neither their distance nor its rate would be round.
+    steps = np.diff(known)
     step = float(np.median(steps)) if steps.size else 0.0
-    if step <= 0.0:
-        return False
-    return _is_round(step * _DAY, 3) and not _is_round(step, 2) and not _is_round(1.0 / step, 2)
+    if low <= 36_526 or high >= 54_789 or step <= 0.0:
+        return 1.0
+    as_seconds = _is_round(step, 2) or _is_round(1.0 / step, 2)
+    return _DAY if _is_round(step * _DAY, 3) and not as_seconds else 1.0
 
 
 def _is_round(value: float, digits: int) -> bool:
@@ -307,16 +299,16 @@ def _days(sheet: FileTable, name: str) -> Array | None:
         return None
     pattern: list[str] = []
     where = f"{sheet.where}, column '{other}'"
-    return np.array([_day(cell, pattern, where) for cell in sheet.columns[other].cells])
-
-
-def _day(cell: object, pattern: list[str], where: str) -> float:
-    if isinstance(cell, datetime):
-        return _since_epoch(cell)
-    if isinstance(cell, date):
-        return _since_epoch(datetime(cell.year, cell.month, cell.day))
-    text = str(cell).strip()
-    return _timestamp(text if ":" in text else f"{text} 00:00:00", pattern, where)
+    found: list[float] = []
+    for cell in sheet.columns[other].cells:
+        day: object = cell
+        if isinstance(cell, date) and not isinstance(cell, datetime):
+            day = datetime(cell.year, cell.month, cell.day)
+        elif not isinstance(cell, datetime):
+            day = str(cell).strip()
+            day = day if ":" in day else f"{day} 00:00:00"
+        found.append(_timestamp(day, pattern, where))
+    return np.array(found)
 
 
 def _timestamp(cell: object, pattern: list[str], where: str) -> float:
@@ -336,13 +328,17 @@ def _timestamp(cell: object, pattern: list[str], where: str) -> float:
     if clock is not None:
         return clock
     if not pattern or pattern == ["iso"]:
+        # `fromisoformat` reads at most six digits of a second; the others are added.
+        head, point, tail = text.partition(".")
+        digits = tail[: len(tail) - len(tail.lstrip("0123456789"))]
         try:
-            timestamp = _since_epoch(datetime.fromisoformat(_microseconds(text)))
+            timestamp = datetime.fromisoformat(f"{head}{point}{digits[:6]}{tail[len(digits) :]}")
         except ValueError:
             pass
         else:
             pattern[:] = ["iso"]
-            return timestamp + _beyond_microseconds(text)
+            beyond = float(f"0.{digits[6:]}") if len(digits) > 6 else 0.0
+            return _since_epoch(timestamp) + beyond
     for shape in pattern or [*_PATTERNS, *_SLASHED]:
         try:
             timestamp = _since_epoch(datetime.strptime(text, shape))
@@ -370,18 +366,6 @@ def _clock(text: str) -> float | None:
     except ValueError:
         return None
     return round(1e6 * sum(v * 60.0**k for k, v in enumerate(reversed(values))), 3)
-
-
-def _microseconds(text: str) -> str:
-    head, point, tail = text.partition(".")
-    digits = len(tail) - len(tail.lstrip("0123456789"))
-    return text if digits <= 6 else f"{head}{point}{tail[:6]}{tail[digits:]}"
-
-
-def _beyond_microseconds(text: str) -> float:
-    tail = text.partition(".")[2]
-    digits = tail[: len(tail) - len(tail.lstrip("0123456789"))]
-    return float(f"0.{digits[6:]}") if len(digits) > 6 else 0.0
 
 
 def _since_epoch(timestamp: datetime) -> float:

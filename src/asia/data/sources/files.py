@@ -27,13 +27,10 @@ class RecordFiles(Source):
     """Files that a problem names one by one; absolute paths."""
 
     train: tuple[Path, ...]
-    """Files to train on."""
     test: tuple[Path, ...] = ()
     """Files of the test; () without a test, or where it is encrypted."""
     guard: tuple[Path, ...] = ()
-    """Files with guard records."""
     reading: Wanted = field(default_factory=lambda: Wanted((), ()))
-    """Options of reading: time stamps, columns and experiments."""
     test_experiments: tuple[str, ...] = ()
     """Experiments in the training files that are the test."""
 
@@ -44,7 +41,6 @@ class RecordFiles(Source):
 
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """Implement `Source.from_table`."""
         refuse_seed(table)
         if not table.train:
             raise UserError(
@@ -62,7 +58,6 @@ class RecordFiles(Source):
         return cls(**lists, reading=table.reading, test_experiments=table.test_experiments)
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """Implement `Source.read`."""
         if subset == "train":
             found = [self._take(self.train, channels, "train", without=self.test_experiments)]
         elif subset == "guard":
@@ -102,12 +97,10 @@ class RecordFiles(Source):
         return found
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """Implement `Source.places`."""
         held = self.train if self.test_experiments else ()
         return {"train": self.train, "test": (*self.test, *held), "guard": self.guard}[subset]
 
     def to_toml(self) -> dict[str, Any]:
-        """Implement `Source.to_toml`."""
         reading = self.reading
         return {
             "train": [str(path) for path in self.train],
@@ -122,22 +115,17 @@ class RecordFiles(Source):
 
     @property
     def has_test(self) -> bool:
-        """Implement `Source.has_test`."""
         return bool(self.test or self.test_experiments)
 
     @property
     def guard_names(self) -> tuple[str, ...]:
-        """Implement `Source.guard_names`."""
-        return _names(self.guard)
+        # The names of the files, with the folder where two files have one name.
+        stems = Counter(path.stem for path in self.guard)
+        return tuple(
+            p.stem if stems[p.stem] == 1 else f"{p.parent.name}/{p.stem}" for p in self.guard
+        )
 
     def check_openable(self) -> None:
-        """Implement `Source.check_openable`."""
         for path in self.test:
             if not path.exists():
                 raise UserError(f"no such file: {path}; put the test data back")
-
-
-def _names(paths: tuple[Path, ...]) -> tuple[str, ...]:
-    """Name the records after their files, with the folder where two files have one name."""
-    stems = Counter(path.stem for path in paths)
-    return tuple(p.stem if stems[p.stem] == 1 else f"{p.parent.name}/{p.stem}" for p in paths)

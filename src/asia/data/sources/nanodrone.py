@@ -11,6 +11,7 @@ from typing import ClassVar, Literal
 from asia.data.intake.records import as_written
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.text import Text
+from asia.data.sources.official import is_lfs_pointer
 from asia.data.sources.source import Channels, DataSet, SourceData, Subset
 from asia.errors import UserError
 
@@ -22,8 +23,6 @@ _FLIGHTS = {
     ),
     "test": tuple(f"melon_20251017_run{k}" for k in (1, 2, 3)),
 }
-# How a file begins that git-lfs has not fetched: https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md
-_POINTER = b"version https://git-lfs"
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,6 @@ class Nanodrone(DataSet):
             raise UserError(f"data.source is '{self.source}': write 'nanodrone' alone")
 
     def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
-        """Implement `DataSet.load`."""
         inputs, outputs = channels.names
         wanted = Wanted(tuple(inputs), tuple(outputs))
         sheets = [Text().read(path, wanted)[0] for path in _flights(subset)]
@@ -55,7 +53,6 @@ class Nanodrone(DataSet):
         )
 
     def places(self, subset: Subset) -> tuple[Path, ...]:
-        """Implement `Source.places`."""
         if subset == "guard":
             return tuple(path for path in _flights("train") if path.stem in self.guard)
         return _flights(subset)
@@ -68,39 +65,26 @@ def _flights(subset: Literal["train", "test"]) -> tuple[Path, ...]:
         UserError: that says how to get them
     """
     missing = ""
-    for clone in _clones():
+    own, home = os.environ.get("ASIA_DATA_DIR"), Path.home() / ".asia" / _REPOSITORY
+    for clone in [*([Path(own) / "nanodrone", Path(own) / _REPOSITORY] if own else []), home]:
         folder = clone / "data" / subset
         paths = tuple(folder / f"{name}.csv" for name in _FLIGHTS[subset])
         absent = [path for path in paths if not path.is_file()]
-        if not absent:
-            _check_fetched(paths, clone)
-            return paths
-        if len(absent) < len(paths) and not missing:
-            missing = f" ({absent[0]} is missing)"
-    raise UserError(
-        f"the flights of the nanodrone benchmark are not on this machine{missing}: run "
-        f"git clone {_ADDRESS} {_home()}, or clone it into a folder of yours and set "
-        f"ASIA_DATA_DIR to that folder, so that "
-        f"$ASIA_DATA_DIR/{_REPOSITORY}/data/{subset}/{_FLIGHTS[subset][0]}.csv exists"
-    )
-
-
-def _check_fetched(paths: tuple[Path, ...], clone: Path) -> None:
-    for path in paths:
-        with path.open("rb") as stream:
-            if stream.read(len(_POINTER)) == _POINTER:
+        if absent:
+            if len(absent) < len(paths) and not missing:
+                missing = f" ({absent[0]} is missing)"
+            continue
+        for path in paths:
+            if is_lfs_pointer(path):
                 raise UserError(
                     f"{path} is a pointer of git-lfs and not the flight itself, for {clone} was "
                     f"cloned without git-lfs: install git-lfs and run git lfs pull in {clone}, or "
                     f"unpack the archive of a release from {_ADDRESS}/releases there"
                 )
-
-
-def _home() -> Path:
-    return Path.home() / ".asia" / _REPOSITORY
-
-
-def _clones() -> list[Path]:
-    own = os.environ.get("ASIA_DATA_DIR")
-    named = [Path(own) / "nanodrone", Path(own) / _REPOSITORY] if own else []
-    return [*named, _home()]
+        return paths
+    raise UserError(
+        f"the flights of the nanodrone benchmark are not on this machine{missing}: run "
+        f"git clone {_ADDRESS} {home}, or clone it into a folder of yours and set "
+        f"ASIA_DATA_DIR to that folder, so that "
+        f"$ASIA_DATA_DIR/{_REPOSITORY}/data/{subset}/{_FLIGHTS[subset][0]}.csv exists"
+    )

@@ -26,10 +26,7 @@ from asia.errors import UserError
 # Published files on this machine: where they lie, whether they are the published ones.
 
 
-_TIMEOUT_S = 60.0
 _CHUNK = 1 << 20
-# How a file begins that git-lfs has not fetched: https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md
-_POINTER = b"version https://git-lfs"
 
 
 @dataclass(frozen=True)
@@ -52,6 +49,13 @@ class PublishedFile:
         """Return whether `found` can be the digest of this file."""
         first, _, last = self.sha256.partition("...")
         return found.startswith(first) and found.endswith(last)
+
+
+def is_lfs_pointer(path: Path) -> bool:
+    """Return whether git-lfs has not fetched the content of a file
+    (https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md)."""
+    with path.open("rb") as stream:
+        return stream.read(23) == b"version https://git-lfs"
 
 
 def benchmark_folder(name: str, paths: Sequence[str]) -> Path:
@@ -79,39 +83,40 @@ def check_files(
         UserError: for a file that is missing, that git-lfs has not fetched, or that has another
             digest than the published one
     """
-    missing = [file for file in files if not (folder / file.path).is_file()]
-    for file in missing:
-        problem = "no download of it is pinned by a digest"
-        if file.url:
-            problem = _download(file, folder / file.path)
+    for file in files:
+        path = folder / file.path
+        if path.is_file():
+            continue
+        problem = _download(file, path) if file.url else "no download of it is pinned by a digest"
         if problem:
-            raise UserError(_how_to_get(name, file, folder, page, problem))
-    unknown = [line for file in files for line in _check(file, folder / file.path)]
+            raise UserError(
+                f"the data of benchmark {name} are not on this machine, for {file.path} is missing "
+                f"and {problem}: get it from {page} and put it, unpacked, at "
+                f"$ASIA_DATA_DIR/nonlinear_benchmarks/{folder.name}/{file.path} with ASIA_DATA_DIR "
+                f"set to a folder of yours (or at {path})"
+            )
+    unknown: list[str] = []
+    for file in files:
+        path = folder / file.path
+        if is_lfs_pointer(path):
+            raise UserError(
+                f"{path} is a pointer of git-lfs and not the file itself: install git-lfs, run git "
+                "lfs pull in the clone it came from, and copy it again"
+            )
+        found = _sha256(path)
+        if not file.sha256:
+            unknown.append(f"{file.path} {found}")
+        elif not file.is_digest(found):
+            raise UserError(
+                f"{path} is not the published file (sha256 {found[:12]}..., expected "
+                f"{file.sha256[:8]}...): remove it and get it again, over a network you trust"
+            )
     if not unknown:
         return ()
     return (
         f"no published digest of these files of {name} is known: compare their sha256 with those "
         f"of somebody who has them, or make sure where yours came from: {', '.join(unknown)}",
     )
-
-
-def _check(file: PublishedFile, path: Path) -> tuple[str, ...]:
-    """Path and digest of a file whose published digest is not known. Raises UserError."""
-    with path.open("rb") as stream:
-        if stream.read(len(_POINTER)) == _POINTER:
-            raise UserError(
-                f"{path} is a pointer of git-lfs and not the file itself: install git-lfs, run git "
-                "lfs pull in the clone it came from, and copy it again"
-            )
-    found = _sha256(path)
-    if not file.sha256:
-        return (f"{file.path} {found}",)
-    if not file.is_digest(found):
-        raise UserError(
-            f"{path} is not the published file (sha256 {found[:12]}..., expected "
-            f"{file.sha256[:8]}...): remove it and get it again, over a network you trust"
-        )
-    return ()
 
 
 def _sha256(path: Path) -> str:
@@ -136,7 +141,7 @@ def _download(file: PublishedFile, path: Path) -> str:
         path.parent.mkdir(parents=True, exist_ok=True)
         with (
             tempfile.TemporaryDirectory(dir=path.parent) as folder,
-            urllib.request.urlopen(file.url, timeout=_TIMEOUT_S) as answer,
+            urllib.request.urlopen(file.url, timeout=60.0) as answer,
         ):
             arrived = Path(folder) / path.name
             with arrived.open("wb") as target:
@@ -152,21 +157,11 @@ def _download(file: PublishedFile, path: Path) -> str:
     return ""
 
 
-def _how_to_get(name: str, file: PublishedFile, folder: Path, page: str, problem: str) -> str:
-    return (
-        f"the data of benchmark {name} are not on this machine, for {file.path} is missing and "
-        f"{problem}: get it from {page} and put it, unpacked, at "
-        f"$ASIA_DATA_DIR/nonlinear_benchmarks/{folder.name}/{file.path} with ASIA_DATA_DIR set to "
-        f"a folder of yours (or at {folder / file.path})"
-    )
-
-
 # Layouts of the published files, and each benchmark's division into subsets.
 
 
 _Subset = Literal["train", "test"]
 
-_SITE = "https://www.nonlinearbenchmark.org"
 _TANKS = PublishedFile(
     "CascadedTanksFiles/dataBenchmark.mat",
     url="https://data.4tu.nl/file/d4810b78-6cdd-48fe-8950-9bd601e5f47f/"
@@ -192,15 +187,6 @@ _FSM_DIGESTS = {
     "y_300mV_train": "38acb224027e728d7a3c44a0ce5538fcb74c836be585a1b318a6728c8a6820fb",
 }
 _FSM_LEVELS = (100, 200, 300)
-_F16_LEVELS: dict[_Subset, tuple[int, ...]] = {"train": (1, 3, 5, 7), "test": (2, 4, 6)}
-
-# The Silverbox record, 0-based: the arrow, then ten realisations of a multisine of 8192 samples
-# with 500 samples between them; the official division falls inside the eighth.
-_ARROW = range(100, 40_575)
-_ARROW_WITHIN = range(100, 32_100)
-_MULTISINE_TRAIN = range(40_650, 105_712)
-_MULTISINE_TEST = range(105_712, 127_400)
-_FIRST_REALISATION, _REALISATION_STEP, _GAP = 40_986, 8_692, 500
 
 
 @dataclass(frozen=True)
@@ -210,13 +196,10 @@ class BenchmarkLayout:
     folder: str
     """Folder below `nonlinear_benchmarks`."""
     train: tuple[PublishedFile, ...]
-    """The files with the training records."""
     test: tuple[PublishedFile, ...]
     """The files with the test records; some benchmarks have all records in one file."""
     read: Callable[[Path, _Subset], Iterator[Trajectory]]
-    """The records of a subset, from the folder."""
-    page: str
-    """Web page of the files."""
+    page: str = "https://www.nonlinearbenchmark.org"
     digests: Mapping[_Subset, str] = field(default_factory=dict["_Subset", str])
     """Digest of the records of a subset, as `data_digest` gives it, where that of the file is not
     known."""
@@ -256,22 +239,23 @@ def _emps(folder: Path, subset: _Subset) -> Iterator[Trajectory]:
 
 
 def _silverbox(folder: Path, subset: _Subset) -> Iterator[Trajectory]:
-    """Training: the realisations one by one, cut in the middle of the gaps between them."""
+    """The record has an arrow, then ten realisations of a multisine of 8192 samples with 500
+    samples between them; the official division falls inside the eighth. Training: the realisations
+    one by one, cut in the middle of the gaps between them."""
     found = _mat(folder / "SilverboxFiles" / "SNLS80mV.mat")
     u, y = found["V1"].ravel(), found["V2"].ravel()
+    start, split, stop = 40_650, 105_712, 127_400
     parts = {
-        "multisine": _MULTISINE_TEST,
-        "arrow_full": _ARROW,
-        "arrow_no_extrapolation": _ARROW_WITHIN,
+        "multisine": range(split, stop),
+        "arrow_full": range(100, 40_575),
+        "arrow_no_extrapolation": range(100, 32_100),
     }
     if subset == "train":
-        first = _FIRST_REALISATION - _GAP // 2
-        inner = range(first + _REALISATION_STEP, _MULTISINE_TRAIN.stop, _REALISATION_STEP)
-        edges = [_MULTISINE_TRAIN.start, *inner, _MULTISINE_TRAIN.stop]
+        edges = [start, *range(40_986 - 250 + 8_692, split, 8_692), split]
         parts = {f"multisine{k}": range(*ends) for k, ends in enumerate(pairwise(edges), 1)}
     for name, part in parts.items():
         if part.stop > len(u):
-            raise ValueError(f"{len(u)} samples, expected {_MULTISINE_TEST.stop} or more")
+            raise ValueError(f"{len(u)} samples, expected {stop} or more")
         yield _record(u[part.start : part.stop], y[part.start : part.stop], 1 / 610.35, name)
 
 
@@ -323,11 +307,11 @@ def _f16(folder: Path, subset: _Subset) -> Iterator[Trajectory]:
 
 
 def _f16_files(subset: _Subset) -> tuple[PublishedFile, ...]:
-    ending = "" if subset == "train" else "_Validation"
+    levels, ending = ((1, 3, 5, 7), "") if subset == "train" else ((2, 4, 6), "_Validation")
     return tuple(
         PublishedFile(f"F16GVT_Files/BenchmarkData/F16Data_{kind}_Level{level}{ending}.mat")
         for kind in ("FullMSine", "SineSw")
-        for level in _F16_LEVELS[subset]
+        for level in levels
     )
 
 
@@ -341,7 +325,7 @@ def _fsm_files(subset: _Subset) -> tuple[PublishedFile, ...]:
 def _one_file(
     folder: str, file: PublishedFile, read: Callable[[Path, _Subset], Iterator[Trajectory]]
 ) -> BenchmarkLayout:
-    return BenchmarkLayout(folder, (file,), (file,), read, _SITE)
+    return BenchmarkLayout(folder, (file,), (file,), read)
 
 
 LAYOUTS: dict[str, BenchmarkLayout] = {
@@ -350,8 +334,7 @@ LAYOUTS: dict[str, BenchmarkLayout] = {
         (_TANKS,),
         (_TANKS,),
         _cascaded_tanks,
-        _SITE,
-        {
+        digests={
             "train": "a60c8ed462f90fc924dad58aed81fb0023c9601f0e490f55e45867a7e77bccef",
             "test": "93249423ff86424c734f80c9edea447aeb2bb046cba752815c019d5148e840ee",
         },
@@ -362,7 +345,6 @@ LAYOUTS: dict[str, BenchmarkLayout] = {
         (PublishedFile("DATA_EMPS.mat", "6cf6814a...cf7e"),),
         (PublishedFile("DATA_EMPS_PULSES.mat", "0eab75bb...1704"),),
         _emps,
-        _SITE,
     ),
     "silverbox": _one_file(
         "Silverbox",
@@ -382,7 +364,7 @@ LAYOUTS: dict[str, BenchmarkLayout] = {
     "parallel_wiener_hammerstein": _one_file(
         "ParWH", PublishedFile("ParWHFiles/ParWHData.mat"), _parallel_wiener_hammerstein
     ),
-    "f16": BenchmarkLayout("F16", _f16_files("train"), _f16_files("test"), _f16, _SITE),
+    "f16": BenchmarkLayout("F16", _f16_files("train"), _f16_files("test"), _f16),
 }
 """The benchmarks by name."""
 
@@ -420,8 +402,8 @@ class OfficialBenchmark(DataSet):
                 published layout
         """
         del channels
-        layout = self._layout
-        files = self._files(subset)
+        layout = LAYOUTS[self.argument]
+        files = layout.train if subset == "train" else layout.test
         warnings = check_files(self.argument, self._folder, files, layout.page)
         try:
             records = tuple(layout.read(self._folder, subset))
@@ -445,13 +427,6 @@ class OfficialBenchmark(DataSet):
         return () if subset == "guard" and not self.guard else (self._folder,)
 
     @property
-    def _layout(self) -> BenchmarkLayout:
-        return LAYOUTS[self.argument]
-
-    @property
     def _folder(self) -> Path:
-        layout = self._layout
+        layout = LAYOUTS[self.argument]
         return benchmark_folder(layout.folder, [f.path for f in (*layout.train, *layout.test)])
-
-    def _files(self, subset: Literal["train", "test"]) -> tuple[PublishedFile, ...]:
-        return self._layout.train if subset == "train" else self._layout.test

@@ -20,9 +20,7 @@ class SealedStore(Source):
     """The file that `asia init --seal` wrote. It holds a test and nothing else."""
 
     path: Path
-    """The store, absolute."""
     sha256: str | None = None
-    """Digest of the records that were sealed."""
     keys: Path | None = field(default=None, compare=False)
     """Folder of keys; None for that of the user."""
 
@@ -30,7 +28,6 @@ class SealedStore(Source):
 
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """Implement `Source.from_table`."""
         assert table.sealed is not None
         return cls((root / table.sealed.file).resolve(), table.sealed.sha256)
 
@@ -54,7 +51,6 @@ class SealedStore(Source):
         return (key_folder(self.keys),) if subset == "test" else ()
 
     def to_toml(self) -> dict[str, Any]:
-        """Implement `Source.to_toml`."""
         return {"sealed": {"file": str(self.path), "sha256": self.sha256}}
 
     def outline(self, channels: Channels) -> TestSummary:
@@ -80,11 +76,9 @@ class SealedStore(Source):
         )
 
     def check_openable(self) -> None:
-        """Implement `Source.check_openable`."""
         find_key(self.path, self._head(), key_folder(self.keys))
 
     def with_keys(self, folder: Path | None) -> SealedStore:
-        """Implement `Source.with_keys`."""
         return replace(self, keys=folder)
 
     def _head(self) -> SealHead:

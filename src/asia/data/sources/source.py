@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -19,19 +19,14 @@ from asia.errors import UserError
 Subset = Literal["train", "test", "guard"]
 """Records to train on, the sealed test, and records that no fold and no agent sees."""
 
-_KINDS: dict[Subset, str] = {"train": "training", "test": "test", "guard": "guard"}
-
 
 @dataclass(frozen=True)
 class Channels:
     """Channels to read."""
 
     inputs: tuple[Signal, ...]
-    """The inputs, in the order of `Trajectory.u`."""
     outputs: tuple[Signal, ...]
-    """The outputs, in the order of `Trajectory.y`."""
     sampling_time: float
-    """The sampling time of every record, s."""
     least: int = field(default=1, compare=False)
     """Shortest usable segment of a training record in samples, where files are cut at gaps."""
 
@@ -50,7 +45,6 @@ class SourceData:
     truth: tuple[Array, ...] | None = None
     """Noise-free outputs (T, ny) of each record; for simulated systems only."""
     warnings: tuple[str, ...] = ()
-    """Doubts about the records, in plain words."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +54,7 @@ class TestSummary:
     sha256: str
     """Digest of the records, as `data_digest` gives it."""
     names: tuple[str, ...]
-    """Names of the records."""
     lengths: tuple[int, ...]
-    """Number of samples of each record."""
     shared_samples: int
     """Samples that also occur, in runs of ten or more, in the training records."""
     outside_inputs: tuple[int, ...] = ()
@@ -84,9 +76,7 @@ class SealedEntry:
     """`data.sealed` of a problem file."""
 
     file: FileName
-    """The encrypted store."""
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-    """Digest of the records in it."""
 
 
 @dataclass(frozen=True)
@@ -94,17 +84,13 @@ class DataTable:
     """`[data]` of a problem file."""
 
     train: tuple[FileName, ...] = ()
-    """Files to train on."""
     test: tuple[FileName, ...] = ()
-    """Files of the test."""
     sealed: SealedEntry | None = None
     """The encrypted test, instead of `test`."""
     source: str | None = None
     """`name` or `name:argument` of a source, instead of files."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] | None = None
-    """The seed of a simulated source."""
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
-    """Names of the training records that folds hold out together."""
     guard: tuple[FileName, ...] | Annotated[int, Field(ge=1, le=100)] = ()
     """Guard records: files, names of training records, or a number of simulated records."""
     period: Annotated[int, Field(ge=2, le=100_000_000)] | None = None
@@ -139,7 +125,6 @@ class Source(ABC):
     test_kept: ClassVar[str] = (
         "where its source keeps it; isolation alone keeps candidates off the records"
     )
-    """Protection of the test records, in plain words."""
     sha256: str | None = None
     """The digest that the test records must have; None where the problem file names none."""
 
@@ -200,8 +185,20 @@ class Source(ABC):
                 name, and for values whose squares a double cannot hold
         """
         found = self.read(subset, channels)
-        _check_channels(found.trajectories, channels)
-        check_magnitudes(found.trajectories, *channels.names, _KINDS[subset])
+        for t in found.trajectories:
+            for what, have, named in (
+                ("inputs", t.u.shape[1], len(channels.inputs)),
+                ("outputs", t.y.shape[1], len(channels.outputs)),
+            ):
+                if have != named:
+                    raise UserError(f"record '{t.name}' has {have} {what}, but {named} are named")
+            if abs(t.sampling_time - channels.sampling_time) > 1e-3 * t.sampling_time:
+                raise UserError(
+                    f"sampling_time is {channels.sampling_time:g} s, but record '{t.name}' was "
+                    f"sampled every {t.sampling_time:g} s"
+                )
+        kind = "training" if subset == "train" else subset
+        check_magnitudes(found.trajectories, *channels.names, kind)
         if subset == "train":
             check_ranges(found.trajectories, *channels.names)
         for name, count in Counter(t.name for t in found.trajectories).items():
@@ -241,7 +238,6 @@ class DataSet(Source):
     source: str
     """`data.source` as the problem file has it."""
     guard: tuple[str, ...] = ()
-    """Names of training records that are guard records."""
 
     @property
     def argument(self) -> str:
@@ -254,7 +250,6 @@ class DataSet(Source):
 
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """Implement `Source.from_table`."""
         del root
         refuse_seed(table)
         if isinstance(table.guard, int):
@@ -262,7 +257,6 @@ class DataSet(Source):
         return cls(table.source or "", table.guard)
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """Implement `Source.read`."""
         if subset == "test":
             return self.load("test", channels)
         if subset == "guard" and not self.guard:
@@ -284,12 +278,10 @@ class DataSet(Source):
         )
 
     def to_toml(self) -> dict[str, Any]:
-        """Implement `Source.to_toml`."""
         return {"source": self.source, "guard": list(self.guard) or None}
 
     @property
     def guard_names(self) -> tuple[str, ...]:
-        """Implement `Source.guard_names`."""
         return self.guard
 
 
@@ -304,18 +296,3 @@ def not_counted(guard: int, what: str) -> UserError:
     return UserError(
         f"data.guard is {guard}, which only a simulated source understands: name the {what}"
     )
-
-
-def _check_channels(trajectories: Sequence[Trajectory], channels: Channels) -> None:
-    for t in trajectories:
-        for what, have, named in (
-            ("inputs", t.u.shape[1], len(channels.inputs)),
-            ("outputs", t.y.shape[1], len(channels.outputs)),
-        ):
-            if have != named:
-                raise UserError(f"record '{t.name}' has {have} {what}, but {named} are named")
-        if abs(t.sampling_time - channels.sampling_time) > 1e-3 * t.sampling_time:
-            raise UserError(
-                f"sampling_time is {channels.sampling_time:g} s, but record '{t.name}' was "
-                f"sampled every {t.sampling_time:g} s"
-            )

@@ -20,7 +20,7 @@ from asia.assurance.redteam.attacks.searches import Scene
 from asia.assurance.redteam.types import Barrier, SearchAttack, SearchAttackResult
 from asia.data.trajectory import Array
 from asia.judge.scoring.outcome import Failure, Score, combine, score_fold
-from asia.problem.schema import LADDER_STEP
+from asia.problem.protocol_table import LADDER_STEP
 
 QUERIES = 200
 _SAMPLES, _ERROR, _SIZE = 2000, 0.3, 0.3

@@ -8,7 +8,7 @@ from math import pi
 
 import numpy as np
 
-from asia.data.sources.simulated.record import Simulation
+from asia.data.sources.simulated import Simulation
 from asia.data.sources.source import Subset
 from asia.data.trajectory import Array
 

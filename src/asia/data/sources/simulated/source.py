@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from asia._text import nearest
-from asia.data.sources.simulated import bouc_wen, two_tanks
-from asia.data.sources.simulated.record import Simulation
+from asia.data.sources.simulated import Simulation, bouc_wen, two_tanks
 from asia.data.sources.source import Channels, DataTable, Source, SourceData, Subset
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
@@ -20,7 +19,6 @@ class SimulatedSystem:
     """A system by its equations."""
 
     sampling_time: float
-    """s."""
     records: Callable[[int, Subset, int], Mapping[str, Simulation]]
     """Function of a seed, a subset and the number of guard records that returns the records of that
     subset by name."""
@@ -38,11 +36,8 @@ class Simulated(Source):
     """System that is simulated on each read; the seed fixes every number."""
 
     seed: int = 0
-    """The seed of inputs, initial states and noise."""
     guard: int = 0
-    """Number of guard records."""
     system: str = "two_tanks"
-    """The name in `SYSTEMS`."""
 
     usage: ClassVar[str] = "simulated:<system>"
     test_kept: ClassVar[str] = (
@@ -51,7 +46,6 @@ class Simulated(Source):
 
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
-        """Implement `Source.from_table`."""
         del root
         name = (table.source or "").partition(":")[2]
         if name not in SYSTEMS:
@@ -64,7 +58,6 @@ class Simulated(Source):
         return cls(table.seed or 0, table.guard if isinstance(table.guard, int) else 0, name)
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """Implement `Source.read`."""
         del channels
         system = SYSTEMS[self.system]
         made = system.records(self.seed, subset, self.guard)
@@ -79,7 +72,6 @@ class Simulated(Source):
         return ()
 
     def to_toml(self) -> dict[str, Any]:
-        """Implement `Source.to_toml`."""
         return {
             "source": f"simulated:{self.system}",
             "seed": self.seed,
@@ -88,5 +80,4 @@ class Simulated(Source):
 
     @property
     def guard_names(self) -> tuple[str, ...]:
-        """Implement `Source.guard_names`."""
         return tuple(f"{self.system}_guard{k}" for k in range(1, self.guard + 1))

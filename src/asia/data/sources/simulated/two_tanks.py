@@ -7,7 +7,7 @@ from math import sqrt
 
 import numpy as np
 
-from asia.data.sources.simulated.record import Simulation
+from asia.data.sources.simulated import Simulation
 from asia.data.sources.source import Subset
 from asia.data.trajectory import Array
 
@@ -22,18 +22,12 @@ _SUBSTEPS = 8
 _DECIMALS = 4
 
 
-_SYSTEM = "two_tanks"
-_GUARD = 2
-
-
 def two_tanks_records(seed: int, subset: Subset, guard: int) -> dict[str, Simulation]:
     """One training and one test record, and guard records."""
     if subset == "guard":
-        return {
-            f"{_SYSTEM}_guard{k + 1}": simulate_two_tanks(seed, _GUARD + k) for k in range(guard)
-        }
+        return {f"two_tanks_guard{k + 1}": simulate_two_tanks(seed, 2 + k) for k in range(guard)}
     number = ("train", "test").index(subset)
-    return {f"{_SYSTEM}_{subset}": simulate_two_tanks(seed, number)}
+    return {f"two_tanks_{subset}": simulate_two_tanks(seed, number)}
 
 
 def simulate_two_tanks(seed: int, realisation: int) -> Simulation:
