@@ -92,8 +92,11 @@ def simulated(model: Model, blocks: Sequence[Block]) -> list[Array]:
     return found
 
 
-def searched(folds: Sequence[Fold]) -> tuple[list[Model], list[HeldOutErrors], tuple[int, int]]:
-    """The fold models of the lowest V, what they missed, and the candidate."""
+def searched(
+    folds: Sequence[Fold],
+) -> tuple[list[Model], list[HeldOutErrors], tuple[tuple[Array, ...], ...], tuple[int, int]]:
+    """Return the fold models of the lowest V, their held-out errors and simulations, and the
+    candidate."""
     best, kept = np.inf, None
     for candidate in CANDIDATES:
         models = [fit(fold.train, *candidate, seed=fold.index) for fold in folds]
@@ -108,7 +111,7 @@ def searched(folds: Sequence[Fold]) -> tuple[list[Model], list[HeldOutErrors], t
                 HeldOutErrors(tuple(y - y_hat for y, y_hat in zip(ys, y_hats, strict=True)))
                 for ys, y_hats in zip(measured, answers, strict=True)
             ]
-            best, kept = value, (models, errors, candidate)
+            best, kept = value, (models, errors, tuple(map(tuple, answers)), candidate)
     assert kept is not None
     return kept
 
@@ -123,10 +126,10 @@ def seen(kind: Kind, protocol: Protocol, seed: int) -> Seen:
         for k in range(protocol.records)
         for r in [system.record(rng, protocol.samples)]
     ]
-    models, errors, candidate = searched(make_folds(records, protocol.rule))
+    models, errors, answers, candidate = searched(make_folds(records, protocol.rule))
     refit = fit(records, *candidate, seed=len(models))
     region = region_of([(r.u, r.y) for r in records])
-    basis = BandBasis(tuple(errors), region, protocol.rule.horizon is not None)
+    basis = BandBasis(tuple(errors), answers, region, protocol.rule.horizon is not None)
     held = np.zeros((2, len(SHIFTS), len(LEVELS)))
     outside, width = np.zeros((2, len(SHIFTS))), np.zeros((2, len(LEVELS)))
     for s, (scale, slower) in enumerate(SHIFTS.values()):

@@ -131,5 +131,7 @@ def _artifacts(event: Event) -> Iterator[str]:
             for record in (event.ensemble, event.refit, event.stack):
                 if isinstance(record, TestedModel):
                     yield record.y_hat
+            if event.bands:
+                yield from (event.bands.lower, event.bands.upper)
         case _:
             return

@@ -81,6 +81,18 @@ def test_the_digest_stands_before_experiment_1_and_the_key_is_not_needed(
     assert result.record.test_digest == head["sha256"]
     assert result.record.trajectories == ("test",)
 
+    # The bands of the test are artifacts as all others are.
+    bands = result.record.bands
+    assert bands is not None
+    for name in (bands.lower, bands.upper):
+        path = directory / "artifacts" / name
+        kept = path.read_bytes()
+        path.write_bytes(b"x" + kept[1:])
+        with pytest.raises(UserError, match="was changed after it was written"):
+            verify(directory)
+        path.write_bytes(kept)
+    verify(directory)
+
 
 @pytest.mark.slow
 def test_a_run_that_does_not_verify_is_not_opened(problem: Path) -> None:
