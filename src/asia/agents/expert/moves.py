@@ -12,31 +12,21 @@ from asia.agents.library.recipe import Recipe
 from asia.agents.library.records import coloured
 from asia.agents.library.registry import card_moves
 
-_LATE = 0.25
-# A long fit may halve the error of a short one, hardly more.
-_REACH = 2.0
-
-
-def _is_short(at: Situation) -> bool:
-    return at.recipe.number("steps", 0) < at.row.full(at.facts).number("steps", 0)
-
 
 def _full_weight(at: Situation) -> float:
-    earned = at.in_best_third and at.behind < _REACH and _is_short(at)
-    return (0.85 if at.place == 0 else 0.7) if earned else 0.0
+    """Return the weight of a long fit, which may halve the error of a short one, hardly more."""
+    full = at.row.full(at.facts).number("steps", 0)
+    if not at.in_best_third or at.behind >= 2.0 or at.recipe.number("steps", 0) >= full:
+        return 0.0
+    return 0.85 if at.place == 0 else 0.7
 
 
 def _in_full(at: Situation) -> Recipe:
     """Apply the additional settings of the family's long fit to the present recipe."""
     trial, full = at.row.trial(at.facts), at.row.full(at.facts)
-    recipe = at.recipe
-    for name, value in full.config:
-        if trial.get(name) != value:
-            recipe = recipe.configured(**{name: value})
-    for name, value in full.options:
-        if trial.get(name) != value:
-            recipe = recipe.trained(**{name: value})
-    return recipe
+    config = {name: value for name, value in full.config if trial.get(name) != value}
+    options = {name: value for name, value in full.options if trial.get(name) != value}
+    return at.recipe.configured(**config).trained(**options)
 
 
 def _tuning_weight(at: Situation) -> float:
@@ -44,7 +34,7 @@ def _tuning_weight(at: Situation) -> float:
     ones."""
     if at.place > 0 or not may_tune(at):
         return 0.0
-    return 0.5 if at.view.remaining <= _LATE * at.view.experiments else 0.3
+    return 0.5 if at.view.remaining <= 0.25 * at.view.experiments else 0.3
 
 
 def _fewer(at: Situation) -> Recipe:
@@ -60,10 +50,6 @@ def _calmer(at: Situation) -> Recipe:
     if recipe.number("learning_rate", 0) > 0:
         return recipe.times("learning_rate", 0.3, 1e-3)
     return recipe.times("ridge", 30.0, 1e-4)
-
-
-def _can_calm(at: Situation) -> bool:
-    return at.recipe.number("learning_rate", 0) > 0 or at.recipe.number("ridge", 0) > 0
 
 
 def _order(at: Situation) -> int:
@@ -83,11 +69,9 @@ GENERAL_MOVES: tuple[Move, ...] = (
         name=TUNED,
         weight=_tuning_weight,
         change=tuned,
-        hypothesis=(
-            "The remaining gain lies in the hyperparameters: within a factor of three of the "
-            "best ones, where the outcomes so far make it most likely (tree-structured Parzen "
-            "estimator)."
-        ),
+        hypothesis="The remaining gain lies in the hyperparameters: within a factor of three of "
+        "the best ones, where the outcomes so far make it most likely (tree-structured Parzen "
+        "estimator).",
         expected="A small gain in V.",
         same_effort=True,
         fade=0.9,
@@ -96,16 +80,19 @@ GENERAL_MOVES: tuple[Move, ...] = (
         name="a shorter fit",
         weight=lambda c: 0.5 * (c.trial.status == "timeout"),
         change=_fewer,
-        hypothesis=(
-            "The fit exceeded its time limit: fewer steps still give a value for the family."
-        ),
+        hypothesis="The fit exceeded its time limit: fewer steps still give a value for the "
+        "family.",
         expected="A value for this family, to compare with the others.",
         after="failure",
         behind_counts=False,
     ),
     Move(
         name="a calmer fit",
-        weight=lambda c: 0.4 * (c.trial.status == "invalid") * _can_calm(c),
+        weight=lambda c: (
+            0.4
+            * (c.trial.status == "invalid")
+            * any(c.recipe.number(name, 0) > 0 for name in ("learning_rate", "ridge"))
+        ),
         change=_calmer,
         hypothesis="The simulation diverged: smaller steps or a stronger prior keep it bounded.",
         expected="A value for this family, to compare with the others.",

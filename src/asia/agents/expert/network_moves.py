@@ -22,8 +22,6 @@ from asia.agents.library.records import input_left, overfit
 from asia.agents.library.traits import traits
 
 _SIZES = ("hidden", "width", "units", "states", "slow")
-_WIDEST = 128
-_DECAYED = ("Adam", "MultipleShooting")
 
 
 def _adam(at: Situation) -> bool:
@@ -39,34 +37,27 @@ def _held_back(at: Situation, well: float, badly: float) -> float:
     return badly if overfit(at.trial) > 2.0 else well
 
 
-def _sizes(at: Situation) -> tuple[str, ...]:
+def _sizes(at: Situation) -> dict[str, float]:
     """Settings that hold numbers of units, whichever the family names so."""
-    return tuple(name for name in _SIZES if at.recipe.number(name, 0) > 0)
+    sizes = {name: at.recipe.number(name, 0) for name in _SIZES}
+    return {name: size for name, size in sizes.items() if size > 0}
 
 
 def _resized(at: Situation, factor: float) -> Recipe:
-    sizes = {name: max(2, round(factor * at.recipe.number(name, 8))) for name in _sizes(at)}
+    sizes = {name: max(2, round(factor * size)) for name, size in _sizes(at).items()}
     return at.recipe.configured(**sizes)
 
 
 def _widest(at: Situation) -> float:
-    return max((at.recipe.number(name, 0) for name in _sizes(at)), default=0.0)
+    return max(_sizes(at).values(), default=0.0)
 
 
 def _depth(at: Situation) -> str:
     return next((n for n in ("layers", "depth") if at.recipe.number(n, 0) > 0), "")
 
 
-def _windowed(at: Situation) -> bool:
-    return (at.facts.horizon or 0) >= LEAST_HORIZON
-
-
-def _chunked(at: Situation) -> bool:
-    return _adam(at) and at.recipe.number("truncation", 0) > 0
-
-
-def _scaled(at: Situation, name: str, factor: float, default: float) -> Recipe:
-    number = factor * at.recipe.number(name, default)
+def _scaled(at: Situation, name: str, factor: float) -> Recipe:
+    number = factor * at.recipe.number(name, 1e-3)
     return at.recipe.trained(**{name: float(f"{number:.2g}")})
 
 
@@ -74,35 +65,25 @@ def _absent(at: Situation, name: str) -> bool:
     return not at.recipe.get(name)
 
 
-def _given_symmetry(at: Situation) -> bool:
-    """Return whether the method can give the network the symmetries of the problem."""
-    return any(p.name == "symmetry" for p in at.row.space(at.facts).options)
-
-
-def _huber_weight(at: Situation) -> float:
-    other = at.recipe.get("loss", "mse") != "huber" and not has_noise_model(at.recipe)
-    return 0.2 * _adam(at) * other
-
-
-def _slow_noise() -> Move:
-    """Make the move for slow noise on networks; cards of other families have their own."""
-    move = slow_noise()
-    return replace(move, weight=lambda c: move.weight(c) * (c.recipe.method in ("Adam", "LBFGS")))
-
+_SLOW_NOISE = slow_noise()
 
 NETWORK_MOVES: tuple[Move, ...] = (
-    _slow_noise(),
+    replace(
+        _SLOW_NOISE,
+        # Cards of other families have a move of their own.
+        weight=lambda c: _SLOW_NOISE.weight(c) * (c.recipe.method in ("Adam", "LBFGS")),
+    ),
     Move(
         name="symmetries of the signals",
         weight=lambda c: (
-            (0.7 if c.place == 0 else 0.5) * _given_symmetry(c) * _absent(c, "symmetry")
+            (0.7 if c.place == 0 else 0.5)
+            * any(p.name == "symmetry" for p in c.row.space(c.facts).options)
+            * _absent(c, "symmetry")
         ),
         change=lambda c: c.recipe.trained(symmetry=True),
-        hypothesis=(
-            "The problem lists transformations of its signals that leave the system unchanged. "
-            "A network trained on the transformed records and averaged over them has this "
-            "symmetry built in."
-        ),
+        hypothesis="The problem lists transformations of its signals that leave the system "
+        "unchanged. A network trained on the transformed records and averaged over them has this "
+        "symmetry built in.",
         expected="A lower V; the training error may rise.",
     ),
     Move(
@@ -111,10 +92,8 @@ NETWORK_MOVES: tuple[Move, ...] = (
             (0.6 if input_left(c.trial) else 0.4) * c.varies("features") * _absent(c, "features")
         ),
         change=lambda c: c.recipe.configured(features=("square",)),
-        hypothesis=(
-            "Actuators often act with the square of the command (thrust, drag, power): a "
-            "network with squared inputs need not learn the squares."
-        ),
+        hypothesis="Actuators often act with the square of the command (thrust, drag, power): a "
+        "network with squared inputs need not learn the squares.",
         expected="Lower training error and lower V, most where the input varies widely.",
     ),
     Move(
@@ -123,9 +102,8 @@ NETWORK_MOVES: tuple[Move, ...] = (
             _held_back(c, 0.4, 0.55) * _network(c) * c.row.seeds * _absent(c, "members")
         ),
         change=lambda c: c.recipe.trained(members=3),
-        hypothesis=(
-            "Networks from different seeds have different errors; their mean has less error."
-        ),
+        hypothesis="Networks from different seeds have different errors; their mean has less "
+        "error.",
         expected="A lower and steadier V at the same training error.",
     ),
     Move(
@@ -137,9 +115,7 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="wider network",
-        weight=lambda c: (
-            _held_back(c, 0.45, 0.15) * _network(c) * bool(_sizes(c)) * (_widest(c) < _WIDEST)
-        ),
+        weight=lambda c: _held_back(c, 0.45, 0.15) * _network(c) * (0 < _widest(c) < 128),
         change=lambda c: _resized(c, 2.0),
         hypothesis="The training error is not much below V: the model is too small.",
         expected="Lower training error, V follows.",
@@ -164,15 +140,16 @@ NETWORK_MOVES: tuple[Move, ...] = (
         name="noise on the inputs in training",
         weight=lambda c: (0.5 if overfit(c.trial) > 1.5 else 0.2) * _adam(c) * _absent(c, "noise"),
         change=lambda c: c.recipe.trained(noise=0.1),
-        hypothesis=(
-            "The network has memorised the input record: noise on the input makes it generalise."
-        ),
+        hypothesis="The network has memorised the input record: noise on the input makes it "
+        "generalise.",
         expected="A higher training error and a lower V.",
     ),
     Move(
         name="more weight decay",
-        weight=lambda c: _held_back(c, 0.15, 0.45) * (c.recipe.method in _DECAYED),
-        change=lambda c: _scaled(c, "weight_decay", 10.0, 1e-3),
+        weight=lambda c: (
+            _held_back(c, 0.15, 0.45) * (c.recipe.method in ("Adam", "MultipleShooting"))
+        ),
+        change=lambda c: _scaled(c, "weight_decay", 10.0),
         hypothesis="V is well above the training error: the weights overfit their fold.",
         expected="Higher training error, lower V.",
     ),
@@ -192,16 +169,14 @@ NETWORK_MOVES: tuple[Move, ...] = (
             * (c.facts.early_stopping == "inner")
         ),
         change=lambda c: c.recipe.trained(holdout=0.2),
-        hypothesis=(
-            "V is well above the training error: training was too long, and a fifth of the "
-            "samples, held out, gives the right length."
-        ),
+        hypothesis="V is well above the training error: training was too long, and a fifth of the "
+        "samples, held out, gives the right length.",
         expected="Higher training error, lower V; no gain where records are short.",
     ),
     Move(
         name="lower learning rate",
         weight=lambda c: 0.3 * (c.recipe.number("learning_rate", 0) > 2e-4),
-        change=lambda c: _scaled(c, "learning_rate", 0.4, 1e-3),
+        change=lambda c: _scaled(c, "learning_rate", 0.4),
         hypothesis="The last steps may be too large for the narrow valley of the loss.",
         expected="A slightly lower training error, V follows.",
     ),
@@ -211,7 +186,7 @@ NETWORK_MOVES: tuple[Move, ...] = (
             (0.35 if overfit(c.trial) < 1.3 else 0.15)
             * (0 < c.recipe.number("learning_rate", 0) < 8e-3)
         ),
-        change=lambda c: _scaled(c, "learning_rate", 2.5, 1e-3),
+        change=lambda c: _scaled(c, "learning_rate", 2.5),
         hypothesis="The number of steps is low for this learning rate: larger steps get further.",
         expected="A lower training error, V follows.",
     ),
@@ -224,22 +199,20 @@ NETWORK_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="loss at several horizons",
-        weight=lambda c: 0.4 * _adam(c) * _absent(c, "horizons") * _windowed(c),
-        change=lambda c: c.recipe.trained(horizons=several_horizons(c.facts)),
-        hypothesis=(
-            "Late samples have most of the error and early ones most of the information: a loss"
-            " over several horizons fits the early ones first."
+        weight=lambda c: (
+            0.4 * _adam(c) * _absent(c, "horizons") * ((c.facts.horizon or 0) >= LEAST_HORIZON)
         ),
+        change=lambda c: c.recipe.trained(horizons=several_horizons(c.facts)),
+        hypothesis="Late samples have most of the error and early ones most of the information: a "
+        "loss over several horizons fits the early ones first.",
         expected="Lower error early in the window, and later at its end.",
     ),
     Move(
         name="scheduled sampling",
         weight=lambda c: 0.5 * _adam(c) * c.varies("teacher") * (c.recipe.number("teacher", 0) < 1),
         change=lambda c: c.recipe.trained(teacher=1.0, teacher_end=0.0),
-        hypothesis=(
-            "A model with output feedback trains faster when it first receives the measured "
-            "output (teacher forcing), with a rate that decreases in steps."
-        ),
+        hypothesis="A model with output feedback trains faster when it first receives the measured "
+        "output (teacher forcing), with a rate that decreases in steps.",
         expected="Lower training error, V follows.",
     ),
     Move(
@@ -253,35 +226,36 @@ NETWORK_MOVES: tuple[Move, ...] = (
         name="state carried between chunks",
         weight=lambda c: (
             0.3
-            * (_chunked(c) and c.varies("carry"))
+            * (_adam(c) and c.recipe.number("truncation", 0) > 0 and c.varies("carry"))
             * _absent(c, "carry")
             * ("long" in traits(c.facts))
         ),
         change=lambda c: c.recipe.trained(carry=True),
-        hypothesis=(
-            "Chunks that start from their past window never show a long accumulation in the "
-            "state: in order, with the state carried over (truncated back-propagation through "
-            "time), they do."
-        ),
+        hypothesis="Chunks that start from their past window never show a long accumulation in the "
+        "state: in order, with the state carried over (truncated back-propagation through time), "
+        "they do.",
         expected="Lower error late in the simulation.",
     ),
     Move(
         name="transient left out",
-        weight=lambda c: 0.2 * _chunked(c) * _absent(c, "washout"),
-        change=lambda c: c.recipe.trained(washout=TRANSIENT),
-        hypothesis=(
-            "The past window determines the initial state poorly: the error of the first "
-            "samples of a chunk comes from its initial state and corrupts the gradient."
+        weight=lambda c: (
+            0.2 * (_adam(c) and c.recipe.number("truncation", 0) > 0) * _absent(c, "washout")
         ),
+        change=lambda c: c.recipe.trained(washout=TRANSIENT),
+        hypothesis="The past window determines the initial state poorly: the error of the first "
+        "samples of a chunk comes from its initial state and corrupts the gradient.",
         expected="A lower error after the initial transient.",
     ),
     Move(
         name="Huber loss",
-        weight=_huber_weight,
-        change=lambda c: c.recipe.trained(loss="huber"),
-        hypothesis=(
-            "A Huber loss counts small errors squared and large ones by their absolute value."
+        weight=lambda c: (
+            0.2
+            * _adam(c)
+            * (c.recipe.get("loss", "mse") != "huber" and not has_noise_model(c.recipe))
         ),
+        change=lambda c: c.recipe.trained(loss="huber"),
+        hypothesis="A Huber loss counts small errors squared and large ones by their absolute "
+        "value.",
         expected="About the same training error; less influence of a few outliers.",
     ),
     Move(
@@ -302,19 +276,16 @@ NETWORK_MOVES: tuple[Move, ...] = (
             * (c.facts.fit_samples <= 5_000)
         ),
         change=lambda c: by_lbfgs(c.facts, c.recipe),
-        hypothesis=(
-            "On a short record second-order steps in double precision converge further than Adam."
-        ),
+        hypothesis="On a short record second-order steps in double precision converge further than "
+        "Adam.",
         expected="A markedly lower training error; V follows if the model is small enough.",
     ),
     Move(
         name="multiple shooting",
         weight=lambda c: 0.25 * _adam(c) * (by_multiple_shooting in c.row.methods),
         change=lambda c: by_multiple_shooting(c.facts, c.recipe),
-        hypothesis=(
-            "Gradients through long simulations are the problem: short segments with free "
-            "initial states, joined by a penalty, fit the same model."
-        ),
+        hypothesis="Gradients through long simulations are the problem: short segments with free "
+        "initial states, joined by a penalty, fit the same model.",
         expected="Lower training error where whole simulations were hard to fit.",
     ),
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
 
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
@@ -19,36 +18,28 @@ def title_of(at: Situation, move: Move, recipe: Recipe) -> str:
     used = {known.title for known in at.view.proposed}
     if plain not in used:
         return plain
-    return _unused(plain, _changes(at.recipe, recipe), at.trial.number, used)
-
-
-def plain_title(title: str) -> str:
-    """Remove the additions from the title of a repeated move."""
-    return _SUFFIX.sub("", title)
-
-
-def _unused(plain: str, changes: list[str], parent: int, used: Collection[str]) -> str:
-    """Add as many of the changes as there is room for, and the parent where an earlier trial has
-    the same changes."""
-    for beginning in ([], [f"from #{parent:02d}"]):
-        words = list(beginning)
+    before, after = at.recipe, recipe
+    names = dict((*before.config, *before.options, *after.config, *after.options))
+    pairs = [(name, before.get(name), after.get(name)) for name in names]
+    changes = [f"{name} {_value(a)} to {_value(b)}" for name, a, b in pairs if a != b]
+    if before.method != after.method:
+        changes.insert(0, f"{before.method} to {after.method}")
+    # As many of the changes as there is room for, and the parent where an earlier trial has the
+    # same changes.
+    parent = f"from #{at.trial.number:02d}"
+    for words in ([], [parent]):
         for change in changes:
             if len(f"{plain} ({', '.join([*words, change])})") <= _LONGEST:
                 words.append(change)
         title = f"{plain} ({', '.join(words)})"
         if words and title not in used:
             return title
-    return f"{plain} (from #{parent:02d})"[:_LONGEST]
+    return f"{plain} ({parent})"[:_LONGEST]
 
 
-def _changes(before: Recipe, after: Recipe) -> list[str]:
-    """`ridge 1e-05 to 0.0003`, one for each setting that differs."""
-    names = dict((*before.config, *before.options, *after.config, *after.options))
-    pairs = [(name, before.get(name), after.get(name)) for name in names]
-    changes = [f"{name} {_value(a)} to {_value(b)}" for name, a, b in pairs if a != b]
-    if before.method != after.method:
-        changes.insert(0, f"{before.method} to {after.method}")
-    return changes
+def plain_title(title: str) -> str:
+    """Remove the additions from the title of a repeated move."""
+    return _SUFFIX.sub("", title)
 
 
 def _value(value: object) -> str:

@@ -13,8 +13,6 @@ from asia.agents.library.traits import Trait, traits
 from asia.agents.view import Facts
 
 Kind = Literal["equations", "classical", "network"]
-# Reduction of a family's aptness by an adverse trait.
-_AGAINST = 3.0
 _KINDS: tuple[Kind, ...] = ("equations", "classical", "network")
 
 
@@ -98,7 +96,7 @@ class Family:
         """The base and the points of the problem's traits."""
         found = traits(facts)
         points = sum(points for trait, points in self.points if trait in found)
-        return self.base + points - _AGAINST * bool(self.against & found)
+        return self.base + points - 3.0 * bool(self.against & found)
 
     def doubtful(self, facts: Facts) -> bool:
         """Return whether a trait of the problem speaks against the family."""

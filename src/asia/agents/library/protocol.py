@@ -7,9 +7,6 @@ from asia.agents.library.methods import GRADIENT
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.view import AgentView, Facts
 
-# The paper's early stopping: a check every 25 updates, 20 without improvement.
-_EVERY, _PATIENCE = 25, 20
-
 
 def under_protocol(recipe: Recipe, row: Family, facts: Facts) -> Recipe:
     """Adapt a recipe to the protocol: with `early_stopping = "validation"` a fit that can stops by
@@ -20,7 +17,8 @@ def under_protocol(recipe: Recipe, row: Family, facts: Facts) -> Recipe:
         return recipe.trained(stop="validation")
     if recipe.method not in GRADIENT:
         return recipe
-    return recipe.trained(stop="validation", every=_EVERY, patience=_PATIENCE)
+    # The paper's early stopping: a check every 25 updates, 20 without improvement.
+    return recipe.trained(stop="validation", every=25, patience=20)
 
 
 def is_new(view: AgentView, row: Family, recipe: Recipe) -> bool:

@@ -20,20 +20,14 @@ GROUP = "asia.families"
 
 
 @cache
-def built_in_cards() -> tuple[Card, ...]:
-    """The cards of `asia.models`, by file name."""
-    names = sorted(module.name for module in pkgutil.iter_modules(cards.__path__))
-    return tuple(cast("Card", import_module(f"{cards.__name__}.{n}").CARD) for n in names)
-
-
-@cache
 def all_cards() -> tuple[Card, ...]:
     """The built-in cards, then those of other packages.
 
     Raises:
         UserError: for a part that is no card, or brings a family with a name that is taken
     """
-    found = list(built_in_cards())
+    names = sorted(module.name for module in pkgutil.iter_modules(cards.__path__))
+    found = [cast("Card", import_module(f"{cards.__name__}.{n}").CARD) for n in names]
     owners = {row.name: "ASIA" for card in found for row in card.families}
     for part in parts_of(GROUP):
         card = _card(part.load(), part)

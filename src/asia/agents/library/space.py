@@ -92,7 +92,7 @@ class Space:
         return tuple(
             p
             for p in (*self.config, *self.options)
-            if isinstance(p, Span) and applies(p, recipe) and _is_number(recipe.get(p.name))
+            if isinstance(p, Span) and applies(p, recipe) and recipe.number(p.name, 0.0) > 0
         )
 
 
@@ -113,7 +113,3 @@ def applies(parameter: Parameter, recipe: Recipe) -> bool:
         return True
     value = recipe.get(parameter.needs)
     return bool(value) if parameter.being is None else value == parameter.being
-
-
-def _is_number(value: Value) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and value > 0
