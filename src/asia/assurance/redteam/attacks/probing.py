@@ -4,7 +4,6 @@ at a time and solves for the hidden error."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -129,18 +128,8 @@ def _with_ladder(scene: Scene) -> SearchAttackResult:
         ladder = Ladder(spoil)
         found.append(bisect(ladder.ask, ladder.doubt))
     value = min(map(exact, found))
-    return SearchAttackResult(
-        value < _GAIN * _ERROR, (Barrier.FEEDBACK,), _words(value), flagged=False
-    )
-
-
-def _with_exact(folder: Path) -> bool:
-    del folder
-    return exact(probe(exact)) < _GAIN * _ERROR
-
-
-def _words(value: float) -> str:
-    return f"V {_ERROR:.3f} to {value:.3f} by {QUERIES} queries on a ladder of {LADDER_STEP:g}"
+    note = f"V {_ERROR:.3f} to {value:.3f} by {QUERIES} queries on a ladder of {LADDER_STEP:g}"
+    return SearchAttackResult(value < _GAIN * _ERROR, (Barrier.FEEDBACK,), note, flagged=False)
 
 
 PROBING = (
@@ -150,7 +139,7 @@ PROBING = (
         "submits a baseline plus one cosine at a time and solves for the held-out error, by scores "
         'and by verdicts on models spoilt on purpose (with feedback = "ladder")',
         _with_ladder,
-        _with_exact,
+        lambda _: exact(probe(exact)) < _GAIN * _ERROR,
         (Barrier.FEEDBACK,),
     ),
 )

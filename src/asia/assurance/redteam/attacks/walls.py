@@ -11,16 +11,11 @@ from asia.assurance.redteam.attacks.source import candidate, steps
 from asia.assurance.redteam.attacks.whispers import WHISPERS
 from asia.assurance.redteam.evidence import (
     a_step_succeeded,
-    changed_ledger,
-    deadline_overrun,
-    neighbour_hurt,
     output_flooded,
-    process_survived,
     scores_better,
-    secret_leaked,
-    taken_for_a_kill,
 )
 from asia.assurance.redteam.types import Barrier, CandidateAttack, Mistake
+from asia.errors import Reason
 
 _ALL = (Barrier.NAMESPACES, Barrier.LANDLOCK, Barrier.SECCOMP)
 _FILES = (Barrier.NAMESPACES, Barrier.LANDLOCK)
@@ -135,7 +130,7 @@ WALLS = (
                 }
             )
         },
-        secret_leaked,
+        lambda seen: seen.leaked or a_step_succeeded(seen),
         _FILES,
         folds=1,
     ),
@@ -174,7 +169,7 @@ WALLS = (
                 }
             )
         },
-        changed_ledger,
+        lambda seen: seen.ledger,
         _ALL,
         folds=1,
     ),
@@ -247,7 +242,7 @@ WALLS = (
                 }
             )
         },
-        neighbour_hurt,
+        lambda seen: bool(seen.hurt) or a_step_succeeded(seen),
         (Barrier.SECCOMP,),
         folds=1,
     ),
@@ -256,7 +251,7 @@ WALLS = (
         "outlive the run",
         "leaves a daemon of its own session that ignores signals",
         {"": steps({"daemon": _DAEMON})},
-        process_survived,
+        lambda seen: bool(seen.survivors),
         (Barrier.SECCOMP,),
         folds=1,
     ),
@@ -268,7 +263,7 @@ WALLS = (
             "fit": candidate(fit=_DEAF + "ctypes.PyDLL(None).sleep(600)"),
             "simulate": candidate(before="ctypes.PyDLL(None).sleep(600)"),
         },
-        deadline_overrun,
+        lambda seen: seen.overran,
         (Barrier.DEADLINE,),
         limit=0.6,
     ),
@@ -306,7 +301,7 @@ WALLS = (
         "pass for a kill",
         "ends its worker by a code or a signal that stands for a kill from outside",
         EXITS,
-        taken_for_a_kill,
+        lambda seen: seen.reason is Reason.MEMORY,
         (Barrier.SECCOMP, Barrier.PARENT),
         mistake=Mistake.BELIEVES_CODES,
     ),
