@@ -997,7 +997,18 @@ def bench(
     finished: list[FinishedSearch] = []
     for number, run in enumerate(planned, start=1):
         watcher.on_run(run, number, len(planned))
-        view = _search(plan, run, watcher)
+        agent = run.arm.make()
+        ready = prepare(
+            run.problem,
+            agent.name,
+            seed=run.seed,
+            runs=plan.runs,
+            name=run.name,
+            agent_settings=run.arm.settings,
+            legs=legs_of(agent),
+        )
+        search(ready, agent, watcher.on_event, lambda view: None)
+        view = open_run(ready.directory).view
         watcher.on_end(run, view)
         finished.append(FinishedSearch(run, view))
         _write(plan, _tables(plan, finished, declared, None))
@@ -1014,21 +1025,6 @@ def bench(
         document=_write(plan, tables),
         pictures=draw(plan, finished, test),
     )
-
-
-def _search(plan: ComparisonPlan, run: PlannedRun, watcher: Watcher) -> SearchView:
-    agent = run.arm.make()
-    ready = prepare(
-        run.problem,
-        agent.name,
-        seed=run.seed,
-        runs=plan.runs,
-        name=run.name,
-        agent_settings=run.arm.settings,
-        legs=legs_of(agent),
-    )
-    search(ready, agent, watcher.on_event, lambda view: None)
-    return open_run(ready.directory).view
 
 
 def _tables(

@@ -410,7 +410,25 @@ def conclude(
         words = f"{name}: {note}" if name else note
         return Finding(attack.number, "", verdict, tuple(dict.fromkeys(map(str, stops))), words)
 
-    traces = [_success(seen)] if success(seen) else []
+    def layer(end: str) -> Barrier:
+        """The layer that gives this error; the kernel's ordinary rules where none is in force."""
+        wanted = _BY_ERROR.get(end, (Barrier.NAMESPACES,))
+        names = [str(one) for one in layers]
+        return next((stop for stop in wanted if stop.value in names), Barrier.KERNEL)
+
+    scores = (
+        f"V {seen.value:.3g}, honest {seen.honest:.3g}" if seen.value is not None else "no score"
+    )
+    traces: list[str] = []
+    if success(seen):
+        done = [step for step, end in seen.steps.items() if end == "done"]
+        if done:
+            traces.append(", ".join(done))
+        elif seen.value is not None and seen.value < seen.honest:
+            traces.append(scores)
+        else:
+            late = seen.limit < seen.seconds
+            traces.append(f"after {seen.seconds:.1f} s" if late else "it was heard")
     traces += [f"left behind: {len(seen.survivors)} processes"] if seen.survivors else []
     traces += [f"left behind: {len(seen.strays)} files"] if seen.strays else []
     traces += ["a secret was read"] if seen.leaked else []
@@ -422,7 +440,7 @@ def conclude(
     if seen.steps:
         ends = Counter(end for end in seen.steps.values() if end != "done")
         note = ", ".join(f"{end} x{n}" if n > 1 else end for end, n in ends.items())
-        stops = [_layer(end, layers) for end in ends]
+        stops = [layer(end) for end in ends]
         verdict = AttackVerdict.NO_GAIN if "done" in seen.steps.values() else AttackVerdict.BLOCKED
         return finding(verdict, stops or [Barrier.PARENT], note)
     if seen.reason is not None:
@@ -432,11 +450,8 @@ def conclude(
         if seen.reason is Reason.SUSPECT:
             words = ", ".join(part.partition(":")[0].strip() for part in seen.detail.split(";"))
         return finding(AttackVerdict.FLAGGED if flagged else AttackVerdict.BLOCKED, [stop], words)
-    if seen.value is None:
-        return finding(AttackVerdict.BLOCKED, [Barrier.PARENT], "no score")
-    return finding(
-        AttackVerdict.NO_GAIN, [Barrier.PARENT], f"V {seen.value:.3g}, honest {seen.honest:.3g}"
-    )
+    verdict = AttackVerdict.BLOCKED if seen.value is None else AttackVerdict.NO_GAIN
+    return finding(verdict, [Barrier.PARENT], scores)
 
 
 def worst_of(
@@ -445,24 +460,8 @@ def worst_of(
     """One finding for all variants."""
     order = list(AttackVerdict)
     worst = max(found, key=lambda f: order.index(f.verdict))
-    if worst.verdict is AttackVerdict.THROUGH:
-        return Finding(number, level, AttackVerdict.THROUGH, (), worst.note, without)
+    if worst.through:
+        return Finding(number, level, worst.verdict, (), worst.note, without)
     stops = tuple(dict.fromkeys(stop for f in found for stop in f.stops))
     notes = "; ".join(f.note for f in found)
     return Finding(number, level, worst.verdict, stops, notes, without)
-
-
-def _success(seen: Observed) -> str:
-    done = [name for name, end in seen.steps.items() if end == "done"]
-    if done:
-        return ", ".join(done)
-    if seen.value is not None and seen.value < seen.honest:
-        return f"V {seen.value:.3g}, honest {seen.honest:.3g}"
-    return f"after {seen.seconds:.1f} s" if seen.limit < seen.seconds else "it was heard"
-
-
-def _layer(end: str, layers: Sequence[Layer]) -> Barrier:
-    """The layer that gives this error; the kernel's ordinary rules where none of those is there."""
-    wanted = _BY_ERROR.get(end, (Barrier.NAMESPACES,))
-    names = [str(layer) for layer in layers]
-    return next((stop for stop in wanted if stop.value in names), Barrier.KERNEL)

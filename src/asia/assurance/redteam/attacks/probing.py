@@ -121,8 +121,7 @@ def _wave(k: int) -> Array:
     return np.sqrt(2.0) * np.cos(np.pi * (k + 1) * times)
 
 
-def _with_ladder(scene: Scene) -> SearchAttackResult:
-    del scene
+def _with_ladder(_: Scene) -> SearchAttackResult:
     found = [probe(Ladder().ask)]
     for spoil in (forgetful, one_start(_ERROR + 0.05)):
         ladder = Ladder(spoil)

@@ -210,8 +210,7 @@ def _rerun(scene: Scene) -> SearchAttackResult:
     return SearchAttackResult(not same or len(values) != 1, (Barrier.LEDGER,), words)
 
 
-def _rerun_with_luck(folder: Path) -> bool:
-    del folder
+def _rerun_with_luck(_: Path) -> bool:
     errors = np.abs(np.random.default_rng(0).random(50) - 0.5)
     return bool(errors.min() < errors[0])
 
@@ -222,8 +221,7 @@ def _constant_output() -> Trajectory:
     return Trajectory(record.u, y, 1.0, "record")
 
 
-def _divide_by_nothing(scene: Scene) -> SearchAttackResult:
-    del scene
+def _divide_by_nothing(_: Scene) -> SearchAttackResult:
     try:
         make_folds([_constant_output()], small_problem("simulation").rule)
     except UserError as error:
@@ -233,8 +231,7 @@ def _divide_by_nothing(scene: Scene) -> SearchAttackResult:
     return SearchAttackResult(True, (), "an output that does not move was taken")
 
 
-def _divide_plainly(folder: Path) -> bool:
-    del folder
+def _divide_plainly(_: Path) -> bool:
     y = _constant_output().y
     with np.errstate(all="ignore"):
         errors = np.sqrt(np.mean((y - y[:1]) ** 2, axis=0)) / y.std(axis=0)
