@@ -13,8 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
-from asia.agents.library.family import Family
-from asia.agents.library.protocol import is_new, under_protocol
+from asia.agents.library.family import Family, is_new, under_protocol
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families
 from asia.agents.library.space import OneOf, Space, Span, applies
@@ -124,7 +123,6 @@ class _Asked:
     """Trial in the estimator's terms."""
 
     params: dict[str, Number]
-    """Parameters of the trial in the estimator's terms."""
     distributions: dict[str, BaseDistribution]
     """Distributions of the parameters."""
     lost: int = 0

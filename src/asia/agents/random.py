@@ -10,9 +10,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from asia.agents.library.cost import FEWEST_STEPS
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, is_new, under_protocol
 from asia.agents.library.methods import adam
-from asia.agents.library.protocol import is_new, under_protocol
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.registry import families, family
 from asia.agents.library.space import OneOf, Space, Span, draw

@@ -32,7 +32,6 @@ class AgentRow:
     name: str
     """Name on the command line and in the ledger."""
     help: str
-    """Description in one line."""
     make: Callable[[], Agent] | None = None
     """Factory; None where an agent needs more than its name: a server, or a submitter."""
     packages: tuple[str, ...] = ()
@@ -71,7 +70,6 @@ class NamedAgent:
     """Agent with its record for the ledger besides its name."""
 
     agent: Agent
-    """The agent."""
     settings: Mapping[str, str] = field(default_factory=dict[str, str])
     """Settings, and the class of an agent that is not built in."""
 

@@ -20,10 +20,8 @@ from asia.agents.expert.diagnosis import (
 )
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import Wish, avoided, read_notes, wished_moves, wished_start
-from asia.agents.expert.titles import plain_title, title_of
-from asia.agents.library.family import Family
-from asia.agents.library.move import Move, Situation
-from asia.agents.library.protocol import is_new, under_protocol
+from asia.agents.library.family import Family, is_new, under_protocol
+from asia.agents.library.move import Move, Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.records import overfit
 from asia.agents.library.registry import families, family
@@ -46,9 +44,7 @@ class _Option:
     """Something to try."""
 
     family: str
-    """The model family."""
     weight: float
-    """Weight of the option."""
     make: Callable[[], Proposal | None]
     """The proposal; None when it was tried before."""
     seconds: float

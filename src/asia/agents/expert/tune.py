@@ -10,8 +10,8 @@ from __future__ import annotations
 import hashlib
 from typing import TYPE_CHECKING
 
-from asia.agents.expert.titles import plain_title
-from asia.agents.library.protocol import is_new
+from asia.agents.library.family import is_new
+from asia.agents.library.move import plain_title
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.space import Span
 

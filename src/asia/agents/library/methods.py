@@ -11,7 +11,6 @@ from asia.agents.library.traits import traits
 from asia.agents.view import Facts
 
 LM = "LevenbergMarquardt"
-GRADIENT = ("Adam", "LBFGS", "MultipleShooting")
 LARGE_BATCH = 384
 # So many samples are too many for batches of 128 to give a quiet gradient.
 MANY_SAMPLES = 20_000

@@ -26,7 +26,6 @@ class Option:
     """One setting of a family or of a method."""
 
     name: str
-    """Name of the option."""
     default: str
     """Default, as source; "" where it is required."""
     kind: str

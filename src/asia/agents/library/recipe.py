@@ -15,6 +15,8 @@ Value = int | float | str | bool | None | tuple[str | int | float, ...]
 Arguments = tuple[tuple[str, Value], ...]
 
 MODELS = "asia.models"
+GRADIENT = ("Adam", "LBFGS", "MultipleShooting")
+"""Methods that follow the gradient and can stop early."""
 _METHODS = "asia.models.methods"
 _TEMPLATE = '''"""{summary}"""
 
@@ -48,9 +50,7 @@ class Recipe:
     method: str
     """Training method, one of `asia.models.methods`."""
     options: Arguments
-    """Settings of the method."""
     package: str = MODELS
-    """Package of the family."""
 
     @property
     def key(self) -> Hashable:

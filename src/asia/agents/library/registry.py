@@ -1,4 +1,7 @@
-"""All model families that the agents know, those of other packages too."""
+"""All model families that the agents know, those of other packages too.
+
+Every function raises UserError as `all_cards` does.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,6 @@ from asia._plugins import Part, parts_of
 from asia.agents.library import cards
 from asia.agents.library.card import Card
 from asia.agents.library.family import Family
-from asia.agents.library.move import Move
 from asia.agents.library.recipe import MODELS
 from asia.agents.view import Facts
 from asia.errors import UserError
@@ -49,41 +51,20 @@ def all_cards() -> tuple[Card, ...]:
 
 @cache
 def all_families() -> tuple[Family, ...]:
-    """Every row, in the order of rows that are equally apt.
-
-    Raises:
-        UserError: as `all_cards`
-    """
+    """Every row, in the order of rows that are equally apt."""
     rows = [row for card in all_cards() for row in card.families]
     return tuple(sorted(rows, key=lambda row: row.place))
 
 
 def families(facts: Facts) -> tuple[Family, ...]:
-    """The rows that suit a problem, the most apt first.
-
-    Raises:
-        UserError: as `all_cards`
-    """
+    """The rows that suit a problem, the most apt first."""
     rows = [row for row in all_families() if row.suits(facts)]
     return tuple(sorted(rows, key=lambda row: -row.aptness(facts)))
 
 
 def family(name: str) -> Family | None:
-    """A row by name.
-
-    Raises:
-        UserError: as `all_cards`
-    """
+    """A row by name."""
     return next((row for row in all_families() if row.name == name), None)
-
-
-def card_moves() -> tuple[Move, ...]:
-    """The moves of all cards.
-
-    Raises:
-        UserError: as `all_cards`
-    """
-    return tuple(move for card in all_cards() for move in card.own_moves())
 
 
 def _card(part: object, source: Part) -> Card:

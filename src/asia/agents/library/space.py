@@ -15,15 +15,11 @@ class Span:
     """A number between two limits."""
 
     name: str
-    """The setting."""
     low: float
-    """The least value."""
     high: float
-    """The largest value."""
     log: bool = True
     """Whether it is drawn evenly in the logarithm."""
     whole: bool = False
-    """Whether it is an integer."""
     needs: str = ""
     """A setting without which it has no meaning: while that is absent, false or zero."""
     being: Value = None
@@ -50,9 +46,7 @@ class OneOf:
     """One of a list of values."""
 
     name: str
-    """The setting."""
     values: tuple[Value, ...]
-    """Allowed values."""
     needs: str = ""
     """Condition, as in `Span`."""
     being: Value = None
