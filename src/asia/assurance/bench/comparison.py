@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import resources
@@ -52,7 +52,6 @@ class PaperV:
     """V of one model in the paper."""
 
     model: str
-    """The paper's name of it."""
     value: float
     """V, with validation early stopping."""
     row: str | None = None
@@ -90,7 +89,6 @@ class Paper:
     """The paper's figures on one problem."""
 
     experiments: int
-    """Its budget."""
     references: tuple[str, ...]
     """Names of the candidates that rebuild its own configurations."""
     values: tuple[PaperV, ...]
@@ -198,7 +196,6 @@ class ComparisonPlan:
     """Arms, settings and budget of a comparison."""
 
     problem: Problem
-    """The problem that every arm searches a model for."""
     arms: tuple[Arm, ...]
     """The agents, each of them once."""
     seeds: tuple[int, ...]
@@ -280,13 +277,9 @@ class PlannedRun:
     """One search of a comparison."""
 
     name: str
-    """Name of its run."""
     arm: Arm
-    """Agent of the search."""
     setting: EarlyStopping
-    """Its setting of early stopping."""
     seed: int
-    """Its seed."""
     problem: Problem
     """The problem with the protocol and budget of this search."""
 
@@ -302,7 +295,7 @@ def select_arms(arms: Sequence[Arm], names: Sequence[str] | None) -> tuple[Arm, 
     return tuple(known[name] for name in names)
 
 
-# The paper's own configurations as fixed candidates.
+# The arms of a comparison with the paper, whose own configurations are fixed candidates.
 
 
 TITLES = {"rnn4": "RNN-4", "ltc64": "LTC/CfC-64"}
@@ -336,14 +329,8 @@ def reference_agent(names: tuple[str, ...]) -> FixedAgent:
     return FixedAgent(tuple((TITLES[n], (folder / f"{n}.py").read_text("utf-8")) for n in names))
 
 
-# The arms of a comparison with the paper.
-
-
-ARM_NAMES = ("expert", "random", "random-paper", "references")
-
-
 def make_arms(paper: Paper | None) -> tuple[Arm, ...]:
-    """Return all arms of `ARM_NAMES`; the references only if the paper has some."""
+    """Return the arms that search, and the references if the paper has some."""
     searches = (
         Arm("expert", "expert", partial(make_agent, "expert")),
         Arm("random", "random, library space", partial(make_agent, "random")),
@@ -415,7 +402,6 @@ class FinishedSearch:
     """A search of the comparison with the results from its ledger."""
 
     planned: PlannedRun
-    """Planned search."""
     view: SearchView
     """Its ledger, replayed."""
 
@@ -427,7 +413,6 @@ class Row:
     key: str
     """Name in JSON and in the paper's figures."""
     model: str
-    """Name in tables."""
     values: tuple[float, ...]
     """V of every run that has a score, in order of the seeds."""
     runs: int
@@ -464,7 +449,6 @@ class Comparison:
     """Everything measured under one early-stopping setting."""
 
     setting: EarlyStopping
-    """The setting."""
     rows: tuple[Row, ...]
     """Rungs, baseline, references and searches."""
     reached: tuple[Reached, ...]
@@ -570,13 +554,10 @@ class TextTable:
     """Cells as text; the first column is left-aligned, the others right."""
 
     title: str
-    """Heading above it."""
     header: tuple[str, ...]
-    """Heads of the columns."""
     rows: tuple[tuple[str, ...], ...]
     """Cells, as many in each row as there are heads."""
     notes: tuple[str, ...] = ()
-    """Sentences below it."""
 
     def markdown(self) -> str:
         """Title, rows and notes."""
@@ -687,7 +668,6 @@ class TestResult:
     """The test result of the declared run."""
 
     run: str
-    """Name of the run."""
     record: Unsealed
     """The scores, as the ledger keeps them."""
     opened_before: tuple[str, ...]
@@ -853,28 +833,6 @@ def _notes(declared: str | None, test: TestResult | None) -> list[str]:
     return notes
 
 
-def test_object(test: TestResult) -> dict[str, Any]:
-    """Return the value of every metric of each model, or the reason for its absence, for
-    scripts.
-    """
-    refit = test.record.refit
-    return {
-        "run": test.run,
-        "experiment": test.record.experiment,
-        "ensemble": _model_object(test.record.ensemble),
-        "refit": None if refit is None else _model_object(refit),
-    }
-
-
-def _model_object(model: TestedModel | Failure) -> dict[str, Any]:
-    if isinstance(model, Failure):
-        return {"failure": model.reason.value, "advice": model.advice}
-    values: dict[str, Any] = {score.metric: score.value for score in model.scores}
-    if model.mee is not None:
-        values["mee"] = model.mee.by_group()
-    return values
-
-
 # Pictures of a comparison, each early-stopping setting in its own.
 
 
@@ -973,9 +931,7 @@ class BenchResult:
     test: TestResult | None
     """Test result of the declared run; None while its test is sealed."""
     document: Path
-    """The tables as Markdown."""
     pictures: tuple[Path, ...]
-    """PNG and PDF files."""
 
 
 def bench(
@@ -1029,11 +985,10 @@ def bench(
 
 def _tables(
     plan: ComparisonPlan,
-    finished: Iterable[FinishedSearch],
+    runs: Sequence[FinishedSearch],
     declared: str | None,
     test: TestResult | None,
 ) -> tuple[TextTable, ...]:
-    runs = tuple(finished)
     done = [compare(setting, runs, plan.paper) for setting in plan.settings]
     shown = [comparison_table(c, plan.paper) for c in done if c.rows]
     if plan.word == "compare":
@@ -1057,7 +1012,28 @@ def _write(plan: ComparisonPlan, tables: tuple[TextTable, ...]) -> Path:
 
 def result_object(result: BenchResult) -> dict[str, Any]:
     """`comparisons` holds one object an early-stopping setting, never both in one; `test` is null
-    while the declared run is sealed."""
+    while the declared run is sealed. Each model of the test has the value of every metric, or the
+    reason for its absence."""
+
+    def model_object(model: TestedModel | Failure | None) -> dict[str, Any] | None:
+        if model is None:
+            return None
+        if isinstance(model, Failure):
+            return {"failure": model.reason.value, "advice": model.advice}
+        values: dict[str, Any] = {score.metric: score.value for score in model.scores}
+        if model.mee is not None:
+            values["mee"] = model.mee.by_group()
+        return values
+
+    test: dict[str, Any] | None = None
+    if result.test is not None:
+        record = result.test.record
+        test = {
+            "run": result.test.run,
+            "experiment": record.experiment,
+            "ensemble": model_object(record.ensemble),
+            "refit": model_object(record.refit),
+        }
     return {
         "comparisons": [
             {
@@ -1075,7 +1051,7 @@ def result_object(result: BenchResult) -> dict[str, Any]:
             for comparison in result.comparisons
         ],
         "declared": result.declared,
-        "test": test_object(result.test) if result.test else None,
+        "test": test,
         "document": str(result.document),
         "pictures": [str(path) for path in result.pictures],
     }

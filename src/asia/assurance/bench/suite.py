@@ -114,7 +114,6 @@ class BenchmarkResult:
     """Result of one benchmark's search."""
 
     name: str
-    """Name of the benchmark."""
     value: float | None = None
     """The best V; None where no candidate has a score or nothing was searched."""
     experiments: int = 0
@@ -130,11 +129,9 @@ class SuiteResult:
     """A finished suite."""
 
     results: tuple[BenchmarkResult, ...]
-    """Results, one for each benchmark."""
     table: TextTable
     """The same for people, a row for each official figure."""
     document: Path
-    """The table as Markdown."""
     pictures: tuple[Path, ...]
     """Picture of all leaderboards, PNG and PDF; () without published results."""
 

@@ -167,7 +167,6 @@ class Neighbour:
     it."""
 
     process: subprocess.Popen[bytes]
-    """The process."""
     nice: int
     """Priority at the start."""
 
@@ -256,7 +255,6 @@ class Targets:
     ledger: str
     """A file of the search."""
     evaluator: str
-    """The source of an evaluator."""
     other: int
     """The process id of a neighbour."""
     parent: int
@@ -264,9 +262,7 @@ class Targets:
     port: int
     """The port of a TCP and of a UDP service."""
     daemon: str
-    """The socket file of a service."""
     abstract: str
-    """The abstract socket of a service."""
     key: int
     """The key of shared memory."""
     mark: str

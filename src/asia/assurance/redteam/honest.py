@@ -36,9 +36,7 @@ class HonestProblem:
     name: str
     """Name or path of the problem."""
     facts: Facts
-    """Facts for agents."""
     rule: ProtocolRule
-    """Protocol of the score."""
     seconds: float = 120.0
     """Time limit of a fit in seconds."""
     tiny: bool = True

@@ -40,9 +40,7 @@ class SmallProblem:
     """
 
     records: tuple[Trajectory, ...]
-    """The training records."""
     rule: ProtocolRule
-    """Protocol of the score."""
     crude: tuple[float, float]
     """Pole and gain of an honest model that leaves something to gain."""
 

@@ -49,7 +49,6 @@ class RedTeamPlan:
     levels: tuple[Isolation, ...]
     """The levels of isolation, strongest first."""
     attacks: tuple[Attack, ...] = ATTACKS
-    """The attacks to play at each level."""
     prove: bool = True
     """Whether to play them with isolation off too, in an outer sandbox."""
     honest: tuple[tuple[HonestProblem, Family], ...] = ()
@@ -63,11 +62,9 @@ class RedTeamReport:
     """Report of a red-team run."""
 
     plan: RedTeamPlan
-    """Plan of the run."""
     findings: tuple[Finding, ...]
     """Findings of the attacks, by number and level."""
     honest: tuple[HonestFinding, ...]
-    """Findings of the honest candidates."""
 
     @property
     def stopped(self) -> int:

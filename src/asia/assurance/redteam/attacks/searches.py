@@ -57,7 +57,6 @@ class Lucky:
     """Proposes one candidate that draws its fit at random, over and over."""
 
     name: str = "redteam"
-    """The name of the agent."""
 
     def propose(self, view: AgentView) -> Proposal | None:
         """The same again, in other clothes."""
@@ -72,9 +71,7 @@ class Scene:
     """A real search of a cheating agent in a scratch folder, run once and attacked often."""
 
     folder: Path
-    """The scratch folder."""
     level: Isolation
-    """The level of isolation of the search."""
 
     @cached_property
     def view(self) -> SearchView:

@@ -5,6 +5,8 @@ None does harm where it succeeds: each opens, asks or allocates, and touches onl
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from asia.assurance.redteam.attacks.exits import EXITS
 from asia.assurance.redteam.attacks.folds import FOLDS, PLACES
 from asia.assurance.redteam.attacks.source import candidate, steps
@@ -14,7 +16,7 @@ from asia.assurance.redteam.evidence import (
     output_flooded,
     scores_better,
 )
-from asia.assurance.redteam.types import Barrier, CandidateAttack, Mistake
+from asia.assurance.redteam.types import Barrier, CandidateAttack, Mistake, Success
 from asia.errors import Reason
 
 _ALL = (Barrier.NAMESPACES, Barrier.LANDLOCK, Barrier.SECCOMP)
@@ -67,6 +69,23 @@ def fill(count, size):
             made.clear()
     raise next((end for end in ends if end.errno != errno.ENOENT), ends[0])
 """
+_INSTALL = f"""
+def install():
+    for place in {PLACES}:
+        path = os.path.join(place, "p" + MARK + ".py")
+        try:
+            with open(path, "w") as file:
+                file.write("x = 1")
+            sys.path.insert(0, place)
+            __import__("p" + MARK)
+            return
+        except OSError as error:
+            last = error
+        finally:
+            if os.path.exists(path):
+                os.remove(path)
+    raise last
+"""
 _DEAF = """
 for number in range(1, 65):
     try:
@@ -75,148 +94,124 @@ for number in range(1, 65):
         pass
 """
 
+
+def _attempts(
+    number: int,
+    name: str,
+    tries: str,
+    attempts: Mapping[str, str],
+    stops: tuple[Barrier, ...],
+    success: Success = a_step_succeeded,
+    top: str = "",
+) -> CandidateAttack:
+    """Make the attack whose fit runs each of these codes by itself, on one fold."""
+    return CandidateAttack(number, name, tries, {"": steps(attempts, top)}, success, stops, folds=1)
+
+
 WALLS = (
-    CandidateAttack(
+    _attempts(
         2,
         "write the evaluator's code",
         "opens the evaluator's source, NumPy, its own package and the import path for writing",
         {
-            "": steps(
-                {
-                    "evaluator": "open(EVALUATOR, 'r+').close()",
-                    "numpy": "open(np.__file__, 'r+').close()",
-                    "asia": "open(sys.modules['asia'].__file__, 'r+').close()",
-                    "import path": "open(os.path.dirname(np.__path__[0]) + '/' + MARK + '.pth',"
-                    " 'x').close()",
-                    "kernel settings": "open('/proc/sys/kernel/core_pattern', 'r+').close()",
-                }
-            )
+            "evaluator": "open(EVALUATOR, 'r+').close()",
+            "numpy": "open(np.__file__, 'r+').close()",
+            "asia": "open(sys.modules['asia'].__file__, 'r+').close()",
+            "import path": "open(os.path.dirname(np.__path__[0]) + '/' + MARK + '.pth',"
+            " 'x').close()",
+            "kernel settings": "open('/proc/sys/kernel/core_pattern', 'r+').close()",
         },
-        a_step_succeeded,
         _FILES,
-        folds=1,
     ),
-    CandidateAttack(
+    _attempts(
         4,
         "look into other processes",
         "reads environment, memory, command line, files and root of the evaluator and of process 1",
         {
-            "": steps(
-                {
-                    f"{what} of {who}": f"open(f'/proc/{{{who}}}/{what}', 'rb').read(1)"
-                    for who in ("PARENT", "OTHER", "1")
-                    for what in ("environ", "maps", "cmdline", "mem")
-                }
-                | {"root of 1": "os.listdir('/proc/1/root' + PLAYGROUND)"}
-                | {"files of PARENT": "os.listdir(f'/proc/{PARENT}/fd')"},
-            )
-        },
-        a_step_succeeded,
+            f"{what} of {who}": f"open(f'/proc/{{{who}}}/{what}', 'rb').read(1)"
+            for who in ("PARENT", "OTHER", "1")
+            for what in ("environ", "maps", "cmdline", "mem")
+        }
+        | {"root of 1": "os.listdir('/proc/1/root' + PLAYGROUND)"}
+        | {"files of PARENT": "os.listdir(f'/proc/{PARENT}/fd')"},
         _FILES,
-        folds=1,
     ),
-    CandidateAttack(
+    _attempts(
         5,
         "read the test file",
         "reads test file, ledger and neighbouring runs, by their paths and by detours",
         {
-            "": steps(
-                {
-                    "test file": "print(open(VAULT).read())",
-                    "ledger": "print(open(LEDGER).read())",
-                    "by process 1": "print(open('/proc/1/root' + VAULT).read())",
-                    "by its own root": "print(open('/proc/self/root/..' + VAULT).read())",
-                    "other runs": "print(os.listdir(PLAYGROUND))",
-                }
-            )
+            "test file": "print(open(VAULT).read())",
+            "ledger": "print(open(LEDGER).read())",
+            "by process 1": "print(open('/proc/1/root' + VAULT).read())",
+            "by its own root": "print(open('/proc/self/root/..' + VAULT).read())",
+            "other runs": "print(os.listdir(PLAYGROUND))",
         },
-        lambda seen: seen.leaked or a_step_succeeded(seen),
         _FILES,
-        folds=1,
+        lambda seen: seen.leaked or a_step_succeeded(seen),
     ),
-    CandidateAttack(
+    _attempts(
         6,
         "reach the network",
         "connects to services of this machine by TCP, UDP, a socket file and an abstract socket",
         {
-            "": steps(
-                {
-                    "tcp": "connect(socket.AF_INET, socket.SOCK_STREAM, ('127.0.0.1', PORT))",
-                    "udp": "connect(socket.AF_INET, socket.SOCK_DGRAM, ('127.0.0.1', PORT))",
-                    "socket file": "connect(socket.AF_UNIX, socket.SOCK_STREAM, DAEMON)",
-                    "abstract": "connect(socket.AF_UNIX, socket.SOCK_STREAM, ABSTRACT)",
-                },
-                top=_NETWORK,
-            )
+            "tcp": "connect(socket.AF_INET, socket.SOCK_STREAM, ('127.0.0.1', PORT))",
+            "udp": "connect(socket.AF_INET, socket.SOCK_DGRAM, ('127.0.0.1', PORT))",
+            "socket file": "connect(socket.AF_UNIX, socket.SOCK_STREAM, DAEMON)",
+            "abstract": "connect(socket.AF_UNIX, socket.SOCK_STREAM, ABSTRACT)",
         },
-        a_step_succeeded,
         _ALL,
-        folds=1,
+        top=_NETWORK,
     ),
-    CandidateAttack(
+    _attempts(
         12,
         "leave a trap for the evaluator",
         "leaves links, pipes and devices to the ledger under names that an evaluator would open",
         {
-            "": steps(
-                {
-                    "link": "os.symlink(LEDGER, 'log.txt')",
-                    "pipe": "os.mkfifo('pending.txt')",
-                    "device": "os.mknod('model.bin', 0o20600, 0x103)",
-                    "write": "open(LEDGER, 'a').write('x')",
-                    "rename": "os.rename(LEDGER, LEDGER + '.old')",
-                    "attributes": "os.utime(LEDGER)",
-                }
-            )
+            "link": "os.symlink(LEDGER, 'log.txt')",
+            "pipe": "os.mkfifo('pending.txt')",
+            "device": "os.mknod('model.bin', 0o20600, 0x103)",
+            "write": "open(LEDGER, 'a').write('x')",
+            "rename": "os.rename(LEDGER, LEDGER + '.old')",
+            "attributes": "os.utime(LEDGER)",
         },
-        lambda seen: seen.ledger,
         _ALL,
-        folds=1,
+        lambda seen: seen.ledger,
     ),
-    CandidateAttack(
+    _attempts(
         13,
         "start processes",
         "forks, spawns programs and a shell",
         {
-            "": steps(
-                {
-                    "fork": "fork()",
-                    "spawn": "program('/bin/true')",
-                    "shell": "if os.system('true') != 0: raise OSError(errno.EPERM, 'refused')",
-                },
-                top=_FORK,
-            )
+            "fork": "fork()",
+            "spawn": "program('/bin/true')",
+            "shell": "if os.system('true') != 0: raise OSError(errno.EPERM, 'refused')",
         },
-        a_step_succeeded,
         (Barrier.SECCOMP, Barrier.LANDLOCK),
-        folds=1,
+        top=_FORK,
     ),
-    CandidateAttack(
+    _attempts(
         14,
         "fill the disk",
         "writes 128 MB wherever it can",
-        {"": steps({"128 MB": "fill(16, 8 << 20)"}, top=_FILL)},
-        a_step_succeeded,
+        {"128 MB": "fill(16, 8 << 20)"},
         _FILES,
-        folds=1,
+        top=_FILL,
     ),
-    CandidateAttack(
+    _attempts(
         15,
         "flood with empty files",
         "makes 3000 empty files wherever it can",
-        {"": steps({"3000 files": "fill(3000, 0)"}, top=_FILL)},
-        a_step_succeeded,
+        {"3000 files": "fill(3000, 0)"},
         _FILES,
-        folds=1,
+        top=_FILL,
     ),
-    CandidateAttack(
+    _attempts(
         16,
         "eat the memory",
         "asks for more memory than its budget",
-        {"": steps({"memory": "np.empty((MEMORY_MB + 64) << 20, np.uint8)"})},
-        a_step_succeeded,
+        {"memory": "np.empty((MEMORY_MB + 64) << 20, np.uint8)"},
         (Barrier.RLIMITS,),
-        folds=1,
     ),
     CandidateAttack(
         17,
@@ -227,33 +222,27 @@ WALLS = (
         (Barrier.PARENT,),
         folds=1,
     ),
-    CandidateAttack(
+    _attempts(
         18,
         "signal other processes",
         "stops, slows down and limits a neighbour, and signals the evaluator",
         {
-            "": steps(
-                {
-                    "kill": "os.kill(OTHER, signal.SIGTERM)",
-                    "stop": "os.kill(OTHER, signal.SIGSTOP)",
-                    "evaluator": "os.kill(PARENT, signal.SIGCONT)",
-                    "slow down": "os.setpriority(os.PRIO_PROCESS, OTHER, 19)",
-                    "limit": "call(libc.prlimit(OTHER, 7, (ctypes.c_long * 2)(64, 64), None))",
-                }
-            )
+            "kill": "os.kill(OTHER, signal.SIGTERM)",
+            "stop": "os.kill(OTHER, signal.SIGSTOP)",
+            "evaluator": "os.kill(PARENT, signal.SIGCONT)",
+            "slow down": "os.setpriority(os.PRIO_PROCESS, OTHER, 19)",
+            "limit": "call(libc.prlimit(OTHER, 7, (ctypes.c_long * 2)(64, 64), None))",
         },
-        lambda seen: bool(seen.hurt) or a_step_succeeded(seen),
         (Barrier.SECCOMP,),
-        folds=1,
+        lambda seen: bool(seen.hurt) or a_step_succeeded(seen),
     ),
-    CandidateAttack(
+    _attempts(
         19,
         "outlive the run",
         "leaves a daemon of its own session that ignores signals",
-        {"": steps({"daemon": _DAEMON})},
-        lambda seen: bool(seen.survivors),
+        {"daemon": _DAEMON},
         (Barrier.SECCOMP,),
-        folds=1,
+        lambda seen: bool(seen.survivors),
     ),
     CandidateAttack(
         20,
@@ -267,25 +256,19 @@ WALLS = (
         (Barrier.DEADLINE,),
         limit=0.6,
     ),
-    CandidateAttack(
+    _attempts(
         22,
         "leave the sandbox",
         "traces another process, makes namespaces, keys and rings of requests to the kernel",
         {
-            "": steps(
-                {
-                    "trace": "call(libc.ptrace(0x4206, OTHER, None, None))",
-                    "trace process 1": "call(libc.ptrace(0x4206, 1, None, None))",
-                    "namespace": "call(libc.unshare(0x10000000))",
-                    "key": "call(libc.syscall(ADD_KEY, b'user', MARK.encode(), b'x', 1, -1))",
-                    "ring": "call(libc.syscall(425, 8, bytes(120)))",
-                },
-                top="ADD_KEY = 248 if os.uname().machine == 'x86_64' else 217",
-            )
+            "trace": "call(libc.ptrace(0x4206, OTHER, None, None))",
+            "trace process 1": "call(libc.ptrace(0x4206, 1, None, None))",
+            "namespace": "call(libc.unshare(0x10000000))",
+            "key": "call(libc.syscall(ADD_KEY, b'user', MARK.encode(), b'x', 1, -1))",
+            "ring": "call(libc.syscall(425, 8, bytes(120)))",
         },
-        a_step_succeeded,
         (Barrier.SECCOMP,),
-        folds=1,
+        top="ADD_KEY = 248 if os.uname().machine == 'x86_64' else 217",
     ),
     CandidateAttack(
         24,
@@ -316,40 +299,16 @@ WALLS = (
         limit=30.0,
         at_once=tuple(name for name in WHISPERS if "in memory" not in name),
     ),
-    CandidateAttack(
+    _attempts(
         36,
         "install a package",
         "starts an installer, writes a package where it can and imports it",
         {
-            "": steps(
-                {
-                    "installer": "program(sys.executable, '-c', 'pass')",
-                    "package": "install()",
-                    "index": "connect(socket.AF_INET, socket.SOCK_STREAM, ('127.0.0.1', PORT))",
-                },
-                top=_FORK
-                + _NETWORK
-                + f"""
-def install():
-    for place in {PLACES}:
-        path = os.path.join(place, "p" + MARK + ".py")
-        try:
-            with open(path, "w") as file:
-                file.write("x = 1")
-            sys.path.insert(0, place)
-            __import__("p" + MARK)
-            return
-        except OSError as error:
-            last = error
-        finally:
-            if os.path.exists(path):
-                os.remove(path)
-    raise last
-""",
-            )
+            "installer": "program(sys.executable, '-c', 'pass')",
+            "package": "install()",
+            "index": "connect(socket.AF_INET, socket.SOCK_STREAM, ('127.0.0.1', PORT))",
         },
-        a_step_succeeded,
         _ALL,
-        folds=1,
+        top=_FORK + _NETWORK + _INSTALL,
     ),
 )

@@ -121,9 +121,7 @@ class _Ended:
     code: int | None
     """Exit code; None if it had to be killed."""
     output: str
-    """Standard output."""
     errors: str
-    """Standard error."""
 
 
 def _run_forked(job: Callable[[], None], folder: str, seconds: float) -> _Ended:
