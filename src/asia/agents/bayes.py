@@ -79,12 +79,12 @@ def _record_of_others(view: AgentView, rows: Sequence[Family]) -> str:
     others = [trial for trial in view.trials if _by_other(trial)]
     known, strange = list[str](), list[str]()
     for trial in others:
-        asked = _as_asked(trial, view.facts, rows)
-        if asked is None:
+        encoded = _encode_trial(trial, view.facts, rows)
+        if encoded is None:
             strange.append(f"#{trial.number:02d}")
         else:
-            total = len(asked.params) + asked.lost
-            known.append(f"#{trial.number:02d} ({len(asked.params)} of {total} settings)")
+            total = len(encoded.params) + encoded.lost
+            known.append(f"#{trial.number:02d} ({len(encoded.params)} of {total} settings)")
     if not others:
         return ""
     used = f" Of the experiments of others it uses {', '.join(known) or 'none'}"
@@ -105,21 +105,21 @@ def _study(view: AgentView, rows: Sequence[Family], attempt: int) -> optuna.Stud
     study = optuna.create_study(sampler=sampler)
     worst = max((t.value for t in view.trials if t.value is not None), default=1.0)
     for trial in view.proposed:
-        asked = _as_asked(trial, view.facts, rows)
-        if asked is not None:
+        encoded = _encode_trial(trial, view.facts, rows)
+        if encoded is not None:
             value = worst
             if isinstance(trial, Trial):
                 value = trial.value if trial.value is not None else 2.0 * worst
             study.add_trial(
                 optuna.trial.create_trial(
-                    params=asked.params, distributions=asked.distributions, value=value
+                    params=encoded.params, distributions=encoded.distributions, value=value
                 )
             )
     return study
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _EncodedTrial:
     """Trial in the estimator's terms."""
 
     params: dict[str, Number]
@@ -129,7 +129,9 @@ class _Asked:
     """Number of settings of another agent's trial outside its search space."""
 
 
-def _as_asked(trial: Trial | Running, facts: Facts, rows: Sequence[Family]) -> _Asked | None:
+def _encode_trial(
+    trial: Trial | Running, facts: Facts, rows: Sequence[Family]
+) -> _EncodedTrial | None:
     """Convert an earlier trial to the estimator's terms.
 
     None for a source that is no recipe of the library, or lies outside the search space. Of another
@@ -171,7 +173,7 @@ def _as_asked(trial: Trial | Running, facts: Facts, rows: Sequence[Family]) -> _
         _built(row, facts, read)
     except ValueError:
         return None
-    return _Asked(params, distributions, len(lost))
+    return _EncodedTrial(params, distributions, len(lost))
 
 
 def _built(row: Family, facts: Facts, pick: Pick) -> Recipe:

@@ -450,7 +450,7 @@ class Comparison:
 
     setting: EarlyStopping
     rows: tuple[Row, ...]
-    """Rungs, baseline, references and searches."""
+    """Reference models, baseline, rebuilt candidates and searches."""
     reached: tuple[Reached, ...]
     """Number of experiments of the first arm to reach the best V of each other arm."""
     residuals: ShownResidual = "train"

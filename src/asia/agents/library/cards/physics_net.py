@@ -117,7 +117,7 @@ def _fitted_first(at: Situation) -> bool:
     return at.recipe.number("equations", 15) > 0
 
 
-def _watched(at: Situation) -> bool:
+def _stops_by_score(at: Situation) -> bool:
     """Return whether a fit may see its validation score, and stops a network by it."""
     return at.facts.early_stopping == "validation"
 
@@ -187,7 +187,7 @@ _MOVES: tuple[Move, ...] = (
         weight=lambda c: (
             (0.6 if overfit(c.trial) > 1.5 else 0.4)
             * bool(c.recipe.get("network"))
-            * (not _watched(c))
+            * (not _stops_by_score(c))
             * (c.recipe.number("members", 1) < 2)
         ),
         change=lambda c: c.recipe.trained(members=2),
@@ -221,7 +221,7 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="feed-forward residual",
-        weight=lambda c: (0.7 if _watched(c) else 0.4) * (c.recipe.get("network") != "mlp"),
+        weight=lambda c: (0.7 if _stops_by_score(c) else 0.4) * (c.recipe.get("network") != "mlp"),
         change=lambda c: _with_network(c.facts, c.recipe, "mlp"),
         hypothesis="The residual depends on the present states and inputs.",
         expected="Lower training error, V follows.",
@@ -229,7 +229,7 @@ _MOVES: tuple[Move, ...] = (
     Move(
         name="recurrent residual",
         weight=lambda c: (
-            (0.8 if _watched(c) else 0.45) * (c.recipe.get("network") not in ("gru", "lstm"))
+            (0.8 if _stops_by_score(c) else 0.45) * (c.recipe.get("network") not in ("gru", "lstm"))
         ),
         change=lambda c: _with_network(c.facts, c.recipe, "gru"),
         hypothesis="The residual depends on the past as well: actuator delays, lagging flows.",
