@@ -1,6 +1,7 @@
 """Agents, which propose candidates from a view of the search and never touch the evaluator.
 
-A new agent is one file here with a class that fulfils `Agent`, and one row in `_table.py`.
+A new agent is one file here with a class that fulfils `Agent`, and one row in `AGENT_ROWS` of
+`registry.py`.
 """
 
 from __future__ import annotations

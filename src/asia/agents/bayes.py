@@ -13,21 +13,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
-from asia.agents.library.family import Family
-from asia.agents.library.protocol import is_new, under_protocol
-from asia.agents.library.recipe import Recipe, Value, read_recipe
+from asia.agents.library.family import Family, is_new, under_protocol
+from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families
-from asia.agents.library.space import OneOf, Parameter, Space, Span, applies
+from asia.agents.library.space import OneOf, Space, Span, applies
 from asia.agents.view import AgentView, Facts, Proposal, Running, Trial
 
 if TYPE_CHECKING:
-    from optuna import Study
+    import optuna
     from optuna.distributions import BaseDistribution
 
-_STARTUP = 5
 _TRIES = 50
 _FAMILY, _METHOD = "family", "method"
-_FAILED = 2.0
 
 Number: TypeAlias = int | float
 Pick: TypeAlias = "Callable[[str, BaseDistribution], Number]"
@@ -46,10 +43,23 @@ class BayesAgent:
 
     def propose(self, view: AgentView) -> Proposal | None:
         """The estimator's choice; None when `_TRIES` of them in a row were known already."""
+        from optuna.distributions import CategoricalDistribution, FloatDistribution
+
         rows = families(view.facts)
         for attempt in range(_TRIES):
-            study = _study(view, rows, attempt)
-            recipe, row = _asked(study, view.facts, rows)
+            trial = _study(view, rows, attempt).ask()
+
+            def pick(
+                name: str, distribution: BaseDistribution, trial: optuna.Trial = trial
+            ) -> Number:
+                if isinstance(distribution, CategoricalDistribution):
+                    return int(trial.suggest_categorical(name, distribution.choices))  # type: ignore[arg-type]
+                assert isinstance(distribution, FloatDistribution)
+                low, high = distribution.low, distribution.high
+                return trial.suggest_float(name, low, high, log=distribution.log)
+
+            row = rows[int(pick(_FAMILY, _choices(len(rows))))]
+            recipe = _built(row, view.facts, pick)
             if is_new(view, row, recipe):
                 return Proposal(
                     source=under_protocol(recipe, row, view.facts).source(
@@ -67,15 +77,16 @@ class BayesAgent:
 def _record_of_others(view: AgentView, rows: Sequence[Family]) -> str:
     """Describe which experiments of other agents in a relay it can use."""
     others = [trial for trial in view.trials if _by_other(trial)]
+    known, strange = list[str](), list[str]()
+    for trial in others:
+        encoded = _encode_trial(trial, view.facts, rows)
+        if encoded is None:
+            strange.append(f"#{trial.number:02d}")
+        else:
+            total = len(encoded.params) + encoded.lost
+            known.append(f"#{trial.number:02d} ({len(encoded.params)} of {total} settings)")
     if not others:
         return ""
-    read = [(trial.number, _as_asked(trial, view.facts, rows)) for trial in others]
-    known = [
-        f"#{number:02d} ({len(asked.params)} of {len(asked.params) + asked.lost} settings)"
-        for number, asked in read
-        if asked is not None
-    ]
-    strange = [f"#{number:02d}" for number, asked in read if asked is None]
     used = f" Of the experiments of others it uses {', '.join(known) or 'none'}"
     return used + (f"; not in its space: {', '.join(strange)}." if strange else ".")
 
@@ -84,58 +95,43 @@ def _by_other(trial: Trial | Running) -> bool:
     return trial.agent not in ("", BayesAgent.name)
 
 
-def _study(view: AgentView, rows: Sequence[Family], attempt: int) -> Study:
+def _study(view: AgentView, rows: Sequence[Family], attempt: int) -> optuna.Study:
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     word = f"bayes:{view.seed}:{len(view.proposed)}:{attempt}"
     seed = int.from_bytes(hashlib.sha256(word.encode()).digest()[:4], "big")
-    sampler = optuna.samplers.TPESampler(n_startup_trials=_STARTUP, seed=seed)
+    sampler = optuna.samplers.TPESampler(n_startup_trials=5, seed=seed)
     study = optuna.create_study(sampler=sampler)
     worst = max((t.value for t in view.trials if t.value is not None), default=1.0)
     for trial in view.proposed:
-        asked = _as_asked(trial, view.facts, rows)
-        if asked is not None:
+        encoded = _encode_trial(trial, view.facts, rows)
+        if encoded is not None:
             value = worst
             if isinstance(trial, Trial):
-                value = trial.value if trial.value is not None else _FAILED * worst
+                value = trial.value if trial.value is not None else 2.0 * worst
             study.add_trial(
                 optuna.trial.create_trial(
-                    params=asked.params, distributions=asked.distributions, value=value
+                    params=encoded.params, distributions=encoded.distributions, value=value
                 )
             )
     return study
 
 
-def _asked(study: Study, facts: Facts, rows: Sequence[Family]) -> tuple[Recipe, Family]:
-    """The estimator's choice."""
-    from optuna.distributions import CategoricalDistribution, FloatDistribution
-
-    trial = study.ask()
-
-    def pick(name: str, distribution: BaseDistribution) -> Number:
-        if isinstance(distribution, CategoricalDistribution):
-            return int(trial.suggest_categorical(name, distribution.choices))  # type: ignore[arg-type]
-        assert isinstance(distribution, FloatDistribution)
-        return trial.suggest_float(name, distribution.low, distribution.high, log=distribution.log)
-
-    row = rows[int(pick(_FAMILY, _choices(len(rows))))]
-    return _built(row, facts, pick), row
-
-
 @dataclass(frozen=True)
-class _Asked:
+class _EncodedTrial:
     """Trial in the estimator's terms."""
 
     params: dict[str, Number]
-    """Parameters of the trial in the estimator's terms."""
     distributions: dict[str, BaseDistribution]
     """Distributions of the parameters."""
     lost: int = 0
     """Number of settings of another agent's trial outside its search space."""
 
 
-def _as_asked(trial: Trial | Running, facts: Facts, rows: Sequence[Family]) -> _Asked | None:
+def _encode_trial(
+    trial: Trial | Running, facts: Facts, rows: Sequence[Family]
+) -> _EncodedTrial | None:
     """Convert an earlier trial to the estimator's terms.
 
     None for a source that is no recipe of the library, or lies outside the search space. Of another
@@ -154,16 +150,22 @@ def _as_asked(trial: Trial | Running, facts: Facts, rows: Sequence[Family]) -> _
     def read(name: str, distribution: BaseDistribution) -> Number:
         word = name.rpartition(".")[2]
         parameter = None if word == _METHOD else space.find(word)
+        value = recipe.get(word)
         try:
             if parameter is None:
                 number: Number = _method(row, facts, recipe)
+            elif isinstance(parameter, OneOf):
+                number = parameter.values.index(value)
+            elif isinstance(value, int | float) and parameter.low <= value <= parameter.high:
+                number = float(value)
             else:
-                number = _number(parameter, recipe.get(word))
+                raise ValueError(word)
         except ValueError:
+            # The value is outside the space: a placeholder stands for that of another agent.
             if not _by_other(trial):
                 raise
             lost.append(word)
-            return _any_number(parameter)
+            return parameter.low if isinstance(parameter, Span) else 0
         params[name], distributions[name] = number, distribution
         return number
 
@@ -171,7 +173,7 @@ def _as_asked(trial: Trial | Running, facts: Facts, rows: Sequence[Family]) -> _
         _built(row, facts, read)
     except ValueError:
         return None
-    return _Asked(params, distributions, len(lost))
+    return _EncodedTrial(params, distributions, len(lost))
 
 
 def _built(row: Family, facts: Facts, pick: Pick) -> Recipe:
@@ -187,11 +189,18 @@ def _built(row: Family, facts: Facts, pick: Pick) -> Recipe:
 
 
 def _picked(row: Family, recipe: Recipe, space: Space, pick: Pick) -> Recipe:
+    from optuna.distributions import FloatDistribution
+
     for parameters, change in ((space.config, Recipe.configured), (space.options, Recipe.trained)):
         for p in parameters:
-            if applies(p, recipe):
-                number = pick(f"{row.name}.{p.name}", _distribution(p))
-                recipe = change(recipe, **{p.name: _value(p, number)})
+            if not applies(p, recipe):
+                continue
+            name = f"{row.name}.{p.name}"
+            if isinstance(p, OneOf):
+                value = p.values[int(pick(name, _choices(len(p.values))))]
+            else:
+                value = p.tidy(float(pick(name, FloatDistribution(p.low, p.high, log=p.log))))
+            recipe = change(recipe, **{p.name: value})
     return recipe
 
 
@@ -211,35 +220,3 @@ def _choices(count: int) -> BaseDistribution:
     from optuna.distributions import CategoricalDistribution
 
     return CategoricalDistribution(tuple(range(count)))
-
-
-def _distribution(p: Parameter) -> BaseDistribution:
-    from optuna.distributions import FloatDistribution
-
-    return (
-        FloatDistribution(p.low, p.high, log=p.log)
-        if isinstance(p, Span)
-        else _choices(len(p.values))
-    )
-
-
-def _number(p: Parameter, value: Value) -> Number:
-    """Convert a value to the estimator's number.
-
-    Raises:
-        ValueError: for a value outside the space
-    """
-    if isinstance(p, OneOf):
-        return p.values.index(value)
-    if not isinstance(value, int | float) or not p.low <= value <= p.high:
-        raise ValueError(p.name)
-    return float(value)
-
-
-def _any_number(p: Parameter | None) -> Number:
-    """Return a placeholder for a value outside the space."""
-    return p.low if isinstance(p, Span) else 0
-
-
-def _value(p: Parameter, number: Number) -> Value:
-    return p.values[int(number)] if isinstance(p, OneOf) else p.tidy(float(number))

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import cast
@@ -33,7 +32,6 @@ class AgentRow:
     name: str
     """Name on the command line and in the ledger."""
     help: str
-    """Description in one line."""
     make: Callable[[], Agent] | None = None
     """Factory; None where an agent needs more than its name: a server, or a submitter."""
     packages: tuple[str, ...] = ()
@@ -41,11 +39,6 @@ class AgentRow:
 
     reads_notes: bool = True
     """Whether notes of `asia steer` change its proposals."""
-
-    @property
-    def free(self) -> bool:
-        """Whether it needs no key, no language model and no submitter."""
-        return self.make is not None
 
 
 AGENT_ROWS: tuple[AgentRow, ...] = (
@@ -77,7 +70,6 @@ class NamedAgent:
     """Agent with its record for the ledger besides its name."""
 
     agent: Agent
-    """The agent."""
     settings: Mapping[str, str] = field(default_factory=dict[str, str])
     """Settings, and the class of an agent that is not built in."""
 
@@ -114,7 +106,12 @@ def choose_agent(name: str, space: str | None = None) -> NamedAgent:
     if name in brought and name not in RESERVED:
         return _called(brought[name].target)
     if plans := asked_relay(name):
-        return NamedAgent(RelayAgent([_runner(p.agent, p.experiments) for p in plans]))
+        runners: list[Runner] = []
+        for plan in plans:
+            one = choose_agent(plan.agent)
+            leg = Leg(one.agent.name, plan.experiments, dict(one.settings))
+            runners.append(Runner(one.agent, leg))
+        return NamedAgent(RelayAgent(runners))
     if ":" in name:
         return _called(name)
     known = ", ".join((*AGENTS, *sorted(brought.keys() - RESERVED)))
@@ -129,11 +126,6 @@ def asked_relay(text: str) -> tuple[LegPlan, ...]:
     """
     brought = {part.name for part in parts_of(GROUP)}
     return read_relay(text) if is_relay(text) and text not in brought else ()
-
-
-def _runner(name: str, experiments: int | None) -> Runner:
-    chosen = choose_agent(name)
-    return Runner(chosen.agent, Leg(chosen.agent.name, experiments, dict(chosen.settings)))
 
 
 def make_agent(name: str, space: str | None = None) -> Agent:
@@ -178,8 +170,9 @@ def packages_of(name: str) -> tuple[str, ...]:
 
 
 def _called(target: str) -> NamedAgent:
-    what = f"--agent {target}"
-    with _current_folder_first():
+    what, here = f"--agent {target}", os.getcwd()
+    sys.path.insert(0, here)
+    try:
         make = load_target(target, what)
         if not callable(make):
             raise UserError(f"{what}: expected a class that is called without arguments")
@@ -190,6 +183,8 @@ def _called(target: str) -> NamedAgent:
             raise UserError(
                 f"{what}: calling it without arguments failed: {type(error).__name__}: {error}"
             ) from error
+    finally:
+        sys.path.remove(here)
     name = getattr(agent, "name", None)
     if not isinstance(name, str) or not callable(getattr(agent, "propose", None)):
         raise UserError(f"{what}: not an agent: expected a `name` and a method `propose(view)`")
@@ -199,13 +194,3 @@ def _called(target: str) -> NamedAgent:
             f"{', '.join(sorted(RESERVED))}"
         )
     return NamedAgent(cast("Agent", agent), {**settings_of(agent), _CLASS: target})
-
-
-@contextmanager
-def _current_folder_first() -> Generator[None]:
-    here = os.getcwd()
-    sys.path.insert(0, here)
-    try:
-        yield
-    finally:
-        sys.path.remove(here)

@@ -11,15 +11,12 @@ from asia.agents.view import Agent, AgentView, Proposal, proposes_ahead, setting
 from asia.errors import UserError
 from asia.ledger.events import Leg
 
-_PART = re.compile(r"(?P<name>.+?)(?:\*(?P<count>.*))?")
-
 
 @dataclass(frozen=True)
 class LegPlan:
     """Leg of a relay as the user requests it."""
 
     agent: str
-    """The agent by name."""
     experiments: int | None
     """Number of experiments; None for all remaining ones."""
 
@@ -29,9 +26,7 @@ class Runner:
     """The agent of a leg."""
 
     agent: Agent
-    """Agent of the leg."""
     leg: Leg
-    """Leg as recorded in the ledger."""
 
 
 class RelayAgent:
@@ -97,7 +92,7 @@ def read_relay(text: str) -> tuple[LegPlan, ...]:
     """
     plans: list[LegPlan] = []
     for part in re.split(r"[,+]", text):
-        found = _PART.fullmatch(part.strip())
+        found = re.fullmatch(r"(?P<name>.+?)(?:\*(?P<count>.*))?", part.strip())
         if found is None:
             raise UserError(f"--agent {text}: expected agents with a comma between them")
         count = found["count"]

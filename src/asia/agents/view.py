@@ -16,8 +16,6 @@ from asia.problem.physics import Physics
 from asia.problem.protocol import EarlyStopping
 from asia.problem.symmetry import Symmetry
 
-# View of a search for agents, and their proposals.
-#
 # There is no measured time, no validation residual and no test: an agent decides from V per fold,
 # status, the candidates' logs and training-side residual analysis. It may look at all training
 # records, as a user would.
@@ -288,32 +286,22 @@ class Journal(Protocol):
         ...
 
 
-@runtime_checkable
-class ProposesAhead(Protocol):
-    """Agent that can propose before earlier proposals have their results: it reads `view.running`,
-    and proposes no candidate listed there."""
-
-    proposes_ahead: bool
-    """Whether it does."""
-
-
 def proposes_ahead(agent: object) -> bool:
-    """Return whether an agent may be asked while others of its proposals run."""
-    return isinstance(agent, ProposesAhead) and agent.proposes_ahead
+    """Return whether an agent may be asked while others of its proposals run.
 
-
-@runtime_checkable
-class Configured(Protocol):
-    """Agent whose settings shape its proposals."""
-
-    def recorded(self) -> dict[str, str]:
-        """The settings for the ledger, without secrets."""
-        ...
+    Its attribute of this name says so. It then reads `view.running`, and proposes no candidate
+    listed there.
+    """
+    return bool(getattr(agent, "proposes_ahead", False))
 
 
 def settings_of(agent: object) -> dict[str, str]:
-    """Return an agent's settings for the ledger; empty for an agent without settings."""
-    return agent.recorded() if isinstance(agent, Configured) else {}
+    """Return the settings that shape an agent's proposals, for the ledger and without secrets.
+
+    Its method `recorded` gives them; an agent without it has none.
+    """
+    recorded: Callable[[], dict[str, str]] | None = getattr(agent, "recorded", None)
+    return {} if recorded is None else recorded()
 
 
 @runtime_checkable
@@ -339,9 +327,6 @@ class Attached(Protocol):
 
 
 # Agent for submitted candidates: from a user in a shell, a coding agent, or a client of a server.
-
-
-_POLL = 0.1
 
 
 class SubmittedAgent:
@@ -381,4 +366,4 @@ class SubmittedAgent:
             if self._journal is not None and self._journal.interrupted():
                 raise InterruptedWaitError
             self._waiting(time.monotonic() - start)
-            time.sleep(_POLL)
+            time.sleep(0.1)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from asia.agents import Agent, AgentView, BayesAgent, ExpertAgent, Proposal, RandomAgent, Running
-from asia.agents.bayes import _as_asked, _study  # pyright: ignore[reportPrivateUsage]
+from asia.agents.bayes import _encode_trial, _study  # pyright: ignore[reportPrivateUsage]
 from asia.agents.library.registry import families
 from asia.agents.llm.prompt import Task, search_text, task_of
 from asia.candidate import source_digest
@@ -72,7 +72,7 @@ def test_bayes_counts_running_trials_as_bad_as_the_worst() -> None:
     facts = simulation(physics=False)
     drawn, rows = several(BayesAgent(), view(facts, (), "explore")), families(facts)
     tried = [replace(trial(1), source=p.source, family=p.family) for p in drawn]
-    known = [_as_asked(one, facts, rows) is not None for one in tried]
+    known = [_encode_trial(one, facts, rows) is not None for one in tried]
     found = [p for p, is_read in zip(drawn, known, strict=True) if is_read]
     done = replace(trial(1, 0.3), source=found[0].source, family=found[0].family)
     study = _study(ahead(view(facts, (done,), "explore"), found[1]), rows, 0)

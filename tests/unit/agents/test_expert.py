@@ -9,10 +9,9 @@ from asia.agents import AgentStoppedError, AgentView, ExpertAgent, Facts, Propos
 from asia.agents.expert import agent
 from asia.agents.expert.diagnosis import COURSE_MOVES
 from asia.agents.expert.moves import all_moves
-from asia.agents.expert.titles import plain_title, title_of
 from asia.agents.library.cards import neural_ss
 from asia.agents.library.cost import Timing
-from asia.agents.library.move import Situation
+from asia.agents.library.move import Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.records import Switching, noise_of_periods, overfit, plateau_share
 from asia.agents.library.registry import families, family

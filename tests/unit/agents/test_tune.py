@@ -3,8 +3,8 @@
 import pytest
 
 from asia.agents import ExpertAgent, Proposal, Trial
-from asia.agents.expert.titles import plain_title
 from asia.agents.expert.tune import TUNED
+from asia.agents.library.move import plain_title
 from tests.unit.agents.searches import CLEAN, recipe_of, search, simulation, trial, view
 
 KNOWN = simulation(physics=True)

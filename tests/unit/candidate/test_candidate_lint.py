@@ -11,7 +11,7 @@ import pytest
 
 import asia
 from asia.agents import ExpertAgent, Facts
-from asia.agents.library.protocol import under_protocol
+from asia.agents.library.family import under_protocol
 from asia.agents.library.registry import all_families
 from asia.agents.llm.prompt import EXAMPLE
 from asia.agents.random import _drawn, paper_families

@@ -20,10 +20,8 @@ from asia.agents.expert.diagnosis import (
 )
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import Wish, avoided, read_notes, wished_moves, wished_start
-from asia.agents.expert.titles import plain_title, title_of
-from asia.agents.library.family import Family
-from asia.agents.library.move import Move, Situation
-from asia.agents.library.protocol import is_new, under_protocol
+from asia.agents.library.family import Family, is_new, under_protocol
+from asia.agents.library.move import Move, Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.records import overfit
 from asia.agents.library.registry import families, family
@@ -46,9 +44,7 @@ class _Option:
     """Something to try."""
 
     family: str
-    """The model family."""
     weight: float
-    """Weight of the option."""
     make: Callable[[], Proposal | None]
     """The proposal; None when it was tried before."""
     seconds: float
@@ -59,12 +55,6 @@ class _Option:
     """Whether it is near certain, so that it interrupts the ladder."""
     move: str = ""
     """The name of the move; "" for the first configuration of a family."""
-
-    def paced(self, usual: float) -> _Option:
-        """Reduce the weight by the square root of the excess over the usual fit time; experiments
-        are limited too."""
-        pace = min(1.0, 2.0 * usual / (usual + self.seconds)) ** 0.5
-        return replace(self, weight=self.weight * pace)
 
 
 class ExpertAgent:
@@ -97,48 +87,54 @@ class ExpertAgent:
             else:
                 proposal = replace(proposal, hypothesis=f"{proposal.hypothesis} {wish.mark}")
         if proposal is None:
-            proposal = self._unasked(view, unwanted, remarks)
+            end = reason_to_end(view)
+            if end is not None:
+                raise AgentStoppedError("saturated", end)
+            proposal = self._best_of(view, unwanted)
+            if beats_nothing(view):
+                remarks.append(why_nothing_helps(view))
+                if proposal is None:
+                    raise AgentStoppedError("exhausted", remarks[-1])
         if proposal is None:
             return None
         new = [wish.mark for wish in wishes if wish.avoid and not wish.is_followed(view)]
         hypothesis = " ".join((proposal.hypothesis, *new))
         return replace(proposal, hypothesis=hypothesis, remark="; ".join(remarks))
 
-    def _unasked(self, view: AgentView, unwanted: set[str], remarks: list[str]) -> Proposal | None:
-        """The proposal where no note asks for one. Adds a remark while nothing beats the mean."""
-        end = reason_to_end(view)
-        if end is not None:
-            raise AgentStoppedError("saturated", end)
-        proposal = self._best_of(view, unwanted)
-        if beats_nothing(view):
-            remarks.append(why_nothing_helps(view))
-            if proposal is None:
-                raise AgentStoppedError("exhausted", remarks[-1])
-        return proposal
-
     def _best_of(self, view: AgentView, unwanted: set[str]) -> Proposal | None:
         moves, ladder = (
             [option for option in found if not {option.family, option.move} & unwanted]
             for found in (_refinements(view), _untried(view))
         )
-        usual, proposal = _usual_seconds(view), None
-        paced = [option.paced(usual) for option in (*moves, *ladder)]
+        # Expected seconds of a fit, mean of the trials so far; not measured.
+        recipes = (read_recipe(trial.source) for trial in view.trials)
+        known = ((r, family(r.family)) for r in recipes if r is not None)
+        seconds = [row.seconds(view.facts, recipe) for recipe, row in known if row is not None]
+        usual = max(sum(seconds) / len(seconds), 1e-3) if seconds else 1.0
+
+        def paced(options: list[_Option]) -> list[_Option]:
+            """Reduce the weights by the square root of the excess over the usual fit time;
+            experiments are limited too."""
+            return [
+                replace(o, weight=o.weight * min(1.0, 2.0 * usual / (usual + o.seconds)) ** 0.5)
+                for o in options
+            ]
+
+        proposal = None
         if view.phase == "explore":
             sure = [option for option in moves if option.sure]
             proposal = _heaviest([*sure, *(option for option in ladder if option.apt)])
-        proposal = proposal or _heaviest(paced)
+        proposal = proposal or _heaviest(paced([*moves, *ladder]))
         allocation = Allocation.of(view)
         objection = allocation.objection(proposal.family) if proposal is not None else ""
         if proposal is None or not objection:
             return proposal
         if allocation.chances_are_due(proposal.family):
             # New families in the order of their aptness, whatever a fit takes.
-            paced = [*(option.paced(usual) for option in moves), *ladder]
-            place = allocation.chance
+            options, place = [*paced(moves), *ladder], allocation.chance
         else:
-            place = None
-        allowed = [option for option in paced if not allocation.objection(option.family)]
-        other = _heaviest(allowed, place)
+            options, place = paced([*moves, *ladder]), None
+        other = _heaviest([o for o in options if not allocation.objection(o.family)], place)
         if other is None:
             return proposal
         return replace(other, hypothesis=f"{other.hypothesis} {objection}")
@@ -152,14 +148,6 @@ def _heaviest(options: list[_Option], place: Callable[[str], int] | None = None)
     """
     ordered = sorted(options, key=lambda o: (place(o.family) if place else 0, -o.weight))
     return next((p for option in ordered if (p := option.make()) is not None), None)
-
-
-def _usual_seconds(view: AgentView) -> float:
-    """Expected seconds of a fit, mean of the trials so far; not measured."""
-    recipes = (read_recipe(trial.source) for trial in view.trials)
-    known = ((r, family(r.family)) for r in recipes if r is not None)
-    seconds = [row.seconds(view.facts, recipe) for recipe, row in known if row is not None]
-    return max(sum(seconds) / len(seconds), 1e-3) if seconds else 1.0
 
 
 def _untried(view: AgentView) -> Iterator[_Option]:
@@ -226,7 +214,9 @@ def _refinements(view: AgentView) -> Iterator[_Option]:
                 continue
             weight = move.weight(at) * (share if move.behind_counts else 1.0)
             if weight > 0:
-                weight *= move.fade ** _failures(at, move)
+                title = move.title(at)
+                made = [t for t in view.proposed if plain_title(t.title) == title]
+                weight *= move.fade ** sum(isinstance(t, Running) or not t.improved for t in made)
                 sure = weight >= SURE
                 recipe = at.recipe if move.same_effort else move.change(at)
                 seconds = at.row.seconds(at.facts, recipe)
@@ -234,18 +224,18 @@ def _refinements(view: AgentView) -> Iterator[_Option]:
                 yield _Option(at.row.name, weight, make, seconds, sure=sure, move=move.name)
 
 
-def _failures(at: Situation, move: Move) -> int:
-    title = move.title(at)
-    made = (t for t in at.view.proposed if plain_title(t.title) == title)
-    return sum(isinstance(t, Running) or not t.improved for t in made)
-
-
 def _moved(at: Situation, move: Move) -> Proposal | None:
     recipe = move.change(at)
     if not is_new(at.view, at.row, recipe):
         return None
+    # None leaves an order or a delay to the fit, and is the default of other settings.
+    settings = [f"{k} {v}" for k, v in recipe.config if v is not None]
+    chosen = [k for k, v in recipe.config if v is None and k in _CHOSEN_BY_FIT]
+    if chosen:
+        settings.append(f"{' and '.join(chosen)} chosen by the fit")
+    summary = f"{_sentence(at.row.label)}: {', '.join(settings) or 'plain'}."
     return Proposal(
-        source=under_protocol(recipe, at.row, at.facts).source(_summary(at, recipe)),
+        source=under_protocol(recipe, at.row, at.facts).source(summary),
         family=recipe.family,
         title=title_of(at, move, recipe),
         hypothesis=move.hypothesis,
@@ -292,16 +282,6 @@ def _share(at: Situation) -> float:
     near = NEAR if black_box else NEAR_EQUATIONS
     held_back = ratio > near and train < best.value and overfit(trial) > 2.0
     return patience * (max(share, PROMISING) if held_back else share)
-
-
-def _summary(at: Situation, recipe: Recipe) -> str:
-    """Settings of the recipe. None leaves an order or a delay to the fit, and is the default of
-    other settings."""
-    settings = [f"{k} {v}" for k, v in recipe.config if v is not None]
-    chosen = [k for k, v in recipe.config if v is None and k in _CHOSEN_BY_FIT]
-    if chosen:
-        settings.append(f"{' and '.join(chosen)} chosen by the fit")
-    return f"{_sentence(at.row.label)}: {', '.join(settings) or 'plain'}."
 
 
 def _sentence(text: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from asia.agents.library.recipe import read_recipe
 from asia.agents.library.registry import family
-from asia.agents.view import AgentView, Running, Trial
+from asia.agents.view import AgentView, Trial
 
 FAMILIES = 3
 """Families that get a trial and a refinement before any family gets more."""
@@ -36,7 +36,8 @@ class Allocation:
         """Count the proposals so far."""
         tried, spent, best = Counter[str](), Counter[str](), dict[str, float]()
         for one in view.proposed:
-            name = _family_of(one)
+            recipe = read_recipe(one.source)
+            name = one.family if recipe is None else recipe.family
             tried[name] += 1
             spent[name] += one.family != "baseline"
             if isinstance(one, Trial) and one.value is not None:
@@ -50,11 +51,6 @@ class Allocation:
     def known(self) -> int:
         """Families of the library that were tried."""
         return sum(family(name) is not None for name in self.tried)
-
-    @property
-    def most(self) -> int:
-        """Half of the experiments after the baseline, at least one."""
-        return max(1, self.budget // 2)
 
     def leads(self, name: str) -> bool:
         """Return whether V of the family is 20 % below that of every other one that was tried."""
@@ -88,15 +84,10 @@ class Allocation:
                 f"{FAMILIES} families get a trial and one refinement each before any family gets a "
                 f"third experiment: {label} waits."
             )
-        if self.spent[name] >= self.most and not self.leads(name):
+        if self.spent[name] >= max(1, self.budget // 2) and not self.leads(name):
             return (
                 f"No family gets more than half of the {self.budget} experiments after the "
                 f"baseline unless its V is {LEAD:.0%} below that of every other family: "
                 f"{label} has had {self.spent[name]}."
             ).replace("%", " %")
         return ""
-
-
-def _family_of(one: Trial | Running) -> str:
-    recipe = read_recipe(one.source)
-    return one.family if recipe is None else recipe.family

@@ -53,8 +53,6 @@ _EFFECTS: dict[Effect, re.Pattern[str]] = {
         r"|(?P<m>\d+)[ -]?(?:samples?|steps?)(?: of)?(?: pure)? (?:delay|dead time)\b"
     ),
 }
-# Share of the shortest record that a delay may take.
-_LONGEST = 0.25
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,8 @@ def read_notes(notes: Sequence[str]) -> tuple[tuple[Wish, ...], tuple[str, ...]]
     wishes: list[Wish] = []
     answers: list[str] = []
     for number, note in enumerate(notes, 1):
-        found = [wish for sentence in _sentences(note) for wish in _read(number, sentence)]
+        sentences = re.split(r"[.;!\n]+", " ".join(note.lower().split()))
+        found = [wish for sentence in sentences for wish in _read(number, sentence)]
         wishes += found
         if not found:
             answers.append(f"note {number} is not understood: {READS}")
@@ -117,12 +116,26 @@ def wished_moves(wish: Wish, at: Situation, moves: Sequence[Move]) -> list[Move]
     if at.trial.value is None:
         return []
     if wish.effect == "delay":
-        longest = _LONGEST * min(len(record) for record in at.facts.records)
-        setting = _delay_setting(at)
-        return [_delay_move(wish.samples, setting)] if setting and wish.samples < longest else []
+        # A delay may take a quarter of the shortest record.
+        if wish.samples >= 0.25 * min(len(record) for record in at.facts.records):
+            return []
+        if at.varies("input_delay"):
+            # A grey-box searches up to one sample more.
+            return [_delay_move(wish.samples, "input_delay", wish.samples + 1.0)]
+        if at.recipe.has("delay") and not isinstance(at.recipe.get("delay"), bool):
+            # One sample of the delay is that of the state equation.
+            return [_delay_move(wish.samples, "delay", max(wish.samples - 1, 0))]
+        return []
+
+    def is_worth_making(move: Move) -> bool:
+        if move.weight(at) > 0:
+            return True
+        # The note replaces the evidence that a move to friction requires.
+        lacks = wish.effect == "friction" and not at.recipe.get("friction")
+        return lacks and bool(move.change(at).get("friction"))
+
     names = EFFECT_MOVES.get(wish.effect, ())
-    found = [move for move in moves if move.name in names and move.applies(at)]
-    found = [move for move in found if move.weight(at) > 0 or _brings_friction(wish, at, move)]
+    found = [m for m in moves if m.name in names and m.applies(at) and is_worth_making(m)]
     return sorted(found, key=lambda move: names.index(move.name))
 
 
@@ -134,10 +147,6 @@ def wished_start(wish: Wish, row: Family, recipe: Recipe) -> Recipe | None:
         recipe = recipe.without("channels", "members")
         return recipe.configured(nonlinearity="none", friction=1).trained(starts=4)
     return None
-
-
-def _sentences(note: str) -> list[str]:
-    return [part for part in re.split(r"[.;!\n]+", " ".join(note.lower().split())) if part.strip()]
 
 
 def _read(number: int, sentence: str) -> list[Wish]:
@@ -174,23 +183,7 @@ def _family_patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
     )
 
 
-def _brings_friction(wish: Wish, at: Situation, move: Move) -> bool:
-    """Return whether the note replaces the evidence that the move requires."""
-    has = at.recipe.get("friction")
-    return wish.effect == "friction" and not has and bool(move.change(at).get("friction"))
-
-
-def _delay_setting(at: Situation) -> str:
-    if at.varies("input_delay"):
-        return "input_delay"
-    switch = isinstance(at.recipe.get("delay"), bool)
-    return "delay" if at.recipe.has("delay") and not switch else ""
-
-
-def _delay_move(samples: int, setting: str) -> Move:
-    """One sample of the delay is that of the state equation. A grey-box searches up to one sample
-    more."""
-    value = samples + 1.0 if setting == "input_delay" else max(samples - 1, 0)
+def _delay_move(samples: int, setting: str, value: float) -> Move:
     return Move(
         name=f"a delay of {samples} samples",
         weight=lambda _: 1.0,

@@ -13,7 +13,6 @@ class Card:
     """Families of one kind and the moves that refine them."""
 
     families: tuple[Family, ...]
-    """The families."""
     moves: tuple[Move, ...] = ()
     """Moves on these families alone; on all of them where a move names none."""
 

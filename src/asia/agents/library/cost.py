@@ -27,12 +27,7 @@ FEWEST_STEPS = 200
 GENTLE_STEPS = 400
 CHUNK = 128
 _BATCH = 128
-# Settings that say how often a fit is repeated, and how large its model is.
-_REPEATS = ("starts", "members")
-_SIZES = ("hidden", "width", "units", "states", "slow", "residual")
 _USUAL_SIZE = 16.0
-# Fits of few parameters with a noise model are repeated after each estimate, from where they were.
-_NOISE_ROUNDS = 2.0
 
 
 @dataclass(frozen=True)
@@ -56,15 +51,15 @@ def work(facts: Facts, recipe: Recipe) -> float:
     model over the usual one; at least half of it counts whatever the size."""
     rounds = recipe.number("steps", 1.0) * recipe.number("iterations", 1.0)
     if recipe.get("noise_model") == "slow" and not recipe.has("steps"):
-        rounds *= _NOISE_ROUNDS
+        # Fits of few parameters are repeated after each estimate of the noise model.
+        rounds *= 2.0
     samples = float(facts.fit_samples)
     if recipe.method == "Adam":
         length = recipe.number("truncation", facts.horizon or facts.fit_samples)
         samples = min(samples, recipe.number("batch", _BATCH) * length)
-    repeats = 1.0
-    for name in _REPEATS:
-        repeats *= max(1.0, recipe.number(name, 1.0))
-    size = max(recipe.number(name, 0.0) for name in _SIZES)
+    repeats = max(1.0, recipe.number("starts", 1.0)) * max(1.0, recipe.number("members", 1.0))
+    sizes = ("hidden", "width", "units", "states", "slow", "residual")
+    size = max(recipe.number(name, 0.0) for name in sizes)
     return rounds * samples * repeats * (0.5 + 0.5 * (size or _USUAL_SIZE) / _USUAL_SIZE)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move, Situation
-from asia.agents.library.recipe import Recipe
+from asia.agents.library.recipe import Recipe, Value
 from asia.agents.library.records import (
     Cause,
     biased,
@@ -21,12 +21,6 @@ from asia.agents.library.records import (
 )
 from asia.agents.view import Facts
 from asia.problem.physics import parse_expression
-
-# Moves that add terms to the equations of a grey-box, or change the weight of its residual.
-
-
-# Of the output's deviation: a training error below it is near what a disturbance may explain.
-_NEAR = 0.15
 
 
 def names_of(at: Situation, setting: str) -> tuple[str, ...]:
@@ -48,14 +42,17 @@ def _noise_weight(at: Situation) -> float:
         return 0.0
     if at.facts.horizon is not None:
         return 0.2
-    near = (at.trial.train_error or 1.0) < _NEAR
-    return (0.93 if near else 0.3) if coloured(at.trial) else 0.1
+    if not coloured(at.trial):
+        return 0.1
+    # Of the output's deviation: an error below it is near what a disturbance may explain.
+    return 0.93 if (at.trial.train_error or 1.0) < 0.15 else 0.3
 
 
-def _with_noise(at: Situation) -> Recipe:
-    """Apply the noise model of the residual; priors then need less weight."""
-    recipe = at.recipe.without("robust").trained(noise_model="slow", huber=3.0)
-    return recipe.times("ridge", 0.1, 1e-3)
+def _with_power_sensor(at: Situation) -> Recipe:
+    """Bend the sensor in place of the offsets of outputs, which represent its zero."""
+    kept = tuple(name for name in names_of(at, "offset") if name not in output_offsets(at.facts))
+    offsets: dict[str, Value] = {"offset": kept} if kept else {}
+    return at.recipe.without("offset").configured(sensor="power", **offsets)
 
 
 def _sensor_weight(at: Situation) -> float:
@@ -64,20 +61,6 @@ def _sensor_weight(at: Situation) -> float:
     if curved(at.trial) or fails_on_top(at.trial):
         return 0.91
     return 0.65 if biased(at.trial) or coloured(at.trial) else 0.2
-
-
-def _free_sensor_weight(at: Situation) -> float:
-    return 0.7 * (at.recipe.get("sensor") == "power")
-
-
-def _kept_offsets(at: Situation) -> dict[str, tuple[str, ...]]:
-    """Return the offsets except those of outputs, which represent a sensor's zero."""
-    kept = tuple(name for name in names_of(at, "offset") if name not in output_offsets(at.facts))
-    return {"offset": kept} if kept else {}
-
-
-def _width(at: Situation) -> float:
-    return at.recipe.number("smooth_width", 0.05)
 
 
 def _read_by_others(at: Situation) -> tuple[str, ...]:
@@ -93,31 +76,8 @@ def _read_by_others(at: Situation) -> tuple[str, ...]:
     )
 
 
-def _next(at: Situation, setting: str, names: tuple[str, ...]) -> str:
-    """The first name that the setting does not hold, "" where it holds all."""
-    return next((name for name in names if name not in names_of(at, setting)), "")
-
-
-def _with(at: Situation, setting: str, names: tuple[str, ...]) -> Recipe:
-    more = _next(at, setting, names)
-    return at.recipe.configured(**{setting: (*names_of(at, setting), more)})
-
-
 def _inputs(at: Situation) -> tuple[str, ...]:
     return tuple(signal.name for signal in at.facts.inputs)
-
-
-def _lag_weight(at: Situation, names: tuple[str, ...], late: float, else_: float) -> float:
-    if at.facts.horizon is not None or not _next(at, "lag", names):
-        return 0.0
-    return (late if input_left(at.trial) else else_) * (0.5 if names_of(at, "lag") else 1.0)
-
-
-def _smooth_weight(at: Situation, names: tuple[str, ...], weight: float) -> float:
-    """Return the weight after all known terms of the system are included."""
-    if at.facts.horizon is not None or not _next(at, "smooth", names):
-        return 0.0
-    return weight * (1.0 if coloured(at.trial) else 0.5) * (0.6 if names_of(at, "smooth") else 1.0)
 
 
 def velocities(at: Situation) -> tuple[str, ...]:
@@ -144,30 +104,11 @@ def _turning_input(at: Situation) -> str:
     return at.facts.inputs[switching(at.facts).signal].name
 
 
-def _presliding_weight(at: Situation) -> float:
-    tried = at.recipe.get("friction") and not at.recipe.get("presliding")
-    return 0.7 * bool(tried) * (switching(at.facts).cause == "displacement")
-
-
-def _finer(at: Situation) -> Recipe:
-    """Sharp forces need short steps."""
-    return at.recipe.configured(substeps=4 * round(at.recipe.number("substeps", 2)))
-
-
-def _finer_weight(at: Situation) -> float:
-    sharp = at.recipe.get("friction") or at.recipe.get("hysteresis") or at.recipe.get("play")
-    return 0.65 * bool(sharp) * (at.recipe.number("substeps", 2) < 8)
-
-
 def _terms_weight(at: Situation) -> float:
     """Return the weight after the terms that the records show."""
     if at.recipe.get("discover") or at.recipe.get("residual") or at.recipe.method != LM:
         return 0.0
     return 0.74 if coloured(at.trial) else 0.15
-
-
-def _last_state(at: Situation) -> tuple[str, ...]:
-    return at.states[::-1]
 
 
 def _addition(
@@ -178,42 +119,57 @@ def _addition(
     hypothesis: str,
     expected: str,
 ) -> Move:
-    """The next of the names goes into the setting."""
+    """Make the move that puts the next of the names into the setting, of whole records.
+
+    Args:
+        weight: weight while there is such a name
+    """
+
+    def following(at: Situation) -> str:
+        return next((name for name in names(at) if name not in names_of(at, setting)), "")
+
     return Move(
         name=name,
-        weight=weight,
-        change=lambda c: _with(c, setting, names(c)),
-        state=lambda c: _next(c, setting, names(c)),
+        weight=lambda c: weight(c) if c.facts.horizon is None and following(c) else 0.0,
+        change=lambda c: c.recipe.configured(**{setting: (*names_of(c, setting), following(c))}),
+        state=following,
         hypothesis=hypothesis,
         expected=expected,
     )
 
 
-# Settings that mean nothing without another.
-_WITH = {"friction": ("presliding",)}
+def _lag_weight(at: Situation, late: float, other: float) -> float:
+    return (late if input_left(at.trial) else other) * (0.5 if names_of(at, "lag") else 1.0)
 
 
-def _removal(setting: str, what: str) -> Move:
-    """An addition that the folds disagree about, or that the error does not miss, is taken away."""
+def _smooth_weight(at: Situation, weight: float) -> float:
+    """Return the weight after all known terms of the system are included."""
+    return weight * (1.0 if coloured(at.trial) else 0.5) * (0.6 if names_of(at, "smooth") else 1.0)
+
+
+def _removal(what: str, *settings: str) -> Move:
+    """An addition that the folds disagree about, or that the error does not miss, is taken away.
+
+    Args:
+        settings: the addition, then settings that mean nothing without it
+    """
 
     def weight(at: Situation) -> float:
-        if not at.recipe.get(setting):
+        if not at.recipe.get(settings[0]):
             return 0.0
         return 0.55 if folds_disagree(at.trial) > 1.5 else 0.4 if overfit(at.trial) > 1.5 else 0.3
 
     return Move(
         name=f"without {what}",
         weight=weight,
-        change=lambda c: c.recipe.without(setting, *_WITH.get(setting, ())),
-        hypothesis=(
-            "The added term may overfit its fold: V does not rise without it if the effect is "
-            "not real, or if a later addition is the true one."
-        ),
+        change=lambda c: c.recipe.without(*settings),
+        hypothesis="The added term may overfit its fold: V does not rise without it if the effect "
+        "is not real, or if a later addition is the true one.",
         expected="The same training error or a little more, and a lower V.",
     )
 
 
-_SWITCHING: tuple[Move, ...] = (
+EQUATION_MOVES: tuple[Move, ...] = (
     Move(
         name="dry friction on {state}",
         weight=lambda c: (
@@ -221,21 +177,21 @@ _SWITCHING: tuple[Move, ...] = (
         ),
         change=lambda c: c.recipe.configured(friction=velocities(c)),
         state=lambda c: ", ".join(velocities(c)),
-        hypothesis=(
-            "The residual of a one-step model has the sign of a velocity: dry friction, with "
-            "different levels in the two directions and more of it at rest (Stribeck)."
-        ),
+        hypothesis="The residual of a one-step model has the sign of a velocity: dry friction, "
+        "with different levels in the two directions and more of it at rest (Stribeck).",
         expected="A far lower error where the system sticks or reverses, on every fold.",
     ),
     Move(
         name="friction with presliding on {state}",
-        weight=_presliding_weight,
+        weight=lambda c: (
+            0.7
+            * bool(c.recipe.get("friction") and not c.recipe.get("presliding"))
+            * (switching(c.facts).cause == "displacement")
+        ),
         change=lambda c: c.recipe.configured(presliding=True),
         state=lambda c: ", ".join(velocities(c)),
-        hypothesis=(
-            "The records depend on the last reversal of the motion: friction yields a little "
-            "before it slides (LuGre)."
-        ),
+        hypothesis="The records depend on the last reversal of the motion: friction yields a "
+        "little before it slides (LuGre).",
         expected="Lower error after each reversal of the motion.",
     ),
     Move(
@@ -247,10 +203,8 @@ _SWITCHING: tuple[Move, ...] = (
             hysteresis=velocities(c)
         ),
         state=lambda c: ", ".join(velocities(c)),
-        hypothesis=(
-            "The residual of a one-step model depends on the last reversal of the motion: a "
-            "restoring force with hysteresis (Bouc-Wen)."
-        ),
+        hypothesis="The residual of a one-step model depends on the last reversal of the motion: a "
+        "restoring force with hysteresis (Bouc-Wen).",
         expected="A far lower error over whole loops, on every fold.",
     ),
     Move(
@@ -258,60 +212,55 @@ _SWITCHING: tuple[Move, ...] = (
         weight=lambda c: _switching_weight(c, "play", ("input",)),
         change=lambda c: c.recipe.configured(play=(_turning_input(c),)),
         state=lambda c: _turning_input(c),
-        hypothesis=(
-            "The residual of a one-step model depends on the last reversal of the input: "
-            "backlash between the actuator and its load."
-        ),
+        hypothesis="The residual of a one-step model depends on the last reversal of the input: "
+        "backlash between the actuator and its load.",
         expected="Lower error after each reversal of the input, on every fold.",
     ),
     Move(
         name="shorter steps of the integrator",
-        weight=_finer_weight,
-        change=_finer,
-        hypothesis=(
-            "A switching force is smoothed to the step of the integrator: shorter steps allow a"
-            " sharper switch."
+        weight=lambda c: (
+            0.65
+            * any(c.recipe.get(force) for force in ("friction", "hysteresis", "play"))
+            * (c.recipe.number("substeps", 2) < 8)
         ),
+        change=lambda c: c.recipe.configured(substeps=4 * round(c.recipe.number("substeps", 2))),
+        hypothesis="A switching force is smoothed to the step of the integrator: shorter steps "
+        "allow a sharper switch.",
         expected="Lower error where the system sticks; the fit takes longer.",
     ),
-)
-
-WRITTEN_IN: tuple[Move, ...] = (
-    *_SWITCHING,
     Move(
         name="terms that the equations lack",
         weight=_terms_weight,
         change=lambda c: c.recipe.configured(discover=c.states),
-        hypothesis=(
-            "The equations lack a term: a product of states and inputs, found from the "
-            "sensitivity of the simulation error."
-        ),
+        hypothesis="The equations lack a term: a product of states and inputs, found from the "
+        "sensitivity of the simulation error.",
         expected="A far lower error on every fold, and the same terms in all folds.",
     ),
     Move(
         name="slow disturbance",
         weight=_noise_weight,
-        change=_with_noise,
-        hypothesis=(
-            "The residual is slow: least squares treats it as many independent errors, which "
-            "biases the parameters. A model of a slow disturbance plus white noise avoids this "
-            "bias."
+        # Priors need less weight under a noise model of the residual.
+        change=lambda c: (
+            c.recipe.without("robust")
+            .trained(noise_model="slow", huber=3.0)
+            .times("ridge", 0.1, 1e-3)
         ),
+        hypothesis="The residual is slow: least squares treats it as many independent errors, "
+        "which biases the parameters. A model of a slow disturbance plus white noise avoids this "
+        "bias.",
         expected="A higher training error, similar parameters in all folds, and a lower V.",
     ),
     Move(
         name="bent sensor",
         weight=_sensor_weight,
-        change=lambda c: c.recipe.without("offset").configured(sensor="power", **_kept_offsets(c)),
-        hypothesis=(
-            "The measured output is an increasing curve of the modelled one: errors at low and "
-            "high outputs have the same sign."
-        ),
+        change=_with_power_sensor,
+        hypothesis="The measured output is an increasing curve of the modelled one: errors at low "
+        "and high outputs have the same sign.",
         expected="Parameters nearer to their priors, and a lower V on every fold.",
     ),
     Move(
         name="sensor of any shape",
-        weight=_free_sensor_weight,
+        weight=lambda c: 0.7 * (c.recipe.get("sensor") == "power"),
         change=lambda c: c.recipe.configured(sensor="spline"),
         hypothesis="A bent sensor helped; a power law may not be its curve.",
         expected="Lower error where the power law was off, on every fold.",
@@ -320,7 +269,7 @@ WRITTEN_IN: tuple[Move, ...] = (
         "{state} acts late",
         "lag",
         _read_by_others,
-        lambda c: _lag_weight(c, _read_by_others(c), 0.8, 0.62),
+        lambda c: _lag_weight(c, 0.8, 0.62),
         "The effect of one state on the next is delayed: the record reverses later than the "
         "simulation.",
         "Lower error at turning points; the input explains less of the residual.",
@@ -329,15 +278,15 @@ WRITTEN_IN: tuple[Move, ...] = (
         "{state} follows its command late",
         "lag",
         _inputs,
-        lambda c: _lag_weight(c, _inputs(c), 0.6, 0.35),
+        lambda c: _lag_weight(c, 0.6, 0.35),
         "An actuator follows its command with a lag of its own.",
         "The input no longer explains the residual.",
     ),
     _addition(
         "smooth correction of {state}",
         "smooth",
-        _last_state,
-        lambda c: _smooth_weight(c, _last_state(c), 0.64),
+        lambda c: c.states[::-1],
+        lambda c: _smooth_weight(c, 0.64),
         "The law of a state is nearly right: a smooth factor, kept near 1 by its prior, corrects "
         "it.",
         "Lower error at the levels where the law is wrong.",
@@ -346,35 +295,34 @@ WRITTEN_IN: tuple[Move, ...] = (
         "smooth correction of {state}, an input",
         "smooth",
         _inputs,
-        lambda c: _smooth_weight(c, _inputs(c), 0.45),
+        lambda c: _smooth_weight(c, 0.45),
         "An actuator is slightly nonlinear: a smooth factor models its curve.",
         "Lower error at the commands where the linear model is wrong.",
     ),
     Move(
         name="wider smooth corrections",
-        weight=lambda c: 0.6 * bool(names_of(c, "smooth")) * (_width(c) < 0.3),
-        change=lambda c: c.recipe.configured(smooth_width=float(f"{3.0 * _width(c):.2g}")),
+        weight=lambda c: (
+            0.6 * bool(names_of(c, "smooth")) * (c.recipe.number("smooth_width", 0.05) < 0.3)
+        ),
+        change=lambda c: c.recipe.times("smooth_width", 3.0, 0.05),
         hypothesis="Smooth corrections helped, and their prior may be too strong.",
         expected="Lower training error, V follows.",
     ),
-    _removal("linear", "the linear term"),
-    _removal("residual", "the network"),
-    _removal("offset", "offsets"),
-    _removal("lag", "lags"),
-    _removal("smooth", "smooth corrections"),
-    _removal("input_delay", "the delay"),
-    _removal("sensor", "the bent sensor"),
-    _removal("friction", "dry friction"),
+    _removal("the linear term", "linear"),
+    _removal("the network", "residual"),
+    _removal("offsets", "offset"),
+    _removal("lags", "lag"),
+    _removal("smooth corrections", "smooth"),
+    _removal("the delay", "input_delay"),
+    _removal("the bent sensor", "sensor"),
+    _removal("dry friction", "friction", "presliding"),
     _removal("hysteresis", "hysteresis"),
-    _removal("play", "the play"),
-    _removal("discover", "the terms that were found"),
+    _removal("the play", "play"),
+    _removal("the terms that were found", "discover"),
 )
 
 
 # Moves on the ridge that holds a model's weights near zero.
-
-
-Scaled = Callable[[Situation, float], Recipe]
 
 
 def scaled_ridge(at: Situation, factor: float) -> Recipe:
@@ -382,7 +330,9 @@ def scaled_ridge(at: Situation, factor: float) -> Recipe:
     return at.recipe.times("ridge", factor, 1e-5)
 
 
-def more_ridge(what: str = "weights", scaled: Scaled = scaled_ridge) -> Move:
+def more_ridge(
+    what: str = "weights", scaled: Callable[[Situation, float], Recipe] = scaled_ridge
+) -> Move:
     """Make the move that multiplies the ridge by ten.
 
     Args:
@@ -397,21 +347,7 @@ def more_ridge(what: str = "weights", scaled: Scaled = scaled_ridge) -> Move:
     )
 
 
-def much_more_ridge() -> Move:
-    """Thirty times the ridge."""
-    return Move(
-        name="much more ridge",
-        weight=lambda c: by_overfit(c.trial, 0.85, 0.5, 0.1),
-        change=lambda c: scaled_ridge(c, 30.0),
-        hypothesis=(
-            "V is well above the training error: the nonlinear weights overfit their fold, or "
-            "diverge outside it."
-        ),
-        expected="A higher training error and a lower V.",
-    )
-
-
-def less_ridge(scaled: Scaled = scaled_ridge) -> Move:
+def less_ridge(scaled: Callable[[Situation, float], Recipe] = scaled_ridge) -> Move:
     """A tenth of the ridge."""
     return Move(
         name="less ridge",
@@ -420,3 +356,18 @@ def less_ridge(scaled: Scaled = scaled_ridge) -> Move:
         hypothesis="V is near the training error: the priors are too strong.",
         expected="Lower training error, V follows.",
     )
+
+
+RIDGE_MOVES: tuple[Move, ...] = (
+    more_ridge(),
+    Move(
+        name="much more ridge",
+        weight=lambda c: by_overfit(c.trial, 0.85, 0.5, 0.1),
+        change=lambda c: scaled_ridge(c, 30.0),
+        hypothesis="V is well above the training error: the nonlinear weights overfit their fold, "
+        "or diverge outside it.",
+        expected="A higher training error and a lower V.",
+    ),
+    less_ridge(),
+)
+"""Moves on the ridge of a model's nonlinear weights."""

@@ -7,14 +7,12 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from asia.agents.library.cost import Timing, fit_seconds
-from asia.agents.library.recipe import MODELS, Arguments, Recipe
+from asia.agents.library.recipe import GRADIENT, MODELS, Arguments, Recipe, read_recipe
 from asia.agents.library.space import Space
 from asia.agents.library.traits import Trait, traits
-from asia.agents.view import Facts
+from asia.agents.view import AgentView, Facts
 
 Kind = Literal["equations", "classical", "network"]
-# Reduction of a family's aptness by an adverse trait.
-_AGAINST = 3.0
 _KINDS: tuple[Kind, ...] = ("equations", "classical", "network")
 
 
@@ -33,7 +31,6 @@ class Family:
     start: Callable[[Facts], Recipe]
     """A first configuration, cheap to fit."""
     space: Callable[[Facts], Space]
-    """Function that returns the search space."""
     small: Arguments
     """Settings of the first configuration that make it fit in seconds, for tests."""
     timing: Timing = field(default_factory=Timing)
@@ -98,7 +95,7 @@ class Family:
         """The base and the points of the problem's traits."""
         found = traits(facts)
         points = sum(points for trait, points in self.points if trait in found)
-        return self.base + points - _AGAINST * bool(self.against & found)
+        return self.base + points - 3.0 * bool(self.against & found)
 
     def doubtful(self, facts: Facts) -> bool:
         """Return whether a trait of the problem speaks against the family."""
@@ -110,3 +107,25 @@ class Family:
 
     def _own(self, recipe: Recipe) -> Recipe:
         return replace(recipe, family=self.name, package=self.package)
+
+
+def under_protocol(recipe: Recipe, row: Family, facts: Facts) -> Recipe:
+    """Adapt a recipe to the protocol: with `early_stopping = "validation"` a fit that can stops by
+    the held-out part; otherwise the recipe is unchanged."""
+    if facts.early_stopping != "validation":
+        return recipe
+    if recipe.method in row.stopped_by_score:
+        return recipe.trained(stop="validation")
+    if recipe.method not in GRADIENT:
+        return recipe
+    # The paper's early stopping: a check every 25 updates, 20 without improvement.
+    return recipe.trained(stop="validation", every=25, patience=20)
+
+
+def is_new(view: AgentView, row: Family, recipe: Recipe) -> bool:
+    """Return whether no proposal has the configuration, regardless of the order of its settings."""
+    recipe = under_protocol(recipe, row, view.facts)
+    tried = (read_recipe(known.source) for known in view.proposed)
+    if any(other is not None and other.key == recipe.key for other in tried):
+        return False
+    return not view.is_known(recipe.source(""))

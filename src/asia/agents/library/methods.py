@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from asia.agents.library.cost import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.records import coloured, integrating
-from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.library.space import OneOf, Parameter, Span
 from asia.agents.library.traits import traits
 from asia.agents.view import Facts
 
 LM = "LevenbergMarquardt"
-GRADIENT = ("Adam", "LBFGS", "MultipleShooting")
 LARGE_BATCH = 384
 # So many samples are too many for batches of 128 to give a quiet gradient.
 MANY_SAMPLES = 20_000
@@ -26,31 +23,19 @@ LEAST_HORIZON = 10
 def adam(facts: Facts, cost: SampleCost, stage: Stage, learning_rate: float) -> Arguments:
     """Settings of Adam: all windows in batches, or chunks of whole records; the metric as loss
     where it is the absolute error."""
-    settings: Arguments = (
+    chunks: Arguments = (("truncation", CHUNK),) if facts.horizon is None else ()
+    return (
         ("steps", steps(facts, cost, stage)),
         ("learning_rate", learning_rate),
         ("weight_decay", 1e-4),
+        *chunks,
+        *absolute_loss(facts),
     )
-    if facts.horizon is None:
-        settings = (*settings, ("truncation", CHUNK))
-    return (*settings, *absolute_loss(facts))
 
 
 def absolute_loss(facts: Facts) -> Arguments:
     """The absolute error as loss where it is the metric, else the method's own loss."""
     return () if facts.loss == "mse" else (("loss", facts.loss),)
-
-
-def network_space(facts: Facts, cost: SampleCost, config: tuple[Parameter, ...]) -> Space:
-    """A network's own parameters, functions of the inputs, and Adam's settings."""
-    least, most = steps(facts, cost, "trial") // 2, steps(facts, cost, "full")
-    options: tuple[Parameter, ...] = (
-        Span("steps", least, most, whole=True),
-        *adam_space(facts),
-        OneOf("members", (1, 3)),
-        *symmetry_space(facts),
-    )
-    return Space((*config, OneOf("features", ((), ("square",)))), options)
 
 
 def symmetry_space(facts: Facts) -> tuple[Parameter, ...]:
@@ -95,7 +80,7 @@ def by_lbfgs(facts: Facts, recipe: Recipe) -> Recipe:
     loss = "mse" if facts.loss == "mse" else "huber"
     updates = max(FEWEST_STEPS, round(recipe.number("steps", 2000)) // 10)
     options: Arguments = (("steps", updates), ("ridge", 1e-5), ("loss", loss))
-    return recipe.fitted_by("LBFGS", (*options, *_symmetry(recipe)))
+    return recipe.fitted_by("LBFGS", (*options, *_kept_symmetry(recipe)))
 
 
 def by_multiple_shooting(facts: Facts, recipe: Recipe) -> Recipe:
@@ -105,13 +90,12 @@ def by_multiple_shooting(facts: Facts, recipe: Recipe) -> Recipe:
         ("learning_rate", recipe.number("learning_rate", 3e-3)),
         ("length", 30 if facts.horizon is None else max(2, facts.horizon // 3)),
         *absolute_loss(facts),
-        *_symmetry(recipe),
+        *_kept_symmetry(recipe),
     )
     return recipe.fitted_by("MultipleShooting", options)
 
 
-def _symmetry(recipe: Recipe) -> Arguments:
-    """Return the symmetry settings that another method keeps."""
+def _kept_symmetry(recipe: Recipe) -> Arguments:
     symmetry = dict(recipe.options).get("symmetry")
     return (("symmetry", symmetry),) if symmetry else ()
 
@@ -146,10 +130,8 @@ def integrator_moves() -> tuple[Move, ...]:
             change=lambda c: c.recipe.configured(
                 integrators=round(c.recipe.number("integrators", 0)) + 1
             ),
-            hypothesis=(
-                "The output drifts with the sum of the input, and its driving state may drift "
-                "as well: a force on a mass without a spring integrates twice."
-            ),
+            hypothesis="The output drifts with the sum of the input, and its driving state may "
+            "drift as well: a force on a mass without a spring integrates twice.",
             expected="A lower error late in the simulation, on every fold.",
         ),
         Move(
@@ -162,42 +144,45 @@ def integrator_moves() -> tuple[Move, ...]:
     )
 
 
-def from_pieces(weight: Callable[[Situation], float], **also: bool) -> Move:
+def from_pieces(likely: float, unlikely: float, **also: bool) -> Move:
     """Make the move to fit state-space models first to segments of the records.
 
     Args:
+        likely: weight where the residual is coloured
+        unlikely: weight where it is white
         also: further settings
     """
+
+    def weight(at: Situation) -> float:
+        if at.facts.horizon is not None or at.recipe.get("pieces"):
+            return 0.0
+        return likely if coloured(at.trial) else unlikely
+
     return Move(
         name="fit from pieces",
         weight=weight,
         change=lambda c: c.recipe.configured(pieces=True, **also),
-        hypothesis=(
-            "The residual is coloured and the fit may be in a local minimum: short segments of "
-            "the records, each with its own initial state, have fewer."
-        ),
+        hypothesis="The residual is coloured and the fit may be in a local minimum: short segments "
+        "of the records, each with its own initial state, have fewer.",
         expected="A lower training error, V follows.",
     )
 
 
-def _weight(at: Situation) -> float:
-    if has_noise_model(at.recipe):
-        return 0.0
-    if not at.varies("noise_model") or at.recipe.get("loss") not in (None, "mse"):
-        return 0.0
-    return 0.7 if coloured(at.trial) else 0.15
-
-
 def slow_noise() -> Move:
     """Generalised least squares in place of least squares."""
+
+    def weight(at: Situation) -> float:
+        squared = at.recipe.get("loss") in (None, "mse")
+        if has_noise_model(at.recipe) or not at.varies("noise_model") or not squared:
+            return 0.0
+        return 0.7 if coloured(at.trial) else 0.15
+
     return Move(
         name="slow disturbance in the noise",
-        weight=_weight,
+        weight=weight,
         change=lambda c: c.recipe.trained(noise_model="slow"),
-        hypothesis=(
-            "The training residual is not white: the output contains a slow unmeasured "
-            "disturbance, which biases a least-squares fit. Generalised least squares avoids "
-            "this bias."
-        ),
+        hypothesis="The training residual is not white: the output contains a slow unmeasured "
+        "disturbance, which biases a least-squares fit. Generalised least squares avoids this "
+        "bias.",
         expected="A higher training error and a lower V, with parameters that agree between folds.",
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -16,7 +17,6 @@ class Situation:
     """Situation that a move decides from."""
 
     view: AgentView
-    """The search so far."""
     trial: Trial
     """The trial that the move would start from."""
     recipe: Recipe
@@ -38,19 +38,6 @@ class Situation:
         """States of the problem's equations."""
         return self.facts.physics.states if self.facts.physics else ()
 
-    @property
-    def in_best_third(self) -> bool:
-        """Whether the family is among the best third of those tried, the leader always."""
-        return 3 * self.place < self.families
-
-    @property
-    def behind(self) -> float:
-        """V over the best V; 1 without a score."""
-        best = self.view.best
-        if best is None or not best.value or self.trial.value is None:
-            return 1.0
-        return self.trial.value / best.value
-
     def varies(self, name: str) -> bool:
         """Return whether the library lets the setting be varied in this family."""
         return self.row.space(self.facts).find(name) is not None
@@ -65,7 +52,6 @@ class Move:
     weight: Callable[[Situation], float]
     """Weight of the move; 0 where it does not apply, 0.9 and more where it is near certain."""
     change: Callable[[Situation], Recipe]
-    """The new recipe."""
     hypothesis: str
     """Reason why it should help."""
     expected: str
@@ -91,3 +77,44 @@ class Move:
     def title(self, at: Situation) -> str:
         """Family and name, with the state filled in."""
         return f"{at.row.label}: {self.name.format(state=self.state(at))}"
+
+
+def title_of(at: Situation, move: Move, recipe: Recipe) -> str:
+    """Return the move's own title; if it was used already, add the changed settings: `neural
+    state-space: one state more (order 3 to 4)`."""
+    plain = move.title(at)
+    used = {known.title for known in at.view.proposed}
+    if plain not in used:
+        return plain
+    before, after = at.recipe, recipe
+    names = dict((*before.config, *before.options, *after.config, *after.options))
+    pairs = [(name, before.get(name), after.get(name)) for name in names]
+    changes = [f"{name} {_value(a)} to {_value(b)}" for name, a, b in pairs if a != b]
+    if before.method != after.method:
+        changes.insert(0, f"{before.method} to {after.method}")
+    # As many of the changes as there is room for, and the parent where an earlier trial has the
+    # same changes.
+    parent = f"from #{at.trial.number:02d}"
+    for words in ([], [parent]):
+        for change in changes:
+            if len(f"{plain} ({', '.join([*words, change])})") <= 80:
+                words.append(change)
+        title = f"{plain} ({', '.join(words)})"
+        if words and title not in used:
+            return title
+    return f"{plain} ({parent})"[:80]
+
+
+def plain_title(title: str) -> str:
+    """Remove the additions from the title of a repeated move."""
+    return re.sub(r" \([^()]*\)$", "", title)
+
+
+def _value(value: object) -> str:
+    """A setting's value, without brackets; `none` where it is not set."""
+    if isinstance(value, float):
+        return f"{value:.2g}"
+    if isinstance(value, tuple):
+        return "-".join(str(v) for v in value) or "none"  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    text = str(value).replace("(", "").replace(")", "")
+    return "none" if value is None else text

@@ -7,21 +7,18 @@ import inspect
 import re
 import textwrap
 from collections.abc import Iterator
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
 from importlib import import_module
-from typing import Any
+from itertools import pairwise
 
 from asia.agents.library.family import Family
 from asia.agents.library.recipe import MODELS, Recipe
 from asia.agents.library.registry import families
-from asia.agents.library.space import OneOf, Span
+from asia.agents.library.space import Span
 from asia.agents.view import Facts
 
 # Options of model families and training methods, with the texts of their classes.
-
-
-METHODS = "asia.models.methods"
 
 
 @dataclass(frozen=True)
@@ -29,7 +26,6 @@ class Option:
     """One setting of a family or of a method."""
 
     name: str
-    """Name of the option."""
     default: str
     """Default, as source; "" where it is required."""
     kind: str
@@ -55,13 +51,25 @@ def options_of(settings: type) -> tuple[Option, ...]:
         raise ValueError(f"{settings.__name__} is no dataclass")
     texts: dict[str, tuple[str, str]] = {}
     for owner in reversed(settings.__mro__):
-        if is_dataclass(owner):
-            texts.update(_texts(owner))
-    return tuple(
-        Option(field.name, _default(field), *texts.get(field.name, ("", "")))
-        for field in fields(settings)
-        if not field.name.startswith("_")
-    )
+        if not is_dataclass(owner):
+            continue
+        (node,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
+        assert isinstance(node, ast.ClassDef)
+        for item, below in pairwise([*node.body, None]):
+            if not (isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)):
+                continue
+            text = ""
+            if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+                text = " ".join(str(below.value.value).split())
+            texts[item.target.id] = ast.unparse(item.annotation), text
+    options: list[Option] = []
+    for field in fields(settings):
+        if not field.name.startswith("_"):
+            required = field.default is MISSING and field.default_factory is MISSING
+            default = "its own" if field.default is MISSING else repr(field.default)
+            kind, text = texts.get(field.name, ("", ""))
+            options.append(Option(field.name, "" if required else default, kind, text))
+    return tuple(options)
 
 
 def config_of(package: str, name: str) -> type:
@@ -71,7 +79,7 @@ def config_of(package: str, name: str) -> type:
 
 def method_of(name: str) -> type:
     """A training method by name."""
-    return getattr(import_module(METHODS), name)
+    return getattr(import_module("asia.models.methods"), name)
 
 
 def about(settings: type) -> str:
@@ -83,28 +91,6 @@ def first_sentence(text: str) -> str:
     """Up to the first full stop that ends one."""
     found = re.match(r"(.+?[.])(?:\s+[A-Z\"]|$)", text)
     return found.group(1) if found else text
-
-
-def _texts(owner: type) -> dict[str, tuple[str, str]]:
-    """Type and text of each field that the class itself has."""
-    (node,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
-    assert isinstance(node, ast.ClassDef)
-    answer: dict[str, tuple[str, str]] = {}
-    for place, item in enumerate(node.body):
-        if not (isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name)):
-            continue
-        below = node.body[place + 1] if place + 1 < len(node.body) else None
-        text = ""
-        if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
-            text = " ".join(str(below.value.value).split())
-        answer[item.target.id] = ast.unparse(item.annotation), text
-    return answer
-
-
-def _default(field: Field[Any]) -> str:
-    if field.default is MISSING:
-        return "" if field.default_factory is MISSING else "its own"
-    return repr(field.default)
 
 
 # Pages of the model library for agents and users: the families that suit a problem, and one family
@@ -120,21 +106,51 @@ def families_page(facts: Facts) -> str:
     """The families that suit a problem, Markdown: all of them with their expected time, and as many
     as there is room for with every option."""
     rows = families(facts)
-    lines = [*_wrapped(_ABOUT), "", *_table(rows, facts)]
+    recipes = [row.trial(facts) for row in rows]
+    lines = _wrapped(
+        "Families of `asia.models` that suit this problem, the most apt first. A candidate may use "
+        "one, change it, or be a model of its own. s: expected seconds of one fold's fit on an "
+        "ordinary core, with few and many iterations. `asia models NAME` prints all about one "
+        "family."
+    )
+    lines += ["", "| family | what it is for | trained by | s |", "|---|---|---|---|"]
+    for row, recipe in zip(rows, recipes, strict=True):
+        fits = (recipe, row.full(facts))
+        seconds = dict.fromkeys(f"{max(1.0, row.seconds(facts, fit)):.0f}" for fit in fits)
+        where = "" if row.package == MODELS else f" (package `{row.package}`)"
+        lines.append(
+            f"| `{row.name}`{where} | {row.use} | `{recipe.method}` | {' to '.join(seconds)} |"
+        )
     if rows:
-        lines += ["", *_wrapped(_EXAMPLE), "", *_example(rows[0].trial(facts), rows[0].label)]
+        lines += [
+            "",
+            "Every family is called like this. An option left out has the default given below.",
+        ]
+        lines += ["", *_example(recipes[0], rows[0].label)]
     explained: set[str] = set()
-    for row in rows:
-        recipe = row.trial(facts)
-        section = [*_family_lines(row)]
+    for row, recipe in zip(rows, recipes, strict=True):
+        section = ["", f"## {row.name}.Config"]
+        for option in options_of(config_of(row.package, row.name)):
+            section += _item(option.line)
         if recipe.method not in explained:
-            section += _method_lines(recipe.method, facts)
+            # Without a score on the held-out part these do nothing.
+            left_out = () if facts.early_stopping == "validation" else ("stop", "every", "patience")
+            options = options_of(method_of(recipe.method))
+            section += ["", f"## {recipe.method}"]
+            section += _wrapped(" ".join(o.line for o in options if o.name not in left_out))
         if len(lines) + len(section) > MOST_LINES:
             break
         explained.add(recipe.method)
         lines += section
-    if any(row.trial(facts).method == "Adam" for row in rows) and "Adam" not in explained:
-        lines += _adam_lines()
+    if any(recipe.method == "Adam" for recipe in recipes) and "Adam" not in explained:
+        # The main options of network training, where there is no room for all of them.
+        options_by_name = {one.name: one.line for one in options_of(method_of("Adam"))}
+        main = ("steps", "learning_rate", "schedule", "weight_decay", "clip")
+        text = " ".join(options_by_name[name] for name in main)
+        lines += [
+            "",
+            *_wrapped(f"**Adam**, all of it in `asia models NAME` of such a family: {text}"),
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -154,34 +170,17 @@ def family_page(row: Family, facts: Facts | None) -> str:
         parts += ["", f"## {name}, to train it", "", *_wrapped(about(method)), ""]
         parts += _full_lines(options_of(method))
     space = row.space(facts)
-    varied = [_varied(choice) for choice in (*space.config, *space.options)]
-    if varied:
+    choices = (*space.config, *space.options)
+    if choices:
         parts += ["", "## Ranges that the agents of ASIA search", ""]
-        parts += [f"- {words}" for words in varied]
+    for choice in choices:
+        if isinstance(choice, Span):
+            values = f"{choice.low:g} to {choice.high:g}"
+        else:
+            values = ", ".join(str(value) for value in choice.values)
+        parts.append(f"- `{choice.name}`: {values}")
     parts += ["", "## Example", "", *_example(recipes[0], row.label)]
     return "\n".join(parts) + "\n"
-
-
-_ABOUT = """Families of `asia.models` that suit this problem, the most apt first. A candidate may
-use one, change it, or be a model of its own. s: expected seconds of one fold's fit on an ordinary
-core, with few and many iterations. `asia models NAME` prints all about one family."""
-_ADAM = ("steps", "learning_rate", "schedule", "weight_decay", "clip")
-# Without a score on the held-out part these do nothing.
-_SCORED = ("stop", "every", "patience")
-_EXAMPLE = "Every family is called like this. An option left out has the default given below."
-
-
-def _table(rows: tuple[Family, ...], facts: Facts) -> Iterator[str]:
-    yield "| family | what it is for | trained by | s |"
-    yield "|---|---|---|---|"
-    for row in rows:
-        first, long = row.trial(facts), row.full(facts)
-        seconds = [f"{max(1.0, row.seconds(facts, recipe)):.0f}" for recipe in (first, long)]
-        where = "" if row.package == MODELS else f" (package `{row.package}`)"
-        yield (
-            f"| `{row.name}`{where} | {row.use} | `{first.method}` | "
-            f"{' to '.join(dict.fromkeys(seconds))} |"
-        )
 
 
 def _example(recipe: Recipe, label: str) -> list[str]:
@@ -189,44 +188,15 @@ def _example(recipe: Recipe, label: str) -> list[str]:
     return ["```python", *source.splitlines(), "```"]
 
 
-def _family_lines(row: Family) -> Iterator[str]:
-    yield from ("", f"## {row.name}.Config")
-    yield from _short_lines(options_of(config_of(row.package, row.name)))
-
-
-def _method_lines(name: str, facts: Facts) -> Iterator[str]:
-    yield from ("", f"## {name}")
-    scored = facts.early_stopping == "validation"
-    options = [one for one in options_of(method_of(name)) if scored or one.name not in _SCORED]
-    yield from _wrapped(" ".join(one.line for one in options))
-
-
-def _adam_lines() -> list[str]:
-    """List the main options of network training, where there is no room for all of them."""
-    options = {one.name: one.line for one in options_of(method_of("Adam"))}
-    said = " ".join(options[name] for name in _ADAM)
-    return ["", *_wrapped(f"**Adam**, all of it in `asia models NAME` of such a family: {said}")]
-
-
-def _short_lines(options: tuple[Option, ...]) -> Iterator[str]:
-    for option in options:
-        yield from textwrap.wrap(
-            f"- {option.line}", _WIDTH, subsequent_indent="  ", break_long_words=False
-        )
-
-
 def _full_lines(options: tuple[Option, ...]) -> Iterator[str]:
     for option in options:
         default = f" = {option.default}" if option.default else ""
-        text = f"- `{option.name}: {option.kind}{default}`: {option.text}"
-        yield from textwrap.wrap(text, _WIDTH, subsequent_indent="  ", break_long_words=False)
+        yield from _item(f"`{option.name}: {option.kind}{default}`: {option.text}")
+
+
+def _item(text: str) -> list[str]:
+    return textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ", break_long_words=False)
 
 
 def _wrapped(text: str) -> list[str]:
     return textwrap.wrap(" ".join(text.split()), _WIDTH, break_long_words=False)
-
-
-def _varied(choice: OneOf | Span) -> str:
-    if isinstance(choice, Span):
-        return f"`{choice.name}`: {choice.low:g} to {choice.high:g}"
-    return f"`{choice.name}`: {', '.join(str(value) for value in choice.values)}"

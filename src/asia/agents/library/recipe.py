@@ -15,6 +15,8 @@ Value = int | float | str | bool | None | tuple[str | int | float, ...]
 Arguments = tuple[tuple[str, Value], ...]
 
 MODELS = "asia.models"
+GRADIENT = ("Adam", "LBFGS", "MultipleShooting")
+"""Methods that follow the gradient and can stop early."""
 _METHODS = "asia.models.methods"
 _TEMPLATE = '''"""{summary}"""
 
@@ -35,7 +37,6 @@ def train(model, trajectories, context):
 def fit(trajectories, context):
     return train(build_model(context), trajectories, context)
 '''
-_LINE = 80
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,7 @@ class Recipe:
     method: str
     """Training method, one of `asia.models.methods`."""
     options: Arguments
-    """Settings of the method."""
     package: str = MODELS
-    """Package of the family."""
 
     @property
     def key(self) -> Hashable:
@@ -76,7 +75,7 @@ class Recipe:
 
     def configured(self, **changes: Value) -> Recipe:
         """Return the recipe with settings of the model changed."""
-        return replace(self, config=_merge(self.config, changes))
+        return replace(self, config=tuple({**dict(self.config), **changes}.items()))
 
     def without(self, *names: str) -> Recipe:
         """Return the recipe with the defaults of some settings of the model."""
@@ -84,7 +83,7 @@ class Recipe:
 
     def trained(self, **changes: Value) -> Recipe:
         """Return the recipe with settings of the method changed."""
-        return replace(self, options=_merge(self.options, changes))
+        return replace(self, options=tuple({**dict(self.options), **changes}.items()))
 
     def fitted_by(self, method: str, options: Arguments) -> Recipe:
         """Return the recipe with another training method."""
@@ -135,49 +134,34 @@ def read_recipe(source: str) -> Recipe | None:
     as that of a user or another agent."""
     try:
         tree = syntax_tree(source, "candidate.py")
-        found = _read(tree)
-        same = found is not None and source_digest(found.source("")) == source_digest(source)
+        imported = [
+            (node.module, alias.name)
+            for node in tree.body
+            if isinstance(node, ast.ImportFrom) and node.module is not None
+            for alias in node.names
+        ]
+        (method,) = (name for module, name in imported if module == _METHODS)
+        ((package, family),) = (pair for pair in imported if pair[0] != _METHODS)
+        config, options = _settings(tree, f"{family}.Config"), _settings(tree, method)
+        found = Recipe(family, config, method, options, package)
+        same = source_digest(found.source("")) == source_digest(source)
     except (SyntaxError, ValueError, CandidateError):
         return None
     return found if same else None
 
 
-def _read(tree: ast.Module) -> Recipe | None:
-    imported = [
-        (node.module, alias.name)
-        for node in tree.body
-        if isinstance(node, ast.ImportFrom) and node.module is not None
-        for alias in node.names
-    ]
-    methods = [name for module, name in imported if module == _METHODS]
-    families = [(module, name) for module, name in imported if module != _METHODS]
-    if len(methods) != 1 or len(families) != 1:
-        return None
-    (method,), ((package, family),) = methods, families
-    config = _settings(tree, f"{family}.Config")
-    options = _settings(tree, method)
-    if config is None or options is None:
-        return None
-    return Recipe(family, config, method, options, package)
-
-
-def _settings(tree: ast.Module, function: str) -> Arguments | None:
-    """Keyword arguments of the one call of `function`, which must be literals."""
-    calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call)]
-    named = [call for call in calls if ast.unparse(call.func) == function]
-    if len(named) != 1:
-        return None
-    return tuple((k.arg or "", ast.literal_eval(k.value)) for k in named[0].keywords)
-
-
-def _merge(settings: Arguments, changes: dict[str, Value]) -> Arguments:
-    return tuple({**dict(settings), **changes}.items())
+def _settings(tree: ast.Module, function: str) -> Arguments:
+    """Keyword arguments of the one call of `function`. Raises ValueError for another number of
+    calls, and for arguments that are no literals."""
+    calls = (n for n in ast.walk(tree) if isinstance(n, ast.Call))
+    (call,) = (c for c in calls if ast.unparse(c.func) == function)
+    return tuple((k.arg or "", ast.literal_eval(k.value)) for k in call.keywords)
 
 
 def _call(name: str, settings: Arguments) -> str:
     arguments = [f"{key}={_literal(value)}" for key, value in settings]
     flat = f"{name}({', '.join(arguments)})"
-    if len(flat) <= _LINE:
+    if len(flat) <= 80:
         return flat
     inner = "".join(f"        {argument},\n" for argument in arguments)
     return f"{name}(\n{inner}    )"

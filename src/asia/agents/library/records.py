@@ -4,13 +4,14 @@ switching, transport.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, wraps
 from statistics import NormalDist
-from typing import Literal, NamedTuple
+from typing import Any, Literal, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asia.agents.view import Facts, Trial
 from asia.data.frequency import find_period, frequency_response
@@ -18,11 +19,11 @@ from asia.data.relations import FoundTransport, find_transport
 from asia.data.trajectory import Array, Trajectory
 from asia.judge.scoring.residuals import Diagnostics
 
-# Records as a key: the same objects, whatever they hold.
+T = TypeVar("T")
 
 
-class SameRecords:
-    """Key that is equal for the identical record objects, to reuse their analysis."""
+class _SameRecords:
+    """Key that is equal for the identical record objects."""
 
     def __init__(self, records: Sequence[Trajectory]) -> None:
         self.records = tuple(records)
@@ -31,40 +32,26 @@ class SameRecords:
         return hash(tuple(map(id, self.records)))
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, SameRecords) and (
+        return isinstance(other, _SameRecords) and (
             len(self.records) == len(other.records)
             and all(a is b for a, b in zip(self.records, other.records, strict=True))
         )
 
 
-# Detection of integrating outputs: a pole at 1 in a linear model of block means.
+def _cached(analyse: Callable[[tuple[Trajectory, ...]], T]) -> Callable[[Facts], T]:
+    """Analyse the training records of a problem, once for the same record objects."""
+    analysis = lru_cache(maxsize=8)(lambda same: analyse(same.records))
+
+    @wraps(analyse)
+    def of_facts(facts: Facts) -> T:
+        return analysis(_SameRecords(facts.records))
+
+    return of_facts
 
 
-# Blocks of all records, lags of the model, and the least pole that counts: a time constant of a
-# fifth of the records.
-_INTEGRATOR_BLOCKS, _INTEGRATOR_LAGS, _LEAST_POLE, _LARGEST_POLE = 240, 3, 0.975, 1.05
-_LEAST_SAMPLES = 60
-
-
-def integrating(facts: Facts) -> tuple[int, ...]:
-    """Numbers of the outputs that drift with the sum of the inputs and do not come back."""
-    return _integrating(SameRecords(facts.records))
-
-
-@lru_cache(maxsize=8)
-def _integrating(same: SameRecords) -> tuple[int, ...]:
-    records = same.records
-    samples = sum(len(r) for r in records)
-    size = max(1, samples // _INTEGRATOR_BLOCKS)
-    pieces = [
-        (_block_means(r.u, size), _block_means(r.y, size))
-        for r in records
-        if len(r) // size > 4 * _INTEGRATOR_LAGS
-    ]
-    if sum(len(u) for u, _ in pieces) < _LEAST_SAMPLES:
-        return ()
-    outputs = range(pieces[0][1].shape[1])
-    return tuple(k for k in outputs if _LEAST_POLE < _slowest(pieces, k) < _LARGEST_POLE)
+def _lagged(values: Array, lags: range, most: int) -> list[Array]:
+    """Samples of a signal from number `most` on, late by each of the lags."""
+    return [values[most - k : len(values) - k] for k in lags]
 
 
 def _block_means(values: Array, size: int) -> Array:
@@ -73,35 +60,78 @@ def _block_means(values: Array, size: int) -> Array:
     return values[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
 
 
-def _slowest(pieces: list[tuple[Array, Array]], output: int) -> float:
-    """The greatest real pole of an autoregressive model with inputs, 0 where none is positive."""
-    rows: list[Array] = []
-    targets: list[Array] = []
-    for u, every in pieces:
-        y = every[:, output]
-        past = [y[_INTEGRATOR_LAGS - k : len(y) - k] for k in range(1, _INTEGRATOR_LAGS + 1)]
-        drive = [u[_INTEGRATOR_LAGS - k : len(u) - k] for k in range(_INTEGRATOR_LAGS + 1)]
-        rows.append(np.column_stack([*past, *drive, np.ones(len(y) - _INTEGRATOR_LAGS)]))
-        targets.append(y[_INTEGRATOR_LAGS:])
-    x, y = np.concatenate(rows), np.concatenate(targets)
-    spread = x.std(axis=0)
-    x = x / np.where(spread > 0, spread, 1.0)
-    theta = np.linalg.lstsq(x, y, rcond=1e-10)[0] / np.where(spread > 0, spread, 1.0)
-    poles = np.roots([1.0, *-theta[:_INTEGRATOR_LAGS]])
-    real = poles.real[abs(poles.imag) < 0.02]
-    return float(real.max(initial=0.0))
+def _one_step_poles(
+    signals: Sequence[tuple[Array, Array]], output: int, order: int, first: int
+) -> NDArray[Any]:
+    """Poles of a linear one-step model of an output, with the inputs from lag `first` on."""
+    x = np.concatenate([
+        np.column_stack([
+            *_lagged(y[:, output], range(1, order + 1), order),
+            *_lagged(u, range(first, order + 1), order),
+            np.ones(len(y) - order),
+        ])
+        for u, y in signals
+    ])  # fmt: skip
+    spread = np.where(x.std(axis=0) > 0, x.std(axis=0), 1.0)
+    target = np.concatenate([y[order:, output] for _, y in signals])
+    theta = np.linalg.lstsq(x / spread, target, rcond=1e-10)[0] / spread
+    return np.roots([1.0, *-theta[:order]])
 
 
-# Detection of several excitation levels and of periodic records.
+# Integrating outputs: a pole at 1 in a linear model of block means.
+
+
+# Blocks of all records, lags of the model, and the least pole that counts: a time constant of a
+# fifth of the records.
+_INTEGRATOR_BLOCKS, _INTEGRATOR_LAGS, _LEAST_POLE, _LARGEST_POLE = 240, 3, 0.975, 1.05
+_LEAST_SAMPLES = 60
+
+
+@_cached
+def integrating(records: tuple[Trajectory, ...]) -> tuple[int, ...]:
+    """Numbers of the outputs that drift with the sum of the inputs and do not come back."""
+    size = max(1, sum(len(r) for r in records) // _INTEGRATOR_BLOCKS)
+    means = [
+        (_block_means(r.u, size), _block_means(r.y, size))
+        for r in records
+        if len(r) // size > 4 * _INTEGRATOR_LAGS
+    ]
+    if sum(len(u) for u, _ in means) < _LEAST_SAMPLES:
+        return ()
+    found: list[int] = []
+    for output in range(means[0][1].shape[1]):
+        poles = _one_step_poles(means, output, _INTEGRATOR_LAGS, 0)
+        real = np.real(poles)[abs(np.imag(poles)) < 0.02]
+        if _LEAST_POLE < float(real.max(initial=0.0)) < _LARGEST_POLE:
+            found.append(output)
+    return tuple(found)
+
+
+# Several excitation levels and periodic records.
 
 
 # Levels are this ratio apart, and each has at least so many records.
 _APART, _FEWEST = 1.2, 2
 
 
+@_cached
+def _period(records: tuple[Trajectory, ...]) -> int | None:
+    return find_period(records)
+
+
+@_cached
+def _noise(records: tuple[Trajectory, ...]) -> float | None:
+    period = find_period(records)
+    outputs = range(records[0].y.shape[1])
+    found = [frequency_response(records, k, period) for k in outputs]
+    levels = [one.levels.noise for one in found if one is not None]
+    known = [level for level in levels if level is not None]
+    return sum(known) / len(known) if len(known) == len(outputs) else None
+
+
 def periodic(facts: Facts) -> bool:
     """Return whether all inputs of all records have one period, and whole records are simulated."""
-    return facts.horizon is None and _period(SameRecords(facts.records)) is not None
+    return facts.horizon is None and _period(facts) is not None
 
 
 def several_levels(facts: Facts) -> bool:
@@ -116,22 +146,7 @@ def several_levels(facts: Facts) -> bool:
 def noise_of_periods(facts: Facts) -> float | None:
     """Return the noise floor of V from the variation between periods: standard deviation of the
     noise over that of the output, mean over the outputs. None without periods."""
-    return _noise(SameRecords(facts.records)) if periodic(facts) else None
-
-
-@lru_cache(maxsize=8)
-def _noise(same: SameRecords) -> float | None:
-    period = _period(same)
-    outputs = range(same.records[0].y.shape[1])
-    found = [frequency_response(same.records, k, period) for k in outputs]
-    levels = [one.levels.noise for one in found if one is not None]
-    known = [level for level in levels if level is not None]
-    return sum(known) / len(known) if len(known) == len(outputs) else None
-
-
-@lru_cache(maxsize=8)
-def _period(same: SameRecords) -> int | None:
-    return find_period(same.records)
+    return _noise(facts) if periodic(facts) else None
 
 
 # Relation of inputs and outputs in the training records: effect of the inputs, delay, feedback
@@ -188,61 +203,60 @@ class Relation:
         return self.pole**self.length > _GROWTH
 
 
-def relation(facts: Facts) -> Relation:
-    """The one of the training records."""
-    return _relation(SameRecords(facts.records))
-
-
-@lru_cache(maxsize=8)
-def _relation(same: SameRecords) -> Relation:
-    most = max(_MOST_SAMPLES // len(same.records), 20 * _OWN_LAGS)
-    records = [r[:most] for r in same.records]
-    length = max(map(len, records))
-    reach = min(_FAR, length // 4)
-    usable = [r for r in records if len(r) > reach + 2 * _OWN_LAGS]
-    outputs = [_news(usable, lambda r, k=k: r.y[:, k]) for k in range(records[0].y.shape[1])]
-    inputs = range(records[0].u.shape[1])
-    plain = [_news(usable, lambda r, j=j: r.u[:, j]) for j in inputs]
-    squares = [_news(usable, lambda r, j=j: (r.u[:, j] - r.u[:, j].mean()) ** 2) for j in inputs]
-    known = [y for y in outputs if y is not None]
-    ahead = [(y, u) for y in known for u in (*plain, *squares) if u is not None]
-    back = [(u, y) for u in plain if u is not None for y in known]
+@_cached
+def relation(records: tuple[Trajectory, ...]) -> Relation:
+    """Relation of inputs and outputs in the training records."""
+    most = max(_MOST_SAMPLES // len(records), 20 * _OWN_LAGS)
+    reach = min(_FAR, min(most, max(map(len, records))) // 4)
+    usable = [r[:most] for r in records if min(most, len(r)) > reach + 2 * _OWN_LAGS]
+    inputs, outputs = range(records[0].u.shape[1]), range(records[0].y.shape[1])
+    of_outputs = [_innovations([r.y[:, k] for r in usable]) for k in outputs]
+    of_inputs = [_innovations([r.u[:, j] for r in usable]) for j in inputs]
+    of_squares = [
+        _innovations([(r.u[:, j] - r.u[:, j].mean()) ** 2 for r in usable]) for j in inputs
+    ]
+    known = [y for y in of_outputs if y is not None]
+    ahead = [(y, u) for y in known for u in (*of_inputs, *of_squares) if u is not None]
+    back = [(u, y) for u in of_inputs if u is not None for y in known]
     lag, effect = _strongest(ahead, range(reach + 1))
     _, feedback = _strongest(back, range(1, 2 * _OWN_LAGS + 1))
+    # Slow effects are hidden by the noise of single samples, and seen in means of blocks.
+    blocks = (1, max(1, sum(map(len, usable)) // _BLOCKS))
+    signals = [(r.u, r.y) for r in usable]
+    poles: list[float] = []
+    for k in outputs if usable else ():
+        # A model of too high an order has poles of its own: the lesser of two orders counts. The
+        # present input is left out: in a loop it holds the present output.
+        each = [_one_step_poles(signals, k, order, 1) for order in (2, 4)]
+        poles.append(min(float(abs(found).max(initial=0.0)) for found in each))
     return Relation(
         effect=effect,
         delay=lag,
         feedback=feedback if feedback >= _LEAST_BACK else 0.0,
-        pole=max((_largest_pole(usable, k) for k in range(len(outputs))), default=0.0),
+        pole=max(poles, default=0.0),
         reach=reach,
-        length=max(map(len, same.records)),
-        gain=max((_gain(usable, k) for k in range(len(outputs))), default=0.0),
+        length=max(map(len, records)),
+        gain=max((_input_gain(usable, k, size) for k in outputs for size in blocks), default=0.0),
     )
 
 
-def _news(
-    records: Sequence[Trajectory], read: Callable[[Trajectory], Array]
-) -> tuple[Array, ...] | None:
+def _innovations(signals: Sequence[Array]) -> tuple[Array, ...] | None:
     """Return the normalised innovation of each record's signal; None where it is close to zero."""
-    signals = [read(r) for r in records]
-    if not signals:
-        return None
-    size = float(np.concatenate(signals).std())
+    size = float(np.concatenate(signals).std()) if signals else 0.0
     if size <= 0:
         return None
-    past = np.concatenate([_lagged(s / size) for s in signals])
-    target = np.concatenate([s[_OWN_LAGS:] / size for s in signals])
-    theta = np.linalg.lstsq(past, target, rcond=1e-10)[0]
-    news = [s[_OWN_LAGS:] / size - _lagged(s / size) @ theta for s in signals]
-    left = float(np.concatenate(news).std())
-    return tuple(n / left for n in news) if left > _PREDICTABLE else None
-
-
-def _lagged(signal: Array) -> Array:
-    """(T - lags, lags + 1): past samples and a constant."""
-    rows = len(signal) - _OWN_LAGS
-    columns = [signal[_OWN_LAGS - k : _OWN_LAGS - k + rows] for k in range(1, _OWN_LAGS + 1)]
-    return np.column_stack([*columns, np.ones(rows)])
+    scaled = [signal / size for signal in signals]
+    pasts = [
+        np.column_stack(
+            [*_lagged(s, range(1, _OWN_LAGS + 1), _OWN_LAGS), np.ones(len(s) - _OWN_LAGS)]
+        )
+        for s in scaled
+    ]
+    target = np.concatenate([s[_OWN_LAGS:] for s in scaled])
+    theta = np.linalg.lstsq(np.concatenate(pasts), target, rcond=1e-10)[0]
+    new = [s[_OWN_LAGS:] - past @ theta for s, past in zip(scaled, pasts, strict=True)]
+    left = float(np.concatenate(new).std())
+    return tuple(n / left for n in new) if left > _PREDICTABLE else None
 
 
 def _strongest(
@@ -268,32 +282,27 @@ def _strongest(
     return min(lag for size, lag in sure if size > 0.5 * greatest), greatest
 
 
-def _gain(records: Sequence[Trajectory], output: int) -> float:
-    """Return the gain in samples and in means of blocks: slow effects are hidden by the noise of
-    single samples."""
-    size = max(1, sum(map(len, records)) // _BLOCKS)
-    return max(_gain_of_blocks(records, output, 1), _gain_of_blocks(records, output, size))
-
-
-def _gain_of_blocks(records: Sequence[Trajectory], output: int, size: int) -> float:
-    alone: list[Array] = []
+def _input_gain(records: Sequence[Trajectory], output: int, size: int) -> float:
+    """Return the share of the one-step error of block means that the inputs take away."""
+    own: list[Array] = []
     driven: list[Array] = []
     targets: list[Array] = []
     for record in records:
-        y, u = _means(record.y[:, output : output + 1], size)[:, 0], _means(record.u, size)
+        y = _block_means(record.y[:, output : output + 1], size)[:, 0]
+        u = _block_means(record.u, size)
         rows = len(y) - _BLOCK_LAGS
         if rows < 2:
             continue
-        past = [y[_BLOCK_LAGS - k : _BLOCK_LAGS - k + rows] for k in range(1, _BLOCK_LAGS + 1)]
+        past = _lagged(y, range(1, _BLOCK_LAGS + 1), _BLOCK_LAGS)
         inputs = np.hstack([u, (u - u.mean(axis=0)) ** 2])
-        late = [inputs[_BLOCK_LAGS - k : _BLOCK_LAGS - k + rows] for k in range(_BLOCK_LAGS + 1)]
-        alone.append(np.column_stack([*past, np.ones(rows)]))
+        late = _lagged(inputs, range(_BLOCK_LAGS + 1), _BLOCK_LAGS)
+        own.append(np.column_stack([*past, np.ones(rows)]))
         driven.append(np.column_stack([*past, *late, np.ones(rows)]))
         targets.append(y[_BLOCK_LAGS:])
     if not targets:
         return 0.0
     target = np.concatenate(targets)
-    without = _left_out_error(np.concatenate(alone), target)
+    without = _left_out_error(np.concatenate(own), target)
     return 1.0 - _left_out_error(np.concatenate(driven), target) / max(without, 1e-300)
 
 
@@ -307,38 +316,7 @@ def _left_out_error(x: Array, y: Array) -> float:
     return (total / len(y)) ** 0.5
 
 
-def _means(values: Array, size: int) -> Array:
-    """Means (blocks, n) of blocks of so many samples."""
-    blocks = len(values) // size
-    return values[: blocks * size].reshape(blocks, size, -1).mean(axis=1)
-
-
-def _largest_pole(records: Sequence[Trajectory], output: int) -> float:
-    """Greatest modulus of the poles of linear one-step models of two orders: the lesser of both,
-    because a model of too high an order has poles of its own."""
-    return min((_pole_of_order(records, output, order) for order in (2, 4)), default=0.0)
-
-
-def _pole_of_order(records: Sequence[Trajectory], output: int, order: int) -> float:
-    rows: list[Array] = []
-    targets: list[Array] = []
-    for record in records:
-        y = record.y[:, output]
-        steps = range(1, order + 1)
-        past = [y[order - k : len(y) - k] for k in steps]
-        # Without the present input: in a loop it holds the present output.
-        drive = [record.u[order - k : len(y) - k] for k in steps]
-        rows.append(np.column_stack([*past, *drive, np.ones(len(y) - order)]))
-        targets.append(y[order:])
-    if not rows:
-        return 0.0
-    x = np.concatenate(rows)
-    spread = np.where(x.std(axis=0) > 0, x.std(axis=0), 1.0)
-    theta = np.linalg.lstsq(x / spread, np.concatenate(targets), rcond=1e-10)[0] / spread
-    return float(abs(np.roots([1.0, *-theta[:order]])).max(initial=0.0))
-
-
-# Detection of dry friction, hysteresis and backlash.
+# Dry friction, hysteresis and backlash.
 #
 # The test relates the error of a one-step model with smooth terms to a direction of motion, or to
 # the memory of where a signal reversed.
@@ -373,15 +351,55 @@ class Switching:
         return self.share >= _LEAST_SHARE[self.cause]
 
 
-def switching(facts: Facts) -> Switching:
-    """The one of the training records."""
-    records = facts.records
+@_cached
+def switching(records: tuple[Trajectory, ...]) -> Switching:
+    """The switching term that explains most of the training records' one-step error."""
     most = max(_SWITCHING_SAMPLES // len(records), 50 * _LAGS)
-    pieces = [r[:most] for r in records if len(r) > 20 * _LAGS]
-    return _switching(tuple(_Samples(r.u.tobytes(), r.y.tobytes(), len(r)) for r in pieces))
+    usable = [r[:most] for r in records if len(r) > 20 * _LAGS]
+    best = Switching(0.0, "velocity", 0)
+    for output in range(records[0].y.shape[1]) if usable else ():
+        for found in _switching_terms(usable, output):
+            best = max(best, found, key=lambda s: s.share)
+    return best
 
 
-def moved_with_stop(signal: Array, reach: float) -> Array:
+def _switching_terms(records: Sequence[Trajectory], output: int) -> Iterator[Switching]:
+    u, y = np.concatenate([r.u for r in records]), np.concatenate([r.y[:, output] for r in records])
+    size, spread = y.std() or 1.0, np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
+    mean, level = y.mean() / size, u.mean(axis=0) / spread
+    outputs, inputs = [r.y[:, output] / size for r in records], [r.u / spread for r in records]
+    # Lags of the output and of the inputs, and their first products.
+    smooth: list[Array] = []
+    for v, w in zip(outputs, inputs, strict=True):
+        past, now = _late(v, 1) - mean, _late(w, 1) - level
+        lags = [_late(v, k) for k in range(1, _LAGS + 1)] + [_late(w, k) for k in range(_LAGS)]
+        bent = [past**2, past**3, now**2, now**3, past * now, past**2 * now, past * now**2]
+        smooth.append(np.hstack([np.ones((len(past), 1)), *lags, *bent]))
+    basis = np.linalg.qr(np.concatenate(smooth))[0]
+    target = np.concatenate([v[_LAGS:] for v in outputs])
+    error = target - basis @ (basis.T @ target)
+    pace = np.concatenate([np.diff(v) for v in outputs]).std() or 1.0
+    directions = [np.tanh(np.diff(v, prepend=v[0]) / (_FINE * pace)) for v in outputs]
+    terms: list[tuple[Cause, int, list[Array]]] = [
+        ("velocity", output, [_late(np.sign(v), 1) for v in outputs]),
+        ("displacement", output, [_late(d, 1) for d in directions]),
+    ]
+    for reach in _OUTPUT_REACH:
+        stops = [_moved_with_stop(v, reach) for v in outputs]
+        terms.append(("displacement", output, [_late(s, 1) for s in stops]))
+    for j in range(u.shape[1]):
+        for reach in _INPUT_REACH:
+            stops = [_moved_with_stop(w[:, j], reach) for w in inputs]
+            terms.append(("input", j, [np.hstack([_late(s, 0), _late(s, 1)]) for s in stops]))
+    for cause, signal, parts in terms:
+        term = np.concatenate(parts)
+        term = term - basis @ (basis.T @ term)
+        gain = np.linalg.lstsq(term, error, rcond=None)[0]
+        left = float(((error - term @ gain) ** 2).sum() / max(float((error**2).sum()), 1e-300))
+        yield Switching(1.0 - left, cause, signal)
+
+
+def _moved_with_stop(signal: Array, reach: float) -> Array:
     """The stop operator (T,): it follows the signal's changes (T,) within `reach` of zero, in
     units of it."""
     state, found = 0.0, np.empty(len(signal))
@@ -391,89 +409,13 @@ def moved_with_stop(signal: Array, reach: float) -> Array:
     return found
 
 
-class _Samples(NamedTuple):
-    """Segment of a record, hashable."""
-
-    u: bytes
-    y: bytes
-    length: int
-
-    def arrays(self) -> tuple[Array, Array]:
-        """Inputs (T, nu) and outputs (T, ny)."""
-        u, y = (np.frombuffer(b).reshape(self.length, -1) for b in (self.u, self.y))
-        return u, y
-
-
-@lru_cache(maxsize=16)
-def _switching(pieces: tuple[_Samples, ...]) -> Switching:
-    best = Switching(0.0, "velocity", 0)
-    records = [piece.arrays() for piece in pieces]
-    for output in range(records[0][1].shape[1] if records else 0):
-        for found in _of_output(records, output):
-            best = max(best, found, key=lambda s: s.share)
-    return best
-
-
-def _of_output(records: list[tuple[Array, Array]], output: int) -> list[Switching]:
-    u, y = (np.concatenate(part) for part in zip(*records, strict=True))
-    size, spread = y[:, output].std() or 1.0, np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0)
-    outputs = [y[:, output] / size for _, y in records]
-    inputs = [u / spread for u, _ in records]
-    mean, level = y[:, output].mean() / size, u.mean(axis=0) / spread
-    smooth = np.concatenate(
-        [_smooth(v, w, mean, level) for v, w in zip(outputs, inputs, strict=True)]
-    )
-    target = np.concatenate([v[_LAGS:] for v in outputs])
-    basis = np.linalg.qr(smooth)[0]
-    error = target - basis @ (basis.T @ target)
-    found: list[Switching] = []
-    pace = np.concatenate([np.diff(v) for v in outputs]).std() or 1.0
-    for cause, signal, parts in _terms(outputs, inputs, pace):
-        term = np.concatenate(parts)
-        term = term - basis @ (basis.T @ term)
-        gain = np.linalg.lstsq(term, error, rcond=None)[0]
-        left = float(((error - term @ gain) ** 2).sum() / max(float((error**2).sum()), 1e-300))
-        found.append(Switching(1.0 - left, cause, output if signal < 0 else signal))
-    return found
-
-
-def _terms(
-    outputs: list[Array], inputs: list[Array], pace: float
-) -> list[tuple[Cause, int, list[Array]]]:
-    """Switching terms (T, n) of each record, with their cause and the number of the input."""
-    found: list[tuple[Cause, int, list[Array]]] = [
-        ("velocity", -1, [_late(np.sign(v), 1) for v in outputs]),
-        (
-            "displacement",
-            -1,
-            [_late(np.tanh(np.diff(v, prepend=v[0]) / (_FINE * pace)), 1) for v in outputs],
-        ),
-    ]
-    for reach in _OUTPUT_REACH:
-        stops = [moved_with_stop(v, reach) for v in outputs]
-        found.append(("displacement", -1, [_late(s, 1) for s in stops]))
-    for j in range(inputs[0].shape[1]):
-        for reach in _INPUT_REACH:
-            stops = [moved_with_stop(w[:, j], reach) for w in inputs]
-            found.append(("input", j, [np.hstack([_late(s, 0), _late(s, 1)]) for s in stops]))
-    return found
-
-
-def _smooth(y: Array, u: Array, mean: float, level: Array) -> Array:
-    """Lags of one output (T,) and of the inputs (T, nu), and their first products."""
-    past, now = _late(y, 1) - mean, _late(u, 1) - level
-    lags = [_late(y, k) for k in range(1, _LAGS + 1)] + [_late(u, k) for k in range(_LAGS)]
-    bent = [past**2, past**3, now**2, now**3, past * now, past**2 * now, past * now**2]
-    return np.hstack([np.ones((len(past), 1)), *lags, *bent])
-
-
 def _late(values: Array, lag: int) -> Array:
     """Columns (T - lags, n) that lag behind the samples from the number of lags on."""
     columns = values[:, None] if values.ndim == 1 else values
     return columns[_LAGS - lag : len(columns) - lag]
 
 
-# Detection of variable transport delays set by an input: a flow in a pipe, the speed of a belt.
+# Variable transport delays set by an input: a flow in a pipe, the speed of a belt.
 
 
 # Share of the squared one-step error under the best constant delay that may be left, and the least
@@ -483,17 +425,13 @@ _LARGEST_RATIO, _LEAST_DELAY = 0.6, 2.0
 _LEAST_CHANGE, _MOST_INPUTS = 0.05, 4
 
 
-def transport(facts: Facts) -> FoundTransport | None:
+@_cached
+def transport(records: tuple[Trajectory, ...]) -> FoundTransport | None:
     """The pipe that the training records show, at the pace of one of the inputs; None without."""
-    return _transport(SameRecords(facts.records))
-
-
-@lru_cache(maxsize=8)
-def _transport(same: SameRecords) -> FoundTransport | None:
-    u = np.concatenate([r.u for r in same.records])
+    u = np.concatenate([r.u for r in records])
     moving = u.std(axis=0) > _LEAST_CHANGE * np.abs(u.mean(axis=0))
     paces = [j for j in range(u.shape[1]) if u[:, j].min() > 0.0 and moving[j]]
-    each = [find_transport(same.records, j) for j in paces[:_MOST_INPUTS]]
+    each = [find_transport(records, j) for j in paces[:_MOST_INPUTS]]
     likely = [f for f in each if f.ratio < _LARGEST_RATIO and f.delay > _LEAST_DELAY]
     return min(likely, key=lambda f: f.ratio, default=None)
 

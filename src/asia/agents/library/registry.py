@@ -1,4 +1,7 @@
-"""All model families that the agents know, those of other packages too."""
+"""All model families that the agents know, those of other packages too.
+
+Every function raises UserError as `all_cards` does.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +14,11 @@ from asia._plugins import Part, parts_of
 from asia.agents.library import cards
 from asia.agents.library.card import Card
 from asia.agents.library.family import Family
-from asia.agents.library.move import Move
 from asia.agents.library.recipe import MODELS
 from asia.agents.view import Facts
 from asia.errors import UserError
 
 GROUP = "asia.families"
-
-
-@cache
-def built_in_cards() -> tuple[Card, ...]:
-    """The cards of `asia.models`, by file name."""
-    names = sorted(module.name for module in pkgutil.iter_modules(cards.__path__))
-    return tuple(cast("Card", import_module(f"{cards.__name__}.{n}").CARD) for n in names)
 
 
 @cache
@@ -33,7 +28,8 @@ def all_cards() -> tuple[Card, ...]:
     Raises:
         UserError: for a part that is no card, or brings a family with a name that is taken
     """
-    found = list(built_in_cards())
+    names = sorted(module.name for module in pkgutil.iter_modules(cards.__path__))
+    found = [cast("Card", import_module(f"{cards.__name__}.{n}").CARD) for n in names]
     owners = {row.name: "ASIA" for card in found for row in card.families}
     for part in parts_of(GROUP):
         card = _card(part.load(), part)
@@ -55,41 +51,20 @@ def all_cards() -> tuple[Card, ...]:
 
 @cache
 def all_families() -> tuple[Family, ...]:
-    """Every row, in the order of rows that are equally apt.
-
-    Raises:
-        UserError: as `all_cards`
-    """
+    """Every row, in the order of rows that are equally apt."""
     rows = [row for card in all_cards() for row in card.families]
     return tuple(sorted(rows, key=lambda row: row.place))
 
 
 def families(facts: Facts) -> tuple[Family, ...]:
-    """The rows that suit a problem, the most apt first.
-
-    Raises:
-        UserError: as `all_cards`
-    """
+    """The rows that suit a problem, the most apt first."""
     rows = [row for row in all_families() if row.suits(facts)]
     return tuple(sorted(rows, key=lambda row: -row.aptness(facts)))
 
 
 def family(name: str) -> Family | None:
-    """A row by name.
-
-    Raises:
-        UserError: as `all_cards`
-    """
+    """A row by name."""
     return next((row for row in all_families() if row.name == name), None)
-
-
-def card_moves() -> tuple[Move, ...]:
-    """The moves of all cards.
-
-    Raises:
-        UserError: as `all_cards`
-    """
-    return tuple(move for card in all_cards() for move in card.own_moves())
 
 
 def _card(part: object, source: Part) -> Card:

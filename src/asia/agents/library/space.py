@@ -15,15 +15,11 @@ class Span:
     """A number between two limits."""
 
     name: str
-    """The setting."""
     low: float
-    """The least value."""
     high: float
-    """The largest value."""
     log: bool = True
     """Whether it is drawn evenly in the logarithm."""
     whole: bool = False
-    """Whether it is an integer."""
     needs: str = ""
     """A setting without which it has no meaning: while that is absent, false or zero."""
     being: Value = None
@@ -50,9 +46,7 @@ class OneOf:
     """One of a list of values."""
 
     name: str
-    """The setting."""
     values: tuple[Value, ...]
-    """Allowed values."""
     needs: str = ""
     """Condition, as in `Span`."""
     being: Value = None
@@ -92,7 +86,7 @@ class Space:
         return tuple(
             p
             for p in (*self.config, *self.options)
-            if isinstance(p, Span) and applies(p, recipe) and _is_number(recipe.get(p.name))
+            if isinstance(p, Span) and applies(p, recipe) and recipe.number(p.name, 0.0) > 0
         )
 
 
@@ -113,7 +107,3 @@ def applies(parameter: Parameter, recipe: Recipe) -> bool:
         return True
     value = recipe.get(parameter.needs)
     return bool(value) if parameter.being is None else value == parameter.being
-
-
-def _is_number(value: Value) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and value > 0

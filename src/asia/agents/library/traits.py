@@ -13,9 +13,6 @@ Trait = Literal[
     "integrating",
 ]  # fmt: skip
 
-_SHORT = 2_000
-_LONG = 20_000
-
 
 def traits(facts: Facts) -> frozenset[Trait]:
     """physics: equations are given; parameters: with unknown parameters in them; windows: many
@@ -25,27 +22,21 @@ def traits(facts: Facts) -> frozenset[Trait]:
     is declared; integrating: an output drifts with the sum of the inputs, and whole records are
     simulated."""
     physics = facts.physics
+    inputs, outputs = [s.name for s in facts.inputs], [s.name for s in facts.outputs]
+    if physics is None:
+        measured = (facts.past_inputs, facts.past_outputs) == (0, 1)
+    else:
+        seen = {physics.observation.get(name, name).strip() for name in outputs}
+        measured = set(physics.states) <= seen
     found: dict[Trait, bool] = {
         "physics": physics is not None,
         "parameters": physics is not None and bool(physics.parameters),
         "windows": facts.horizon is not None,
-        "measured": _measured(facts),
-        "short": facts.fit_samples <= _SHORT,
-        "long": facts.fit_samples >= _LONG,
-        "several": len(facts.outputs) > 1,
+        "measured": measured,
+        "short": facts.fit_samples <= 2_000,
+        "long": facts.fit_samples >= 20_000,
+        "several": len(outputs) > 1,
         "integrating": facts.horizon is None and bool(integrating(facts)),
-        "symmetric": bool(of_signals(facts.symmetry, *_names(facts))),
+        "symmetric": bool(of_signals(facts.symmetry, inputs, outputs)),
     }
     return frozenset(name for name, holds in found.items() if holds)
-
-
-def _names(facts: Facts) -> tuple[list[str], list[str]]:
-    return [s.name for s in facts.inputs], [s.name for s in facts.outputs]
-
-
-def _measured(facts: Facts) -> bool:
-    if facts.physics is None:
-        return (facts.past_inputs, facts.past_outputs) == (0, 1)
-    outputs = (signal.name for signal in facts.outputs)
-    seen = {facts.physics.observation.get(name, name).strip() for name in outputs}
-    return set(facts.physics.states) <= seen

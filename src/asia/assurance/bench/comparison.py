@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import resources
@@ -27,7 +27,6 @@ from asia.ledger.events import Event, TestedModel, Unsealed
 from asia.ledger.run import open_run
 from asia.ledger.text import error_value
 from asia.ledger.view import Experiment, SearchView
-from asia.problem.budget import Budget
 from asia.problem.metrics import MEE, find_metric, metric_label
 from asia.problem.problem import Problem
 from asia.problem.protocol import EarlyStopping, ShownResidual
@@ -40,7 +39,7 @@ from asia.report.comparison import (
     Curve,
     PublishedMee,
 )
-from asia.report.published import Entry, leaderboard, official_figures, read_board
+from asia.report.published import leaderboard, official_figures, read_board
 from asia.search.run import prepare, search
 from asia.search.unsealing import unseal
 
@@ -53,7 +52,6 @@ class PaperV:
     """V of one model in the paper."""
 
     model: str
-    """The paper's name of it."""
     value: float
     """V, with validation early stopping."""
     row: str | None = None
@@ -91,7 +89,6 @@ class Paper:
     """The paper's figures on one problem."""
 
     experiments: int
-    """Its budget."""
     references: tuple[str, ...]
     """Names of the candidates that rebuild its own configurations."""
     values: tuple[PaperV, ...]
@@ -199,7 +196,6 @@ class ComparisonPlan:
     """Arms, settings and budget of a comparison."""
 
     problem: Problem
-    """The problem that every arm searches a model for."""
     arms: tuple[Arm, ...]
     """The agents, each of them once."""
     seeds: tuple[int, ...]
@@ -249,13 +245,22 @@ class ComparisonPlan:
     @property
     def searches(self) -> tuple[PlannedRun, ...]:
         """Searches in order: the honest setting first, the expert before the controls."""
-        return tuple(
-            self._search(arm, setting, seed)
-            for setting in self.settings
-            for seed in self.seeds
-            for arm in self.arms
-            if arm.fixed is None or setting == "validation"
-        )
+        runs: list[PlannedRun] = []
+        for setting, seed, arm in itertools.product(self.settings, self.seeds, self.arms):
+            budget = replace(self.problem.budget, experiments=self.budget, patience=_PATIENCE)
+            seconds = budget.fit_seconds
+            if arm.fixed is not None:
+                if setting != "validation":
+                    continue
+                seconds = max(seconds, _REFERENCE_SECONDS)
+                budget = replace(budget, experiments=1 + arm.fixed, fit_seconds=seconds)
+            elif self.quick:
+                budget = replace(budget, fit_seconds=min(seconds, _QUICK_SECONDS))
+            rule = replace(self.problem.protocol, early_stopping=setting)
+            problem = replace(self.problem, protocol=rule, budget=budget)
+            name = f"{self.name}-{arm.name}-{setting}-s{seed}"
+            runs.append(PlannedRun(name, arm, setting, seed, problem))
+        return tuple(runs)
 
     @property
     def candidate_for_test(self) -> str | None:
@@ -266,34 +271,15 @@ class ComparisonPlan:
         experts = (s for s in self.searches if s.arm.name == "expert")
         return next((s.name for s in experts), None)
 
-    def _search(self, arm: Arm, setting: EarlyStopping, seed: int) -> PlannedRun:
-        rule = replace(self.problem.protocol, early_stopping=setting)
-        budget = self._budget(arm)
-        problem = replace(self.problem, protocol=rule, budget=budget)
-        return PlannedRun(f"{self.name}-{arm.name}-{setting}-s{seed}", arm, setting, seed, problem)
-
-    def _budget(self, arm: Arm) -> Budget:
-        budget = replace(self.problem.budget, experiments=self.budget, patience=_PATIENCE)
-        if arm.fixed is not None:
-            seconds = max(budget.fit_seconds, _REFERENCE_SECONDS)
-            return replace(budget, experiments=1 + arm.fixed, fit_seconds=seconds)
-        if self.quick:
-            return replace(budget, fit_seconds=min(budget.fit_seconds, _QUICK_SECONDS))
-        return budget
-
 
 @dataclass(frozen=True)
 class PlannedRun:
     """One search of a comparison."""
 
     name: str
-    """Name of its run."""
     arm: Arm
-    """Agent of the search."""
     setting: EarlyStopping
-    """Its setting of early stopping."""
     seed: int
-    """Its seed."""
     problem: Problem
     """The problem with the protocol and budget of this search."""
 
@@ -309,7 +295,7 @@ def select_arms(arms: Sequence[Arm], names: Sequence[str] | None) -> tuple[Arm, 
     return tuple(known[name] for name in names)
 
 
-# The paper's own configurations as fixed candidates.
+# The arms of a comparison with the paper, whose own configurations are fixed candidates.
 
 
 TITLES = {"rnn4": "RNN-4", "ltc64": "LTC/CfC-64"}
@@ -343,14 +329,8 @@ def reference_agent(names: tuple[str, ...]) -> FixedAgent:
     return FixedAgent(tuple((TITLES[n], (folder / f"{n}.py").read_text("utf-8")) for n in names))
 
 
-# The arms of a comparison with the paper.
-
-
-ARM_NAMES = ("expert", "random", "random-paper", "references")
-
-
 def make_arms(paper: Paper | None) -> tuple[Arm, ...]:
-    """Return all arms of `ARM_NAMES`; the references only if the paper has some."""
+    """Return the arms that search, and the references if the paper has some."""
     searches = (
         Arm("expert", "expert", partial(make_agent, "expert")),
         Arm("random", "random, library space", partial(make_agent, "random")),
@@ -365,9 +345,6 @@ def make_arms(paper: Paper | None) -> tuple[Arm, ...]:
 # Declaration of the run whose sealed test may be opened, written before its search begins.
 
 
-_FILE = "bench.json"
-
-
 def declare(plan: ComparisonPlan) -> str | None:
     """Return the name of the declared run, written to `bench.json` on the first call.
 
@@ -379,13 +356,20 @@ def declare(plan: ComparisonPlan) -> str | None:
     Raises:
         UserError: the file cannot be read or belongs to another problem.
     """
-    path = plan.directory / _FILE
+    path, problem = plan.directory / "bench.json", plan.problem.name
     if path.is_file():
-        return _read(path, plan.problem.name)
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise UserError(f"cannot read {path}: {error}") from error
+        declared = found.get("declared") if isinstance(found, dict) else None
+        if not isinstance(declared, str) or found.get("problem") != problem:
+            raise UserError(f"{path} does not declare a run of problem '{problem}': put it back")
+        return declared
     name = plan.candidate_for_test
     if name is None or (plan.runs / name / "ledger.jsonl").exists():
         return None
-    text = json.dumps({"problem": plan.problem.name, "declared": name}, indent=2)
+    text = json.dumps({"problem": problem, "declared": name}, indent=2)
     write_whole(path, f"{text}\n".encode())
     return name
 
@@ -410,17 +394,6 @@ def require_declared(plan: ComparisonPlan, declared: str | None) -> str:
     return declared
 
 
-def _read(path: Path, problem: str) -> str | None:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise UserError(f"cannot read {path}: {error}") from error
-    declared = found.get("declared") if isinstance(found, dict) else None
-    if not isinstance(declared, str) or found.get("problem") != problem:
-        raise UserError(f"{path} does not declare a run of problem '{problem}': put it back")
-    return declared
-
-
 # V of everything in a comparison, one early-stopping setting at a time.
 
 
@@ -429,7 +402,6 @@ class FinishedSearch:
     """A search of the comparison with the results from its ledger."""
 
     planned: PlannedRun
-    """Planned search."""
     view: SearchView
     """Its ledger, replayed."""
 
@@ -441,7 +413,6 @@ class Row:
     key: str
     """Name in JSON and in the paper's figures."""
     model: str
-    """Name in tables."""
     values: tuple[float, ...]
     """V of every run that has a score, in order of the seeds."""
     runs: int
@@ -478,9 +449,8 @@ class Comparison:
     """Everything measured under one early-stopping setting."""
 
     setting: EarlyStopping
-    """The setting."""
     rows: tuple[Row, ...]
-    """Rungs, baseline, references and searches."""
+    """Reference models, baseline, rebuilt candidates and searches."""
     reached: tuple[Reached, ...]
     """Number of experiments of the first arm to reach the best V of each other arm."""
     residuals: ShownResidual = "train"
@@ -492,98 +462,76 @@ def compare(
 ) -> Comparison:
     """Compute the rows of one setting; `runs` of other settings are ignored."""
     own = [run for run in runs if run.planned.setting == setting]
-    published = {v.row: v.value for v in paper.values if v.row} if paper else {}
-    rows = [*_rungs(own), *_baseline(own), *_references(own), *_arms(own)]
-    if setting == "validation":
-        rows = [replace(row, paper=published.get(row.key)) for row in rows]
-        rows += _paper_only(paper, {row.key for row in rows})
-    shown = any(run.view.started.residuals == "held_out" for run in own)
-    return Comparison(setting, tuple(rows), _reached(own), "held_out" if shown else "train")
-
-
-def _paper_only(paper: Paper | None, ours: set[str]) -> list[Row]:
-    values = paper.values if paper else ()
-    return [
-        Row(v.row or v.model, f"paper only: {v.model}", (), 0, v.value)
-        for v in values
-        if v.row not in ours
-    ]
-
-
-def _rungs(runs: Sequence[FinishedSearch]) -> list[Row]:
-    """The same in every run of a seed; the linear model may depend on the seed."""
-    first = list({run.planned.seed: run for run in reversed(runs)}.values())[::-1]
-    names = list(dict.fromkeys(reference.name for run in first for reference in run.view.rungs))
-    outcomes = [
-        {reference.name: reference.outcome for reference in run.view.rungs} for run in first
-    ]
     rows: list[Row] = []
-    for name in names:
-        found = [o.get(name) for o in outcomes]
-        values = tuple(o.value for o in found if isinstance(o, Score))
+    # References and baseline are the same in every run of a seed; the linear model may depend on
+    # the seed.
+    first = list({run.planned.seed: run for run in reversed(own)}.values())[::-1]
+    outcomes = [{r.name: r.outcome for r in run.view.rungs} for run in first]
+    for name in dict.fromkeys(name for of_seed in outcomes for name in of_seed):
+        found = [of_seed.get(name) for of_seed in outcomes]
+        values = tuple(outcome.value for outcome in found if isinstance(outcome, Score))
         rows.append(Row(name, name, values, len(first)))
-    return rows
-
-
-def _baseline(runs: Sequence[FinishedSearch]) -> list[Row]:
-    first = list({run.planned.seed: run for run in reversed(runs)}.values())[::-1]
-    if not first:
-        return []
-    experiments = [run.view.experiment(1) for run in first if run.view.experiments]
-    return [_row("baseline", "baseline of the problem", experiments, len(first))]
-
-
-def _references(runs: Sequence[FinishedSearch]) -> list[Row]:
-    fixed = [run for run in runs if run.planned.arm.fixed is not None]
+    if first:
+        experiments = [run.view.experiment(1) for run in first if run.view.experiments]
+        rows.append(_row("baseline", "baseline of the problem", experiments, len(first)))
+    fixed = [run for run in own if run.planned.arm.fixed is not None]
     keys = {title: key for key, title in TITLES.items()}
-    titles = [e.proposed.title for run in fixed for e in run.view.experiments[1:]]
-    rows: list[Row] = []
-    for title in dict.fromkeys(titles):
+    for title in dict.fromkeys(e.proposed.title for r in fixed for e in r.view.experiments[1:]):
         same = [e for run in fixed for e in run.view.experiments if e.proposed.title == title]
         rows.append(_row(keys.get(title, title), f"{title}, rebuilt", same, len(fixed)))
-    return rows
+    by_arm: dict[Arm, list[FinishedSearch]] = {}
+    for run in own:
+        if run.planned.arm.fixed is None:
+            by_arm.setdefault(run.planned.arm, []).append(run)
+    for arm, searches in reversed(by_arm.items()):
+        best = [run.view.best for run in searches if run.view.best is not None]
+        most = max(len(run.view.finished) for run in searches)
+        rows.append(_row(arm.name, f"{arm.label}, best of {most}", best, len(searches)))
+    if setting == "validation":
+        values_of_paper = paper.values if paper else ()
+        published = {v.row: v.value for v in values_of_paper if v.row}
+        rows = [replace(row, paper=published.get(row.key)) for row in rows]
+        ours = {row.key for row in rows}
+        rows += [
+            Row(v.row or v.model, f"paper only: {v.model}", (), 0, v.value)
+            for v in values_of_paper
+            if v.row not in ours
+        ]
+    views = {
+        arm.name: {run.planned.seed: run.view for run in searches}
+        for arm, searches in by_arm.items()
+    }
+    shown = any(run.view.started.residuals == "held_out" for run in own)
+    return Comparison(setting, tuple(rows), _reached(views), "held_out" if shown else "train")
 
 
-def _arms(runs: Sequence[FinishedSearch]) -> list[Row]:
-    rows: list[Row] = []
-    for arm in dict.fromkeys(run.planned.arm for run in runs if run.planned.arm.fixed is None):
-        own = [run for run in runs if run.planned.arm == arm]
-        best = [run.view.best for run in own if run.view.best is not None]
-        most = max(len(run.view.finished) for run in own)
-        rows.append(_row(arm.name, f"{arm.label}, best of {most}", best, len(own)))
-    return rows[::-1]
-
-
-def _row(key: str, model: str, experiments: Iterable[Experiment], runs: int) -> Row:
-    found = list(experiments)
-    values = tuple(e.score.value for e in found if e.score is not None)
-    seen = [e.result.validation_scores for e in found if e.result is not None]
+def _row(key: str, model: str, experiments: Sequence[Experiment], runs: int) -> Row:
+    values = tuple(e.score.value for e in experiments if e.score is not None)
+    seen = [e.result.validation_scores for e in experiments if e.result is not None]
     return Row(key, model, values, runs, scores_seen=max(seen, default=0))
 
 
-def _reached(runs: Sequence[FinishedSearch]) -> tuple[Reached, ...]:
-    names = list(dict.fromkeys(r.planned.arm.name for r in runs if r.planned.arm.fixed is None))
-    if not names:
-        return ()
-    arm = "expert" if "expert" in names else names[0]
-    own = {run.planned.seed: run.view for run in runs if run.planned.arm.name == arm}
-    controls = [name for name in names if name != arm]
+def _reached(views: Mapping[str, Mapping[int, SearchView]]) -> tuple[Reached, ...]:
+    """Count the experiments to the best V of each control, from the searches by arm and seed."""
+    arm = "expert" if "expert" in views else next(iter(views), "")
     answer: list[Reached] = []
-    for control in controls:
-        views = {run.planned.seed: run.view for run in runs if run.planned.arm.name == control}
-        seeds = tuple(seed for seed in own if seed in views)
-        if seeds:
-            counts = tuple(_first_as_good(own[s], views[s]) for s in seeds)
-            answer.append(Reached(arm, control, seeds, counts))
+    for control, of_control in views.items():
+        seeds = tuple(seed for seed in views[arm] if seed in of_control)
+        if control == arm or not seeds:
+            continue
+        counts: list[int | None] = []
+        for seed in seeds:
+            goal = best_value(of_control[seed])
+            scored = ((e.number, e.score.value) for e in views[arm][seed].finished if e.score)
+            counts.append(next((n for n, v in scored if goal is not None and v <= goal), None))
+        answer.append(Reached(arm, control, seeds, tuple(counts)))
     return tuple(answer)
 
 
-def _first_as_good(arm: SearchView, control: SearchView) -> int | None:
-    best = control.best
-    if best is None or best.score is None:
-        return None
-    goal = best.score.value
-    return next((e.number for e in arm.finished if e.score and e.score.value <= goal), None)
+def best_value(view: SearchView) -> float | None:
+    """The best V of a search; None where no candidate has a score."""
+    best = view.best
+    return best.score.value if best is not None and best.score is not None else None
 
 
 # Tables for people: aligned Markdown that reads as well on a terminal.
@@ -606,56 +554,63 @@ class TextTable:
     """Cells as text; the first column is left-aligned, the others right."""
 
     title: str
-    """Heading above it."""
     header: tuple[str, ...]
-    """Heads of the columns."""
     rows: tuple[tuple[str, ...], ...]
     """Cells, as many in each row as there are heads."""
     notes: tuple[str, ...] = ()
-    """Sentences below it."""
 
     def markdown(self) -> str:
         """Title, rows and notes."""
-        cells = [tuple(map(_cell, row)) for row in (self.header, *self.rows)]
-        widths = [max(3, *(len(row[i]) for row in cells)) for i in range(len(self.header))]
+        # Names of arms and signals neither end a row nor make a column.
+        cells = [
+            tuple(printable_line(text).replace("|", "\\|") for text in row)
+            for row in (self.header, *self.rows)
+        ]
+        widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
         rule = ["-" * widths[0], *("-" * (w - 1) + ":" for w in widths[1:])]
-        lines = [_line(row, widths) for row in (cells[0], rule, *cells[1:])]
+        lines: list[str] = []
+        for first, *rest in (cells[0], rule, *cells[1:]):
+            right = [text.rjust(w) for text, w in zip(rest, widths[1:], strict=True)]
+            lines.append(f"| {' | '.join([first.ljust(widths[0]), *right])} |")
         notes = [f"\n{note}" for note in self.notes]
         return "\n".join([f"## {self.title}", "", *lines, *notes]) + "\n"
-
-
-def _cell(text: str) -> str:
-    """Names of arms and signals neither end a row nor make a column."""
-    return printable_line(text).replace("|", "\\|")
-
-
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    first = cells[0].ljust(widths[0])
-    rest = [c.rjust(w) for c, w in zip(cells[1:], widths[1:], strict=True)]
-    return f"| {' | '.join([first, *rest])} |"
 
 
 def comparison_table(comparison: Comparison, paper: Paper | None) -> TextTable:
     """Write V of every row. The paper's column is only in the table of its own setting."""
     validation = comparison.setting == "validation"
     header = ("model", "V", "lowest", "highest", "runs")
-    rows = [_cells(row) for row in comparison.rows]
-    if validation:
-        header = (*header, "scores seen")
-        rows = [
-            (*c, str(r.scores_seen) if r.runs else _NOTHING)
-            for c, r in zip(rows, comparison.rows, strict=True)
-        ]
-    if validation and paper is not None:
-        header = (*header, "V paper")
-        rows = [(*c, _number(r.paper)) for c, r in zip(rows, comparison.rows, strict=True)]
-    notes = [_reached_note(r) for r in comparison.reached]
+    header += ("scores seen",) if validation else ()
+    header += ("V paper",) if validation and paper is not None else ()
+    rows: list[tuple[str, ...]] = []
+    for row in comparison.rows:
+        scored = len(row.values)
+        runs = str(row.runs) if scored == row.runs else f"{scored} of {row.runs} scored"
+        low, high = min(row.values, default=None), max(row.values, default=None)
+        cells = [_number(row.median), _number(low), _number(high), runs, str(row.scores_seen)]
+        cells = [row.model, *(cells if row.runs else [_NOTHING] * 5), _number(row.paper)]
+        rows.append(tuple(cells[: len(header)]))
+    notes: list[str] = []
     if any(row.runs > 1 for row in comparison.rows):
-        notes.insert(0, "V is the median over the runs, one a seed.")
+        notes.append("V is the median over the runs, one a seed.")
+    for reached in comparison.reached:
+        each = ", ".join(
+            f"seed {seed}: {'not reached' if count is None else count}"
+            for seed, count in zip(reached.seeds, reached.experiments, strict=True)
+        )
+        counts = [c for c in reached.experiments if c is not None]
+        middle = f"; median {statistics.median(counts):g}" if len(counts) > 1 else ""
+        notes.append(
+            f"Experiments the {reached.arm} needed to reach the best V of {reached.control}: "
+            f"{each}{middle}"
+        )
     if validation:
         notes.append("Scores seen: number of held-out scores that the fits of one V received.")
     elif paper is not None:
-        notes.append(_not_comparable(paper))
+        values = ", ".join(f"{v.model} {v.value:.3f}" for v in paper.values)
+        notes.append(
+            f"Not comparable, measured with validation early stopping in the paper: {values}."
+        )
     return TextTable(
         _TITLES[comparison.setting] + _SHOWN[comparison.residuals],
         header,
@@ -664,41 +619,11 @@ def comparison_table(comparison: Comparison, paper: Paper | None) -> TextTable:
     )
 
 
-def _cells(row: Row) -> tuple[str, ...]:
-    if row.runs == 0:
-        return (row.model, _NOTHING, _NOTHING, _NOTHING, _NOTHING)
-    low, high = min(row.values, default=None), max(row.values, default=None)
-    scored = len(row.values)
-    runs = str(row.runs) if scored == row.runs else f"{scored} of {row.runs} scored"
-    return (row.model, _number(row.median), _number(low), _number(high), runs)
-
-
 def _number(value: float | None) -> str:
     return _NOTHING if value is None else error_value(value)
 
 
-def _reached_note(reached: Reached) -> str:
-    each = ", ".join(
-        f"seed {seed}: {'not reached' if count is None else count}"
-        for seed, count in zip(reached.seeds, reached.experiments, strict=True)
-    )
-    counts = [c for c in reached.experiments if c is not None]
-    middle = f"; median {statistics.median(counts):g}" if len(counts) > 1 else ""
-    return (
-        f"Experiments the {reached.arm} needed to reach the best V of {reached.control}: "
-        f"{each}{middle}"
-    )
-
-
-def _not_comparable(paper: Paper) -> str:
-    values = ", ".join(f"{v.model} {v.value:.3f}" for v in paper.values)
-    return f"Not comparable, measured with validation early stopping in the paper: {values}."
-
-
 # Agents against each other, paired by seed.
-
-
-_FEWEST = 6
 
 
 def paired_table(runs: Sequence[FinishedSearch]) -> TextTable | None:
@@ -708,13 +633,20 @@ def paired_table(runs: Sequence[FinishedSearch]) -> TextTable | None:
     two-sided p of Wilcoxon's signed-rank test on the logarithms.
     """
     names = list(dict.fromkeys(run.planned.arm.name for run in runs))
-    best = {(run.planned.arm.name, run.planned.seed): _best(run) for run in runs}
+    best = {(run.planned.arm.name, run.planned.seed): best_value(run.view) for run in runs}
     seeds = sorted({run.planned.seed for run in runs})
     rows: list[tuple[str, ...]] = []
     for first, second in itertools.combinations(names, 2):
         pairs = [(best.get((first, s)), best.get((second, s))) for s in seeds]
-        both = [(a, b) for a, b in pairs if a is not None and b is not None]
-        rows.append((f"{first} : {second}", *_paired_cells(both)))
+        ratios = [a / b for a, b in pairs if a is not None and b is not None]
+        better, ratio, p = _NOTHING, _NOTHING, _NOTHING
+        if ratios:
+            better = f"{sum(r < 1 for r in ratios)} of {len(ratios)}"
+            ratio = error_value(statistics.median(ratios))
+        if any(r != 1 for r in ratios):
+            test: Any = wilcoxon(np.log(ratios), method="exact")
+            p = f"{float(test.pvalue):.2g}"
+        rows.append((f"{first} : {second}", str(len(ratios)), better, ratio, p))
     if not rows:
         return None
     header = ("pair", "seeds", "first better", "median V ratio", "p")
@@ -723,33 +655,12 @@ def paired_table(runs: Sequence[FinishedSearch]) -> TextTable | None:
         f"test over the seeds; with {len(seeds)} it cannot be below "
         f"{min(1.0, 2.0 ** (1 - len(seeds))):.2g}."
     ]
-    if len(seeds) < _FEWEST:
-        notes.append(f"With fewer than {_FEWEST} seeds no difference can be significant at 5 %.")
+    if len(seeds) < 6:
+        notes.append("With fewer than 6 seeds no difference can be significant at 5 %.")
     return TextTable("Paired by seed", header, tuple(rows), tuple(notes))
 
 
-def _paired_cells(both: Sequence[tuple[float, float]]) -> tuple[str, ...]:
-    if not both:
-        return ("0", _NOTHING, _NOTHING, _NOTHING)
-    ratios = [a / b for a, b in both]
-    better = sum(r < 1 for r in ratios)
-    differ = any(r != 1 for r in ratios)
-    p = _NOTHING
-    if differ:
-        test: Any = wilcoxon(np.log(ratios), method="exact")
-        p = f"{float(test.pvalue):.2g}"
-    return (str(len(both)), f"{better} of {len(both)}", error_value(statistics.median(ratios)), p)
-
-
-def _best(run: FinishedSearch) -> float | None:
-    best = run.view.best
-    return best.score.value if best is not None and best.score is not None else None
-
-
 # Test result of the declared run, compared with published results.
-
-
-_SEALED = "sealed"
 
 
 @dataclass(frozen=True)
@@ -757,7 +668,6 @@ class TestResult:
     """The test result of the declared run."""
 
     run: str
-    """Name of the run."""
     record: Unsealed
     """The scores, as the ledger keeps them."""
     opened_before: tuple[str, ...]
@@ -812,16 +722,34 @@ def test_tables(
 def _error_table(
     plan: ComparisonPlan, declared: str | None, test: TestResult | None, metric: str
 ) -> TextTable:
-    outputs = plan.problem.outputs
-    units = {find_metric(metric).unit_of(s.unit) for s in outputs}
+    units = {find_metric(metric).unit_of(s.unit) for s in plan.problem.outputs}
     unit = f" [{units.pop()}]" if len(units) == 1 and units != {""} else ""
-    rows = [(model, cells[0]) for model, cells in _ours(test, 1, partial(_value, metric))]
+
+    def cells(model: TestedModel) -> tuple[str, ...]:
+        return tuple(error_value(s.value) for s in model.scores if s.metric == metric)
+
+    rows = [(model, own[0]) for model, own in _ours(test, 1, cells)]
     notes = _notes(declared, test)
     if metric == "rmse" and plan.paper is not None:
-        entries = _entries(plan)
         rows += [(row.model, error_value(row.value)) for row in plan.paper.test]
-        rows += _standing(entries)
-        notes += [*_rank(entries, test), plan.paper.protocol]
+        # A user's own data may have a benchmark's name.
+        entries = leaderboard(plan.problem.name) if plan.problem.data.public else ()
+        if entries:
+            ordered = sorted(entries, key=lambda e: e.test_rmse)
+            rows += [
+                (f"published {e.year}: {e.method}", error_value(e.test_rmse)) for e in ordered[:3]
+            ]
+            middle = statistics.median(e.test_rmse for e in entries)
+            rows.append((f"median of {len(entries)} published", error_value(middle)))
+        ensemble = test.record.ensemble if test is not None else None
+        scores = ensemble.scores if isinstance(ensemble, TestedModel) else ()
+        ours = next((s.value for s in scores if s.metric == "rmse"), None)
+        if entries and ours is not None:
+            lower = sum(e.test_rmse < ours for e in entries)
+            notes.append(
+                f"{lower} of {len(entries)} published results have a lower test RMSE than ours."
+            )
+        notes.append(plan.paper.protocol)
     label = metric_label(metric)
     header = ("model", f"test {label}{unit}")
     return TextTable(f"Sealed test: {label}", header, tuple(rows), tuple(notes))
@@ -859,10 +787,18 @@ def _mee_table(plan: ComparisonPlan, declared: str | None, test: TestResult | No
     horizons = rule.horizons or (plan.problem.protocol.horizon,)
     names = [f"h{h}" for h in horizons]
     header = [f"{group.name} {name}" for group in rule.groups for name in (*names, "sum")]
-    rows = [(model, *cells) for model, cells in _ours(test, len(header), _mee_cells)]
+
+    def cells(model: TestedModel) -> tuple[str, ...]:
+        assert model.mee is not None
+        groups = model.mee.by_group().values()
+        return tuple(f"{value:.4g}" for group in groups for value in group.values())
+
+    rows = [(model, *own) for model, own in _ours(test, len(header), cells)]
     notes = _notes(declared, test)
     if plan.paper is not None:
-        rows += [(row.model, *_paper_cells(row)) for row in plan.paper.mee]
+        for row in plan.paper.mee:
+            errors = [v for g in row.groups for v in (g.h10, g.h50, g.total)]
+            rows.append((row.model, *(f"{v:.4g}" for v in errors)))
         notes.append(plan.paper.protocol)
     title = "Sealed test: Mean Euclidean Error by output group, after so many samples and summed"
     return TextTable(title, ("model", *header), tuple(rows), tuple(notes))
@@ -873,7 +809,7 @@ def _ours(
 ) -> list[tuple[str, tuple[str, ...]]]:
     """Our models with their cells; `sealed` in each while the test is."""
     if test is None:
-        return [("ours", (_SEALED,) * width)]
+        return [("ours", ("sealed",) * width)]
     rows: list[tuple[str, tuple[str, ...]]] = []
     for name, model in test.models:
         if isinstance(model, Failure):
@@ -881,20 +817,6 @@ def _ours(
         else:
             rows.append((name, cells(model)))
     return rows
-
-
-def _value(metric: str, model: TestedModel) -> tuple[str, ...]:
-    return tuple(error_value(s.value) for s in model.scores if s.metric == metric)
-
-
-def _mee_cells(model: TestedModel) -> tuple[str, ...]:
-    assert model.mee is not None
-    groups = model.mee.by_group().values()
-    return tuple(f"{value:.4g}" for group in groups for value in group.values())
-
-
-def _paper_cells(row: PaperMee) -> tuple[str, ...]:
-    return tuple(f"{v:.4g}" for g in row.groups for v in (g.h10, g.h50, g.total))
 
 
 def _notes(declared: str | None, test: TestResult | None) -> list[str]:
@@ -909,55 +831,6 @@ def _notes(declared: str | None, test: TestResult | None) -> list[str]:
     if test.opened_before:
         notes.append(f"The same test had been opened before, by {', '.join(test.opened_before)}.")
     return notes
-
-
-def _entries(plan: ComparisonPlan) -> tuple[Entry, ...]:
-    """Return the published entries; none for a user's own data, which may have a benchmark's
-    name.
-    """
-    measured = plan.problem.data.public
-    return leaderboard(plan.problem.name) if measured else ()
-
-
-def _standing(entries: Sequence[Entry]) -> list[tuple[str, str]]:
-    if not entries:
-        return []
-    ordered = sorted(entries, key=lambda e: e.test_rmse)
-    middle = statistics.median(e.test_rmse for e in entries)
-    rows = [(f"published {e.year}: {e.method}", error_value(e.test_rmse)) for e in ordered[:3]]
-    return [*rows, (f"median of {len(entries)} published", error_value(middle))]
-
-
-def _rank(entries: Sequence[Entry], test: TestResult | None) -> list[str]:
-    if not entries or test is None or isinstance(test.record.ensemble, Failure):
-        return []
-    ours = next((s.value for s in test.record.ensemble.scores if s.metric == "rmse"), None)
-    if ours is None:
-        return []
-    lower = sum(e.test_rmse < ours for e in entries)
-    return [f"{lower} of {len(entries)} published results have a lower test RMSE than ours."]
-
-
-def test_object(test: TestResult) -> dict[str, Any]:
-    """Return the value of every metric of each model, or the reason for its absence, for
-    scripts.
-    """
-    refit = test.record.refit
-    return {
-        "run": test.run,
-        "experiment": test.record.experiment,
-        "ensemble": _model_object(test.record.ensemble),
-        "refit": None if refit is None else _model_object(refit),
-    }
-
-
-def _model_object(model: TestedModel | Failure) -> dict[str, Any]:
-    if isinstance(model, Failure):
-        return {"failure": model.reason.value, "advice": model.advice}
-    values: dict[str, Any] = {score.metric: score.value for score in model.scores}
-    if model.mee is not None:
-        values["mee"] = model.mee.by_group()
-    return values
 
 
 # Pictures of a comparison, each early-stopping setting in its own.
@@ -975,6 +848,7 @@ def draw(
     """Draw the progress of the expert's first search and the comparison of the arms for each
     setting; with an opened test, its results next to the published ones.
     """
+    paper = plan.paper
     sides: list[ArmsPicture] = []
     progress: list[tuple[str, Path]] = []
     for setting in plan.settings:
@@ -982,71 +856,47 @@ def draw(
         experts = [run for run in own if run.planned.arm.name == "expert"]
         if experts:
             progress.append((f"progress-{setting}", plan.runs / experts[0].planned.name))
-        if any(run.planned.arm.fixed is None for run in own):
-            sides.append(_sides(plan, setting, own))
-    paper = plan.paper
+        curves: dict[Arm, list[Curve]] = {}
+        for run in own:
+            if run.planned.arm.fixed is None:
+                values = tuple(e.score.value if e.score else None for e in run.view.finished)
+                curves.setdefault(run.planned.arm, []).append(Curve(values))
+        if not curves:
+            continue
+        # The linear model, and the paper's searches where they were measured alike.
+        levels = [
+            ComparedValue(LINEAR_REFERENCE, reference.outcome.value)
+            for reference in own[0].view.rungs
+            if reference.name == LINEAR_REFERENCE and isinstance(reference.outcome, Score)
+        ]
+        if setting == "validation" and paper is not None:
+            alike = [v for v in paper.values if v.row in ("expert", "random-paper")]
+            levels += [ComparedValue(f"paper: {v.model}", v.value) for v in alike]
+        bench = plan.word == "bench"
+        agents = "expert against random search" if bench else "agents at equal budgets"
+        picture = ArmsPicture(
+            name=f"arms-{setting}",
+            title=f"{plan.problem.name}: {agents}, {_WORDS[setting]}",
+            sides=tuple(ArmCurves(arm.label, tuple(found)) for arm, found in curves.items()),
+            levels=tuple(levels),
+            metric=plan.problem.protocol.metric,
+        )
+        sides.append(picture)
     pictures = BenchPictures(
         progress=tuple(progress),
         sides=tuple(sides),
         opened=plan.runs / test.run if test else None,
         test_mark=("paper", paper.test[0].value) if paper and paper.test else None,
-        mee=tuple(_published(row) for row in paper.mee) if paper else (),
+        mee=tuple(
+            PublishedMee(
+                row.model,
+                tuple((g.group, h, v) for g in row.groups for h, v in ((10, g.h10), (50, g.h50))),
+            )
+            for row in (paper.mee if paper else ())
+        ),
         caption=paper.protocol if paper else "",
     )
     return draw_bench(pictures, plan.directory)
-
-
-def _published(row: PaperMee) -> PublishedMee:
-    points = [((g.group, 10, g.h10), (g.group, 50, g.h50)) for g in row.groups]
-    return PublishedMee(row.model, tuple(point for pair in points for point in pair))
-
-
-def _sides(
-    plan: ComparisonPlan, setting: EarlyStopping, runs: Sequence[FinishedSearch]
-) -> ArmsPicture:
-    arms = dict.fromkeys(r.planned.arm for r in runs if r.planned.arm.fixed is None)
-    sides = tuple(
-        ArmCurves(arm.label, tuple(_curve(run) for run in runs if run.planned.arm == arm))
-        for arm in arms
-    )
-    return ArmsPicture(
-        name=f"arms-{setting}",
-        title=f"{plan.problem.name}: {_who(plan)}, {_WORDS[setting]}",
-        sides=sides,
-        levels=_levels(plan, setting, runs),
-        metric=plan.problem.protocol.metric,
-    )
-
-
-def _who(plan: ComparisonPlan) -> str:
-    bench = plan.word == "bench"
-    return "expert against random search" if bench else "agents at equal budgets"
-
-
-def _curve(run: FinishedSearch) -> Curve:
-    return Curve(tuple(e.score.value if e.score else None for e in run.view.finished))
-
-
-def _levels(
-    plan: ComparisonPlan, setting: EarlyStopping, runs: Sequence[FinishedSearch]
-) -> tuple[ComparedValue, ...]:
-    """The linear model, and the paper's searches where they were measured alike."""
-    references = [
-        reference
-        for run in runs[:1]
-        for reference in run.view.rungs
-        if reference.name == LINEAR_REFERENCE
-    ]
-    levels = [
-        ComparedValue(LINEAR_REFERENCE, r.outcome.value)
-        for r in references
-        if isinstance(r.outcome, Score)
-    ]
-    if setting == "validation" and plan.paper is not None:
-        searches = ("expert", "random-paper")
-        values = [v for v in plan.paper.values if v.row in searches]
-        levels += [ComparedValue(f"paper: {v.model}", v.value) for v in values]
-    return tuple(levels)
 
 
 # Run every search of a comparison, open the declared test when asked to, write the results.
@@ -1081,9 +931,7 @@ class BenchResult:
     test: TestResult | None
     """Test result of the declared run; None while its test is sealed."""
     document: Path
-    """The tables as Markdown."""
     pictures: tuple[Path, ...]
-    """PNG and PDF files."""
 
 
 def bench(
@@ -1105,7 +953,18 @@ def bench(
     finished: list[FinishedSearch] = []
     for number, run in enumerate(planned, start=1):
         watcher.on_run(run, number, len(planned))
-        view = _search(plan, run, watcher)
+        agent = run.arm.make()
+        ready = prepare(
+            run.problem,
+            agent.name,
+            seed=run.seed,
+            runs=plan.runs,
+            name=run.name,
+            agent_settings=run.arm.settings,
+            legs=legs_of(agent),
+        )
+        search(ready, agent, watcher.on_event, lambda view: None)
+        view = open_run(ready.directory).view
         watcher.on_end(run, view)
         finished.append(FinishedSearch(run, view))
         _write(plan, _tables(plan, finished, declared, None))
@@ -1124,32 +983,12 @@ def bench(
     )
 
 
-def _search(plan: ComparisonPlan, run: PlannedRun, watcher: Watcher) -> SearchView:
-    agent = run.arm.make()
-    ready = prepare(
-        run.problem,
-        agent.name,
-        seed=run.seed,
-        runs=plan.runs,
-        name=run.name,
-        agent_settings=run.arm.settings,
-        legs=legs_of(agent),
-    )
-    search(ready, agent, watcher.on_event, _silent)
-    return open_run(ready.directory).view
-
-
-def _silent(view: SearchView) -> None:
-    del view
-
-
 def _tables(
     plan: ComparisonPlan,
-    finished: Iterable[FinishedSearch],
+    runs: Sequence[FinishedSearch],
     declared: str | None,
     test: TestResult | None,
 ) -> tuple[TextTable, ...]:
-    runs = tuple(finished)
     done = [compare(setting, runs, plan.paper) for setting in plan.settings]
     shown = [comparison_table(c, plan.paper) for c in done if c.rows]
     if plan.word == "compare":
@@ -1173,22 +1012,46 @@ def _write(plan: ComparisonPlan, tables: tuple[TextTable, ...]) -> Path:
 
 def result_object(result: BenchResult) -> dict[str, Any]:
     """`comparisons` holds one object an early-stopping setting, never both in one; `test` is null
-    while the declared run is sealed."""
+    while the declared run is sealed. Each model of the test has the value of every metric, or the
+    reason for its absence."""
+
+    def model_object(model: TestedModel | Failure | None) -> dict[str, Any] | None:
+        if model is None:
+            return None
+        if isinstance(model, Failure):
+            return {"failure": model.reason.value, "advice": model.advice}
+        values: dict[str, Any] = {score.metric: score.value for score in model.scores}
+        if model.mee is not None:
+            values["mee"] = model.mee.by_group()
+        return values
+
+    test: dict[str, Any] | None = None
+    if result.test is not None:
+        record = result.test.record
+        test = {
+            "run": result.test.run,
+            "experiment": record.experiment,
+            "ensemble": model_object(record.ensemble),
+            "refit": model_object(record.refit),
+        }
     return {
-        "comparisons": [_comparison(c) for c in result.comparisons],
+        "comparisons": [
+            {
+                "early_stopping": comparison.setting,
+                "rows": [{**asdict(row), "V": row.median} for row in comparison.rows],
+                "reached": [
+                    {
+                        "control": r.control,
+                        "seeds": list(r.seeds),
+                        "experiments": list(r.experiments),
+                    }
+                    for r in comparison.reached
+                ],
+            }
+            for comparison in result.comparisons
+        ],
         "declared": result.declared,
-        "test": test_object(result.test) if result.test else None,
+        "test": test,
         "document": str(result.document),
         "pictures": [str(path) for path in result.pictures],
-    }
-
-
-def _comparison(comparison: Comparison) -> dict[str, Any]:
-    return {
-        "early_stopping": comparison.setting,
-        "rows": [{**asdict(row), "V": row.median} for row in comparison.rows],
-        "reached": [
-            {"control": r.control, "seeds": list(r.seeds), "experiments": list(r.experiments)}
-            for r in comparison.reached
-        ],
     }

@@ -10,12 +10,18 @@ from typing import Protocol
 
 from asia._text import suggestion
 from asia.agents.registry import make_agent
-from asia.assurance.bench.comparison import Arm, ComparisonPlan, TextTable, Watcher, bench
+from asia.assurance.bench.comparison import (
+    Arm,
+    ComparisonPlan,
+    TextTable,
+    Watcher,
+    bench,
+    best_value,
+)
 from asia.errors import UserError
 from asia.ledger.chain import write_whole
 from asia.ledger.run import open_run
 from asia.ledger.text import error_value
-from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.report import draw_all_boards
 from asia.report.published import Board, read_board
@@ -108,7 +114,6 @@ class BenchmarkResult:
     """Result of one benchmark's search."""
 
     name: str
-    """Name of the benchmark."""
     value: float | None = None
     """The best V; None where no candidate has a score or nothing was searched."""
     experiments: int = 0
@@ -124,11 +129,9 @@ class SuiteResult:
     """A finished suite."""
 
     results: tuple[BenchmarkResult, ...]
-    """Results, one for each benchmark."""
     table: TextTable
     """The same for people, a row for each official figure."""
     document: Path
-    """The table as Markdown."""
     pictures: tuple[Path, ...]
     """Picture of all leaderboards, PNG and PDF; () without published results."""
 
@@ -168,38 +171,31 @@ def _search(
     (run,) = plan.searches
     view = open_run(plan.runs / run.name).view
     board = read_board(plan.problem, view)
-    return BenchmarkResult(plan.problem.name, _best(view), len(view.finished), board)
-
-
-def _best(view: SearchView) -> float | None:
-    return None if view.best is None or view.best.score is None else view.best.score.value
+    return BenchmarkResult(plan.problem.name, best_value(view), len(view.finished), board)
 
 
 def _table(results: Sequence[BenchmarkResult]) -> TextTable:
-    rows = [row for result in results for row in _rows(result)]
+    rows: list[tuple[str, ...]] = []
+    for result in results:
+        board = result.board
+        if board is None:
+            rows.append((result.name, *(_NOTHING,) * (len(_HEADER) - 1)))
+            continue
+        value = _NOTHING if result.value is None else error_value(result.value)
+        head = (result.name, value, str(result.experiments))
+        for index, name in enumerate(board.names or ("test",)):
+            own = board.standings[index] if index < len(board.standings) else None
+            ours = "sealed" if own is None else error_value(own.figure.value)
+            rank = _NOTHING if own is None or own.among == 1 else f"{own.rank} of {own.among}"
+            found = [e.figures[index] for e in board.entries if index < len(e.figures)]
+            lowest = min((v for v in found if v is not None), default=None)
+            best = _NOTHING if lowest is None else f"{lowest:g}"
+            rows.append((*head, name, board.unit or _NOTHING, ours, rank, best))
+            head = ("", "", "")
     notes = [f"{r.name} was left out: {r.left_out}" for r in results if r.left_out]
     if any(r.board is not None and not r.board.standings for r in results):
         notes.insert(0, "Sealed tests were not opened: --unseal opens them, once.")
     return TextTable("The suite", _HEADER, tuple(rows), tuple(notes))
-
-
-def _rows(result: BenchmarkResult) -> list[tuple[str, ...]]:
-    value = _NOTHING if result.value is None else error_value(result.value)
-    first = (result.name, value, str(result.experiments))
-    board = result.board
-    if board is None:
-        return [(result.name, *(_NOTHING,) * (len(_HEADER) - 1))]
-    rows: list[tuple[str, ...]] = []
-    for index, name in enumerate(board.names or ("test",)):
-        own = board.standings[index] if index < len(board.standings) else None
-        ours = "sealed" if own is None else error_value(own.figure.value)
-        rank = _NOTHING if own is None or own.among == 1 else f"{own.rank} of {own.among}"
-        found = [e.figures[index] for e in board.entries if index < len(e.figures)]
-        lowest = min((v for v in found if v is not None), default=None)
-        best = _NOTHING if lowest is None else f"{lowest:g}"
-        head = first if index == 0 else ("", "", "")
-        rows.append((*head, name, board.unit or _NOTHING, ours, rank, best))
-    return rows
 
 
 def _write(plan: SuitePlan, table: TextTable) -> Path:

@@ -19,7 +19,7 @@ from asia.assurance.redteam.outside.without_isolation import (
     attack_without_isolation,
     broken,
 )
-from asia.assurance.redteam.types import Attack, AttackVerdict, CandidateAttack, Finding
+from asia.assurance.redteam.types import AttackVerdict, CandidateAttack, Finding
 from asia.judge.sandbox.types import Isolation, Layer
 
 
@@ -29,25 +29,20 @@ def main(arguments: list[str]) -> None:
     for attack in ATTACKS:
         if str(attack.number) not in numbers:
             continue
-        print(write_finding(_finding(attack, level, without)), flush=True)
-
-
-def _finding(attack: Attack, level: str, without: list[Layer]) -> Finding:
-    if level == OFF:
-        return _unprotected_finding(attack)
-    assert isinstance(attack, CandidateAttack)
-    if level == CONTROL:
-        return attack_without_isolation(broken(attack))
-    return attack_candidate(attack, Isolation(level), without)
-
-
-def _unprotected_finding(attack: Attack) -> Finding:
-    if isinstance(attack, CandidateAttack):
-        return attack_without_isolation(attack)
-    with TemporaryDirectory() as folder:
-        succeeded = attack.play_unprotected(Path(folder))
-    verdict = AttackVerdict.THROUGH if succeeded else AttackVerdict.BLOCKED
-    return Finding(attack.number, OFF, verdict, (), "")
+        if level == OFF and not isinstance(attack, CandidateAttack):
+            with TemporaryDirectory() as folder:
+                succeeded = attack.play_unprotected(Path(folder))
+            verdict = AttackVerdict.THROUGH if succeeded else AttackVerdict.BLOCKED
+            finding = Finding(attack.number, OFF, verdict, (), "")
+        else:
+            assert isinstance(attack, CandidateAttack)
+            if level == OFF:
+                finding = attack_without_isolation(attack)
+            elif level == CONTROL:
+                finding = attack_without_isolation(broken(attack))
+            else:
+                finding = attack_candidate(attack, Isolation(level), without)
+        print(write_finding(finding), flush=True)
 
 
 if __name__ == "__main__":

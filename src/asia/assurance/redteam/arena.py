@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import cache
 
 from asia.assurance.redteam.attacks.source import HONEST, fill_in
-from asia.assurance.redteam.evidence import Targets, conclude, said_steps, targets, worst_of
+from asia.assurance.redteam.evidence import conclude, said_steps, targets, worst_of
 from asia.assurance.redteam.problem import ProblemName, small_problem
 from asia.assurance.redteam.types import CandidateAttack, Finding, Observed, SuspicionFinding
 from asia.errors import Reason
@@ -26,10 +26,6 @@ from asia.ledger.view import published, replay
 from asia.search.loop import judge
 
 # Evaluation of one cheating candidate with the real evaluator, and detection of its traces.
-
-
-_HONEST_SECONDS = 60.0
-_HONEST_MB = 2048
 
 
 class _EvaluatorWithoutLayers(Evaluator):
@@ -58,16 +54,10 @@ def attack_candidate(
         executor: executor of the folds; None for this process
     """
     layers = layers_in_force(level, without)
-    found = [
-        conclude(
-            attack,
-            name,
-            _observe(attack, name, level, without, executor=executor),
-            layers,
-            attack.success,
-        )
-        for name in attack.sources
-    ]
+    found: list[Finding] = []
+    for name in attack.sources:
+        seen = _observe(attack, name, level, without, executor=executor)
+        found.append(conclude(attack, name, seen, layers, attack.success))
     return worst_of(found, attack.number, str(level), tuple(str(layer) for layer in without))
 
 
@@ -95,8 +85,8 @@ def attack_unchecked(
 def honest_value(name: ProblemName, level: Isolation) -> float:
     """V of the honest candidate on which all attacks are built."""
     problem = small_problem(name)
-    evaluator = problem.evaluator(Evaluator, level, _HONEST_SECONDS, _HONEST_MB)
-    with targets(_HONEST_MB) as given:
+    evaluator = problem.evaluator(Evaluator, level, seconds=60.0, memory_mb=2048)
+    with targets(2048) as given:
         outcome = evaluator.evaluate(fill_in(HONEST, given.source, problem)).outcome
     if isinstance(outcome, Failure):
         raise AssertionError(f"the honest candidate failed: {outcome}")
@@ -112,68 +102,53 @@ def _observe(
     executor: Executor | None = None,
 ) -> Observed:
     problem, honest = small_problem(attack.problem), honest_value(attack.problem, level)
-    kind = _EvaluatorWithoutLayers if without else Evaluator
+    # Both folds at the same time, or one after the other.
+    at_once = name in attack.at_once
+    if executor is None:
+        executor = LocalExecutor(2 if at_once else 1)
+    elif not at_once:
+        executor = SequentialExecutor(executor)
     evaluator = problem.evaluator(
-        kind,
+        _EvaluatorWithoutLayers if without else Evaluator,
         level,
         attack.limit,
         attack.memory_mb,
         attack.folds,
-        _places(name in attack.at_once, executor),
+        executor,
         unchecked,
     )
     if isinstance(evaluator, _EvaluatorWithoutLayers):
         evaluator.without = without
     with targets(attack.memory_mb) as given:
+        source = fill_in(attack.sources[name], given.source, problem)
         begin = time.monotonic()
+        evaluation = evaluator.evaluate(source)
+        outcome, output = evaluation.outcome, evaluation.output
+        # As in a search, a score that would win is checked.
         least = honest if attack.folds != 1 else 0.0
-        evaluation = _evaluate_as_searches_do(
-            evaluator, fill_in(attack.sources[name], given.source, problem), least
-        )
+        if isinstance(outcome, Score) and outcome.value < least:
+            outcome = evaluator.objection(source, evaluation.folds) or outcome
         seconds = time.monotonic() - begin
-        return _observed(evaluation, given, honest, seconds, attack.limit)
-
-
-def _places(at_once: bool, executor: Executor | None) -> Executor:
-    """Both folds at the same time, or one after the other."""
-    if executor is None:
-        return LocalExecutor(2 if at_once else 1)
-    return executor if at_once else SequentialExecutor(executor)
-
-
-def _evaluate_as_searches_do(evaluator: Evaluator, source: str, least: float) -> Evaluation:
-    """Evaluate as a search does: a score below `least`, which would win, is checked."""
-    evaluation = evaluator.evaluate(source)
-    outcome = evaluation.outcome
-    if isinstance(outcome, Score) and outcome.value < least:
-        failure = evaluator.objection(source, evaluation.folds)
-        return Evaluation(failure or outcome, evaluation.folds, evaluation.output)
-    return evaluation
-
-
-def _observed(
-    evaluation: Evaluation, given: Targets, honest: float, seconds: float, limit: float
-) -> Observed:
-    outcome, output = evaluation.outcome, evaluation.output
-    failed = isinstance(outcome, Failure)
-    survivors = given.traces.survivors()
-    return Observed(
-        value=None if failed else outcome.value,
-        honest=honest,
-        reason=outcome.reason if failed else None,
-        detail=outcome.detail if failed else "",
-        output=output,
-        steps=said_steps(output),
-        seconds=seconds,
-        limit=limit,
-        overran=not failed or outcome.reason not in (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT),
-        ran=given.ran,
-        ledger=given.ledger_changed,
-        leaked=given.secret in output,
-        hurt=given.neighbour.hurt,
-        survivors=survivors,
-        strays=given.traces.strays(),
-    )
+        failed = isinstance(outcome, Failure)
+        timeouts = (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT)
+        survivors = given.traces.survivors()
+        return Observed(
+            value=None if failed else outcome.value,
+            honest=honest,
+            reason=outcome.reason if failed else None,
+            detail=outcome.detail if failed else "",
+            output=output,
+            steps=said_steps(output),
+            seconds=seconds,
+            limit=attack.limit,
+            overran=not failed or outcome.reason not in timeouts,
+            ran=given.ran,
+            ledger=given.ledger_changed,
+            leaked=given.secret in output,
+            hurt=given.neighbour.hurt,
+            survivors=survivors,
+            strays=given.traces.strays(),
+        )
 
 
 # Early end of work in other threads.
@@ -214,11 +189,44 @@ HALVINGS = 15
 Spoil = Callable[[Score], Failure | None]
 
 
+class _Known(Evaluator):
+    """Gives a known score, and a known objection, without a worker."""
+
+    def __init__(self, score: Score, spoil: Spoil | None = None) -> None:
+        self._known, self._spoil = score, spoil
+
+    def evaluate(self, source: str, start: int = 0) -> Evaluation:
+        """The score, from whatever start."""
+        del start
+        return Evaluation(self._known)
+
+    def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
+        """Return the objection that the candidate asks for."""
+        return None if self._spoil is None else self._spoil(self._known)
+
+
 class ScoreOnlySearch:
     """A search with a Ladder of this step, or none."""
 
     def __init__(self, ladder: float | None) -> None:
-        self._events: list[Event] = [_started(ladder)]
+        digest = "0" * 64
+        started = Started(
+            run="probe",
+            problem="probe",
+            agent="probe",
+            seed=0,
+            experiments=1000,
+            hours=None,
+            outputs=("y",),
+            lock_digest=digest,
+            protocol_digest=digest,
+            test_digest=None,
+            isolation="process",
+            isolation_notes=(),
+            environment={},
+            ladder=ladder,
+        )
+        self._events: list[Event] = [started]
 
     def submit(self, score: Score, spoil: Spoil | None = None) -> Evaluated:
         """Submit a score and return the result that an agent would see.
@@ -258,39 +266,3 @@ def one_start(bound: float) -> Spoil:
     words = "restart: the simulation is far worse from a later start on the same record"
     failure = Failure(Reason.RESTART, words, 1)
     return lambda score: failure if score.value < bound else None
-
-
-class _Known(Evaluator):
-    """Gives a known score, and a known objection, without a worker."""
-
-    def __init__(self, score: Score, spoil: Spoil | None = None) -> None:
-        self._known, self._spoil = score, spoil
-
-    def evaluate(self, source: str, start: int = 0) -> Evaluation:
-        """The score, from whatever start."""
-        del start
-        return Evaluation(self._known)
-
-    def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
-        """Return the objection that the candidate asks for."""
-        return None if self._spoil is None else self._spoil(self._known)
-
-
-def _started(ladder: float | None) -> Started:
-    digest = "0" * 64
-    return Started(
-        run="probe",
-        problem="probe",
-        agent="probe",
-        seed=0,
-        experiments=1000,
-        hours=None,
-        outputs=("y",),
-        lock_digest=digest,
-        protocol_digest=digest,
-        test_digest=None,
-        isolation="process",
-        isolation_notes=(),
-        environment={},
-        ladder=ladder,
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import json
 import os
@@ -18,7 +17,7 @@ import time
 from collections import Counter
 from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from asia.assurance.redteam.attacks.source import STEPS
@@ -57,44 +56,14 @@ def has_score(seen: Observed) -> bool:
     return seen.value is not None
 
 
-def taken_for_a_kill(seen: Observed) -> bool:
-    """Return whether its end counts as one that the machine caused."""
-    return seen.reason is Reason.MEMORY
-
-
 def code_ran(seen: Observed) -> bool:
     """Code of it ran where the score is made, or it scores better than it should."""
     return seen.ran or scores_better(seen)
 
 
-def changed_ledger(seen: Observed) -> bool:
-    """A file of the search was changed."""
-    return seen.ledger
-
-
-def secret_leaked(seen: Observed) -> bool:
-    """A secret was read."""
-    return seen.leaked or a_step_succeeded(seen)
-
-
-def neighbour_hurt(seen: Observed) -> bool:
-    """Another process was changed."""
-    return bool(seen.hurt) or a_step_succeeded(seen)
-
-
-def process_survived(seen: Observed) -> bool:
-    """A process of it outlived it."""
-    return bool(seen.survivors)
-
-
 def output_flooded(seen: Observed) -> bool:
     """Return whether more of its output was kept than a user would read."""
     return len(seen.output) > OUTPUT_CHARACTERS
-
-
-def deadline_overrun(seen: Observed) -> bool:
-    """Return whether it ran past its deadline."""
-    return seen.overran
 
 
 def message_carries_data(seen: Observed) -> bool:
@@ -116,58 +85,57 @@ _TRAPS = frozenset(
      "log.txt", "pending.txt", "model.bin")
 )  # fmt: skip
 _PATIENCE_SECONDS = 3.0
-_AGAIN_SECONDS = 0.1
-_MARKED_BYTES = 4096
 
 
-@dataclass(frozen=True)
 class Traces:
-    """Detector of traces, made before the attack."""
+    """Detector of traces, made before the attack.
 
-    mark: str
-    """Marker in the names of its processes and files."""
-    key: int
-    """The key of its shared memory."""
-    playground: str
-    """Folder that nothing else writes to."""
-    pids: frozenset[int] = field(default_factory=lambda: frozenset(_pids()))
-    """The processes that ran before it."""
-    paths: frozenset[str] = field(init=False)
-    """The files that there were before it, of those that could be taken for its own."""
+    Args:
+        mark: marker in the names of its processes and files
+        key: the key of its shared memory
+        playground: folder that nothing else writes to
+    """
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "paths", frozenset(self._found()))
+    def __init__(self, mark: str, key: int, playground: str) -> None:
+        self.mark, self.key, self.playground = mark, key, playground
+        self._pids_before = frozenset(_pids())
+        self._paths_before = frozenset(self._found())
 
     def survivors(self) -> tuple[str, ...]:
         """Processes of the attack that do not end. Those that bear its mark are ended."""
+
+        def alive() -> list[int]:
+            found: list[int] = []
+            for pid in _pids():
+                with suppress(OSError):  # it has just ended
+                    unknown = pid not in self._pids_before
+                    if _name(pid) == self.mark or (unknown and _lost(pid)):
+                        found.append(pid)
+            return found
+
         end = time.monotonic() + _PATIENCE_SECONDS
-        found = self._alive()
-        while found and time.monotonic() < end:
+        while (found := alive()) and time.monotonic() < end:
             time.sleep(0.02)
-            found = self._alive()
         for pid in found:
-            with contextlib.suppress(OSError):
+            with suppress(OSError):
                 if _name(pid) == self.mark:
                     os.kill(pid, signal.SIGKILL)
         return tuple(f"process {pid}" for pid in found)
 
     def strays(self) -> tuple[str, ...]:
         """Files and shared memory of the attack. Those that bear its mark are removed."""
-        found = [path for path in self._found() if path not in self.paths]
+        found = [path for path in self._found() if path not in self._paths_before]
         for path in found:
-            with contextlib.suppress(OSError):
+            with suppress(OSError):
                 if self._marked(path):
                     os.remove(path)
-        memory = ["shared memory"] if _remove_shared_memory(self.key) else []
-        return (*found, *memory)
-
-    def _alive(self) -> list[int]:
-        found: list[int] = []
-        for pid in _pids():
-            with contextlib.suppress(OSError):  # it has just ended
-                if _name(pid) == self.mark or (pid not in self.pids and _lost(pid)):
-                    found.append(pid)
-        return found
+        rows: list[str] = []
+        with suppress(OSError):
+            rows = Path("/proc/sysvipc/shm").read_text().splitlines()[1:]
+        segments = [int(row.split()[1]) for row in rows if int(row.split()[0]) == self.key]
+        for segment in segments:
+            ctypes.CDLL(None).shmctl(segment, 0, None)
+        return (*found, "shared memory") if segments else tuple(found)
 
     def _found(self) -> Iterator[str]:
         """Yield all files of the playground; in other folders, where other programs write too,
@@ -175,17 +143,21 @@ class Traces:
         for folder, folders, files in os.walk(self.playground):
             yield from (os.path.join(folder, name) for name in (*folders, *files))
         for place in {os.getcwd(), str(Path.home()), tempfile.gettempdir(), *_PLACES}:
-            with contextlib.suppress(OSError):
-                for path in (os.path.join(place, name) for name in os.listdir(place)):
-                    if self._marked(path) or _is_odd_trap(path):
+            with suppress(OSError):
+                for name in os.listdir(place):
+                    path = os.path.join(place, name)
+                    special = os.path.islink(path) or (
+                        os.path.exists(path) and not os.path.isfile(path)
+                    )
+                    if self._marked(path) or (name in _TRAPS and special):
                         yield path
 
     def _marked(self, path: str) -> bool:
         name = os.path.basename(path)
         if self.mark in name or name not in _TRAPS or not os.path.isfile(path):
             return self.mark in name
-        with contextlib.suppress(OSError), open(path, "rb") as file:
-            return self.mark.encode() in file.read(_MARKED_BYTES)
+        with suppress(OSError), open(path, "rb") as file:
+            return self.mark.encode() in file.read(4096)
         return False
 
 
@@ -195,7 +167,6 @@ class Neighbour:
     it."""
 
     process: subprocess.Popen[bytes]
-    """The process."""
     nice: int
     """Priority at the start."""
 
@@ -204,7 +175,7 @@ class Neighbour:
         """Description of its end, stop or changed priority, at two observations; "" for no harm."""
         if not self._changed():
             return ""
-        time.sleep(_AGAIN_SECONDS)
+        time.sleep(0.1)
         return self._changed()
 
     def _changed(self) -> str:
@@ -235,45 +206,12 @@ def neighbour(secret: str) -> Generator[Neighbour]:
             process.kill()
 
 
-def _is_odd_trap(path: str) -> bool:
-    special = os.path.islink(path) or (os.path.exists(path) and not os.path.isfile(path))
-    return os.path.basename(path) in _TRAPS and special
-
-
-def _lost(pid: int) -> bool:
-    """Return whether it is a Python of ours behind a worker's filter, which nothing that a worker
-    starts can take off, and no evaluator is above it."""
-    if not (_confined(pid) and _ours(pid)):
-        return False
-    parent = _parent(pid)
-    while parent > 1 and (_confined(parent) or _name(parent) == "bwrap"):
-        parent = _parent(parent)
-    return parent <= 1 or not _ours(parent)
-
-
 def _pids() -> list[int]:
     return [int(name) for name in os.listdir("/proc") if name.isdigit()]
 
 
-def _confined(pid: int) -> bool:
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return {"Seccomp:\t2", "NoNewPrivs:\t1"} <= {*lines}
-
-
-def _ours(pid: int) -> bool:
-    """Return whether it runs this Python; unknown, and so False, for a process of another user."""
-    try:
-        return os.path.samefile(f"/proc/{pid}/exe", sys.executable)
-    except OSError:
-        return False
-
-
 def _name(pid: int) -> str:
     return Path(f"/proc/{pid}/comm").read_text().strip()
-
-
-def _parent(pid: int) -> int:
-    return int(_stat(pid)[1])
 
 
 def _stat(pid: int) -> list[str]:
@@ -281,23 +219,29 @@ def _stat(pid: int) -> list[str]:
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
 
 
-def _remove_shared_memory(key: int) -> bool:
-    """Remove the segment of this key; whether there was one."""
-    try:
-        rows = Path("/proc/sysvipc/shm").read_text().splitlines()[1:]
-    except OSError:
+def _lost(pid: int) -> bool:
+    """Return whether it is a Python of ours behind a worker's filter, which nothing that a worker
+    starts can take off, and no evaluator is above it."""
+
+    def confined(pid: int) -> bool:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+        return {"Seccomp:\t2", "NoNewPrivs:\t1"} <= {*lines}
+
+    def ours(pid: int) -> bool:
+        try:
+            return os.path.samefile(f"/proc/{pid}/exe", sys.executable)
+        except OSError:  # a process of another user
+            return False
+
+    if not (confined(pid) and ours(pid)):
         return False
-    segments = [int(row.split()[1]) for row in rows if int(row.split()[0]) == key]
-    for segment in segments:
-        ctypes.CDLL(None).shmctl(segment, 0, None)
-    return bool(segments)
+    parent = int(_stat(pid)[1])
+    while parent > 1 and (confined(parent) or _name(parent) == "bwrap"):
+        parent = int(_stat(parent)[1])
+    return parent <= 1 or not ours(parent)
 
 
 # Something to attack.
-
-
-_WITHHELD = ("secret", "traces", "neighbour")
-_PORTS_TRIED = 50
 
 
 @dataclass(frozen=True)
@@ -311,7 +255,6 @@ class Targets:
     ledger: str
     """A file of the search."""
     evaluator: str
-    """The source of an evaluator."""
     other: int
     """The process id of a neighbour."""
     parent: int
@@ -319,9 +262,7 @@ class Targets:
     port: int
     """The port of a TCP and of a UDP service."""
     daemon: str
-    """The socket file of a service."""
     abstract: str
-    """The abstract socket of a service."""
     key: int
     """The key of shared memory."""
     mark: str
@@ -338,7 +279,8 @@ class Targets:
     @property
     def source(self) -> str:
         """Data of the attack, as Python source."""
-        names = [one.name for one in fields(self) if one.name not in _WITHHELD]
+        withheld = ("secret", "traces", "neighbour")
+        names = [one.name for one in fields(self) if one.name not in withheld]
         return repr({name.upper(): getattr(self, name) for name in names})
 
     @property
@@ -357,14 +299,14 @@ class Targets:
 
 def _serve(services: ExitStack) -> int:
     """The port of a TCP and of a UDP service, open as long as `services`."""
-    for _ in range(_PORTS_TRIED):
+    for _ in range(50):
         service = socket.create_server(("127.0.0.1", 0))
         receiver = services.enter_context(socket.socket(type=socket.SOCK_DGRAM))
         port: int = services.enter_context(service).getsockname()[1]
         with suppress(OSError):  # UDP has another user there
             receiver.bind(("127.0.0.1", port))
             return port
-    raise SandboxError(f"none of {_PORTS_TRIED} free TCP ports of this machine is free for UDP too")
+    raise SandboxError("none of 50 free TCP ports of this machine is free for UDP too")
 
 
 @contextmanager
@@ -372,11 +314,13 @@ def targets(memory_mb: int) -> Generator[Targets]:
     """Files, services and a neighbour, gone at the end."""
     playground = tempfile.mkdtemp(prefix="asia-redteam-")
     mark, secret = "rt" + secrets.token_hex(5), secrets.token_hex(8)
-    paths = {name: os.path.join(playground, name) for name in ("test.csv", "ledger", "judge.py")}
-    Path(paths["test.csv"]).write_text(f"u,y\n{secret}\n")
-    Path(paths["ledger"]).write_text(f"{secret}\n")
-    os.utime(paths["ledger"], (1e9, 1e9))
-    Path(paths["judge.py"]).write_text("")
+    vault, ledger, evaluator, daemon = (
+        os.path.join(playground, name) for name in ("test.csv", "ledger", "judge.py", "socket")
+    )
+    Path(vault).write_text(f"u,y\n{secret}\n")
+    Path(ledger).write_text(f"{secret}\n")
+    os.utime(ledger, (1e9, 1e9))
+    Path(evaluator).write_text("")
     try:
         with (
             ExitStack() as services,
@@ -385,20 +329,20 @@ def targets(memory_mb: int) -> Generator[Targets]:
             neighbour(secret) as other,
         ):
             port = _serve(services)
-            local.bind(os.path.join(playground, "socket"))
+            local.bind(daemon)
             local.listen()
             hidden.bind(f"\0{mark}")
             hidden.listen()
             key = secrets.randbits(24) + 1
             yield Targets(
                 playground=playground,
-                vault=paths["test.csv"],
-                ledger=paths["ledger"],
-                evaluator=paths["judge.py"],
+                vault=vault,
+                ledger=ledger,
+                evaluator=evaluator,
                 other=other.process.pid,
                 parent=os.getpid(),
                 port=port,
-                daemon=os.path.join(playground, "socket"),
+                daemon=daemon,
                 abstract=f"\0{mark}",
                 key=key,
                 mark=mark,
@@ -462,7 +406,25 @@ def conclude(
         words = f"{name}: {note}" if name else note
         return Finding(attack.number, "", verdict, tuple(dict.fromkeys(map(str, stops))), words)
 
-    traces = [_success(seen)] if success(seen) else []
+    def layer(end: str) -> Barrier:
+        """The layer that gives this error; the kernel's ordinary rules where none is in force."""
+        wanted = _BY_ERROR.get(end, (Barrier.NAMESPACES,))
+        names = [str(one) for one in layers]
+        return next((stop for stop in wanted if stop.value in names), Barrier.KERNEL)
+
+    scores = (
+        f"V {seen.value:.3g}, honest {seen.honest:.3g}" if seen.value is not None else "no score"
+    )
+    traces: list[str] = []
+    if success(seen):
+        done = [step for step, end in seen.steps.items() if end == "done"]
+        if done:
+            traces.append(", ".join(done))
+        elif seen.value is not None and seen.value < seen.honest:
+            traces.append(scores)
+        else:
+            late = seen.limit < seen.seconds
+            traces.append(f"after {seen.seconds:.1f} s" if late else "it was heard")
     traces += [f"left behind: {len(seen.survivors)} processes"] if seen.survivors else []
     traces += [f"left behind: {len(seen.strays)} files"] if seen.strays else []
     traces += ["a secret was read"] if seen.leaked else []
@@ -474,7 +436,7 @@ def conclude(
     if seen.steps:
         ends = Counter(end for end in seen.steps.values() if end != "done")
         note = ", ".join(f"{end} x{n}" if n > 1 else end for end, n in ends.items())
-        stops = [_layer(end, layers) for end in ends]
+        stops = [layer(end) for end in ends]
         verdict = AttackVerdict.NO_GAIN if "done" in seen.steps.values() else AttackVerdict.BLOCKED
         return finding(verdict, stops or [Barrier.PARENT], note)
     if seen.reason is not None:
@@ -484,11 +446,8 @@ def conclude(
         if seen.reason is Reason.SUSPECT:
             words = ", ".join(part.partition(":")[0].strip() for part in seen.detail.split(";"))
         return finding(AttackVerdict.FLAGGED if flagged else AttackVerdict.BLOCKED, [stop], words)
-    if seen.value is None:
-        return finding(AttackVerdict.BLOCKED, [Barrier.PARENT], "no score")
-    return finding(
-        AttackVerdict.NO_GAIN, [Barrier.PARENT], f"V {seen.value:.3g}, honest {seen.honest:.3g}"
-    )
+    verdict = AttackVerdict.BLOCKED if seen.value is None else AttackVerdict.NO_GAIN
+    return finding(verdict, [Barrier.PARENT], scores)
 
 
 def worst_of(
@@ -497,24 +456,8 @@ def worst_of(
     """One finding for all variants."""
     order = list(AttackVerdict)
     worst = max(found, key=lambda f: order.index(f.verdict))
-    if worst.verdict is AttackVerdict.THROUGH:
-        return Finding(number, level, AttackVerdict.THROUGH, (), worst.note, without)
+    if worst.through:
+        return Finding(number, level, worst.verdict, (), worst.note, without)
     stops = tuple(dict.fromkeys(stop for f in found for stop in f.stops))
     notes = "; ".join(f.note for f in found)
     return Finding(number, level, worst.verdict, stops, notes, without)
-
-
-def _success(seen: Observed) -> str:
-    done = [name for name, end in seen.steps.items() if end == "done"]
-    if done:
-        return ", ".join(done)
-    if seen.value is not None and seen.value < seen.honest:
-        return f"V {seen.value:.3g}, honest {seen.honest:.3g}"
-    return f"after {seen.seconds:.1f} s" if seen.limit < seen.seconds else "it was heard"
-
-
-def _layer(end: str, layers: Sequence[Layer]) -> Barrier:
-    """The layer that gives this error; the kernel's ordinary rules where none of those is there."""
-    wanted = _BY_ERROR.get(end, (Barrier.NAMESPACES,))
-    names = [str(layer) for layer in layers]
-    return next((stop for stop in wanted if stop.value in names), Barrier.KERNEL)

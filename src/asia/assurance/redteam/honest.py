@@ -27,9 +27,6 @@ from asia.problem.protocol import ProtocolRule, make_folds
 from asia.search.agent_views import problem_facts
 
 TWO_TANKS, SMALL_DRONE = "two_tanks_sim", "small drone"
-_TANK_SAMPLES = 160
-_SECONDS, _MEMORY_MB = 120.0, 4096
-_ALARMS = (Reason.LITERAL_DATA, Reason.SUSPECT, Reason.RESTART)
 
 
 @dataclass(frozen=True)
@@ -39,10 +36,8 @@ class HonestProblem:
     name: str
     """Name or path of the problem."""
     facts: Facts
-    """Facts for agents."""
     rule: ProtocolRule
-    """Protocol of the score."""
-    seconds: float = _SECONDS
+    seconds: float = 120.0
     """Time limit of a fit in seconds."""
     tiny: bool = True
     """Whether the smallest models of each family are used."""
@@ -78,7 +73,7 @@ class HonestProblem:
 def small_problems() -> tuple[HonestProblem, ...]:
     """Both, small enough for every family."""
     tanks = problem_named(TWO_TANKS)
-    records = tuple(record[:_TANK_SAMPLES] for record in tanks.facts.records)
+    records = tuple(record[:160] for record in tanks.facts.records)
     return replace(tanks, facts=replace(tanks.facts, records=records), tiny=True), small_drone()
 
 
@@ -133,7 +128,7 @@ def try_honest(
     begin = time.monotonic()
     source = problem.source(row)
     fold = make_folds(problem.facts.records, problem.rule)[0]
-    limits, horizon = Limits(problem.seconds, problem.seconds, _MEMORY_MB), problem.rule.horizon
+    limits, horizon = Limits(problem.seconds, problem.seconds, 4096), problem.rule.horizon
     try:
         check_source(source)
         with open_worker(level, limits) as worker, interruption.ends(worker):
@@ -147,9 +142,9 @@ def try_honest(
                 worker, fold.validation, y_hat, fold.scale, horizon, followed=followed
             )
     except CandidateError as error:
-        words, seconds = str(error)[:200], time.monotonic() - begin
-        if error.reason in _ALARMS:
-            return HonestFinding(row.name, problem.name, True, words, seconds)
-        return HonestFinding(row.name, problem.name, False, words, seconds, error.reason)
+        flagged = error.reason in (Reason.LITERAL_DATA, Reason.SUSPECT, Reason.RESTART)
+        failure = None if flagged else error.reason
+        seconds = time.monotonic() - begin
+        return HonestFinding(row.name, problem.name, flagged, str(error)[:200], seconds, failure)
     words = ", ".join(one.kind for one in found)
     return HonestFinding(row.name, problem.name, bool(found), words, time.monotonic() - begin)

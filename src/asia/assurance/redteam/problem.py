@@ -20,6 +20,8 @@ from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds
 E = TypeVar("E", bound=Evaluator)
 ProblemName = Literal["simulation", "windows", "weather", "machines", "pulses", "drift"]
 _INPUTS = (Signal("drive"), Signal("measured before"), Signal("sample"))
+# Pole and gain of an honest model of the fleet, and of the drifting record.
+_FLEET, _DRIFT = (0.95, 0.1), (0.99, 0.1)
 _RECORDS = 10
 _DAYS = FoldRule(
     "leave_one_group_out",
@@ -28,23 +30,6 @@ _DAYS = FoldRule(
         for first, day in enumerate(("first day", "second day"))
     ),
 )
-_RULES = {
-    "simulation": ProtocolRule("simulation", FoldRule(count=2), 4, 4),
-    "windows": ProtocolRule("windows", FoldRule(count=2), 1, 1, horizon=8),
-    "weather": ProtocolRule("windows", FoldRule(count=2), 2, 2, horizon=10),
-    "machines": ProtocolRule("windows", FoldRule(count=2), 2, 2, horizon=10),
-    "pulses": ProtocolRule("windows", _DAYS, 2, 2, horizon=10),
-    "drift": ProtocolRule("simulation", FoldRule(count=4), 2, 2),
-}
-# Pole and gain of an honest model that leaves something to gain.
-_CRUDE = {
-    "simulation": (0.7, 0.28),
-    "windows": (0.93, 0.1),
-    "weather": (0.95, 0.1),
-    "machines": (0.95, 0.1),
-    "pulses": (0.95, 0.1),
-    "drift": (0.99, 0.1),
-}
 
 
 @dataclass(frozen=True)
@@ -55,9 +40,7 @@ class SmallProblem:
     """
 
     records: tuple[Trajectory, ...]
-    """The training records."""
     rule: ProtocolRule
-    """Protocol of the score."""
     crude: tuple[float, float]
     """Pole and gain of an honest model that leaves something to gain."""
 
@@ -101,19 +84,6 @@ class SmallProblem:
         )
 
 
-def small_problem(name: ProblemName) -> SmallProblem:
-    """The same numbers each time."""
-    records: dict[ProblemName, Callable[[], tuple[Trajectory, ...]]] = {
-        "simulation": lambda: (_saturating(slow=False),),
-        "windows": lambda: (_saturating(slow=True),),
-        "weather": lambda: _fleet(weather=0.1, own=0.0),
-        "machines": lambda: _fleet(weather=0.0, own=0.1),
-        "pulses": lambda: _fleet(weather=0.0, own=0.1, samples=12),
-        "drift": lambda: (_drifting(),),
-    }
-    return SmallProblem(records[name](), _RULES[name], _CRUDE[name])
-
-
 def _saturating(slow: bool) -> Trajectory:
     """A record whose second half is driven harder and saturates."""
     rng = np.random.default_rng(5)
@@ -134,7 +104,7 @@ def _fleet(weather: float, own: float, samples: int = 102) -> tuple[Trajectory, 
     and each has a push of its own. A window's past is too noisy to show either. No feedback signal
     is recorded."""
     rng = np.random.default_rng(8)
-    pole, gain = _CRUDE["weather"]
+    pole, gain = _FLEET
     turning = np.where(np.arange(samples) < samples // 2 + 1, weather, -weather)
     found: list[Trajectory] = []
     for number in range(_RECORDS):
@@ -150,7 +120,7 @@ def _drifting() -> Trajectory:
     """A record that wanders off from any simulation, and shows again where it went in the part
     that trains after the held-out one. No feedback signal is recorded."""
     rng = np.random.default_rng(4)
-    samples, pole, gain = 162, *_CRUDE["drift"]
+    samples, pole, gain = 162, *_DRIFT
     drive = np.repeat(rng.normal(size=18), 9)
     y = _lag(pole, gain * drive + 0.15 * rng.normal(size=samples), 0.0)
     u = np.stack([drive, rng.normal(size=samples), np.arange(float(samples))], axis=1)
@@ -163,3 +133,45 @@ def _lag(pole: float, pushed: Array, start: float) -> Array:
     for k in range(1, len(y)):
         y[k] = pole * y[k - 1] + pushed[k - 1]
     return y
+
+
+_Row = tuple[ProtocolRule, tuple[float, float], Callable[[], tuple[Trajectory, ...]]]
+_TWO_FOLDS = FoldRule(count=2)
+_PROBLEMS: dict[ProblemName, _Row] = {
+    "simulation": (
+        ProtocolRule("simulation", _TWO_FOLDS, 4, 4),
+        (0.7, 0.28),
+        lambda: (_saturating(slow=False),),
+    ),
+    "windows": (
+        ProtocolRule("windows", _TWO_FOLDS, 1, 1, horizon=8),
+        (0.93, 0.1),
+        lambda: (_saturating(slow=True),),
+    ),
+    "weather": (
+        ProtocolRule("windows", _TWO_FOLDS, 2, 2, horizon=10),
+        _FLEET,
+        lambda: _fleet(weather=0.1, own=0.0),
+    ),
+    "machines": (
+        ProtocolRule("windows", _TWO_FOLDS, 2, 2, horizon=10),
+        _FLEET,
+        lambda: _fleet(weather=0.0, own=0.1),
+    ),
+    "pulses": (
+        ProtocolRule("windows", _DAYS, 2, 2, horizon=10),
+        _FLEET,
+        lambda: _fleet(weather=0.0, own=0.1, samples=12),
+    ),
+    "drift": (
+        ProtocolRule("simulation", FoldRule(count=4), 2, 2),
+        _DRIFT,
+        lambda: (_drifting(),),
+    ),
+}
+
+
+def small_problem(name: ProblemName) -> SmallProblem:
+    """The same numbers each time."""
+    rule, crude, make = _PROBLEMS[name]
+    return SmallProblem(make(), rule, crude)

@@ -37,8 +37,6 @@ from asia.judge.sandbox.types import Isolation, Layer
 # Everything at once: attacks at each level, the same with isolation off, honest candidates.
 
 
-_MOST_AT_ONCE = 2
-
 Result = Finding | HonestFinding | SuspicionFinding
 Job = Callable[[], Iterator[Result]]
 OnResult = Callable[[Result], None]
@@ -51,7 +49,6 @@ class RedTeamPlan:
     levels: tuple[Isolation, ...]
     """The levels of isolation, strongest first."""
     attacks: tuple[Attack, ...] = ATTACKS
-    """The attacks to play at each level."""
     prove: bool = True
     """Whether to play them with isolation off too, in an outer sandbox."""
     honest: tuple[tuple[HonestProblem, Family], ...] = ()
@@ -65,11 +62,9 @@ class RedTeamReport:
     """Report of a red-team run."""
 
     plan: RedTeamPlan
-    """Plan of the run."""
     findings: tuple[Finding, ...]
     """Findings of the attacks, by number and level."""
     honest: tuple[HonestFinding, ...]
-    """Findings of the honest candidates."""
 
     @property
     def stopped(self) -> int:
@@ -119,7 +114,27 @@ def run_suite(plan: RedTeamPlan, on_result: OnResult = lambda result: None) -> R
         SandboxError: where a worker or the outer sandbox cannot be started
     """
     interruption = Interruption()
-    results = _run(list(_jobs(plan, interruption)), on_result, interruption)
+    honest: list[Job] = [
+        partial(_single, try_honest, p, row, plan.levels[0], interruption) for p, row in plan.honest
+    ]
+    first: list[Job] = []
+    if plan.prove:
+        first.append(partial(_outside, OFF, (), plan.attacks))
+    searches = [a for a in plan.attacks if isinstance(a, SearchAttack)]
+    if searches:
+        first.append(partial(_play_searches, searches, plan.levels[0]))
+    candidates = [a for a in plan.attacks if isinstance(a, CandidateAttack)]
+    for level in plan.levels:
+        if LEVELS[level].confined:
+            first += [
+                partial(_single, attack_candidate, attack, level, executor=plan.executor)
+                for attack in candidates
+            ]
+        else:
+            first.append(partial(_outside, level, (), candidates))
+    # Attacks and fits in turns, so that no slow job is left for the end.
+    turns = [job for pair in zip_longest(first, honest) for job in pair if job is not None]
+    results = _run(turns, on_result, interruption)
     order = [*map(str, plan.levels), ANY_LEVEL, OFF]
     findings = [one for one in results if isinstance(one, Finding)]
     findings.sort(key=lambda f: (f.number, order.index(f.level)))
@@ -195,43 +210,14 @@ def honest_plan(quick: bool = False) -> tuple[tuple[HonestProblem, Family], ...]
     return tuple(chosen)
 
 
-def _jobs(plan: RedTeamPlan, interruption: Interruption) -> Iterator[Job]:
-    """Attacks and fits in turns, so that no slow job is left for the end."""
-    honest: list[Job] = [
-        partial(_honest, p, row, plan.levels[0], interruption) for p, row in plan.honest
-    ]
-    first: list[Job] = []
-    if plan.prove:
-        first.append(partial(_outside, OFF, (), plan.attacks))
-    searches = [a for a in plan.attacks if isinstance(a, SearchAttack)]
-    if searches:
-        first.append(partial(_play_searches, searches, plan.levels[0]))
-    candidates = [a for a in plan.attacks if isinstance(a, CandidateAttack)]
-    for level in plan.levels:
-        if LEVELS[level].confined:
-            first += [partial(_attack, attack, level, plan.executor) for attack in candidates]
-        else:
-            first.append(partial(_outside, level, (), candidates))
-    for pair in zip_longest(first, honest):
-        yield from (job for job in pair if job is not None)
-
-
-def _attack(
-    attack: CandidateAttack, level: Isolation, executor: Executor | None
-) -> Iterator[Result]:
-    yield attack_candidate(attack, level, executor=executor)
+def _single(work: Callable[..., Result], *given: object, **named: object) -> Iterator[Result]:
+    yield work(*given, **named)
 
 
 def _outside(level: str, layers: Sequence[Layer], attacks: Sequence[Attack]) -> Iterator[Result]:
     numbers = [str(attack.number) for attack in attacks]
     nested = level != OFF and Layer.NAMESPACES in LEVELS[Isolation(level)].layers
     return inside([level, ",".join(layers), *numbers], nested=nested)
-
-
-def _honest(
-    problem: HonestProblem, row: Family, level: Isolation, interruption: Interruption
-) -> Iterator[Result]:
-    yield try_honest(problem, row, level, interruption)
 
 
 def _play_searches(attacks: Sequence[SearchAttack], level: Isolation) -> Iterator[Result]:
@@ -258,7 +244,7 @@ def _run(jobs: Sequence[Job], on_result: OnResult, interruption: Interruption) -
             results.append(result)
             on_result(result)
 
-    pool = ThreadPoolExecutor(min(_MOST_AT_ONCE, os.cpu_count() or 1))
+    pool = ThreadPoolExecutor(min(2, os.cpu_count() or 1))
     try:
         futures: list[Future[None]] = [pool.submit(collect, job) for job in jobs]
         for future in as_completed(futures):

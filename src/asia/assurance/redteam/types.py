@@ -67,7 +67,6 @@ class Observed:
     honest: float
     """The score of the honest candidate it is built on."""
     reason: Reason | None = None
-    """Reason of a failure."""
     detail: str = ""
     """The message of its failure."""
     output: str = ""
@@ -75,7 +74,6 @@ class Observed:
     steps: Mapping[str, str] = field(default_factory=dict[str, str])
     """Result of each attempt as the candidate reports it: `done`, or the name of the error."""
     seconds: float = 0.0
-    """Duration of the evaluation."""
     limit: float = 0.0
     """Time limit of a fit in seconds."""
     overran: bool = False
@@ -105,21 +103,17 @@ class CandidateAttack:
     number: int
     """Number in docs/redteam.md."""
     name: str
-    """Name of the attack, in a few words."""
     tries: str
     """Description of the attempt, in one sentence."""
     sources: Mapping[str, str]
     """Variants by name, as the text of `candidate.py`."""
     success: Success
-    """Criterion for success."""
     stops: tuple[Barrier, ...]
-    """Expected barriers."""
     problem: ProblemName = "simulation"
     """The small problem that it is tried on."""
     limit: float = 20.0
     """Time limit of a fit in seconds."""
     memory_mb: int = 1024
-    """Memory limit."""
     folds: int | None = None
     """Number of the problem's folds to evaluate; None for all."""
     at_once: tuple[str, ...] = ()
@@ -143,7 +137,6 @@ class SearchAttackResult:
     succeeded: bool
     """Whether nothing stopped it."""
     stops: tuple[Barrier, ...]
-    """Barriers that stopped it."""
     note: str
     """Course of the attack, in words."""
     flagged: bool = True
@@ -155,9 +148,7 @@ class SearchAttack:
     """A cheating agent."""
 
     number: int
-    """Number in docs/redteam.md."""
     name: str
-    """Name of the attack, in a few words."""
     tries: str
     """Description of the attempt, in one sentence."""
     play: Callable[[Scene], SearchAttackResult]
@@ -166,7 +157,6 @@ class SearchAttack:
     """The same attack, in a scratch folder, on the plainest code that would do; whether it
     succeeded."""
     stops: tuple[Barrier, ...]
-    """Expected barriers."""
 
     @property
     def walled(self) -> bool:
@@ -183,13 +173,10 @@ class Finding:
     """Finding about one attack in one setting."""
 
     number: int
-    """The number of the attack."""
     level: str
     """Isolation level, `off`, or `any level` where the sandbox layers do not affect the attack."""
     verdict: AttackVerdict
-    """Verdict on the attack."""
     stops: tuple[str, ...]
-    """Barriers that stopped it."""
     note: str
     """Course of the attack, in words."""
     without: tuple[str, ...] = ()
@@ -206,11 +193,8 @@ class SuspicionFinding:
     """Finding about one variant of an attack with some relations left out, and with all."""
 
     number: int
-    """The number of the attack."""
     variant: str
-    """The name of the variant."""
     level: str
-    """The level of isolation."""
     without: tuple[str, ...]
     """The relations that were left out."""
     honest: float
@@ -228,9 +212,7 @@ class HonestFinding:
     """Finding of the cheat checks for an honest candidate."""
 
     family: str
-    """The family of its model."""
     problem: str
-    """The name of the problem it was fitted to."""
     flagged: bool
     """Whether it was mistaken for a cheat."""
     words: str

@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
-from asia.agents.library.equation_moves import less_ridge, more_ridge, much_more_ridge
+from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM, noise_space, slow_noise
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import Move
 from asia.agents.library.recipe import Arguments, Recipe
-from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import traits
 from asia.agents.view import Facts
-
-_STRUCTURES = ("hammerstein", "wiener", "hammerstein_wiener", "wiener_hammerstein")
-
-
-# On records this long the searched fit has samples to spare for a fine grid, and its noise floor
-# lies far below what a ridge for short records allows.
-_FINE: Arguments = (("hidden", 24), ("ridge", 1e-9), ("linear_ridge", 1e-9))
 
 
 def _searchable(facts: Facts) -> bool:
@@ -26,41 +19,30 @@ def _searchable(facts: Facts) -> bool:
     return facts.horizon is None and len(facts.inputs) == len(facts.outputs) == 1
 
 
-def _block_oriented(facts: Facts) -> Recipe:
-    plain: Arguments = (("structure", "wiener_hammerstein"), ("delay", None))
-    options = (("iterations", 60), ("starts", 2))
+def _start(facts: Facts) -> Recipe:
+    size: Arguments = (("hidden", 8), ("ridge", 1e-5))
     if _searchable(facts) and "long" in traits(facts):
-        return Recipe("block_oriented", (*plain, *_FINE, ("searched", True)), LM, options)
-    return Recipe("block_oriented", (*plain, ("hidden", 8), ("ridge", 1e-5)), LM, options)
+        # The searched fit has samples to spare for a fine grid, and its noise floor lies far below
+        # what a ridge for short records allows.
+        size = (("hidden", 24), ("ridge", 1e-9), ("linear_ridge", 1e-9), ("searched", True))
+    config = (("structure", "wiener_hammerstein"), ("delay", None), *size)
+    return Recipe("block_oriented", config, LM, (("iterations", 60), ("starts", 2)))
 
 
 def _space(facts: Facts) -> Space:
+    structures = ("hammerstein", "wiener", "hammerstein_wiener", "wiener_hammerstein")
+    searched = OneOf("searched", (False, True), needs="structure", being="wiener_hammerstein")
     return Space(
         config=(
-            OneOf("structure", _STRUCTURES),
+            OneOf("structure", structures),
             OneOf("order", (None, 2, 3, 4)),
             OneOf("hidden", (4, 8, 12)),
             Span("ridge", 1e-6, 1e-2),
             OneOf("delay", (0, None)),
-            *_searched_space(facts),
+            *((searched,) if _searchable(facts) else ()),
         ),
-        options=(
-            OneOf("iterations", (40, 80)),
-            OneOf("starts", (1, 2, 4)),
-            *noise_space(facts),
-        ),
+        options=(OneOf("iterations", (40, 80)), OneOf("starts", (1, 2, 4)), *noise_space(facts)),
     )
-
-
-def _searched_space(facts: Facts) -> tuple[Parameter, ...]:
-    if not _searchable(facts):
-        return ()
-    return (OneOf("searched", (False, True), needs="structure", being="wiener_hammerstein"),)
-
-
-def _search_weight(at: Situation) -> float:
-    series = at.recipe.get("structure") == "wiener_hammerstein"
-    return 0.6 * (series and _searchable(at.facts) and not at.recipe.get("searched"))
 
 
 def _to(structure: str, where: str, hypothesis: str) -> Move:
@@ -85,7 +67,7 @@ CARD = Card(
             points=(("long", 1), ("windows", -3), ("several", -2)),
             # Its filters are stable; a static function next to an integrator is not identifiable.
             against=frozenset({"integrating"}),
-            start=_block_oriented,
+            start=_start,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
             timing=Timing(start=1.9, unit=4.1e-06),
@@ -93,17 +75,17 @@ CARD = Card(
     ),
     (
         slow_noise(),
-        more_ridge(),
-        much_more_ridge(),
-        less_ridge(),
+        *RIDGE_MOVES,
         Move(
             name="search for the two filters",
-            weight=_search_weight,
-            change=lambda c: c.recipe.configured(searched=True, hidden=12),
-            hypothesis=(
-                "Two filters around a static function differ in order and in their shares of "
-                "poles and zeros; the best linear model shows neither."
+            weight=lambda c: (
+                0.6
+                * (c.recipe.get("structure") == "wiener_hammerstein" and _searchable(c.facts))
+                * (not c.recipe.get("searched"))
             ),
+            change=lambda c: c.recipe.configured(searched=True, hidden=12),
+            hypothesis="Two filters around a static function differ in order and in their shares "
+            "of poles and zeros; the best linear model shows neither.",
             expected="A far lower V, if the structure is right.",
         ),
         Move(
@@ -112,10 +94,8 @@ CARD = Card(
             change=lambda c: c.recipe.configured(
                 hidden=round(1.6 * c.recipe.number("hidden", 8.0))
             ).trained(starts=3),
-            hypothesis=(
-                "The static function is strongly curved within a narrow range: its grid needs "
-                "more units."
-            ),
+            hypothesis="The static function is strongly curved within a narrow range: its grid "
+            "needs more units.",
             expected="A lower V at a lower training error, down to the noise floor.",
         ),
         _to(

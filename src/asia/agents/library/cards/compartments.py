@@ -7,19 +7,19 @@ from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Move, Situation
-from asia.agents.library.recipe import Recipe
+from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.records import coloured, curved, fails_on_top, plateau_share
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.view import Facts
 
-_STANDS_STILL, _MOST_STORAGES = 0.02, 4
+
+def _saturates(facts: Facts) -> bool:
+    return plateau_share(facts) > 0.02
 
 
 def _start(facts: Facts) -> Recipe:
-    """Return the first recipe, with limits where an output saturates at its maximum."""
-    config = (("count", 2), ("outflow", "power"))
-    if plateau_share(facts) > _STANDS_STILL:
-        config = (*config, ("full", True), ("spill", True))
+    limits: Arguments = (("full", True), ("spill", True)) if _saturates(facts) else ()
+    config = (("count", 2), ("outflow", "power"), *limits)
     return Recipe("compartments", config, LM, (("iterations", 60), ("starts", 8)))
 
 
@@ -40,12 +40,6 @@ def _space(facts: Facts) -> Space:
 
 def _count(at: Situation) -> int:
     return round(at.recipe.number("count", 2))
-
-
-def _full_weight(at: Situation) -> float:
-    if at.recipe.get("full"):
-        return 0.0
-    return 0.95 if fails_on_top(at.trial) or plateau_share(at.facts) > _STANDS_STILL else 0.5
 
 
 CARD = Card(
@@ -69,7 +63,10 @@ CARD = Card(
         slow_noise(),
         Move(
             name="storages run over",
-            weight=_full_weight,
+            weight=lambda c: (
+                (0.95 if fails_on_top(c.trial) or _saturates(c.facts) else 0.5)
+                * (not c.recipe.get("full"))
+            ),
             change=lambda c: c.recipe.configured(full=True, spill=True),
             hypothesis="Each storage can be full, and part of its overflow enters the next.",
             expected="Lower error where the output is high, on every fold that reaches this range.",
@@ -78,25 +75,21 @@ CARD = Card(
             name="bent sensor",
             weight=lambda c: (0.85 if curved(c.trial) else 0.75) * (c.recipe.get("sensor") is None),
             change=lambda c: c.recipe.configured(sensor="power"),
-            hypothesis=(
-                "The output need not be proportional to the content: an increasing curve "
-                "relates them."
-            ),
+            hypothesis="The output need not be proportional to the content: an increasing curve "
+            "relates them.",
             expected="A lower V; the curvature in the residual disappears.",
         ),
         Move(
             name="run-off with the root of the content",
             weight=lambda c: 0.6 * (c.recipe.get("outflow") == "power"),
             change=lambda c: c.recipe.configured(outflow="root"),
-            hypothesis=(
-                "A free outflow is proportional to the square root of the level: fewer "
-                "parameters to fit."
-            ),
+            hypothesis="A free outflow is proportional to the square root of the level: fewer "
+            "parameters to fit.",
             expected="About the same training error and a lower V, if the law is right.",
         ),
         Move(
             name="one storage more",
-            weight=lambda c: (0.5 if coloured(c.trial) else 0.3) * (_count(c) < _MOST_STORAGES),
+            weight=lambda c: (0.5 if coloured(c.trial) else 0.3) * (_count(c) < 4),
             change=lambda c: c.recipe.configured(count=_count(c) + 1),
             hypothesis="The output responds later than this number of storages does.",
             expected="A whiter residual just after steps of the input.",
@@ -105,9 +98,8 @@ CARD = Card(
             name="network in the balances",
             weight=lambda c: (0.5 if coloured(c.trial) else 0.3) * (not c.recipe.get("residual")),
             change=lambda c: c.recipe.configured(residual=4, residual_ridge=5e-2),
-            hypothesis=(
-                "A small regularised network adds the effects that are missing in the outflow laws."
-            ),
+            hypothesis="A small regularised network adds the effects that are missing in the "
+            "outflow laws.",
             expected="A lower training error; lower V only if the effect is real.",
         ),
     ),

@@ -8,25 +8,6 @@ from asia.agents.library.family import Family
 from asia.agents.library.move import Move
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
-from asia.agents.view import Facts
-
-
-def _esn(_: Facts) -> Recipe:
-    config = (("units", 300), ("radius", 0.9), ("input_scale", 0.5), ("longest", 50.0))
-    return Recipe("esn", config, "LeastSquares", (("ridge", None),))
-
-
-def _space(_: Facts) -> Space:
-    return Space(
-        config=(
-            OneOf("units", (100, 300, 600, 1200)),
-            Span("radius", 0.5, 1.2),
-            Span("input_scale", 0.05, 2.0),
-            Span("longest", 10.0, 300.0),
-        ),
-        options=(),
-    )
-
 
 CARD = Card(
     (
@@ -37,8 +18,21 @@ CARD = Card(
             base=2.5,
             points=(("long", 1),),
             against=frozenset({"integrating"}),
-            start=_esn,
-            space=_space,
+            start=lambda _: Recipe(
+                "esn",
+                (("units", 300), ("radius", 0.9), ("input_scale", 0.5), ("longest", 50.0)),
+                "LeastSquares",
+                (("ridge", None),),
+            ),
+            space=lambda _: Space(
+                config=(
+                    OneOf("units", (100, 300, 600, 1200)),
+                    Span("radius", 0.5, 1.2),
+                    Span("input_scale", 0.05, 2.0),
+                    Span("longest", 10.0, 300.0),
+                ),
+                options=(),
+            ),
             small=(("units", 4),),
             timing=Timing(start=0.0, unit=0.00017),
         ),

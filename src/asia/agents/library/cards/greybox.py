@@ -5,7 +5,7 @@ from __future__ import annotations
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.equation_moves import (
-    WRITTEN_IN,
+    EQUATION_MOVES,
     less_ridge,
     more_ridge,
     names_of,
@@ -23,54 +23,45 @@ from asia.agents.library.records import (
     overfit,
     plateau_share,
 )
-from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.view import Facts
 
 
-def _state_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
-    """Single states and all of them together, for settings that name states."""
-    states = facts.physics.states if facts.physics else ()
-    single = tuple((s,) for s in states)
-    return (*single, states) if len(states) > 1 else single
-
-
-def _offset_sets(facts: Facts) -> tuple[tuple[str, ...], ...]:
-    """None, those of the outputs, those of the states, and both."""
-    outputs = output_offsets(facts)
-    states = facts.physics.states if facts.physics else ()
-    return tuple(dict.fromkeys(((), outputs, states, (*outputs, *states))))
-
-
-def _greybox(facts: Facts) -> Recipe:
+def _start(facts: Facts) -> Recipe:
     """Return the first recipe; with measured states in windows the equations need no search for an
     initial state."""
+    iterations, starts = (60, 8) if facts.horizon is None else (15, 2)
     config = (("ridge", 1e-3), ("residual_ridge", 1e-2))
-    effort = (("iterations", 60), ("starts", 8))
-    if facts.horizon is not None:
-        effort = (("iterations", 15), ("starts", 2))
-    return Recipe("greybox", config, LM, effort)
+    return Recipe("greybox", config, LM, (("iterations", iterations), ("starts", starts)))
 
 
 def _space(facts: Facts) -> Space:
+    physics = facts.physics
+    states = physics.states if physics else ()
+    each_state = tuple((name,) for name in states)
+    each_input = tuple((signal.name,) for signal in facts.inputs)
+    together = (states,) if len(states) > 1 else ()
+    outputs = output_offsets(facts)
+    offsets = tuple(dict.fromkeys(((), outputs, states, (*outputs, *states))))
     return Space(
         config=(
-            OneOf("saturation", ((), *_state_sets(facts))),
+            OneOf("saturation", ((), *each_state, *together)),
             OneOf("spill", (False, True), needs="saturation"),
             OneOf("linear", (False, True)),
-            OneOf("offset", _offset_sets(facts)),
+            OneOf("offset", offsets),
             OneOf("input_delay", (0.0, 3.0)),
             OneOf("robust", (None, 0.1)),
             OneOf("residual", (0, 4)),
             OneOf("sensor", (None, "power", "spline")),
-            OneOf("lag", ((), *_single(facts))),
-            OneOf("smooth", ((), *_single(facts))),
-            OneOf("friction", ((), *_states(facts))),
+            OneOf("lag", ((), *each_state, *each_input)),
+            OneOf("smooth", ((), *each_state, *each_input)),
+            OneOf("friction", ((), *each_state)),
             OneOf("presliding", (False, True), needs="friction"),
-            OneOf("hysteresis", ((), *_states(facts))),
-            OneOf("play", ((), *_inputs(facts))),
-            OneOf("discover", ((), _all_states(facts)), needs="residual", being=0),
+            OneOf("hysteresis", ((), *each_state)),
+            OneOf("play", ((), *each_input)),
+            OneOf("discover", ((), states), needs="residual", being=0),
             Span("smooth_width", 0.02, 0.3, needs="smooth"),
-            *_widths(facts),
+            *((Span("prior_width", 0.3, 3.0),) if physics and physics.priors else ()),
             Span("ridge", 1e-5, 1e-1),
             Span("residual_ridge", 1e-4, 1e-1, needs="residual"),
         ),
@@ -81,29 +72,6 @@ def _space(facts: Facts) -> Space:
             OneOf("huber", (None, 3.0), needs="noise_model", being="slow"),
         ),
     )
-
-
-def _single(facts: Facts) -> tuple[tuple[str, ...], ...]:
-    """Each state and input by itself."""
-    states = facts.physics.states if facts.physics else ()
-    return tuple((name,) for name in (*states, *(s.name for s in facts.inputs)))
-
-
-def _states(facts: Facts) -> tuple[tuple[str, ...], ...]:
-    return tuple((name,) for name in (facts.physics.states if facts.physics else ()))
-
-
-def _all_states(facts: Facts) -> tuple[str, ...]:
-    return facts.physics.states if facts.physics else ()
-
-
-def _inputs(facts: Facts) -> tuple[tuple[str, ...], ...]:
-    return tuple((signal.name,) for signal in facts.inputs)
-
-
-def _widths(facts: Facts) -> tuple[Parameter, ...]:
-    known = facts.physics is not None and facts.physics.priors
-    return (Span("prior_width", 0.3, 3.0),) if known else ()
 
 
 def _settle(_: Facts, recipe: Recipe) -> Recipe:
@@ -136,20 +104,11 @@ def _overflow_weight(at: Situation) -> float:
     return 1.02 * _saturation_weight(at) if chain and fresh else 0.0
 
 
-def _spill_weight(at: Situation) -> float:
-    several = len(at.states) > 1
-    return 0.9 if several and names_of(at, "saturation") and not at.recipe.get("spill") else 0.0
-
-
-def _outputs(at: Situation) -> tuple[str, ...]:
-    return output_offsets(at.facts)
-
-
-def _lacks(at: Situation, names: tuple[str, ...]) -> bool:
+def _lacks_offsets(at: Situation, names: tuple[str, ...]) -> bool:
     return bool(names) and not set(names) & set(names_of(at, "offset"))
 
 
-def _with_offset(at: Situation, names: tuple[str, ...]) -> Recipe:
+def _with_offsets(at: Situation, names: tuple[str, ...]) -> Recipe:
     return at.recipe.configured(offset=(*names_of(at, "offset"), *names))
 
 
@@ -165,10 +124,8 @@ _MOVES: tuple[Move, ...] = (
         weight=_saturation_weight,
         change=lambda c: c.recipe.configured(saturation=_next_state(c)),
         state=lambda c: _next_state(c)[-1],
-        hypothesis=(
-            "A state has an upper limit that is missing in the equations: errors are "
-            "concentrated where the output is high or constant."
-        ),
+        hypothesis="A state has an upper limit that is missing in the equations: errors are "
+        "concentrated where the output is high or constant.",
         expected="Lower error near the top of the output; the limit settles inside the data.",
     ),
     Move(
@@ -176,16 +133,18 @@ _MOVES: tuple[Move, ...] = (
         weight=_overflow_weight,
         change=lambda c: c.recipe.configured(saturation=_next_state(c), spill=True),
         state=lambda c: _next_state(c)[-1],
-        hypothesis=(
-            "A state has an upper limit that is missing in the equations, and part of its "
-            "overflow enters the next state: the next state follows the input at once when the "
-            "first is full."
-        ),
+        hypothesis="A state has an upper limit that is missing in the equations, and part of its "
+        "overflow enters the next state: the next state follows the input at once when the first "
+        "is full.",
         expected="Lower error where the output is high, on every fold where the limit is reached.",
     ),
     Move(
         name="a full {state} spills over",
-        weight=_spill_weight,
+        weight=lambda c: (
+            0.9
+            if len(c.states) > 1 and names_of(c, "saturation") and not c.recipe.get("spill")
+            else 0.0
+        ),
         change=lambda c: c.recipe.configured(spill=True),
         state=lambda c: names_of(c, "saturation")[0],
         hypothesis="The overflow of a full state is not lost: part of it enters the next state.",
@@ -193,49 +152,43 @@ _MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="output offset",
-        weight=lambda c: (0.8 if biased(c.trial) else 0.4) * _lacks(c, _outputs(c)),
-        change=lambda c: _with_offset(c, _outputs(c)),
+        weight=lambda c: (
+            (0.8 if biased(c.trial) else 0.4) * _lacks_offsets(c, output_offsets(c.facts))
+        ),
+        change=lambda c: _with_offsets(c, output_offsets(c.facts)),
         hypothesis="The sensor has an offset from the equations.",
         expected="Less bias; the fit at low outputs improves most.",
     ),
     Move(
         name="constant in and outflow",
-        weight=lambda c: (0.75 if coloured(c.trial) else 0.5) * _lacks(c, c.states),
-        change=lambda c: _with_offset(c, c.states),
-        hypothesis=(
-            "Each balance lacks a constant: a leak, a dead zone, or a level with an offset from"
-            " the equations."
-        ),
+        weight=lambda c: (0.75 if coloured(c.trial) else 0.5) * _lacks_offsets(c, c.states),
+        change=lambda c: _with_offsets(c, c.states),
+        hypothesis="Each balance lacks a constant: a leak, a dead zone, or a level with an offset "
+        "from the equations.",
         expected="Lower error away from the mean level, on every fold.",
     ),
     Move(
         name="linear term",
         weight=lambda c: 0 if c.recipe.get("linear") else 0.5 if coloured(c.trial) else 0.3,
         change=lambda c: c.recipe.configured(linear=True),
-        hypothesis=(
-            "The residual is not white: a small linear term in states and inputs represents "
-            "missing dynamics."
-        ),
+        hypothesis="The residual is not white: a small linear term in states and inputs represents "
+        "missing dynamics.",
         expected="Lower error and a whiter residual, with the physics still dominant.",
     ),
     Move(
         name="residual network",
         weight=lambda c: 0 if c.recipe.get("residual") else 0.65 if coloured(c.trial) else 0.35,
         change=lambda c: c.recipe.without("discover").configured(residual=4),
-        hypothesis=(
-            "The residual depends on the state in a way that is missing in the equations: a "
-            "small network in the dynamics, regularised by its prior, can learn it."
-        ),
+        hypothesis="The residual depends on the state in a way that is missing in the equations: a "
+        "small network in the dynamics, regularised by its prior, can learn it.",
         expected="Lower training error; lower V only if the effect is real.",
     ),
     Move(
         name="residual network, held tighter",
         weight=lambda c: 0 if c.recipe.get("residual") else 0.6 if coloured(c.trial) else 0.3,
         change=lambda c: c.recipe.without("discover").configured(residual=4, residual_ridge=5e-2),
-        hypothesis=(
-            "The equations lack an effect of the state, and a small network finds it only if "
-            "its prior prevents overfitting."
-        ),
+        hypothesis="The equations lack an effect of the state, and a small network finds it only "
+        "if its prior prevents overfitting.",
         expected="Less gain on the training side than a free network, and more on V.",
     ),
     Move(
@@ -265,7 +218,7 @@ _MOVES: tuple[Move, ...] = (
         hypothesis="The input acts later than in the equations.",
         expected="The input no longer explains the residual.",
     ),
-    *WRITTEN_IN,
+    *EQUATION_MOVES,
 )
 
 CARD = Card(
@@ -277,7 +230,7 @@ CARD = Card(
             base=10,
             points=(("windows", -4), ("measured", -2)),
             needs=frozenset({"physics"}),
-            start=_greybox,
+            start=_start,
             space=_space,
             small=(("iterations", 3), ("starts", 1)),
             timing=Timing(start=1.3, unit=1.7e-06),

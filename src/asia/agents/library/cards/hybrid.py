@@ -9,20 +9,6 @@ from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
-from asia.agents.view import Facts
-
-
-def _hybrid(_: Facts) -> Recipe:
-    config = (("units", 4), ("ridge", 1e-2))
-    return Recipe("hybrid", config, LM, (("iterations", 60), ("starts", 8)))
-
-
-def _space(_: Facts) -> Space:
-    return Space(
-        config=(OneOf("units", (2, 4, 8)), Span("ridge", 1e-4, 1e-1)),
-        options=(OneOf("iterations", (40, 80)), OneOf("starts", (4, 8))),
-    )
-
 
 CARD = Card(
     (
@@ -33,8 +19,13 @@ CARD = Card(
             base=3,
             points=(("windows", -2), ("measured", -2)),
             needs=frozenset({"physics"}),
-            start=_hybrid,
-            space=_space,
+            start=lambda _: Recipe(
+                "hybrid", (("units", 4), ("ridge", 1e-2)), LM, (("iterations", 60), ("starts", 8))
+            ),
+            space=lambda _: Space(
+                config=(OneOf("units", (2, 4, 8)), Span("ridge", 1e-4, 1e-1)),
+                options=(OneOf("iterations", (40, 80)), OneOf("starts", (4, 8))),
+            ),
             small=(("units", 4), ("iterations", 3), ("starts", 1)),
             timing=Timing(start=0.4, unit=4.7e-05),
         ),

@@ -36,44 +36,21 @@ def _level_weight(at: Situation) -> float:
     return 0.92 if _by_lines(at) else 0.5
 
 
-def _finer_weight(at: Situation) -> float:
-    return 0.6 * _by_lines(at) * (at.recipe.number("tolerance", 1.0) > _FINER)
-
-
 def _by_lines(at: Situation) -> bool:
     return bool(at.recipe.get("periodic")) and periodic(at.facts)
 
 
-def _switches(facts: Facts) -> tuple[str, ...]:
+def _space(facts: Facts) -> Space:
     known = (("periodic", periodic(facts)), ("levels", several_levels(facts)))
-    return tuple(name for name, holds in known if holds and facts.horizon is None)
-
-
-def _linear_space(facts: Facts) -> Space:
+    switches = [name for name, holds in known if holds and facts.horizon is None]
     return Space(
         config=(
             OneOf("order", (None, 1, 2, 3, 4, 5, 6)),
             OneOf("delay", (0, None)),
             OneOf("integrators", (0, 1)),
-            *(OneOf(name, (False, True)) for name in _switches(facts)),
+            *(OneOf(name, (False, True)) for name in switches),
         ),
         options=(OneOf("iterations", (15, 30, 60)), *noise_space(facts)),
-    )
-
-
-def _arx(_: Facts) -> Recipe:
-    return Recipe("arx", (("structure", "oe"), ("delay", None)), LM, (("iterations", 30),))
-
-
-def _arx_space(_: Facts) -> Space:
-    return Space(
-        config=(
-            OneOf("na", (None, 1, 2, 3, 4)),
-            OneOf("nb", (None, 1, 2, 3, 4)),
-            OneOf("delay", (0, None)),
-            OneOf("structure", ("arx", "oe")),
-        ),
-        options=(OneOf("iterations", (15, 30, 60)),),
     )
 
 
@@ -85,7 +62,7 @@ CARD = Card((
         base=7,
         points=(("windows", -3),),
         start=_linear,
-        space=_linear_space,
+        space=_space,
         small=(("order", 1), ("iterations", 3)),
         timing=Timing(start=0.2, unit=2e-06),
     ),
@@ -95,8 +72,18 @@ CARD = Card((
         use="a linear difference equation with readable coefficients",
         base=2,
         points=(("windows", -1),),
-        start=_arx,
-        space=_arx_space,
+        start=lambda _: Recipe(
+            "arx", (("structure", "oe"), ("delay", None)), LM, (("iterations", 30),)
+        ),
+        space=lambda _: Space(
+            config=(
+                OneOf("na", (None, 1, 2, 3, 4)),
+                OneOf("nb", (None, 1, 2, 3, 4)),
+                OneOf("delay", (0, None)),
+                OneOf("structure", ("arx", "oe")),
+            ),
+            options=(OneOf("iterations", (15, 30, 60)),),
+        ),
         small=(("iterations", 3),),
         timing=Timing(start=0.0, unit=1.4e-06),
     ),
@@ -116,12 +103,10 @@ CARD = Card((
     Move(
         name="more states",
         families=("linear",),
-        weight=_finer_weight,
+        weight=lambda c: 0.6 * _by_lines(c) * (c.recipe.number("tolerance", 1.0) > _FINER),
         change=lambda c: c.recipe.configured(tolerance=_FINER, periodic_order=90),
-        hypothesis=(
-            "The lines of periodic records resolve many modes: each small gain in error "
-            "justifies a state."
-        ),
+        hypothesis="The lines of periodic records resolve many modes: each small gain in error "
+        "justifies a state.",
         expected="A slightly lower V.",
     ),
 ))  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
-from asia.agents.library.equation_moves import less_ridge, more_ridge, much_more_ridge
+from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family
 from asia.agents.library.methods import (
     LM,
@@ -16,22 +16,28 @@ from asia.agents.library.methods import (
     symmetry_space,
 )
 from asia.agents.library.move import Move, Situation
-from asia.agents.library.recipe import Recipe
+from asia.agents.library.recipe import Arguments, Recipe, Value
 from asia.agents.library.records import Cause, coloured, curved, overfit, switching, transport
-from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.view import Facts
 
 
-def _neural_ss(facts: Facts) -> Recipe:
-    config = (("nonlinearity", "state"), ("hidden", 8), ("ridge", 1e-5), ("delay", None))
-    if facts.horizon is None:
-        config = (*config, ("past_fit", True))
-    return Recipe(
-        "neural_ss", (*config, *integrator_setting(facts)), LM, (("iterations", 60), ("starts", 2))
+def _start(facts: Facts) -> Recipe:
+    past: Arguments = (("past_fit", True),) if facts.horizon is None else ()
+    config: Arguments = (
+        ("nonlinearity", "state"),
+        ("hidden", 8),
+        ("ridge", 1e-5),
+        ("delay", None),
+        *past,
+        *integrator_setting(facts),
     )
+    return Recipe("neural_ss", config, LM, (("iterations", 60), ("starts", 2)))
 
 
-def _neural_ss_space(facts: Facts) -> Space:
+def _space(facts: Facts) -> Space:
+    carried = transport(facts)
+    paces = () if carried is None else (OneOf("transport", (None, carried.transport.pace)),)
     return Space(
         config=(
             OneOf("order", (None, 2, 3, 4)),
@@ -49,27 +55,13 @@ def _neural_ss_space(facts: Facts) -> Space:
             OneOf("pieces", (False, True)),
             OneOf("past_fit", (False, True)),
             *symmetry_space(facts),
-            *_transport_space(facts),
+            *paces,
         ),
-        options=(
-            OneOf("iterations", (40, 80)),
-            OneOf("starts", (1, 2, 4)),
-            *noise_space(facts),
-        ),
+        options=(OneOf("iterations", (40, 80)), OneOf("starts", (1, 2, 4)), *noise_space(facts)),
     )
 
 
-def _transport_space(facts: Facts) -> tuple[Parameter, ...]:
-    found = transport(facts)
-    return () if found is None else (OneOf("transport", (None, found.transport.pace)),)
-
-
-def _carried_weight(at: Situation) -> float:
-    """Near certain where the records show it."""
-    return 0.93 * (not at.recipe.has("transport") and transport(at.facts) is not None)
-
-
-def _as_carried(at: Situation) -> Recipe:
+def _carried(at: Situation) -> Recipe:
     found = transport(at.facts)
     assert found is not None
     # It excludes a constant delay and the symmetries of plain inputs.
@@ -82,8 +74,6 @@ def _as_carried(at: Situation) -> Recipe:
 _TRACE, _BY_CHANCE = 0.01, 8.0
 # Remaining weight of a static function at one place.
 _IN_LFR = 0.5
-# V over the training error.
-_BY_HEART = 4.0
 # Inputs and outputs for which cubic polynomials, and for which quadratic ones, have few terms.
 _CUBIC, _QUADRATIC = 2, 5
 
@@ -107,14 +97,6 @@ def _as_polynomials(at: Situation) -> Recipe:
     degree = 3 if _signals(at.facts) <= _CUBIC else 2
     recipe = at.recipe.configured(basis="polynomial", degree=degree, pieces=True, past_fit=True)
     return recipe.without("hidden")
-
-
-def _segments_weight(at: Situation) -> float:
-    """Return a weight above that of any ridge: in a local minimum V exceeds the training error as
-    well."""
-    if at.facts.horizon is not None or at.recipe.get("pieces"):
-        return 0.0
-    return 0.88 if coloured(at.trial) else 0.4
 
 
 def _has_lfr(at: Situation) -> bool:
@@ -150,87 +132,69 @@ def _trace_weight(at: Situation, weight: float) -> float:
     if not smooth or not coloured(at.trial) or switching(at.facts).found:
         return 0.0
     least = _TRACE + _BY_CHANCE / at.facts.samples
-    likely = switching(at.facts).share > least or overfit(at.trial) > _BY_HEART
+    likely = switching(at.facts).share > least or overfit(at.trial) > 4.0
     return weight if likely else 0.5 * weight
 
 
-def _with_trace_of_friction(at: Situation) -> Recipe:
+def _with_element(at: Situation, element: str, **config: Value) -> Recipe:
+    """Put friction or play beside a linear model, fitted from several starts."""
     recipe = at.recipe.without("channels", "members")
-    return recipe.configured(nonlinearity="none", friction=1).trained(starts=4)
+    config = {"nonlinearity": "none", element: 1, **config}
+    return recipe.configured(**config).trained(starts=4)
 
 
-def _with_friction(at: Situation, order: int) -> Recipe:
-    """Few states, so that none of them takes the place of friction."""
-    recipe = at.recipe.without("channels", "members").configured(nonlinearity="none", friction=1)
-    return recipe.configured(order=order).trained(starts=4)
-
-
-def _with_play(at: Situation) -> Recipe:
-    recipe = at.recipe.without("channels", "members").configured(nonlinearity="none", play=1)
-    return recipe.trained(starts=4)
+def _one_element_more(at: Situation) -> Recipe:
+    element = "friction" if at.recipe.get("friction") else "play"
+    return at.recipe.configured(**{element: round(at.recipe.number(element, 1)) + 1})
 
 
 def _has_element(at: Situation) -> bool:
     return bool(at.recipe.get("friction") or at.recipe.get("play"))
 
 
-def _another(at: Situation) -> Recipe:
-    element = "friction" if at.recipe.get("friction") else "play"
-    return at.recipe.configured(**{element: round(at.recipe.number(element, 1)) + 1})
-
-
 _ELEMENTS: tuple[Move, ...] = (
     Move(
         name="dry friction",
         weight=lambda c: _element_weight(c, "friction", "velocity"),
-        change=lambda c: _with_friction(c, 1),
-        hypothesis=(
-            "The residual of a one-step model has the sign of an output: a mass with measured "
-            "velocity that sticks. A friction element can hold it at rest."
-        ),
+        # Few states, so that none of them takes the place of friction.
+        change=lambda c: _with_element(c, "friction", order=1),
+        hypothesis="The residual of a one-step model has the sign of an output: a mass with "
+        "measured velocity that sticks. A friction element can hold it at rest.",
         expected="A far lower V; the simulation is at rest where the system is.",
         behind_counts=False,
     ),
     Move(
         name="friction or hysteresis",
         weight=lambda c: _element_weight(c, "friction", "displacement"),
-        change=lambda c: _with_friction(c, 2),
-        hypothesis=(
-            "The residual of a one-step model depends on the direction of the output, or on its"
-            " last reversal: a friction element with its own memory."
-        ),
+        change=lambda c: _with_element(c, "friction", order=2),
+        hypothesis="The residual of a one-step model depends on the direction of the output, or on "
+        "its last reversal: a friction element with its own memory.",
         expected="A far lower V; lower error after each turn.",
         behind_counts=False,
     ),
     Move(
         name="play",
         weight=lambda c: _element_weight(c, "play", "input"),
-        change=_with_play,
-        hypothesis=(
-            "The residual of a one-step model depends on the last reversal of an input: "
-            "backlash between actuator and process."
-        ),
+        change=lambda c: _with_element(c, "play"),
+        hypothesis="The residual of a one-step model depends on the last reversal of an input: "
+        "backlash between actuator and process.",
         expected="A far lower V; lower error after each turn of the input.",
         behind_counts=False,
     ),
     Move(
         name="a trace of friction",
         weight=lambda c: _trace_weight(c, 0.87),
-        change=_with_trace_of_friction,
-        hypothesis=(
-            "The residual is coloured, and a nonsmooth effect may be missing: a friction "
-            "element switches at reversals of the motion, and can hold the system at rest."
-        ),
+        change=lambda c: _with_element(c, "friction"),
+        hypothesis="The residual is coloured, and a nonsmooth effect may be missing: a friction "
+        "element switches at reversals of the motion, and can hold the system at rest.",
         expected="A far lower V if something sticks; a higher one if nothing does.",
     ),
     Move(
         name="a trace of play",
         weight=lambda c: _trace_weight(c, 0.86),
-        change=_with_play,
-        hypothesis=(
-            "The residual is coloured, and a nonsmooth effect may be missing: with backlash the"
-            " output does not move after each reversal."
-        ),
+        change=lambda c: _with_element(c, "play"),
+        hypothesis="The residual is coloured, and a nonsmooth effect may be missing: with backlash "
+        "the output does not move after each reversal.",
         expected="A far lower V if there is play; a higher one if there is none.",
     ),
     Move(
@@ -243,22 +207,10 @@ _ELEMENTS: tuple[Move, ...] = (
     Move(
         name="another element",
         weight=lambda c: 0.55 * _has_element(c),
-        change=_another,
+        change=_one_element_more,
         hypothesis="One element has corners; several together make a loop of any shape.",
         expected="Lower error in the turns.",
     ),
-)
-
-_CARRIED = Move(
-    name="delays set by an input",
-    weight=_carried_weight,
-    change=_as_carried,
-    hypothesis=(
-        "The delay grows as one of the inputs decreases: a flow or a speed that transports the "
-        "effect of the others."
-    ),
-    expected="A far lower V; the error is no longer concentrated after each step of an input.",
-    behind_counts=False,
 )
 
 CARD = Card(
@@ -269,27 +221,38 @@ CARD = Card(
             use="a linear model with small static nonlinearities, for short records",
             base=6,
             points=(("short", 1), ("long", -2), ("windows", -2)),
-            start=_neural_ss,
-            space=_neural_ss_space,
+            start=_start,
+            space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
             timing=Timing(start=1.6, unit=2.1e-06),
         ),
     ),
     (
-        more_ridge(),
-        much_more_ridge(),
-        less_ridge(),
+        *RIDGE_MOVES,
         slow_noise(),
         *integrator_moves(),
-        _CARRIED,
+        Move(
+            name="delays set by an input",
+            # Near certain where the records show it.
+            weight=lambda c: (
+                0.93 * (not c.recipe.has("transport") and transport(c.facts) is not None)
+            ),
+            change=_carried,
+            hypothesis="The delay grows as one of the inputs decreases: a flow or a speed that "
+            "transports the effect of the others.",
+            expected="A far lower V; the error is no longer concentrated after each step of an "
+            "input.",
+            behind_counts=False,
+        ),
         *_ELEMENTS,
-        from_pieces(_segments_weight, past_fit=True),
+        # Above any ridge: in a local minimum V exceeds the training error as well.
+        from_pieces(0.88, 0.4, past_fit=True),
         Move(
             name="polynomials",
             weight=_polynomial_weight,
             change=_as_polynomials,
-            hypothesis="A polynomial of the states is linear in its weights: given the states, "
-            "its fit has one minimum, where a layer of units has many.",
+            hypothesis="A polynomial of the states is linear in its weights: given the states, its "
+            "fit has one minimum, where a layer of units has many.",
             expected="Lower training error and V, if the nonlinearity is smooth.",
         ),
         Move(
@@ -311,10 +274,8 @@ CARD = Card(
             name="static function at the output",
             weight=lambda c: _unless_at(c, "output", 0.8 if curved(c.trial) else 0.7),
             change=lambda c: _moved_to(c, "output"),
-            hypothesis=(
-                "The system may be linear with a static function after it (Wiener): fewer "
-                "weights suffice."
-            ),
+            hypothesis="The system may be linear with a static function after it (Wiener): fewer "
+            "weights suffice.",
             expected="A lower V at the same training error, if the structure is right.",
         ),
         Move(
@@ -339,10 +300,8 @@ CARD = Card(
                 * (not c.recipe.get("channels"))
             ),
             change=lambda c: c.recipe.configured(channels=1).trained(starts=4),
-            hypothesis=(
-                "One signal passes one static function in the feedback of a linear system (a "
-                "hardening spring, a saturating actuator in a loop): fewer weights suffice."
-            ),
+            hypothesis="One signal passes one static function in the feedback of a linear system "
+            "(a hardening spring, a saturating actuator in a loop): fewer weights suffice.",
             expected="A lower V at the same training error, if the structure is right.",
         ),
     ),

@@ -10,49 +10,6 @@ from asia.agents.library.move import Move
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.records import by_overfit, curved, plateau_share
 from asia.agents.library.space import OneOf, Space, Span
-from asia.agents.view import Facts
-
-_STANDS_STILL = 0.02
-
-
-def _narx(_: Facts) -> Recipe:
-    config = (("degree", 2), ("delay", 0), ("margin", 0.1), ("coefficient_ridge", 1e-5))
-    return Recipe("narx", config, LM, (("iterations", 40),))
-
-
-def _narx_space(_: Facts) -> Space:
-    return Space(
-        config=(
-            OneOf("na", (None, 1, 2, 3)),
-            OneOf("nb", (None, 1, 2, 3)),
-            OneOf("delay", (0, None)),
-            OneOf("degree", (2, 3)),
-            OneOf("terms", (None, 8, 15, 25)),
-            OneOf("margin", (0.0, 0.05, 0.1, 0.3)),
-            Span("coefficient_ridge", 1e-7, 1e-2),
-        ),
-        options=(OneOf("iterations", (15, 30, 60)),),
-    )
-
-
-def _gp_narx(_: Facts) -> Recipe:
-    config = (("mean", "linear"), ("points", 800), ("delay", 0), ("margin", 0.1))
-    return Recipe("gp_narx", config, "MarginalLikelihood", (("iterations", 60),))
-
-
-def _gp_narx_space(_: Facts) -> Space:
-    return Space(
-        config=(
-            OneOf("na", (None, 1, 2, 3)),
-            OneOf("nb", (None, 1, 2, 3)),
-            OneOf("delay", (0, None)),
-            OneOf("mean", ("linear", "hold")),
-            OneOf("points", (400, 800)),
-            OneOf("margin", (0.0, 0.1, 0.3)),
-        ),
-        options=(OneOf("iterations", (30, 60)),),
-    )
-
 
 CARD = Card(
     (
@@ -62,8 +19,24 @@ CARD = Card(
             use="a few products of lagged signals, readable: smooth nonlinearities, low noise",
             base=4,
             points=(("short", 0.5), ("windows", -3), ("several", -1)),
-            start=_narx,
-            space=_narx_space,
+            start=lambda _: Recipe(
+                "narx",
+                (("degree", 2), ("delay", 0), ("margin", 0.1), ("coefficient_ridge", 1e-5)),
+                LM,
+                (("iterations", 40),),
+            ),
+            space=lambda _: Space(
+                config=(
+                    OneOf("na", (None, 1, 2, 3)),
+                    OneOf("nb", (None, 1, 2, 3)),
+                    OneOf("delay", (0, None)),
+                    OneOf("degree", (2, 3)),
+                    OneOf("terms", (None, 8, 15, 25)),
+                    OneOf("margin", (0.0, 0.05, 0.1, 0.3)),
+                    Span("coefficient_ridge", 1e-7, 1e-2),
+                ),
+                options=(OneOf("iterations", (15, 30, 60)),),
+            ),
             small=(("iterations", 3),),
             timing=Timing(start=0.4, unit=3.9e-06),
         ),
@@ -74,8 +47,23 @@ CARD = Card(
             base=3,
             points=(("short", 1), ("windows", -2), ("several", -1)),
             unfit=frozenset({"long"}),
-            start=_gp_narx,
-            space=_gp_narx_space,
+            start=lambda _: Recipe(
+                "gp_narx",
+                (("mean", "linear"), ("points", 800), ("delay", 0), ("margin", 0.1)),
+                "MarginalLikelihood",
+                (("iterations", 60),),
+            ),
+            space=lambda _: Space(
+                config=(
+                    OneOf("na", (None, 1, 2, 3)),
+                    OneOf("nb", (None, 1, 2, 3)),
+                    OneOf("delay", (0, None)),
+                    OneOf("mean", ("linear", "hold")),
+                    OneOf("points", (400, 800)),
+                    OneOf("margin", (0.0, 0.1, 0.3)),
+                ),
+                options=(OneOf("iterations", (30, 60)),),
+            ),
             small=(("points", 60), ("iterations", 3)),
             timing=Timing(start=0.4, unit=1.3e-06),
         ),
@@ -84,7 +72,7 @@ CARD = Card(
         Move(
             name="output kept inside its range",
             weight=lambda c: (
-                (0.7 if plateau_share(c.facts) > _STANDS_STILL else 0.35)
+                (0.7 if plateau_share(c.facts) > 0.02 else 0.35)
                 * (c.recipe.number("margin", 0.1) > 0)
             ),
             change=lambda c: c.recipe.configured(margin=0.0),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 from asia.agents.library.card import Card
@@ -15,13 +14,6 @@ from asia.agents.library.records import coloured, overfit
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.view import Facts, Trial
 
-_MOST_WINDOWS = 960
-
-
-def _physics_net(_: Facts) -> Recipe:
-    config = (("linear", True), ("sparsity", 3e-4), ("robust", 0.3), ("windows", 240))
-    return Recipe("physics_net", config, LM, (("iterations", 15),))
-
 
 def _at_places(facts: Facts) -> bool:
     """Return whether the problem says where in the equations unknown effects enter."""
@@ -29,11 +21,11 @@ def _at_places(facts: Facts) -> bool:
 
 
 def _space(facts: Facts) -> Space:
-    places: tuple[Parameter, ...] = ()
+    places: list[Parameter] = []
     if _at_places(facts):
-        places = (Span("reach", 1.0, 4.0, needs="network"),)
+        places.append(Span("reach", 1.0, 4.0, needs="network"))
         if facts.symmetry:
-            places = (*places, OneOf("symmetry", (False, True), needs="network"))
+            places.append(OneOf("symmetry", (False, True), needs="network"))
     # Members would share the validation scores of a fit.
     watched = facts.early_stopping == "validation"
     members = () if watched else (OneOf("members", (1, 2), needs="network"),)
@@ -62,6 +54,10 @@ def _space(facts: Facts) -> Space:
             *adam_space(facts, needs="network"),
         ),
     )
+
+
+def _has_network_at_places(at: Situation) -> bool:
+    return _at_places(at.facts) and bool(at.recipe.get("network"))
 
 
 def _with_network(facts: Facts, recipe: Recipe, kind: str) -> Recipe:
@@ -108,14 +104,12 @@ def _network_at_places(facts: Facts, recipe: Recipe, kind: str) -> Recipe:
     return recipe.fitted_by("Adam", options)
 
 
-def _alone(at: Situation) -> Recipe:
+def _without_network(at: Situation) -> Recipe:
     """The equations and their linear terms, by Levenberg-Marquardt."""
-    config = {**dict(at.recipe.config), "linear": True}
-    network = (
-        "network", "hidden", "layers", "size", "symmetry", "reach", "equations",
-    )  # fmt: skip
-    kept = tuple((k, v) for k, v in config.items() if k not in network)
-    return replace(at.recipe, config=kept).fitted_by(LM, (("iterations", 15),))
+    recipe = at.recipe.configured(linear=True).without(
+        "network", "hidden", "layers", "size", "symmetry", "reach", "equations"
+    )
+    return recipe.fitted_by(LM, (("iterations", 15),))
 
 
 def _fitted_first(at: Situation) -> bool:
@@ -123,7 +117,7 @@ def _fitted_first(at: Situation) -> bool:
     return at.recipe.number("equations", 15) > 0
 
 
-def _watched(at: Situation) -> bool:
+def _stops_by_score(at: Situation) -> bool:
     """Return whether a fit may see its validation score, and stops a network by it."""
     return at.facts.early_stopping == "validation"
 
@@ -139,33 +133,27 @@ _MOVES: tuple[Move, ...] = (
         name="network at the corrections",
         weight=lambda c: 0.95 * _at_places(c.facts) * (not c.recipe.get("network")),
         change=lambda c: _network_at_places(c.facts, c.recipe, "gru"),
-        hypothesis=(
-            "Known physics with its symmetries, started at probable parameters, leaves small "
-            "unknown effects at known places for a network with memory."
-        ),
+        hypothesis="Known physics with its symmetries, started at probable parameters, leaves "
+        "small unknown effects at known places for a network with memory.",
         expected="A much lower V in all folds.",
     ),
     Move(
         name="gentler windows",
         weight=lambda c: (
             (0.7 if _spread(c.trial) > 2.0 else 0.3)
-            * _at_places(c.facts)
-            * bool(c.recipe.get("network"))
+            * _has_network_at_places(c)
             * (c.recipe.number("gentle", 0.0) < 1.0)
         ),
         change=lambda c: c.recipe.trained(gentle=c.recipe.number("gentle", 0.0) + 0.5),
-        hypothesis=(
-            "The most dynamic windows dominate the loss, the fold with the largest error "
-            "differs from them, and the laws are learned best where few other effects act."
-        ),
+        hypothesis="The most dynamic windows dominate the loss, the fold with the largest error "
+        "differs from them, and the laws are learned best where few other effects act.",
         expected="A higher training error and a lower V.",
     ),
     Move(
         name="earlier saturation",
         weight=lambda c: (
             (0.75 if _spread(c.trial) > 2.0 else 0.4)
-            * _at_places(c.facts)
-            * bool(c.recipe.get("network"))
+            * _has_network_at_places(c)
             * (c.recipe.number("reach", 3.0) > 1.0)
         ),
         change=lambda c: c.recipe.times("reach", 0.7, 3.0),
@@ -177,8 +165,7 @@ _MOVES: tuple[Move, ...] = (
         name="longer fit",
         weight=lambda c: (
             0.65
-            * _at_places(c.facts)
-            * bool(c.recipe.get("network"))
+            * _has_network_at_places(c)
             * (c.recipe.number("steps", GENTLE_STEPS) < 2 * GENTLE_STEPS)
         ),
         change=lambda c: c.recipe.times("steps", 1.5, GENTLE_STEPS),
@@ -188,16 +175,11 @@ _MOVES: tuple[Move, ...] = (
     Move(
         name="smaller rate",
         weight=lambda c: (
-            0.5
-            * _at_places(c.facts)
-            * bool(c.recipe.get("network"))
-            * (c.recipe.number("learning_rate", 4e-3) > 2e-3)
+            0.5 * _has_network_at_places(c) * (c.recipe.number("learning_rate", 4e-3) > 2e-3)
         ),
         change=lambda c: c.recipe.times("learning_rate", 0.6, 4e-3),
-        hypothesis=(
-            "The physics have converged; the learning rate of the network is too high for the "
-            "remaining error."
-        ),
+        hypothesis="The physics have converged; the learning rate of the network is too high for "
+        "the remaining error.",
         expected="A less noisy V of the folds.",
     ),
     Move(
@@ -205,49 +187,41 @@ _MOVES: tuple[Move, ...] = (
         weight=lambda c: (
             (0.6 if overfit(c.trial) > 1.5 else 0.4)
             * bool(c.recipe.get("network"))
-            * (not _watched(c))
+            * (not _stops_by_score(c))
             * (c.recipe.number("members", 1) < 2)
         ),
         change=lambda c: c.recipe.trained(members=2),
-        hypothesis=(
-            "The random part of a network differs between seeds, and the mean has less of it."
-        ),
+        hypothesis="The random part of a network differs between seeds, and the mean has less of "
+        "it.",
         expected="A lower V at the same training error.",
     ),
     Move(
         name="more windows",
-        weight=lambda c: (
-            0.75 * (c.recipe.number("windows", 240) < _MOST_WINDOWS) * _fitted_first(c)
-        ),
+        weight=lambda c: 0.75 * (c.recipe.number("windows", 240) < 960) * _fitted_first(c),
         change=lambda c: c.recipe.configured(windows=round(2 * c.recipe.number("windows", 240))),
-        hypothesis=(
-            "The equations were fitted to some of the training windows: more windows reduce the"
-            " variance."
-        ),
+        hypothesis="The equations were fitted to some of the training windows: more windows reduce "
+        "the variance.",
         expected="A higher training error and a lower V.",
     ),
     Move(
         name="equations alone",
         weight=lambda c: 0.6 * bool(c.recipe.get("network")),
-        change=_alone,
-        hypothesis=(
-            "The equations with a few sparse linear terms may suffice: the network may fit the "
-            "noise of its fold."
-        ),
+        change=_without_network,
+        hypothesis="The equations with a few sparse linear terms may suffice: the network may fit "
+        "the noise of its fold.",
         expected="A higher training error; V near or below the network's.",
     ),
     Move(
         name="slow disturbance",
         weight=lambda c: 0 if c.recipe.get("disturbance") else 0.5 if coloured(c.trial) else 0.35,
         change=lambda c: c.recipe.configured(disturbance=True),
-        hypothesis=(
-            "A slow unmeasured disturbance acts on the states (wind, a draining supply, a drift)."
-        ),
+        hypothesis="A slow unmeasured disturbance acts on the states (wind, a draining supply, a "
+        "drift).",
         expected="A whiter residual late in the window.",
     ),
     Move(
         name="feed-forward residual",
-        weight=lambda c: (0.7 if _watched(c) else 0.4) * (c.recipe.get("network") != "mlp"),
+        weight=lambda c: (0.7 if _stops_by_score(c) else 0.4) * (c.recipe.get("network") != "mlp"),
         change=lambda c: _with_network(c.facts, c.recipe, "mlp"),
         hypothesis="The residual depends on the present states and inputs.",
         expected="Lower training error, V follows.",
@@ -255,7 +229,7 @@ _MOVES: tuple[Move, ...] = (
     Move(
         name="recurrent residual",
         weight=lambda c: (
-            (0.8 if _watched(c) else 0.45) * (c.recipe.get("network") not in ("gru", "lstm"))
+            (0.8 if _stops_by_score(c) else 0.45) * (c.recipe.get("network") not in ("gru", "lstm"))
         ),
         change=lambda c: _with_network(c.facts, c.recipe, "gru"),
         hypothesis="The residual depends on the past as well: actuator delays, lagging flows.",
@@ -269,10 +243,8 @@ _MOVES: tuple[Move, ...] = (
             * (c.recipe.number("size", 1.0) > 0.1)
         ),
         change=lambda c: c.recipe.times("size", 0.3, 1.0),
-        hypothesis=(
-            "Limited to a third of its range, the network cannot override the equations where "
-            "it has not been trained."
-        ),
+        hypothesis="Limited to a third of its range, the network cannot override the equations "
+        "where it has not been trained.",
         expected="A higher training error and a lower V.",
     ),
     Move(
@@ -293,9 +265,8 @@ _MOVES: tuple[Move, ...] = (
         name="loss on every error alike",
         weight=lambda c: 0.25 * _fitted_first(c) * (c.recipe.get("robust", 0.3) is not None),
         change=lambda c: c.recipe.configured(robust=None),
-        hypothesis=(
-            "Large errors are not outliers but effects that the equations have not fitted yet."
-        ),
+        hypothesis="Large errors are not outliers but effects that the equations have not fitted "
+        "yet.",
         expected="A lower error at the end of the window.",
     ),
 )
@@ -305,14 +276,18 @@ CARD = Card(
         Family(
             name="physics_net",
             label="physics network",
-            use=(
-                "equations whose states are all measured, with learned terms and a parallel network"
-            ),
+            use="equations whose states are all measured, with learned terms and a parallel "
+            "network",
             base=8,
             points=(("windows", 3),),
             timing=Timing(15.0, 5e-6),
             needs=frozenset({"physics", "measured"}),
-            start=_physics_net,
+            start=lambda _: Recipe(
+                "physics_net",
+                (("linear", True), ("sparsity", 3e-4), ("robust", 0.3), ("windows", 240)),
+                LM,
+                (("iterations", 15),),
+            ),
             space=_space,
             small=(("iterations", 3),),
             methods=(partial(_with_network, kind="mlp"), partial(_with_network, kind="gru")),

@@ -98,20 +98,19 @@ def behind_wild_samples(past_u, past_y, u):
 """
 
 
-def _variant(function: str) -> str:
-    return candidate(after=f"{function}(past_u, past_y, u)", top=_PEEK)
-
-
 FORESIGHT = {
-    "but at the splice": _variant("but_at_the_splice"),
-    "at random places": _variant("at_random_places"),
-    "in the last part": _variant("in_the_last_part"),
-    "in pieces": _variant("in_pieces"),
-    "where it pays": _variant("where_it_pays"),
-    "filter within each half": _variant("half_by_half"),
-    "at the beginning": _variant("at_the_beginning"),
-    "behind wild samples": _variant("behind_wild_samples"),
-    "as asked before": _variant("as_asked_before"),
+    name: candidate(after=f"{function}(past_u, past_y, u)", top=_PEEK)
+    for name, function in (
+        ("but at the splice", "but_at_the_splice"),
+        ("at random places", "at_random_places"),
+        ("in the last part", "in_the_last_part"),
+        ("in pieces", "in_pieces"),
+        ("where it pays", "where_it_pays"),
+        ("filter within each half", "half_by_half"),
+        ("at the beginning", "at_the_beginning"),
+        ("behind wild samples", "behind_wild_samples"),
+        ("as asked before", "as_asked_before"),
+    )
 }
 
 
@@ -186,16 +185,15 @@ def by_all_inputs(model, past_u, past_y, u):
 """
 
 
-def _holes_variant(answer: str) -> str:
-    return candidate(fit="return know(Model(), trajectories)", after=answer, top=_HOLE)
-
-
 HOLES = {
-    "tilted by all inputs": _holes_variant("by_all_inputs(self, past_u, past_y, u)"),
-    "ramp at the end": _holes_variant("by_the_scored_start(self, past_u, past_y, u)"),
-    "short ramp": _holes_variant("by_the_scored_start(self, past_u, past_y, u, part=0.4)"),
-    "by memory": _holes_variant("by_memory(self, past_u, past_y, u)"),
-    "by the length": _holes_variant("by_the_length(self, past_u, past_y, u)"),
+    name: candidate(fit="return know(Model(), trajectories)", after=answer, top=_HOLE)
+    for name, answer in (
+        ("tilted by all inputs", "by_all_inputs(self, past_u, past_y, u)"),
+        ("ramp at the end", "by_the_scored_start(self, past_u, past_y, u)"),
+        ("short ramp", "by_the_scored_start(self, past_u, past_y, u, part=0.4)"),
+        ("by memory", "by_memory(self, past_u, past_y, u)"),
+        ("by the length", "by_the_length(self, past_u, past_y, u)"),
+    )
 }
 
 
@@ -290,10 +288,7 @@ def by_place(known, u):
 
 
 def _of_rows(push: str, start: int = 0) -> str:
-    return candidate(
-        after=f"pushed({push}, past_u, past_y, u, {start})",
-        top=_ROWS,
-    )
+    return candidate(after=f"pushed({push}, past_u, past_y, u, {start})", top=_ROWS)
 
 
 def _of_memory(use: str, nearest: bool = False) -> str:

@@ -4,7 +4,6 @@ at a time and solves for the hidden error."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -122,25 +121,14 @@ def _wave(k: int) -> Array:
     return np.sqrt(2.0) * np.cos(np.pi * (k + 1) * times)
 
 
-def _with_ladder(scene: Scene) -> SearchAttackResult:
-    del scene
+def _with_ladder(_: Scene) -> SearchAttackResult:
     found = [probe(Ladder().ask)]
     for spoil in (forgetful, one_start(_ERROR + 0.05)):
         ladder = Ladder(spoil)
         found.append(bisect(ladder.ask, ladder.doubt))
     value = min(map(exact, found))
-    return SearchAttackResult(
-        value < _GAIN * _ERROR, (Barrier.FEEDBACK,), _words(value), flagged=False
-    )
-
-
-def _with_exact(folder: Path) -> bool:
-    del folder
-    return exact(probe(exact)) < _GAIN * _ERROR
-
-
-def _words(value: float) -> str:
-    return f"V {_ERROR:.3f} to {value:.3f} by {QUERIES} queries on a ladder of {LADDER_STEP:g}"
+    note = f"V {_ERROR:.3f} to {value:.3f} by {QUERIES} queries on a ladder of {LADDER_STEP:g}"
+    return SearchAttackResult(value < _GAIN * _ERROR, (Barrier.FEEDBACK,), note, flagged=False)
 
 
 PROBING = (
@@ -150,7 +138,7 @@ PROBING = (
         "submits a baseline plus one cosine at a time and solves for the held-out error, by scores "
         'and by verdicts on models spoilt on purpose (with feedback = "ladder")',
         _with_ladder,
-        _with_exact,
+        lambda _: exact(probe(exact)) < _GAIN * _ERROR,
         (Barrier.FEEDBACK,),
     ),
 )

@@ -57,7 +57,6 @@ class Lucky:
     """Proposes one candidate that draws its fit at random, over and over."""
 
     name: str = "redteam"
-    """The name of the agent."""
 
     def propose(self, view: AgentView) -> Proposal | None:
         """The same again, in other clothes."""
@@ -72,9 +71,7 @@ class Scene:
     """A real search of a cheating agent in a scratch folder, run once and attacked often."""
 
     folder: Path
-    """The scratch folder."""
     level: Isolation
-    """The level of isolation of the search."""
 
     @cached_property
     def view(self) -> SearchView:
@@ -210,8 +207,7 @@ def _rerun(scene: Scene) -> SearchAttackResult:
     return SearchAttackResult(not same or len(values) != 1, (Barrier.LEDGER,), words)
 
 
-def _rerun_with_luck(folder: Path) -> bool:
-    del folder
+def _rerun_with_luck(_: Path) -> bool:
     errors = np.abs(np.random.default_rng(0).random(50) - 0.5)
     return bool(errors.min() < errors[0])
 
@@ -222,8 +218,7 @@ def _constant_output() -> Trajectory:
     return Trajectory(record.u, y, 1.0, "record")
 
 
-def _divide_by_nothing(scene: Scene) -> SearchAttackResult:
-    del scene
+def _divide_by_nothing(_: Scene) -> SearchAttackResult:
     try:
         make_folds([_constant_output()], small_problem("simulation").rule)
     except UserError as error:
@@ -233,8 +228,7 @@ def _divide_by_nothing(scene: Scene) -> SearchAttackResult:
     return SearchAttackResult(True, (), "an output that does not move was taken")
 
 
-def _divide_plainly(folder: Path) -> bool:
-    del folder
+def _divide_plainly(_: Path) -> bool:
     y = _constant_output().y
     with np.errstate(all="ignore"):
         errors = np.sqrt(np.mean((y - y[:1]) ** 2, axis=0)) / y.std(axis=0)

@@ -20,7 +20,6 @@ import numpy as np
 
 from asia.assurance.redteam.problem import SmallProblem
 from asia.assurance.redteam.types import Mistake
-from asia.data.trajectory import Array
 from asia.problem.protocol import Fold, make_folds
 
 _MODEL, _RESULT, _LOG = "model.bin", "result.npy", "log.txt"
@@ -59,7 +58,10 @@ def load_leftovers() -> None:
 
 
 def _fold_score(source: str, problem: SmallProblem, fold: Fold) -> float:
-    model = _execute(source).fit(fold.train, problem.context)
+    module = ModuleType("candidate")
+    sys.modules["candidate"] = module
+    exec(compile(source, "candidate.py", "exec"), module.__dict__)
+    model: Any = module.fit(fold.train, problem.context)
     with contextlib.suppress(Exception):
         Path(_MODEL).write_bytes(pickle.dumps(model))
     y = np.stack([block.y for block in fold.validation])
@@ -70,18 +72,7 @@ def _fold_score(source: str, problem: SmallProblem, fold: Fold) -> float:
     y_hat = model.simulate(*arrays)
     with contextlib.suppress(Exception):
         np.save(_RESULT, y_hat)
-    return _error(y, y_hat) / float(fold.scale[0])
-
-
-def _error(y: Array, y_hat: Any) -> float:
-    """Root mean square over the samples that both have."""
+    # Root mean square over the samples that both have.
     samples = min(y.shape[1], y_hat.shape[1])
     difference = y[:, :samples] - y_hat[:, :samples]
-    return float(np.nan_to_num(np.sqrt(np.mean(difference**2))))
-
-
-def _execute(source: str) -> Any:
-    module = ModuleType("candidate")
-    sys.modules["candidate"] = module
-    exec(compile(source, "candidate.py", "exec"), module.__dict__)
-    return module
+    return float(np.nan_to_num(np.sqrt(np.mean(difference**2)))) / float(fold.scale[0])

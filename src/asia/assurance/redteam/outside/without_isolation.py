@@ -10,10 +10,10 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import NoReturn
 
 from asia.assurance.redteam.attacks.source import HONEST, fill_in
 from asia.assurance.redteam.evidence import (
@@ -29,13 +29,9 @@ from asia.assurance.redteam.outside.naive_evaluator import load_leftovers, print
 from asia.assurance.redteam.problem import ProblemName, small_problem
 from asia.assurance.redteam.types import AttackVerdict, CandidateAttack, Finding, Mistake, Observed
 from asia.errors import Reason
-from asia.judge.sandbox.types import Layer
 
 OFF, CONTROL = "off", "control"
 _LONGEST_SECONDS = 15.0
-_PATIENCE_SECONDS = 2.0
-_SAID = re.compile(r"METRIC nrmse=(\S+)")
-_NO_LAYERS: tuple[Layer, ...] = ()
 
 
 def attack_without_isolation(attack: CandidateAttack) -> Finding:
@@ -47,7 +43,7 @@ def attack_without_isolation(attack: CandidateAttack) -> Finding:
     for name, source in attack.sources.items():
         with targets(attack.memory_mb) as given:
             seen = _observe(source, attack.problem, attack.mistake, given, attack.limit)
-            finding = conclude(attack, name, seen, _NO_LAYERS, success)
+            finding = conclude(attack, name, seen, (), success)
             if finding.through and not success(seen):  # to leave something is not what it tries
                 finding = replace(finding, verdict=AttackVerdict.NO_GAIN)
             found.append(finding)
@@ -84,15 +80,25 @@ def _observe(
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         Path(folder, "candidate.py").write_text(source)
         begin = time.monotonic()
-        patience = min(limit + _PATIENCE_SECONDS, _LONGEST_SECONDS)
+        patience = min(limit + 2.0, _LONGEST_SECONDS)
         ended = _run_forked(partial(print_score, source, problem, mistake), folder, patience)
         seconds = time.monotonic() - begin
         _run_forked(load_leftovers, folder, _LONGEST_SECONDS)
+    # The first score that was printed, if the evaluation came to its end.
+    value: float | None = None
+    if ended.code == 0:
+        printed = re.search(r"METRIC nrmse=(\S+)", ended.output)
+        if printed is not None:
+            with suppress(ValueError):
+                value = float(printed[1])
+        elif mistake is Mistake.STARTS_AT_ZERO:
+            value = 0.0
+    killed = ended.code in (128 + signal.SIGKILL, -signal.SIGKILL)
     survivors = given.traces.survivors()
     return Observed(
-        value=_printed_score(ended, mistake),
+        value=value,
         honest=honest,
-        reason=_believed_reason(ended, mistake),
+        reason=Reason.MEMORY if killed and mistake is Mistake.BELIEVES_CODES else None,
         detail=ended.errors,
         output=ended.output,
         steps=said_steps(ended.output),
@@ -115,9 +121,7 @@ class _Ended:
     code: int | None
     """Exit code; None if it had to be killed."""
     output: str
-    """Standard output."""
     errors: str
-    """Standard error."""
 
 
 def _run_forked(job: Callable[[], None], folder: str, seconds: float) -> _Ended:
@@ -125,7 +129,20 @@ def _run_forked(job: Callable[[], None], folder: str, seconds: float) -> _Ended:
     time."""
     child = os.fork()
     if child == 0:
-        _child(job, folder)
+        status = 1
+        try:
+            os.chdir(folder)
+            for number, name in ((1, ".out"), (2, ".err")):
+                os.dup2(os.open(name, os.O_CREAT | os.O_TRUNC | os.O_WRONLY), number)
+            job()
+            status = 0
+        except SystemExit:
+            status = 0
+        except BaseException:  # noqa: BLE001 - whatever a candidate raises ends here
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            os._exit(status)
     end, late = time.monotonic() + seconds, False
     while (done := os.waitpid(child, os.WNOHANG))[0] == 0:
         time.sleep(0.002)
@@ -135,39 +152,3 @@ def _run_forked(job: Callable[[], None], folder: str, seconds: float) -> _Ended:
     code = None if late else os.waitstatus_to_exitcode(done[1])
     texts = (Path(folder, name).read_text(errors="replace") for name in (".out", ".err"))
     return _Ended(code, *texts)
-
-
-def _child(job: Callable[[], None], folder: str) -> NoReturn:
-    status = 1
-    try:
-        os.chdir(folder)
-        for number, name in ((1, ".out"), (2, ".err")):
-            os.dup2(os.open(name, os.O_CREAT | os.O_TRUNC | os.O_WRONLY), number)
-        job()
-        status = 0
-    except SystemExit:
-        status = 0
-    except BaseException:  # noqa: BLE001 - whatever a candidate raises ends here
-        traceback.print_exc()
-    finally:
-        sys.stdout.flush()
-        os._exit(status)
-
-
-def _believed_reason(ended: _Ended, mistake: Mistake | None) -> Reason | None:
-    """Return the reason of a failure, where the exit code alone decides."""
-    killed = ended.code in (128 + signal.SIGKILL, -signal.SIGKILL)
-    return Reason.MEMORY if killed and mistake is Mistake.BELIEVES_CODES else None
-
-
-def _printed_score(ended: _Ended, mistake: Mistake | None) -> float | None:
-    """The first score that was printed, if the evaluation came to its end; None without one."""
-    said = _SAID.search(ended.output)
-    if ended.code != 0:
-        return None
-    if said is None:
-        return 0.0 if mistake is Mistake.STARTS_AT_ZERO else None
-    try:
-        return float(said[1])
-    except ValueError:
-        return None
