@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import combinations_with_replacement, product
 from typing import Any, Generic, TypeVar
 
@@ -42,9 +43,6 @@ Terms = NDArray[np.intp]
 
 # Numbers in a block of Jacobian rows.
 _BLOCK = 4_000_000
-# Limit on the products in a Gauss-Newton matrix, and on its samples, at least and at most.
-_WORK = 1e10
-_SAMPLES = (1000, 10_000)
 
 
 @dataclass(frozen=True)
@@ -152,7 +150,7 @@ def refine(
 def refinement_samples(run: PolynomialRun) -> int:
     """Number of samples whose Gauss-Newton matrix is still cheap to make."""
     used = run.one_step.used
-    return int(np.clip(_WORK / (used.shape[1] * used.sum() ** 2), *_SAMPLES))
+    return int(np.clip(1e10 / (used.shape[1] * used.sum() ** 2), 1000, 10_000))
 
 
 def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[Array, Array]:
@@ -163,7 +161,13 @@ def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[A
     batch, ny = len(data), data.y.shape[2]
     rows, columns = np.nonzero(model.used)
     free = np.arange(len(rows))
-    slope = _Slope(model, lags.outputs * ny)
+    ones = np.ones((batch, 1))
+    newest = np.arange(1, lags.outputs * ny + 1)
+    # Derivatives of the outputs by the lagged outputs, apart from the other factors of a product.
+    maps = [
+        ((column[:, None] == newest)[:, None, :] * model.theta[:, :, None]).reshape(len(column), -1)
+        for column in model.terms.T
+    ]
     past = old_y[:, ::-1].reshape(batch, -1)
     sensitivity = np.zeros((batch, past.shape[1], len(rows)))
     normal, gradient = np.zeros((len(rows), len(rows))), np.zeros(len(rows))
@@ -172,10 +176,16 @@ def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[A
     block = max(1, _BLOCK // (batch * ny * len(rows)))
     for k in range(data.u.shape[1]):
         z = np.concatenate([past, drive[:, k]], axis=1)
-        phi, by_past = slope(z)
+        full = np.concatenate([ones, z], axis=1)
+        factors = [full[:, column] for column in model.terms.T]
+        phi = reduce(np.multiply, factors)
+        by_past = np.zeros((batch, ny * len(newest)))
+        for p, by_factor in enumerate(maps):
+            others = [factor for q, factor in enumerate(factors) if q != p]
+            by_past += reduce(np.multiply, others, np.ones_like(phi)) @ by_factor
         free_y = phi @ model.theta
         y = np.clip(free_y, limits.low, limits.high)
-        change = by_past @ sensitivity
+        change = by_past.reshape(batch, ny, -1) @ sensitivity
         change[:, columns, free] += phi[:, rows]
         change *= (y == free_y)[..., None]
         past = np.concatenate([y, past], axis=1)[:, : past.shape[1]]
@@ -191,42 +201,12 @@ def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[A
     return normal / total, gradient / total
 
 
-class _Slope:
-    """Products and the derivative of the outputs with respect to the lagged outputs."""
-
-    def __init__(self, model: Polynomial, past: int) -> None:
-        self._terms, self._past, self._ny = model.terms, past, model.theta.shape[1]
-        degree = model.terms.shape[1]
-        self._maps: list[Array] = []
-        for p in range(degree):
-            hit = model.terms[:, p : p + 1] == np.arange(1, past + 1)
-            full = hit[:, None, :] * model.theta[:, :, None]
-            self._maps.append(full.reshape(len(full), -1))
-
-    def __call__(self, z: Array) -> tuple[Array, Array]:
-        full = np.concatenate([np.ones((len(z), 1)), z], axis=1)
-        factors = [full[:, column] for column in self._terms.T]
-        total = np.zeros((len(z), self._ny * self._past))
-        phi = np.ones_like(factors[0])
-        for factor in factors:
-            phi = phi * factor
-        for p, map_ in enumerate(self._maps):
-            others = np.ones_like(factors[0])
-            for q, factor in enumerate(factors):
-                if q != p:
-                    others = others * factor
-            total += others @ map_
-        return phi, total.reshape(len(z), self._ny, self._past)
-
-
 # Common parts of the families that predict one step ahead and are used in free run.
 
 
 C = TypeVar("C")
 
 RIDGES = (1e-9, 1e-7, 1e-5, 1e-4, 1e-3, 1e-2)
-# Samples for choices of lags, which take hundreds of fits; this many distinguish candidates.
-_SELECTION_SAMPLES = 6000
 
 
 @dataclass(frozen=True)
@@ -340,9 +320,9 @@ def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lag
 def selection(records: ScaledData, context: Context, max_order: int) -> list[ScaledTrajectory]:
     """Records for choices: parts long enough to leave something to simulate."""
     shortest = 3 * (past_length(context) + (context.horizon or 0)) + 12 * max_order
-    return shortened(
-        [r for r in records if len(r) > past_length(context)], _SELECTION_SAMPLES, shortest
-    )
+    long = [r for r in records if len(r) > past_length(context)]
+    # Choices of lags take hundreds of fits; so many samples distinguish the candidates.
+    return shortened(long, 6000, shortest)
 
 
 def choose_ridge(
