@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from asia.data.trajectory import Array
-from asia.lowering.program import Attributes, LoweredModel, Node, Program
+from asia.lowering.program import Attributes, LoweredModel, Program
 
 
 def evaluate(program: Program, inputs: Sequence[Array]) -> list[Array]:
@@ -16,7 +16,15 @@ def evaluate(program: Program, inputs: Sequence[Array]) -> list[Array]:
     values: list[object] = [*(np.asarray(x, np.float64) for x in inputs), *program.constants]
     with np.errstate(all="ignore"):
         for node in program.nodes:
-            values.append(_result(node, [values[i] for i in node.operands]))
+            read: list[object] = [values[i] for i in node.operands]
+            if node.op == "loop":
+                assert node.body is not None
+                values.append(_looped(node.body, node.attrs, [np.asarray(v) for v in read]))
+            elif node.op == "part":
+                parts: Sequence[Array] = read[0]  # pyright: ignore[reportAssignmentType]
+                values.append(parts[node.attrs[0]])
+            else:
+                values.append(np.asarray(_COMPUTED[node.op](node.attrs, *read), np.float64))
     return [np.asarray(values[i]) for i in program.outputs]
 
 
@@ -37,16 +45,6 @@ def simulate(model: LoweredModel, past_u: Array, past_y: Array, u: Array) -> Arr
     for k, row in enumerate(u):
         result[k], *states = evaluate(model.step, [*states, row])
     return result
-
-
-def _result(node: Node, values: Sequence[object]) -> object:
-    if node.op == "loop":
-        assert node.body is not None
-        return _looped(node.body, node.attrs, [np.asarray(v) for v in values])
-    if node.op == "part":
-        parts: Sequence[Array] = values[0]  # pyright: ignore[reportAssignmentType]
-        return parts[node.attrs[0]]
-    return np.asarray(_COMPUTED[node.op](node.attrs, *values), np.float64)
 
 
 def _looped(body: Program, attrs: Attributes, values: Sequence[Array]) -> list[Array]:

@@ -104,22 +104,12 @@ def picked(at: Step, value: int, move: Callable[[NDArray[np.int64]], Any]) -> in
 # Lowering rules for primitives that move, sum and multiply arrays.
 
 
-def reshape(at: Step, v: Values) -> Values:
-    """Lower `reshape`, `squeeze` and `expand_dims`."""
-    return [at.add("reshape", v[0], attrs=at.shape)]
-
-
 def broadcast(at: Step, v: Values) -> Values:
     """Lower `broadcast_in_dim`: the operand lies along given axes of the result."""
     axes, shape = at.params["broadcast_dimensions"], at.params["shape"]
     if math.prod(at.shape_of(v[0])) == math.prod(shape):
         return [at.add("reshape", v[0], attrs=shape)]
     return [at.add("broadcast", v[0], attrs=(len(shape), *shape, *axes))]
-
-
-def transpose(at: Step, v: Values) -> Values:
-    """Lower `transpose`."""
-    return [transposed(at, v[0], at.params["permutation"])]
 
 
 def transposed(at: Step, value: Value, axes: Sequence[int]) -> Value:
@@ -149,6 +139,10 @@ def sliced(at: Step, v: Values) -> Values:
     return [at.add("slice", v[0], attrs=(*starts, *ends, *steps))]
 
 
+def _segment(at: Step, value: Value, starts: Sequence[int], ends: Sequence[int]) -> int:
+    return at.add("slice", value, attrs=(*starts, *ends, *(1 for _ in starts)))
+
+
 def dynamic_slice(at: Step, v: Values) -> Values:
     """Lower `dynamic_slice` with constant start indices."""
     if any(isinstance(i, int) for i in v[1:]):
@@ -159,7 +153,7 @@ def dynamic_slice(at: Step, v: Values) -> Values:
     requested = [int(np.asarray(i)) for i in v[1:]]
     starts = [min(max(i, 0), n - m) for i, n, m in zip(requested, shape, sizes, strict=True)]
     ends = [a + n for a, n in zip(starts, sizes, strict=True)]
-    return [at.add("slice", v[0], attrs=(*starts, *ends, *(1 for _ in sizes)))]
+    return [_segment(at, v[0], starts, ends)]
 
 
 def gather(at: Step, v: Values) -> Values:
@@ -182,19 +176,10 @@ def gather(at: Step, v: Values) -> Values:
     return [picked(at, v[0], move)]
 
 
-def reverse(at: Step, v: Values) -> Values:
-    """Lower `rev`: flip along axes."""
-    assert isinstance(v[0], int)
-    return [picked(at, v[0], lambda x: np.flip(x, at.params["dimensions"]))]
-
-
 def concat(at: Step, v: Values) -> Values:
     """Lower `concatenate`."""
-    axis = at.params["dimension"]
-    full = [x for x in v if count(at, x)]
-    if len(full) == 1:
-        return [full[0]]
-    return [at.add("concat", *full, attrs=(axis,))]
+    full = [x for x in v if math.prod(at.shape_of(x))]
+    return [full[0] if len(full) == 1 else at.add("concat", *full, attrs=(at.params["dimension"],))]
 
 
 def stack(at: Step, v: Values) -> Values:
@@ -205,18 +190,13 @@ def stack(at: Step, v: Values) -> Values:
     return [at.add("concat", *rows, attrs=(axis,))]
 
 
-def count(at: Step, value: Value) -> int:
-    """Number of elements of a value."""
-    return math.prod(at.shape_of(value))
-
-
 def split(at: Step, v: Values) -> Values:
     """Lower `split` along an axis."""
     axis, shape, found, start = at.params["axis"], at.shape_of(v[0]), list[Value](), 0
     for size in at.params["sizes"]:
         starts = [start if a == axis else 0 for a in range(len(shape))]
         ends = [start + size if a == axis else n for a, n in enumerate(shape)]
-        found.append(at.add("slice", v[0], attrs=(*starts, *ends, *(1 for _ in shape))))
+        found.append(_segment(at, v[0], starts, ends))
         start += size
     return found
 
@@ -230,7 +210,7 @@ def pad(at: Step, v: Values) -> Values:
     if any(low < 0 or high < 0 for low, high, _ in counts):
         starts = [max(-low, 0) for low, _, _ in counts]
         ends = [n - max(-high, 0) for n, (_, high, _) in zip(shape, counts, strict=True)]
-        value = at.add("slice", value, attrs=(*starts, *ends, *(1 for _ in shape)))
+        value = _segment(at, value, starts, ends)
     before, behind = [max(c[0], 0) for c in counts], [max(c[1], 0) for c in counts]
     if not any((*before, *behind)):
         return [value]
@@ -284,20 +264,12 @@ def in_single_precision(jaxpr: Any) -> bool:
     for equation in jaxpr.eqns:
         if any(getattr(v.aval, "dtype", None) == np.float32 for v in equation.outvars):
             return True
-        for inner in _inner(equation.params):
-            if in_single_precision(inner):
-                return True
+        for value in equation.params.values():
+            for one in value if isinstance(value, tuple | list) else (value,):
+                inner = getattr(one, "jaxpr", one)
+                if hasattr(inner, "eqns") and in_single_precision(inner):
+                    return True
     return False
-
-
-def _inner(params: dict[str, Any]) -> list[Any]:
-    found: list[Any] = []
-    for value in params.values():
-        for one in value if isinstance(value, tuple | list) else (value,):
-            jaxpr = getattr(one, "jaxpr", one)
-            if hasattr(jaxpr, "eqns"):
-                found.append(jaxpr)
-    return found
 
 
 class Lowering:
@@ -329,7 +301,10 @@ class Lowering:
         if all(math.prod(v.aval.shape) == 0 for v in equation.outvars):
             return [np.zeros(v.aval.shape) for v in equation.outvars]
         if name in _INLINED:
-            return self._inlined(params, values)
+            inner = next(params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in params)
+            if hasattr(inner, "consts"):
+                return self.run(inner.jaxpr, inner.consts, values)
+            return self.run(inner, (), values)
         if name == "scan":
             return self._scan(params, values)
         if name == "cond":
@@ -339,19 +314,12 @@ class Lowering:
                 f"cannot be exported: {name}; write the step without it (docs/use/export.md lists "
                 "what can be exported)"
             )
-        for variable in equation.outvars:
-            if np.dtype(variable.aval.dtype).kind == "c":
-                raise CannotLowerError(
-                    f"cannot be exported: {name} of complex numbers; keep real and imaginary parts "
-                    "apart in the state"
-                )
+        if any(np.dtype(v.aval.dtype).kind == "c" for v in equation.outvars):
+            raise CannotLowerError(
+                f"cannot be exported: {name} of complex numbers; keep real and imaginary parts "
+                "apart in the state"
+            )
         return _RULES[name](Step(self.build, equation), values)
-
-    def _inlined(self, params: dict[str, Any], values: Values) -> Values:
-        inner = next(params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in params)
-        closed = inner if hasattr(inner, "consts") else None
-        jaxpr = inner if closed is None else closed.jaxpr
-        return self.run(jaxpr, () if closed is None else closed.consts, values)
 
     def _cond(self, params: dict[str, Any], values: Values, equation: Any) -> Values:
         which, rest = values[0], values[1:]
@@ -409,12 +377,8 @@ def _computed(equation: Any, values: Values) -> Values:
     return [np.asarray(v) for v in many]
 
 
-def _plain(op: str) -> Rule:
+def _elementwise(op: str) -> Rule:
     return lambda at, v: [at.wise(op, *v)]
-
-
-def _same(at: Step, v: Values) -> Values:
-    return [v[0]]
 
 
 def _logistic(at: Step, v: Values) -> Values:
@@ -444,11 +408,6 @@ def _select(at: Step, v: Values) -> Values:
     return [at.choose(v[0], v[2], v[1], at.shape)]
 
 
-def _clamp(at: Step, v: Values) -> Values:
-    low, x, high = v
-    return [at.wise("min", at.wise("max", x, low), high)]
-
-
 def _convert(at: Step, v: Values) -> Values:
     new, old = np.dtype(at.params["new_dtype"]), np.dtype(at.equation.invars[0].aval.dtype)
     if new.kind in "iu" and old.kind == "f":
@@ -466,57 +425,61 @@ def _division(at: Step, v: Values) -> Values:
     return [at.wise("div", *v)]
 
 
-def _not(at: Step, v: Values) -> Values:
-    return [at.wise("sub", np.float64(1.0), v[0])]
-
-
-def _or(at: Step, v: Values) -> Values:
-    return [at.wise("max", *v)]
-
-
-def _and(at: Step, v: Values) -> Values:
-    return [at.wise("mul", *v)]
-
-
-_INLINED_NAMES = (
-    "pjit jit closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr remat2 "
-    "checkpoint custom_jvp_call_jaxpr"
+_INLINED = frozenset(
+    [
+        "pjit",
+        "jit",
+        "closed_call",
+        "core_call",
+        "custom_jvp_call",
+        "custom_vjp_call",
+        "custom_vjp_call_jaxpr",
+        "remat2",
+        "checkpoint",
+        "custom_jvp_call_jaxpr",
+    ]
 )
-_INLINED = frozenset(_INLINED_NAMES.split())
-_UNARY = "neg abs sign floor sqrt exp log log1p expm1 tanh sin cos tan asin acos atan sinh cosh"
-_BINARY = "add sub mul max min pow atan2 lt le gt ge eq ne"
+_ELEMENTWISE = (
+    "neg abs sign floor sqrt exp log log1p expm1 tanh sin cos tan asin acos atan sinh cosh "
+    "add sub mul max min pow atan2 lt le gt ge eq ne"
+)
 _RULES: dict[str, Rule] = {
-    **{name: _plain(name) for name in (*_UNARY.split(), *_BINARY.split())},
+    **{name: _elementwise(name) for name in _ELEMENTWISE.split()},
     **{f"reduce_{n}": reduce("r" + n) for n in ("sum", "max", "min", "prod")},
-    **dict.fromkeys(("copy", "copy_p", "stop_gradient", "optimization_barrier"), _same),
-    **dict.fromkeys(("reshape", "squeeze", "expand_dims"), reshape),
-    "add_any": _plain("add"),
-    "is_finite": _plain("isfinite"),
+    **dict.fromkeys(
+        ("copy", "copy_p", "stop_gradient", "optimization_barrier"), lambda at, v: [v[0]]
+    ),
+    **dict.fromkeys(
+        ("reshape", "squeeze", "expand_dims"),
+        lambda at, v: [at.add("reshape", v[0], attrs=at.shape)],
+    ),
+    "add_any": _elementwise("add"),
+    "is_finite": _elementwise("isfinite"),
     "rsqrt": lambda at, v: [at.wise("div", np.float64(1.0), at.wise("sqrt", v[0]))],
     "square": lambda at, v: [at.wise("mul", v[0], v[0])],
     "div": _division,
     "logistic": _logistic,
     "integer_pow": _power,
     "select_n": _select,
-    "clamp": _clamp,
+    "clamp": lambda at, v: [at.wise("min", at.wise("max", v[1], v[0]), v[2])],
     "convert_element_type": _convert,
-    "not": _not,
-    "or": _or,
-    "and": _and,
+    "not": lambda at, v: [at.wise("sub", np.float64(1.0), v[0])],
+    "or": _elementwise("max"),
+    "and": _elementwise("mul"),
     "broadcast_in_dim": broadcast,
-    "transpose": transpose,
+    "transpose": lambda at, v: [transposed(at, v[0], at.params["permutation"])],
     "slice": sliced,
     "dynamic_slice": dynamic_slice,
     "gather": gather,
-    "rev": reverse,
+    "rev": lambda at, v: [
+        picked(at, number(at.build, v[0]), lambda x: np.flip(x, at.params["dimensions"]))
+    ],
     "concatenate": concat,
     "stack": stack,
     "split": split,
     "pad": pad,
     "dot_general": dot,
 }
-PRIMITIVES = tuple(sorted((*_RULES, "scan", "cond")))
-"""The JAX primitives that signals may pass through."""
 
 
 # Trace a fitted model with JAX and lower it to programs.
@@ -556,8 +519,13 @@ def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> Lower
     def begin(*signals: Any) -> Any:
         return jax.tree.map(_row, model.initial(*(signal[None] for signal in signals)))
 
-    window = [_like((n_past_u, nu)), _like((n_past_y, ny)), _like((nu,))]
-    start, state = _traced(begin, window)
+    def traced(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[Any, Any]:
+        return jax.make_jaxpr(function, return_shape=True)(*arguments)
+
+    def array(*shape: int) -> Any:
+        return jax.ShapeDtypeStruct(shape, np.float64)
+
+    start, state = traced(begin, [array(n_past_u, nu), array(n_past_y, ny), array(nu)])
     leaves, tree = jax.tree.flatten(state)
     # Empty arrays are no states.
     kept = [i for i, leaf in enumerate(leaves) if leaf.size]
@@ -573,8 +541,14 @@ def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> Lower
             raise CannotLowerError("step gives a state of another structure than it takes")
         return [_row(y), *(_row(found[i]) for i in kept)]
 
-    one, _ = _traced(step, [*(leaves[i] for i in kept), _like((nu,))])
-    programs = [_program(start, kept), _program(one)]
+    def program(closed: Any, outputs: Sequence[int]) -> Program:
+        build = Builder(tuple(v.aval.shape for v in closed.jaxpr.invars))
+        given = list(range(len(build.inputs)))
+        found = Lowering(build).run(closed.jaxpr, closed.consts, given)
+        return build.program([number(build, found[i]) for i in outputs])
+
+    one, _ = traced(step, [*(leaves[i] for i in kept), array(nu)])
+    programs = program(start, kept), program(one, range(1 + len(kept)))
     single = any(in_single_precision(p.jaxpr) for p in (start, one))
     return LoweredModel(n_past_u, n_past_y, nu, ny, single, *programs)
 
@@ -589,23 +563,3 @@ def _row(batch: Any) -> Any:
             f"an output or a state has shape {batch.shape} for a batch of 1: the batch comes first"
         )
     return batch.reshape(batch.shape[1:])
-
-
-def _like(shape: Shape) -> Any:
-    import jax
-
-    return jax.ShapeDtypeStruct(shape, np.float64)
-
-
-def _traced(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[Any, Any]:
-    import jax
-
-    return jax.make_jaxpr(function, return_shape=True)(*arguments)
-
-
-def _program(closed: Any, kept: Sequence[int] | None = None) -> Program:
-    build = Builder(tuple(v.aval.shape for v in closed.jaxpr.invars))
-    given: Values = list(range(len(build.inputs)))
-    found = Lowering(build).run(closed.jaxpr, closed.consts, given)
-    chosen = found if kept is None else [found[i] for i in kept]
-    return build.program([number(build, v) for v in chosen])
