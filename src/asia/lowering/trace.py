@@ -34,9 +34,9 @@ class Step:
 
     def __init__(self, build: Builder, equation: Any) -> None:
         self.build = build
-        self.params: dict[str, Any] = {} if equation is None else dict(equation.params)
-        self.shape: Shape = () if equation is None else equation.outvars[0].aval.shape
-        self.equation: Any = equation
+        self.equation = equation
+        self.params: dict[str, Any] = equation.params
+        self.shape: Shape = equation.outvars[0].aval.shape
 
     def add(self, op: str, *values: Value, attrs: Sequence[int] = ()) -> int:
         numbers = [number(self.build, v) for v in values]
@@ -87,13 +87,13 @@ class Step:
     def reversed_rows(self, value: Value) -> Value:
         if not isinstance(value, int):
             return np.asarray(value)[::-1]
-        return picked(self, value, lambda x: x[::-1])
+        return _picked(self, value, lambda x: x[::-1])
 
 
 Rule = Callable[[Step, Values], Values]
 
 
-def picked(at: Step, value: int, move: Callable[[NDArray[np.int64]], Any]) -> int:
+def _picked(at: Step, value: int, move: Callable[[NDArray[np.int64]], Any]) -> int:
     """Rearrange the numbers of a value as `move` rearranges those of an array."""
     shape = at.build.shape(value)
     places = np.asarray(move(np.arange(math.prod(shape)).reshape(shape)))
@@ -104,7 +104,7 @@ def picked(at: Step, value: int, move: Callable[[NDArray[np.int64]], Any]) -> in
 # Lowering rules for primitives that move, sum and multiply arrays.
 
 
-def broadcast(at: Step, v: Values) -> Values:
+def _broadcast(at: Step, v: Values) -> Values:
     """Lower `broadcast_in_dim`: the operand lies along given axes of the result."""
     axes, shape = at.params["broadcast_dimensions"], at.params["shape"]
     if math.prod(at.shape_of(v[0])) == math.prod(shape):
@@ -112,8 +112,7 @@ def broadcast(at: Step, v: Values) -> Values:
     return [at.add("broadcast", v[0], attrs=(len(shape), *shape, *axes))]
 
 
-def transposed(at: Step, value: Value, axes: Sequence[int]) -> Value:
-    """Permute the axes of a value."""
+def _transposed(at: Step, value: Value, axes: Sequence[int]) -> Value:
     if list(axes) == sorted(axes):
         return value
     if not isinstance(value, int):
@@ -125,15 +124,13 @@ def transposed(at: Step, value: Value, axes: Sequence[int]) -> Value:
     return at.add("transpose", value, attrs=axes)
 
 
-def reshaped(at: Step, value: Value, shape: Sequence[int]) -> Value:
-    """Reshape a value."""
+def _reshaped(at: Step, value: Value, shape: Sequence[int]) -> Value:
     if not isinstance(value, int):
         return np.reshape(value, shape)
     return at.add("reshape", value, attrs=shape)
 
 
-def sliced(at: Step, v: Values) -> Values:
-    """Lower `slice`."""
+def _sliced(at: Step, v: Values) -> Values:
     starts, ends = at.params["start_indices"], at.params["limit_indices"]
     steps = at.params["strides"] or (1,) * len(starts)
     return [at.add("slice", v[0], attrs=(*starts, *ends, *steps))]
@@ -143,7 +140,7 @@ def _segment(at: Step, value: Value, starts: Sequence[int], ends: Sequence[int])
     return at.add("slice", value, attrs=(*starts, *ends, *(1 for _ in starts)))
 
 
-def dynamic_slice(at: Step, v: Values) -> Values:
+def _dynamic_slice(at: Step, v: Values) -> Values:
     """Lower `dynamic_slice` with constant start indices."""
     if any(isinstance(i, int) for i in v[1:]):
         raise CannotLowerError(
@@ -156,7 +153,7 @@ def dynamic_slice(at: Step, v: Values) -> Values:
     return [_segment(at, v[0], starts, ends)]
 
 
-def gather(at: Step, v: Values) -> Values:
+def _gather(at: Step, v: Values) -> Values:
     """Lower `gather` with constant indices, which JAX itself evaluates."""
     if not isinstance(v[0], int) or isinstance(v[1], int):
         raise CannotLowerError(
@@ -173,25 +170,22 @@ def gather(at: Step, v: Values) -> Values:
             found = equation.primitive.bind(operand, jax.numpy.asarray(v[1]), **equation.params)
         return np.asarray(found).astype(np.int64)
 
-    return [picked(at, v[0], move)]
+    return [_picked(at, v[0], move)]
 
 
-def concat(at: Step, v: Values) -> Values:
-    """Lower `concatenate`."""
+def _concat(at: Step, v: Values) -> Values:
     full = [x for x in v if math.prod(at.shape_of(x))]
     return [full[0] if len(full) == 1 else at.add("concat", *full, attrs=(at.params["dimension"],))]
 
 
-def stack(at: Step, v: Values) -> Values:
-    """Stack values along a new axis."""
+def _stack(at: Step, v: Values) -> Values:
     axis, shape = at.params["axis"], at.shape
     one = (*shape[:axis], 1, *shape[axis + 1 :])
     rows = [at.add("reshape", x, attrs=one) for x in v]
     return [at.add("concat", *rows, attrs=(axis,))]
 
 
-def split(at: Step, v: Values) -> Values:
-    """Lower `split` along an axis."""
+def _split(at: Step, v: Values) -> Values:
     axis, shape, found, start = at.params["axis"], at.shape_of(v[0]), list[Value](), 0
     for size in at.params["sizes"]:
         starts = [start if a == axis else 0 for a in range(len(shape))]
@@ -201,8 +195,7 @@ def split(at: Step, v: Values) -> Values:
     return found
 
 
-def pad(at: Step, v: Values) -> Values:
-    """Lower `pad` with a constant around the array."""
+def _pad(at: Step, v: Values) -> Values:
     counts = at.params["padding_config"]
     if any(inner for _, _, inner in counts):
         raise CannotLowerError("cannot be exported: pad between the numbers of an array")
@@ -217,9 +210,7 @@ def pad(at: Step, v: Values) -> Values:
     return [at.add("pad", value, v[1], attrs=(*before, *behind))]
 
 
-def reduce(op: str) -> Rule:
-    """Make the rule of a reduction over axes."""
-
+def _reduce(op: str) -> Rule:
     def rule(at: Step, v: Values) -> Values:
         axes, shape = at.params["axes"], at.shape_of(v[0])
         if all(shape[a] == 1 for a in axes):
@@ -229,7 +220,7 @@ def reduce(op: str) -> Rule:
     return rule
 
 
-def dot(at: Step, v: Values) -> Values:
+def _dot(at: Step, v: Values) -> Values:
     """Lower `dot_general` to a product of matrices."""
     (left_sum, right_sum), (left_batch, right_batch) = at.params["dimension_numbers"]
     shapes = [at.shape_of(x) for x in v]
@@ -247,10 +238,10 @@ def dot(at: Step, v: Values) -> Values:
         wide = math.prod(shape[a] for a in free)
         ends = [wide, inner] if side == 0 else [inner, wide]
         front = [math.prod(stack)] if math.prod(stack) != 1 else []
-        sides.append(reshaped(at, transposed(at, value, order), [*front, *ends]))
+        sides.append(_reshaped(at, _transposed(at, value, order), [*front, *ends]))
         kept.append([shape[a] for a in free])
     product = at.add("matmul", *sides)
-    return [reshaped(at, product, [*stack, *kept[0], *kept[1]])]
+    return [_reshaped(at, product, [*stack, *kept[0], *kept[1]])]
 
 
 # Lowering rules, one a JAX primitive.
@@ -272,93 +263,84 @@ def in_single_precision(jaxpr: Any) -> bool:
     return False
 
 
-class Lowering:
-    """Translation of a jaxpr into operations of a program."""
+def _lowered_values(build: Builder, jaxpr: Any, consts: Sequence[Any], given: Values) -> Values:
+    """Add the operations of a jaxpr to a program; return its outputs from its inputs."""
+    env: dict[Any, Value] = {}
+    env.update(zip(jaxpr.constvars, (np.asarray(c) for c in consts), strict=True))
+    env.update(zip(jaxpr.invars, given, strict=True))
 
-    def __init__(self, build: Builder) -> None:
-        self.build = build
+    def read(v: Any) -> Value:
+        return np.asarray(v.val) if hasattr(v, "val") else env[v]
 
-    def run(self, jaxpr: Any, consts: Sequence[Any], given: Values) -> Values:
-        """Compute the values of the jaxpr's outputs from those of its inputs."""
-        env: dict[Any, Value] = {}
-        env.update(zip(jaxpr.constvars, (np.asarray(c) for c in consts), strict=True))
-        env.update(zip(jaxpr.invars, given, strict=True))
-
-        def read(v: Any) -> Value:
-            return np.asarray(v.val) if hasattr(v, "val") else env[v]
-
-        for equation in jaxpr.eqns:
-            values = [read(v) for v in equation.invars]
-            found = self._equation(equation, values)
-            for variable, value in zip(equation.outvars, found, strict=True):
-                env[variable] = value
-        return [read(v) for v in jaxpr.outvars]
-
-    def _equation(self, equation: Any, values: Values) -> Values:
-        name, params = equation.primitive.name, equation.params
+    for equation in jaxpr.eqns:
+        values = [read(v) for v in equation.invars]
+        name, results = equation.primitive.name, equation.outvars
         if all(not isinstance(v, int) for v in values):
-            return _computed(equation, values)
-        if all(math.prod(v.aval.shape) == 0 for v in equation.outvars):
-            return [np.zeros(v.aval.shape) for v in equation.outvars]
-        if name in _INLINED:
-            inner = next(params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in params)
-            if hasattr(inner, "consts"):
-                return self.run(inner.jaxpr, inner.consts, values)
-            return self.run(inner, (), values)
-        if name == "scan":
-            return self._scan(params, values)
-        if name == "cond":
-            return self._cond(params, values, equation)
-        if name not in _RULES:
+            found = _computed(equation, values)
+        elif all(math.prod(v.aval.shape) == 0 for v in results):
+            found = [np.zeros(v.aval.shape) for v in results]
+        elif name in _CONTROL:
+            found = _CONTROL[name](Step(build, equation), values)
+        elif name not in _RULES:
             raise CannotLowerError(
                 f"cannot be exported: {name}; write the step without it (docs/use/export.md lists "
                 "what can be exported)"
             )
-        if any(np.dtype(v.aval.dtype).kind == "c" for v in equation.outvars):
+        elif any(np.dtype(v.aval.dtype).kind == "c" for v in results):
             raise CannotLowerError(
                 f"cannot be exported: {name} of complex numbers; keep real and imaginary parts "
                 "apart in the state"
             )
-        return _RULES[name](Step(self.build, equation), values)
+        else:
+            found = _RULES[name](Step(build, equation), values)
+        env.update(zip(results, found, strict=True))
+    return [read(v) for v in jaxpr.outvars]
 
-    def _cond(self, params: dict[str, Any], values: Values, equation: Any) -> Values:
-        which, rest = values[0], values[1:]
-        branches = params["branches"]
-        if not isinstance(which, int):
-            chosen = branches[int(np.clip(which, 0, len(branches) - 1))]
-            return self.run(chosen.jaxpr, chosen.consts, rest)
-        if len(branches) != 2:
-            raise CannotLowerError("cannot be exported: a choice among more than two branches")
-        no, yes = (self.run(b.jaxpr, b.consts, rest) for b in branches)
-        at = Step(self.build, equation)
-        pairs = zip(yes, no, equation.outvars, strict=True)
-        return [at.choose(which, a, b, v.aval.shape) for a, b, v in pairs]
 
-    def _scan(self, params: dict[str, Any], values: Values) -> Values:
-        closed, length = params["jaxpr"], params["length"]
-        same, carried = params["num_consts"], params["num_carry"]
-        at = Step(self.build, None)
-        rows = values[same + carried :]
-        if params["reverse"]:
-            rows = [at.reversed_rows(r) for r in rows]
-        free = [i for i, v in enumerate(values[:same]) if isinstance(v, int)]
-        carry = [number(self.build, v) for v in values[same : same + carried]]
-        passed = [number(self.build, values[i]) for i in free]
-        stacked = [number(self.build, r) for r in rows]
-        shapes = [self.build.shape(i) for i in (*passed, *carry)]
-        body = Builder((*shapes, *(self.build.shape(r)[1:] for r in stacked)))
-        given: list[Value] = list(values[:same])
-        for place, i in enumerate(free):
-            given[i] = place
-        given += list(range(len(free), len(body.inputs)))
-        found = Lowering(body).run(closed.jaxpr, closed.consts, given)
-        program = body.program([number(body, v) for v in found])
-        attrs = (length, len(free), carried)
-        loop = self.build.add("loop", (*passed, *carry, *stacked), attrs, program)
-        parts: list[Value] = [self.build.add("part", (loop,), (k,)) for k in range(len(found))]
-        if params["reverse"]:
-            parts[carried:] = [at.reversed_rows(p) for p in parts[carried:]]
-        return parts
+def _called(at: Step, v: Values) -> Values:
+    keys = ("jaxpr", "call_jaxpr", "fun_jaxpr")
+    inner = next(at.params[key] for key in keys if key in at.params)
+    if hasattr(inner, "consts"):
+        return _lowered_values(at.build, inner.jaxpr, inner.consts, v)
+    return _lowered_values(at.build, inner, (), v)
+
+
+def _cond(at: Step, v: Values) -> Values:
+    which, branches = v[0], at.params["branches"]
+    if not isinstance(which, int):
+        chosen = branches[int(np.clip(which, 0, len(branches) - 1))]
+        return _lowered_values(at.build, chosen.jaxpr, chosen.consts, v[1:])
+    if len(branches) != 2:
+        raise CannotLowerError("cannot be exported: a choice among more than two branches")
+    no, yes = (_lowered_values(at.build, b.jaxpr, b.consts, v[1:]) for b in branches)
+    pairs = zip(yes, no, at.equation.outvars, strict=True)
+    return [at.choose(which, a, b, result.aval.shape) for a, b, result in pairs]
+
+
+def _scan(at: Step, v: Values) -> Values:
+    closed, length, build = at.params["jaxpr"], at.params["length"], at.build
+    same, carried = at.params["num_consts"], at.params["num_carry"]
+    rows = v[same + carried :]
+    if at.params["reverse"]:
+        rows = [at.reversed_rows(r) for r in rows]
+    free = [i for i, value in enumerate(v[:same]) if isinstance(value, int)]
+    carry = [number(build, value) for value in v[same : same + carried]]
+    passed = [number(build, v[i]) for i in free]
+    stacked = [number(build, r) for r in rows]
+    shapes = [build.shape(i) for i in (*passed, *carry)]
+    body = Builder((*shapes, *(build.shape(r)[1:] for r in stacked)))
+    given: list[Value] = list(v[:same])
+    for place, i in enumerate(free):
+        given[i] = place
+    given += list(range(len(free), len(body.inputs)))
+    found = _lowered_values(body, closed.jaxpr, closed.consts, given)
+    program = body.program([number(body, value) for value in found])
+    attrs = (length, len(free), carried)
+    loop = build.add("loop", (*passed, *carry, *stacked), attrs, program)
+    parts: list[Value] = [build.add("part", (loop,), (k,)) for k in range(len(found))]
+    if at.params["reverse"]:
+        parts[carried:] = [at.reversed_rows(p) for p in parts[carried:]]
+    return parts
 
 
 def _computed(equation: Any, values: Values) -> Values:
@@ -425,27 +407,22 @@ def _division(at: Step, v: Values) -> Values:
     return [at.wise("div", *v)]
 
 
-_INLINED = frozenset(
-    [
-        "pjit",
-        "jit",
-        "closed_call",
-        "core_call",
-        "custom_jvp_call",
-        "custom_vjp_call",
-        "custom_vjp_call_jaxpr",
-        "remat2",
-        "checkpoint",
-        "custom_jvp_call_jaxpr",
-    ]
+_CALLS = (
+    "pjit jit closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr remat2 "
+    "checkpoint custom_jvp_call_jaxpr"
 )
+_CONTROL: dict[str, Rule] = {
+    **dict.fromkeys(_CALLS.split(), _called),
+    "scan": _scan,
+    "cond": _cond,
+}
 _ELEMENTWISE = (
     "neg abs sign floor sqrt exp log log1p expm1 tanh sin cos tan asin acos atan sinh cosh "
     "add sub mul max min pow atan2 lt le gt ge eq ne"
 )
 _RULES: dict[str, Rule] = {
     **{name: _elementwise(name) for name in _ELEMENTWISE.split()},
-    **{f"reduce_{n}": reduce("r" + n) for n in ("sum", "max", "min", "prod")},
+    **{f"reduce_{n}": _reduce("r" + n) for n in ("sum", "max", "min", "prod")},
     **dict.fromkeys(
         ("copy", "copy_p", "stop_gradient", "optimization_barrier"), lambda at, v: [v[0]]
     ),
@@ -466,19 +443,19 @@ _RULES: dict[str, Rule] = {
     "not": lambda at, v: [at.wise("sub", np.float64(1.0), v[0])],
     "or": _elementwise("max"),
     "and": _elementwise("mul"),
-    "broadcast_in_dim": broadcast,
-    "transpose": lambda at, v: [transposed(at, v[0], at.params["permutation"])],
-    "slice": sliced,
-    "dynamic_slice": dynamic_slice,
-    "gather": gather,
+    "broadcast_in_dim": _broadcast,
+    "transpose": lambda at, v: [_transposed(at, v[0], at.params["permutation"])],
+    "slice": _sliced,
+    "dynamic_slice": _dynamic_slice,
+    "gather": _gather,
     "rev": lambda at, v: [
-        picked(at, number(at.build, v[0]), lambda x: np.flip(x, at.params["dimensions"]))
+        _picked(at, number(at.build, v[0]), lambda x: np.flip(x, at.params["dimensions"]))
     ],
-    "concatenate": concat,
-    "stack": stack,
-    "split": split,
-    "pad": pad,
-    "dot_general": dot,
+    "concatenate": _concat,
+    "stack": _stack,
+    "split": _split,
+    "pad": _pad,
+    "dot_general": _dot,
 }
 
 
@@ -544,7 +521,7 @@ def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> Lower
     def program(closed: Any, outputs: Sequence[int]) -> Program:
         build = Builder(tuple(v.aval.shape for v in closed.jaxpr.invars))
         given = list(range(len(build.inputs)))
-        found = Lowering(build).run(closed.jaxpr, closed.consts, given)
+        found = _lowered_values(build, closed.jaxpr, closed.consts, given)
         return build.program([number(build, found[i]) for i in outputs])
 
     one, _ = traced(step, [*(leaves[i] for i in kept), array(nu)])
