@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from asia.data.trajectory import Array
-from asia.lowering.program import Attributes, LoweredModel, Program
+from asia.lowering.program import BINARY, REDUCTIONS, UNARY, Attributes, LoweredModel, Program
 
 
 def evaluate(program: Program, inputs: Sequence[Array]) -> list[Array]:
@@ -90,7 +90,6 @@ _NAMES = {
     "max": "maximum",
     "min": "minimum",
     "pow": "power",
-    "add": "add",
     "sub": "subtract",
     "mul": "multiply",
     "div": "divide",
@@ -105,7 +104,6 @@ _NAMES = {
     "eq": "equal",
     "ne": "not_equal",
 }
-_SAME = "abs sign floor sqrt exp log log1p expm1 tanh sin cos tan sinh cosh isfinite"
 
 
 def _by_name(name: str) -> Callable[..., Array]:
@@ -119,9 +117,8 @@ def _reducing(name: str) -> Callable[..., Array]:
 
 
 _COMPUTED: dict[str, Callable[..., Array]] = {
-    **{op: _by_name(name) for op, name in _NAMES.items()},
-    **{op: _by_name(op) for op in _SAME.split()},
-    **{"r" + op: _reducing(op) for op in ("sum", "max", "min", "prod")},
+    **{op: _by_name(_NAMES.get(op, op)) for op in UNARY | BINARY},
+    **{op: _reducing(op.removeprefix("r")) for op in REDUCTIONS},
     "select": lambda attrs, c, a, b: np.where(c != 0, a, b),
     "reshape": lambda attrs, x: x.reshape(attrs),
     "transpose": lambda attrs, x: x.transpose(attrs),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.lowering import wire
-from asia.lowering.program import Builder, LoweredModel, Program, Shape, ShapeError
+from asia.lowering.program import BINARY, UNARY, Builder, LoweredModel, Program, Shape, ShapeError
 
 # Building blocks of the lowering rules: values, steps and their errors.
 
@@ -416,12 +416,8 @@ _CONTROL: dict[str, Rule] = {
     "scan": _scan,
     "cond": _cond,
 }
-_ELEMENTWISE = (
-    "neg abs sign floor sqrt exp log log1p expm1 tanh sin cos tan asin acos atan sinh cosh "
-    "add sub mul max min pow atan2 lt le gt ge eq ne"
-)
 _RULES: dict[str, Rule] = {
-    **{name: _elementwise(name) for name in _ELEMENTWISE.split()},
+    **{name: _elementwise(name) for name in UNARY | BINARY},
     **{f"reduce_{n}": _reduce("r" + n) for n in ("sum", "max", "min", "prod")},
     **dict.fromkeys(
         ("copy", "copy_p", "stop_gradient", "optimization_barrier"), lambda at, v: [v[0]]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import combinations_with_replacement, product
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ from asia.models._numerics.records import (
     shortened,
 )
 from asia.models._numerics.segments import Stretches, left_out_error, simulation_error
+from asia.models._steps import WrappedModel
 
 # Polynomial one-step models, linear in their parameters: products of lagged signals.
 #
@@ -209,8 +210,30 @@ C = TypeVar("C")
 RIDGES = (1e-9, 1e-7, 1e-5, 1e-4, 1e-3, 1e-2)
 
 
+class ScaledRun(NamedTuple):
+    """Model in free run that simulates in physical units."""
+
+    run: FreeRun
+    scaling: Scaling
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate in physical units."""
+        s = self.scaling
+        return s.physical(self.run(s.inputs(past_u), s.outputs(past_y), s.inputs(u)))
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """Lagged signals at the first sample."""
+        s = self.scaling
+        return self.run.initial(s.inputs(past_u), s.outputs(past_y), s.inputs(u))
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """Advance by one sample."""
+        state, y = self.run.step(state, self.scaling.inputs(u))
+        return state, self.scaling.physical(y)
+
+
 @dataclass(frozen=True)
-class FreeRunModel(Generic[C]):
+class FreeRunModel(WrappedModel[ScaledRun], Generic[C]):
     """Input-output model used in free run."""
 
     config: C
@@ -220,46 +243,16 @@ class FreeRunModel(Generic[C]):
     scaling: Scaling | None = None
     """Scaling from physical units to z-scores; None before training."""
 
-    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate in physical units.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Outputs (B, H, ny).
-
-        Raises:
-            UserError: before training.
-        """
-        run, s = self._trained()
-        return s.physical(run(s.inputs(past_u), s.outputs(past_y), s.inputs(u)))
-
-    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """Initial state, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        run, s = self._trained()
-        return run.initial(s.inputs(past_u), s.outputs(past_y), s.inputs(u))
-
-    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Advance by one sample, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        run, s = self._trained()
-        state, y = run.step(state, s.inputs(u))
-        return state, s.physical(y)
-
-    def _trained(self) -> tuple[FreeRun, Scaling]:
+    def _trained(self) -> ScaledRun:
         if self.run is None or self.scaling is None:
             raise UserError("input-output model: not trained yet; call train first")
-        return self.run, self.scaling
+        return ScaledRun(self.run, self.scaling)
+
+
+def build(config: C, context: Context) -> FreeRunModel[C]:
+    """Build an untrained model."""
+    del context
+    return FreeRunModel(config)
 
 
 @dataclass(frozen=True)

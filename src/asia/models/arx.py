@@ -27,6 +27,7 @@ from asia.models._one_step import (
     FreeRunModel,
     LagChoice,
     PolynomialRun,
+    build,
     choose_lags,
     choose_ridge,
     linear_run,
@@ -36,6 +37,8 @@ from asia.models._one_step import (
     usable,
 )
 from asia.models.methods import LeastSquares
+
+__all__ = ["Config", "build", "train"]
 
 
 @dataclass(frozen=True)
@@ -61,12 +64,6 @@ class Config:
         check_choice(self, "structure", ("arx", "oe"))
         check_at_least(1, self, "na", "nb", "max_order")
         check_at_least(0, self, "delay", "max_delay")
-
-
-def build(config: Config, context: Context) -> FreeRunModel[Config]:
-    """Build an untrained model."""
-    del context
-    return FreeRunModel(config)
 
 
 def train(

@@ -29,12 +29,15 @@ from asia.models._numerics.segments import left_out_error, segments, simulation_
 from asia.models._one_step import (
     FreeRunModel,
     LagChoice,
+    build,
     choose_lags,
     linear_run,
     selection,
     usable,
 )
 from asia.models.methods import MarginalLikelihood
+
+__all__ = ["Config", "build", "train"]
 
 _JITTER = 1e-8
 
@@ -96,12 +99,6 @@ class GaussianPredictor:
         """Predict (B, d) -> (B, ny)."""
         line = self.mean[0] + z @ self.mean[1:]
         return line + namespace(z).stack([p(z) for p in self.processes], axis=1)
-
-
-def build(config: Config, context: Context) -> FreeRunModel[Config]:
-    """Build an untrained model."""
-    del context
-    return FreeRunModel(config)
 
 
 def train(

@@ -35,6 +35,7 @@ from asia.models._one_step import (
     Polynomial,
     PolynomialRun,
     all_terms,
+    build,
     choose_lags,
     equations,
     refine,
@@ -44,6 +45,8 @@ from asia.models._one_step import (
     usable,
 )
 from asia.models.methods import LeastSquares
+
+__all__ = ["Config", "build", "train"]
 
 _MOST_PRODUCTS = 1000
 
@@ -79,12 +82,6 @@ class Config:
     def __post_init__(self) -> None:
         check_at_least(1, self, "na", "nb", "degree", "terms", "max_terms", "max_order")
         check_at_least(0, self, "delay", "margin", "coefficient_ridge")
-
-
-def build(config: Config, context: Context) -> FreeRunModel[Config]:
-    """Build an untrained model."""
-    del context
-    return FreeRunModel(config)
 
 
 def train(

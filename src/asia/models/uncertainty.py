@@ -83,9 +83,9 @@ def sandwich(
         nuisance: derivatives (T, ny, Q) by the unknowns of each record, such as its initial state.
         prior: prior knowledge in the same sum.
     """
-    free = list(jacobians)
-    if nuisance is not None:
-        free = [_projected(j, q) for j, q in zip(jacobians, nuisance, strict=True)]
+    if nuisance is None:
+        nuisance = [np.zeros((*e.shape, 0)) for e in residuals]
+    free = [_projected(j, q) for j, q in zip(jacobians, nuisance, strict=True)]
     count = free[0].shape[-1]
     held = np.zeros((count, count)) if ridge is None else ridge
     known = PriorPenalty(np.zeros((count, count)), 0.0) if prior is None else prior
@@ -93,10 +93,17 @@ def sandwich(
     own = sum((np.einsum("typ,tyq->pq", j, j) for j in free), np.zeros((count, count)))
     inverse, unknown = _inverse(own + weights)
     noise = ResidualProcess.of(residuals, jacobians, nuisance)
-    middle = _middle(residuals, free, noise)
+    if len(residuals) >= max(30, 5 * count):
+        # Each record counts as one cluster.
+        sums = np.stack(
+            [np.einsum("typ,ty->p", j, e) for j, e in zip(free, residuals, strict=True)]
+        )
+        middle = sums.T @ sums
+    else:
+        middle = sum((noise.middle(j) for j in free), np.zeros((count, count)))
     squares = sum(float((e**2).sum()) for e in residuals)
     lost = float(np.trace(inverse @ middle))
-    for one in nuisance or ():
+    for one in nuisance:
         # Part of the squares that a record's own unknowns absorb.
         basis = _basis(one)
         if basis.size:
@@ -215,7 +222,7 @@ def _projected(jacobian: Array, nuisance: Array) -> Array:
 
 def _basis(columns: Array) -> Array:
     """Orthonormal columns (T ny, k) that span those of (T, ny, Q)."""
-    flat = columns.reshape(-1, columns.shape[-1])
+    flat = columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
     left, sizes, _ = np.linalg.svd(flat, full_matrices=False)
     return left[:, sizes > 1e-9 * max(float(sizes.max(initial=0.0)), 1e-300)]
 
@@ -233,40 +240,26 @@ def _inverse(gram: Array) -> tuple[Array, Array]:
     return (inside / sizes[known]) @ inside.T, unknown / np.where(norms > 0, norms, 1.0)
 
 
-def _middle(
-    residuals: Sequence[Array], jacobians: Sequence[Array], noise: ResidualProcess
-) -> Array:
-    count = jacobians[0].shape[-1]
-    if len(residuals) >= max(30, 5 * count):
-        # Each record counts as one cluster.
-        sums = np.stack(
-            [np.einsum("typ,ty->p", j, e) for j, e in zip(jacobians, residuals, strict=True)]
-        )
-        return sums.T @ sums
-    return sum((noise.middle(j) for j in jacobians), np.zeros((count, count)))
-
-
 def _misfit(
     residuals: Sequence[Array],
     jacobians: Sequence[Array],
-    nuisance: Sequence[Array] | None,
+    nuisance: Sequence[Array],
     noise: ResidualProcess,
 ) -> float:
     """Root of the sum of squares that lags, products, cubes and bends of the sensitivities
     explain of the residuals; 0 where an F test after whitening finds that noise explains it."""
     samples, used = sum(e.size for e in residuals), 0
-    rows: list[int] = []
-    lost = max(len(a) for a in noise.filters) - 1
-    for k, e in enumerate(residuals):
-        if used < _MISFIT_ROWS and len(e) > 2 * lost + max(_MISFIT_LAGS):
-            rows.append(k)
-            used += e.size
-    if not rows or not jacobians[0].shape[-1]:
-        return 0.0
+    kept: list[tuple[Array, Array, Array]] = []
     most = _MISFIT_ROWS // residuals[0].shape[1] + 1
-    e, slopes = [residuals[k][:most] for k in rows], [jacobians[k][:most] for k in rows]
+    lost = max(len(a) for a in noise.filters) - 1
+    for e, jacobian, one in zip(residuals, jacobians, nuisance, strict=True):
+        if used < _MISFIT_ROWS and len(e) > 2 * lost + max(_MISFIT_LAGS):
+            kept.append((e[:most], jacobian[:most], one[:most]))
+            used += e.size
+    if not kept or not jacobians[0].shape[-1]:
+        return 0.0
+    e, slopes, own = ([record[i] for record in kept] for i in range(3))
     used = sum(one.size for one in e)
-    own = None if nuisance is None else [nuisance[k][:most] for k in rows]
     groups = _shapes(slopes)
     white, tests = _explained(e, slopes, own, groups, noise.filters)
     chances: list[float] = []
@@ -275,8 +268,8 @@ def _misfit(
         part = float(((basis.T @ white) ** 2).sum())
         if freedom > 0 and 0 < basis.shape[1] < freedom / 4:
             rest = max(float(white @ white) - part, 1e-300)
-            chances.append(float(fisher.sf(part / basis.shape[1] / (rest / freedom),
-                                           basis.shape[1], freedom)))  # fmt: skip
+            ratio = part / basis.shape[1] / (rest / freedom)
+            chances.append(float(fisher.sf(ratio, basis.shape[1], freedom)))
     # The smallest of the probabilities, corrected for their number.
     if not chances or len(chances) * min(chances) > 0.1:
         return 0.0
@@ -311,7 +304,7 @@ def _shapes(jacobians: Sequence[Array]) -> list[list[Array]]:
 def _explained(
     residuals: Sequence[Array],
     jacobians: Sequence[Array],
-    nuisance: Sequence[Array] | None,
+    nuisance: Sequence[Array],
     groups: Sequence[Sequence[Array]],
     filters: Sequence[Array],
 ) -> tuple[Array, list[Array]]:
@@ -325,7 +318,7 @@ def _explained(
 
     def joined(parts: Sequence[Array]) -> Array:
         kept = [white(one) for one in parts]
-        if nuisance is not None:
+        if nuisance[0].size:
             kept = [_projected(one, white(q)) for one, q in zip(kept, nuisance, strict=True)]
         return np.concatenate([one.reshape(-1, one.shape[-1]) for one in kept])
 
