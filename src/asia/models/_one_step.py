@@ -296,7 +296,7 @@ def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lag
     delay = choice.delay
     if delay is None:
         few = [Lags(min(2, highest), min(2, highest), d) for d in range(choice.max_delay + 1)]
-        delay = _best(few, _errors(part, context, few), 0.01).delay
+        delay = _best_lags(part, context, few, 0.01).delay
     counts = range(1, highest + 1)
     numbers = product(
         counts if choice.outputs is None else (choice.outputs,),
@@ -307,7 +307,22 @@ def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lag
         return lags[0]
     ny, nu = context.ny, context.nu
     lags.sort(key=lambda item: item.outputs * ny + item.inputs * nu)
-    return _best(lags, _errors(part, context, lags), choice.tolerance)
+    return _best_lags(part, context, lags, choice.tolerance)
+
+
+def candidate_lags(records: ScaledData, context: Context, choice: LagChoice) -> list[Lags]:
+    """Lags to compare for a nonlinear model: one number for all that are left open.
+
+    An open delay is that of a linear model.
+    """
+    outputs, inputs, delay = choice.outputs, choice.inputs, choice.delay
+    if delay is None:
+        delay = choose_lags(records, context, LagChoice(1, 1, None, 1)).delay
+    if outputs is not None and inputs is not None:
+        return [Lags(outputs, inputs, delay)]
+    part = selection(records, context, choice.max_order)
+    highest = max(1, min(choice.max_order, min(len(r) for r in part) // 12))
+    return [Lags(outputs or n, inputs or n, delay) for n in range(1, highest + 1)]
 
 
 def selection(records: ScaledData, context: Context, max_order: int) -> list[ScaledTrajectory]:
@@ -344,17 +359,15 @@ def usable(records: ScaledData, lags: Lags) -> None:
         )
 
 
-def _errors(records: ScaledData, context: Context, lags: Sequence[Lags]) -> Array:
-    usable(records, max(lags, key=lambda item: item.memory))
-    shortest = 2 * past_length(context) + 4 * max(item.memory for item in lags)
-    return left_out_error(
+def _best_lags(
+    records: ScaledData, context: Context, lags: Sequence[Lags], tolerance: float
+) -> Lags:
+    longest = max(lags, key=lambda item: item.memory)
+    usable(records, longest)
+    errors = left_out_error(
         records,
         context,
         lambda kept: [linear_run(kept, item, context, 1e-7, 10.0) for item in lags],
-        shortest,
+        2 * past_length(context) + 4 * longest.memory,
     )
-
-
-def _best(lags: Sequence[Lags], errors: Array, tolerance: float) -> Lags:
-    limit = errors.min() + 2 * np.log1p(tolerance)
-    return lags[int(np.argmax(errors <= limit))]
+    return lags[int(np.argmax(errors <= errors.min() + 2 * np.log1p(tolerance)))]

@@ -30,7 +30,7 @@ from asia.models._one_step import (
     FreeRunModel,
     LagChoice,
     build,
-    choose_lags,
+    candidate_lags,
     linear_run,
     selection,
     usable,
@@ -127,14 +127,10 @@ def train(
 
 def _choose(records: ScaledData, context: Context, c: Config, method: MarginalLikelihood) -> Lags:
     """Choose one number for all lags left open, by the simulation error on samples left out."""
-    delay = c.delay
-    if delay is None:
-        delay = choose_lags(records, context, LagChoice(1, 1, None, 1)).delay
+    lags = candidate_lags(records, context, LagChoice(c.na, c.nb, c.delay, c.max_order))
     if c.na is not None and c.nb is not None:
-        return Lags(c.na, c.nb, delay)
+        return lags[0]
     part = selection(records, context, c.max_order)
-    highest = max(1, min(c.max_order, min(len(r) for r in part) // 12))
-    lags = [Lags(c.na or n, c.nb or n, delay) for n in range(1, highest + 1)]
     usable(part, lags[-1])
     few = min(c.points, method.points, 200)
     quick = replace(c, points=few)

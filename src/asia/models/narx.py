@@ -36,7 +36,7 @@ from asia.models._one_step import (
     PolynomialRun,
     all_terms,
     build,
-    choose_lags,
+    candidate_lags,
     equations,
     refine,
     refinement_samples,
@@ -173,20 +173,14 @@ def _choose(
 ) -> _Choice:
     """Choose lags, number of terms and ridge by the simulation error on samples left out."""
     c = config
-    delay = c.delay
-    if delay is None:
-        delay = choose_lags(records, context, LagChoice(1, 1, None, 1)).delay
+    lags = candidate_lags(records, context, LagChoice(c.na, c.nb, c.delay, c.max_order))
     ridges: Sequence[float] = (1e-7,)
     if isinstance(method, LeastSquares):
         ridges = RIDGES[::2] if method.ridge is None else (method.ridge,)
     if c.na is not None and c.nb is not None and c.terms is not None and len(ridges) == 1:
-        return _Choice(Lags(c.na, c.nb, delay), c.terms, ridges[0], 0.0)
+        return _Choice(lags[0], c.terms, ridges[0], 0.0)
     part = selection(records, context, c.max_order)
-    highest = max(1, min(c.max_order, min(len(r) for r in part) // 12))
-    orders = (1,) if c.na is not None and c.nb is not None else range(1, highest + 1)
-    found = [
-        _choose_terms(part, context, Lags(c.na or n, c.nb or n, delay), c, ridges) for n in orders
-    ]
+    found = [_choose_terms(part, context, item, c, ridges) for item in lags]
     least = min(choice.error for choice in found)
     return next(choice for choice in found if choice.error <= least + 2 * np.log(1.02))
 
