@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -97,8 +97,7 @@ class Model(Protocol):
 
         `u[:, k]` and `y_hat[:, k]` are the same sample; `past_*[:, -1]` is the one before. B and H
         are 1 or more, whatever the context's horizon. The result for a row depends on that row
-        only,
-        y_hat[:, k] on no later input, and neither on earlier calls.
+        only, y_hat[:, k] on no later input, and neither on earlier calls.
 
         Args:
             past_u: past inputs (B, n_past_u, nu).
@@ -162,17 +161,14 @@ class ParameterEstimates:
 
 JAX = frozenset({"jax"})
 _LOAD_JAX = ("jax", "equinox", "optax")
-_TRAIN = ("equinox", "optax")
-_MODELS = "asia.models"
 
 
-@dataclass(frozen=True)
-class _Imports:
+class _Imports(NamedTuple):
     """Names of imported modules, and of what is imported from them, which may be modules too."""
 
-    first: frozenset[str]
+    first: frozenset[str] = frozenset()
     """Imports by statements that run when the module is imported."""
-    later: frozenset[str]
+    later: frozenset[str] = frozenset()
     """Imports by statements inside functions."""
 
 
@@ -199,7 +195,7 @@ def trains_network(source: str) -> bool:
     own = _imports(source)
     if any(name.split(".")[0] in _LOAD_JAX for name in own.first | own.later):
         return True
-    return any(name.split(".")[0] in _TRAIN for name in _reached(own, fitting=True))
+    return any(name.split(".")[0] in ("equinox", "optax") for name in _reached(own, fitting=True))
 
 
 def _reached(own: _Imports, *, fitting: bool) -> set[str]:
@@ -207,7 +203,7 @@ def _reached(own: _Imports, *, fitting: bool) -> set[str]:
     found, queue, seen = set(own.first), [*own.first], set[str]()
     while queue:
         name = queue.pop()
-        if name in seen or not f"{name}.".startswith(f"{_MODELS}."):
+        if name in seen or not f"{name}.".startswith("asia.models."):
             continue
         seen.add(name)
         inside = _imports_of_module(name)
@@ -223,7 +219,7 @@ def _imports_of_module(name: str) -> _Imports:
     for path in (place.with_suffix(".py"), place / "__init__.py"):
         if path.is_file():
             return _imports(path.read_text("utf-8"))
-    return _Imports(frozenset(), frozenset())
+    return _Imports()
 
 
 def _imports(source: str) -> _Imports:
@@ -232,7 +228,7 @@ def _imports(source: str) -> _Imports:
         first = frozenset(_names(tree.body, inside=False))
         return _Imports(first, frozenset(_names(tree.body, inside=True)) - first)
     except (SyntaxError, ValueError):
-        return _Imports(frozenset(), frozenset())
+        return _Imports()
 
 
 def _names(body: list[ast.stmt], *, inside: bool) -> Iterator[str]:
@@ -260,12 +256,10 @@ def _names(body: list[ast.stmt], *, inside: bool) -> Iterator[str]:
 # Libraries that a candidate may import beside the standard one and `asia.models`.
 
 
-_LIBRARIES = ("numpy", "scipy", "jax", "equinox", "optax")
-
-
 def installed_libraries() -> tuple[str, ...]:
     """Names of these libraries that are installed here, as agents and users read them."""
-    return tuple(name for name in _LIBRARIES if find_spec(name) is not None)
+    libraries = ("numpy", "scipy", "jax", "equinox", "optax")
+    return tuple(name for name in libraries if find_spec(name) is not None)
 
 
 # Limits on the data that a source carries. A candidate learns from its training records; one that
@@ -276,9 +270,6 @@ MOST_LITERALS = 1024
 MOST_NAMES = 2048
 MOST_ALIKE = 1024
 MOST_CODE = 7 * 1024
-
-_NAMED = ("name", "id", "attr", "arg", "asname", "module")
-_SIGNS = (ast.operator, ast.unaryop, ast.cmpop, ast.boolop)
 
 
 @dataclass(frozen=True)
@@ -313,36 +304,24 @@ def content(source: str, tree: ast.Module) -> SourceContent:
     docstrings = _docstrings(tree)
     literals: list[bytes] = []
     names: dict[str, None] = {}
+    kinds: dict[frozenset[str], list[str]] = {}
+    signs = ast.operator | ast.unaryop | ast.cmpop | ast.boolop
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and node not in docstrings:
-            literals.append(_literal(node.value))
+            value = node.value
+            text = value if isinstance(value, str | bytes) else repr(value)
+            literals.append(text if isinstance(text, bytes) else _encoded(text))
         names.update(dict.fromkeys(_assigned_names(node)))
+        if isinstance(node, ast.stmt):
+            parts = list(_parts(node))
+            kind = frozenset(type(p).__name__ for p in parts if not isinstance(p, signs))
+            kinds.setdefault(kind, []).extend(_shape(p) for p in parts)
     return SourceContent(
         _deflated(b"\n".join(literals)),
-        _deflated("\n".join(names).encode("utf-8", "replace")),
-        _alike(tree),
-        _deflated(without_comments(source, tree).encode("utf-8", "replace")),
+        _deflated(_encoded("\n".join(names))),
+        max((_deflated(_encoded("\n".join(shapes))) for shapes in kinds.values()), default=0),
+        _deflated(_encoded(without_comments(source, tree))),
     )
-
-
-def check_content(source: str, tree: ast.Module) -> None:
-    """Refuse a source that carries more data than a model needs.
-
-    Raises:
-        CandidateError: LITERAL_DATA.
-    """
-    found = content(source, tree)
-    for what, size, most in (
-        ("numbers and strings", found.literals, MOST_LITERALS),
-        ("names", found.names, MOST_NAMES),
-        ("statements of one kind", found.alike, MOST_ALIKE),
-        ("code", found.code, MOST_CODE),
-    ):
-        if size > most:
-            raise CandidateError(
-                Reason.LITERAL_DATA,
-                f"its {what} hold {size} bytes when compressed, at most {most} are allowed",
-            )
 
 
 def without_comments(source: str, tree: ast.Module) -> str:
@@ -376,17 +355,6 @@ def without_comments(source: str, tree: ast.Module) -> str:
     )
 
 
-def _alike(tree: ast.Module) -> int:
-    kinds: dict[frozenset[str], list[str]] = {}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.stmt):
-            parts = list(_parts(node))
-            kind = frozenset(type(p).__name__ for p in parts if not isinstance(p, _SIGNS))
-            kinds.setdefault(kind, []).extend(_shape(p) for p in parts)
-    sizes = (_deflated("\n".join(k).encode("utf-8", "replace")) for k in kinds.values())
-    return max(sizes, default=0)
-
-
 def _parts(statement: ast.stmt) -> Iterator[ast.AST]:
     """Nodes of a statement in the order they are written, without the statements inside it."""
     left: list[ast.AST] = [statement]
@@ -408,8 +376,8 @@ def _docstrings(tree: ast.Module) -> set[ast.Constant]:
     found: set[ast.Constant] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            several = not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-            for statement in node.body if several else node.body[:1]:
+            one = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+            for statement in node.body[:1] if one else node.body:
                 match statement:
                     case ast.Expr(value=ast.Constant(value=str()) as text):
                         found.add(text)
@@ -433,7 +401,7 @@ def _shape(node: ast.AST) -> str:
 
 
 def _assigned_names(node: ast.AST) -> Iterator[str]:
-    for name in _NAMED:
+    for name in ("name", "id", "attr", "arg", "asname", "module"):
         value = getattr(node, name, None)
         if isinstance(value, str):
             yield value
@@ -441,10 +409,7 @@ def _assigned_names(node: ast.AST) -> Iterator[str]:
         yield from node.names
 
 
-def _literal(value: object) -> bytes:
-    if isinstance(value, bytes):
-        return value
-    text = value if isinstance(value, str) else repr(value)
+def _encoded(text: str) -> bytes:
     return text.encode("utf-8", "replace")
 
 
@@ -470,7 +435,18 @@ def check_source(source: str) -> None:
         raise CandidateError(
             Reason.CONTRACT, "the source defines no top-level function fit(trajectories, context)"
         )
-    check_content(source, tree)
+    found = content(source, tree)
+    for what, size, most in (
+        ("numbers and strings", found.literals, MOST_LITERALS),
+        ("names", found.names, MOST_NAMES),
+        ("statements of one kind", found.alike, MOST_ALIKE),
+        ("code", found.code, MOST_CODE),
+    ):
+        if size > most:
+            raise CandidateError(
+                Reason.LITERAL_DATA,
+                f"its {what} hold {size} bytes when compressed, at most {most} are allowed",
+            )
 
 
 def executed_source(source: str) -> str:
@@ -496,7 +472,11 @@ def source_digest(source: str) -> str:
     tree = _parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            _drop_docstring(node)
+            match node.body:
+                case [ast.Expr(value=ast.Constant(value=str())), *rest]:
+                    node.body = rest
+                case _:
+                    pass
     return hashlib.sha256(ast.dump(tree).encode("utf-8", "surrogatepass")).hexdigest()
 
 
@@ -511,9 +491,7 @@ def _parse(source: str) -> ast.Module:
             f"the source has {size} bytes, at most {LARGEST_SOURCE} are allowed",
         )
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return syntax_tree(source, "candidate.py")
+        return _parsed(source)
     except SyntaxError as error:
         where = "" if error.lineno is None else f"line {error.lineno}: "
         raise CandidateError(Reason.SYNTAX, f"{where}{error.msg}") from error
@@ -531,35 +509,25 @@ def _defined(body: list[ast.stmt]) -> set[str]:
             case ast.Import(names=aliases) | ast.ImportFrom(names=aliases):
                 names |= {alias.asname or alias.name for alias in aliases}
             case ast.Assign(targets=targets):
-                names |= {t.id for target in targets for t in _targets(target)}
+                names |= {name for target in targets for name in _target_names(target)}
             case ast.AnnAssign(target=ast.Name(id=name), value=ast.expr()):
                 names.add(name)
-            case ast.If(body=first, orelse=second):
-                names |= _defined(first) | _defined(second)
-            case ast.Try(body=first, orelse=second, finalbody=third):
-                names |= _defined(first) | _defined(second) | _defined(third)
-                names |= {name for handler in node.handlers for name in _defined(handler.body)}
+            case ast.If():
+                names |= _defined([*node.body, *node.orelse])
+            case ast.Try():
+                handled = [statement for handler in node.handlers for statement in handler.body]
+                names |= _defined([*node.body, *node.orelse, *node.finalbody, *handled])
             case _:
                 pass
     return names
 
 
-def _targets(target: ast.expr) -> list[ast.Name]:
+def _target_names(target: ast.expr) -> list[str]:
     if isinstance(target, ast.Name):
-        return [target]
+        return [target.id]
     if isinstance(target, ast.Tuple | ast.List):
-        return [name for element in target.elts for name in _targets(element)]
+        return [name for element in target.elts for name in _target_names(element)]
     return []
-
-
-def _drop_docstring(
-    node: ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef,
-) -> None:
-    match node.body:
-        case [ast.Expr(value=ast.Constant(value=str())), *rest]:
-            node.body = rest
-        case _:
-            pass
 
 
 # State-space step contract of a fitted model, used for simulation and for `asia export`.

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from asia.data.trajectory import Array
-from asia.lowering.program import Attributes, LoweredModel, Node, Program
+from asia.lowering.program import BINARY, REDUCTIONS, UNARY, Attributes, LoweredModel, Program
 
 
 def evaluate(program: Program, inputs: Sequence[Array]) -> list[Array]:
@@ -16,7 +16,15 @@ def evaluate(program: Program, inputs: Sequence[Array]) -> list[Array]:
     values: list[object] = [*(np.asarray(x, np.float64) for x in inputs), *program.constants]
     with np.errstate(all="ignore"):
         for node in program.nodes:
-            values.append(_result(node, [values[i] for i in node.operands]))
+            read: list[object] = [values[i] for i in node.operands]
+            if node.op == "loop":
+                assert node.body is not None
+                values.append(_looped(node.body, node.attrs, [np.asarray(v) for v in read]))
+            elif node.op == "part":
+                parts: Sequence[Array] = read[0]  # pyright: ignore[reportAssignmentType]
+                values.append(parts[node.attrs[0]])
+            else:
+                values.append(np.asarray(_COMPUTED[node.op](node.attrs, *read), np.float64))
     return [np.asarray(values[i]) for i in program.outputs]
 
 
@@ -37,16 +45,6 @@ def simulate(model: LoweredModel, past_u: Array, past_y: Array, u: Array) -> Arr
     for k, row in enumerate(u):
         result[k], *states = evaluate(model.step, [*states, row])
     return result
-
-
-def _result(node: Node, values: Sequence[object]) -> object:
-    if node.op == "loop":
-        assert node.body is not None
-        return _looped(node.body, node.attrs, [np.asarray(v) for v in values])
-    if node.op == "part":
-        parts: Sequence[Array] = values[0]  # pyright: ignore[reportAssignmentType]
-        return parts[node.attrs[0]]
-    return np.asarray(_COMPUTED[node.op](node.attrs, *values), np.float64)
 
 
 def _looped(body: Program, attrs: Attributes, values: Sequence[Array]) -> list[Array]:
@@ -92,7 +90,6 @@ _NAMES = {
     "max": "maximum",
     "min": "minimum",
     "pow": "power",
-    "add": "add",
     "sub": "subtract",
     "mul": "multiply",
     "div": "divide",
@@ -107,7 +104,6 @@ _NAMES = {
     "eq": "equal",
     "ne": "not_equal",
 }
-_SAME = "abs sign floor sqrt exp log log1p expm1 tanh sin cos tan sinh cosh isfinite"
 
 
 def _by_name(name: str) -> Callable[..., Array]:
@@ -121,9 +117,8 @@ def _reducing(name: str) -> Callable[..., Array]:
 
 
 _COMPUTED: dict[str, Callable[..., Array]] = {
-    **{op: _by_name(name) for op, name in _NAMES.items()},
-    **{op: _by_name(op) for op in _SAME.split()},
-    **{"r" + op: _reducing(op) for op in ("sum", "max", "min", "prod")},
+    **{op: _by_name(_NAMES.get(op, op)) for op in UNARY | BINARY},
+    **{op: _reducing(op.removeprefix("r")) for op in REDUCTIONS},
     "select": lambda attrs, c, a, b: np.where(c != 0, a, b),
     "reshape": lambda attrs, x: x.reshape(attrs),
     "transpose": lambda attrs, x: x.transpose(attrs),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,17 +23,15 @@ _UNARY = (
     "neg abs sign floor sqrt exp log log1p expm1 tanh sin cos tan asin acos atan sinh cosh isfinite"
 )
 _BINARY = "add sub mul div max min pow atan2 lt le gt ge eq ne"
-_MOVES = "reshape broadcast transpose slice pick concat pad"
 UNARY = frozenset(_UNARY.split())
 """Elementwise operations of one array."""
 BINARY = frozenset(_BINARY.split())
 """Elementwise operations of two arrays of one shape, or of an array and a number."""
 REDUCTIONS = frozenset(("rsum", "rmax", "rmin", "rprod"))
 """Sum, greatest, least and product over the axes that the attributes name."""
-MOVES = frozenset(_MOVES.split())
-"""Operations that only rearrange numbers."""
+_MOVES = frozenset(["reshape", "broadcast", "transpose", "slice", "pick", "concat", "pad"])
 OPERATIONS = (
-    *sorted(UNARY | BINARY | REDUCTIONS | MOVES),
+    *sorted(UNARY | BINARY | REDUCTIONS | _MOVES),
     *("select", "matmul", "loop", "part"),
 )
 """All operations; their order gives their numbers in packed programs."""
@@ -44,20 +42,6 @@ LARGEST_SIZE = 1 << 26
 
 class ShapeError(ValueError):
     """Operation that does not fit its operands."""
-
-
-def shape_of(op: str, attrs: Attributes, shapes: Sequence[Shape]) -> Shape:
-    """Shape of the result of an operation.
-
-    The program that holds `loop` and `part` gives their shapes.
-
-    Raises:
-        ShapeError: if operands and attributes do not fit together.
-    """
-    found = _RULES[op](attrs, shapes)
-    if len(found) > LARGEST_RANK or any(n < 0 for n in found) or math.prod(found) > LARGEST_SIZE:
-        raise ShapeError(f"{op} gives shape {found}")
-    return found
 
 
 def _demand(holds: bool, message: str) -> None:
@@ -233,21 +217,13 @@ class Program:
     def with_outputs(self, outputs: Sequence[int]) -> Program:
         """Make a program of the same inputs with other outputs, without the nodes that they do not
         need."""
-        needed, nodes = set(outputs), list[int]()
-        for place in range(len(self.nodes) - 1, -1, -1):
-            if self.first_node + place in needed:
-                nodes.append(place)
-                needed.update(self.nodes[place].operands)
         build = Builder(self.inputs)
-        names = {i: i for i in range(len(self.inputs))}
-        for i, constant in enumerate(self.constants, len(self.inputs)):
-            if i in needed:
-                names[i] = build.constant(constant)
-        for place in reversed(nodes):
-            node = self.nodes[place]
-            operands = tuple(names[i] for i in node.operands)
-            names[self.first_node + place] = build.add(node.op, operands, node.attrs, node.body)
-        return build.program([names[i] for i in outputs])
+        numbers = list(range(len(self.inputs)))
+        numbers += [build.constant(constant) for constant in self.constants]
+        for node in self.nodes:
+            operands = [numbers[i] for i in node.operands]
+            numbers.append(build.add(node.op, operands, node.attrs, node.body))
+        return build.program([numbers[i] for i in outputs])
 
 
 @dataclass(frozen=True)
@@ -324,12 +300,15 @@ class Builder:
         """
         shapes = [self.shape(i) for i in operands]
         if op == "loop":
-            check_loop(attrs, shapes, body)
+            _check_loop(attrs, shapes, body)
             shape: Shape = ()
         elif op == "part":
-            shape = part_shape(attrs, [self._values[i - len(self.inputs)] for i in operands])
+            shape = _part_shape(attrs, [self._values[i - len(self.inputs)] for i in operands])
         else:
-            shape = shape_of(op, attrs, shapes)
+            shape = _RULES[op](attrs, shapes)
+            large = len(shape) > LARGEST_RANK or math.prod(shape) > LARGEST_SIZE
+            if large or any(n < 0 for n in shape):
+                raise ShapeError(f"{op} gives shape {shape}")
         same = self._without_effect(op, operands, attrs, shape)
         if same is not None:
             return same
@@ -393,8 +372,7 @@ class Builder:
         for i in order:
             value = self._values[i]
             if isinstance(value, Node):
-                operands = tuple(names[o] for o in value.operands)
-                nodes.append(Node(value.op, operands, value.attrs, value.shape, value.body))
+                nodes.append(replace(value, operands=tuple(names[o] for o in value.operands)))
             else:
                 arrays.append(value)
         return Program(self.inputs, tuple(arrays), tuple(nodes), tuple(names[i] for i in outputs))
@@ -416,12 +394,7 @@ _NEUTRAL = {
 }
 
 
-def check_loop(attrs: Attributes, shapes: Sequence[Shape], body: Program | None) -> None:
-    """Check that the body of a loop fits its operands.
-
-    Raises:
-        ShapeError: if it does not.
-    """
+def _check_loop(attrs: Attributes, shapes: Sequence[Shape], body: Program | None) -> None:
     if body is None or len(attrs) != 3 or min(attrs) < 0:
         raise ShapeError("a loop takes a body and three counts")
     length, same, carried = attrs
@@ -434,12 +407,7 @@ def check_loop(attrs: Attributes, shapes: Sequence[Shape], body: Program | None)
         raise ShapeError("a loop carries other shapes than its body gives")
 
 
-def part_shape(attrs: Attributes, operands: Sequence[object]) -> Shape:
-    """Shape of one result of a loop.
-
-    Raises:
-        ShapeError: if the loop has no such result.
-    """
+def _part_shape(attrs: Attributes, operands: Sequence[object]) -> Shape:
     loop = operands[0] if len(operands) == 1 else None
     if not isinstance(loop, Node) or loop.body is None or len(attrs) != 1:
         raise ShapeError("a part belongs to a loop")

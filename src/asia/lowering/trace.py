@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.lowering import wire
-from asia.lowering.program import Builder, LoweredModel, Program, Shape, ShapeError
+from asia.lowering.program import BINARY, UNARY, Builder, LoweredModel, Program, Shape, ShapeError
 
 # Building blocks of the lowering rules: values, steps and their errors.
 
@@ -34,9 +34,9 @@ class Step:
 
     def __init__(self, build: Builder, equation: Any) -> None:
         self.build = build
-        self.params: dict[str, Any] = {} if equation is None else dict(equation.params)
-        self.shape: Shape = () if equation is None else equation.outvars[0].aval.shape
-        self.equation: Any = equation
+        self.equation = equation
+        self.params: dict[str, Any] = equation.params
+        self.shape: Shape = equation.outvars[0].aval.shape
 
     def add(self, op: str, *values: Value, attrs: Sequence[int] = ()) -> int:
         numbers = [number(self.build, v) for v in values]
@@ -87,13 +87,13 @@ class Step:
     def reversed_rows(self, value: Value) -> Value:
         if not isinstance(value, int):
             return np.asarray(value)[::-1]
-        return picked(self, value, lambda x: x[::-1])
+        return _picked(self, value, lambda x: x[::-1])
 
 
 Rule = Callable[[Step, Values], Values]
 
 
-def picked(at: Step, value: int, move: Callable[[NDArray[np.int64]], Any]) -> int:
+def _picked(at: Step, value: int, move: Callable[[NDArray[np.int64]], Any]) -> int:
     """Rearrange the numbers of a value as `move` rearranges those of an array."""
     shape = at.build.shape(value)
     places = np.asarray(move(np.arange(math.prod(shape)).reshape(shape)))
@@ -104,12 +104,7 @@ def picked(at: Step, value: int, move: Callable[[NDArray[np.int64]], Any]) -> in
 # Lowering rules for primitives that move, sum and multiply arrays.
 
 
-def reshape(at: Step, v: Values) -> Values:
-    """Lower `reshape`, `squeeze` and `expand_dims`."""
-    return [at.add("reshape", v[0], attrs=at.shape)]
-
-
-def broadcast(at: Step, v: Values) -> Values:
+def _broadcast(at: Step, v: Values) -> Values:
     """Lower `broadcast_in_dim`: the operand lies along given axes of the result."""
     axes, shape = at.params["broadcast_dimensions"], at.params["shape"]
     if math.prod(at.shape_of(v[0])) == math.prod(shape):
@@ -117,13 +112,7 @@ def broadcast(at: Step, v: Values) -> Values:
     return [at.add("broadcast", v[0], attrs=(len(shape), *shape, *axes))]
 
 
-def transpose(at: Step, v: Values) -> Values:
-    """Lower `transpose`."""
-    return [transposed(at, v[0], at.params["permutation"])]
-
-
-def transposed(at: Step, value: Value, axes: Sequence[int]) -> Value:
-    """Permute the axes of a value."""
+def _transposed(at: Step, value: Value, axes: Sequence[int]) -> Value:
     if list(axes) == sorted(axes):
         return value
     if not isinstance(value, int):
@@ -135,21 +124,23 @@ def transposed(at: Step, value: Value, axes: Sequence[int]) -> Value:
     return at.add("transpose", value, attrs=axes)
 
 
-def reshaped(at: Step, value: Value, shape: Sequence[int]) -> Value:
-    """Reshape a value."""
+def _reshaped(at: Step, value: Value, shape: Sequence[int]) -> Value:
     if not isinstance(value, int):
         return np.reshape(value, shape)
     return at.add("reshape", value, attrs=shape)
 
 
-def sliced(at: Step, v: Values) -> Values:
-    """Lower `slice`."""
+def _sliced(at: Step, v: Values) -> Values:
     starts, ends = at.params["start_indices"], at.params["limit_indices"]
     steps = at.params["strides"] or (1,) * len(starts)
     return [at.add("slice", v[0], attrs=(*starts, *ends, *steps))]
 
 
-def dynamic_slice(at: Step, v: Values) -> Values:
+def _segment(at: Step, value: Value, starts: Sequence[int], ends: Sequence[int]) -> int:
+    return at.add("slice", value, attrs=(*starts, *ends, *(1 for _ in starts)))
+
+
+def _dynamic_slice(at: Step, v: Values) -> Values:
     """Lower `dynamic_slice` with constant start indices."""
     if any(isinstance(i, int) for i in v[1:]):
         raise CannotLowerError(
@@ -159,10 +150,10 @@ def dynamic_slice(at: Step, v: Values) -> Values:
     requested = [int(np.asarray(i)) for i in v[1:]]
     starts = [min(max(i, 0), n - m) for i, n, m in zip(requested, shape, sizes, strict=True)]
     ends = [a + n for a, n in zip(starts, sizes, strict=True)]
-    return [at.add("slice", v[0], attrs=(*starts, *ends, *(1 for _ in sizes)))]
+    return [_segment(at, v[0], starts, ends)]
 
 
-def gather(at: Step, v: Values) -> Values:
+def _gather(at: Step, v: Values) -> Values:
     """Lower `gather` with constant indices, which JAX itself evaluates."""
     if not isinstance(v[0], int) or isinstance(v[1], int):
         raise CannotLowerError(
@@ -179,50 +170,32 @@ def gather(at: Step, v: Values) -> Values:
             found = equation.primitive.bind(operand, jax.numpy.asarray(v[1]), **equation.params)
         return np.asarray(found).astype(np.int64)
 
-    return [picked(at, v[0], move)]
+    return [_picked(at, v[0], move)]
 
 
-def reverse(at: Step, v: Values) -> Values:
-    """Lower `rev`: flip along axes."""
-    assert isinstance(v[0], int)
-    return [picked(at, v[0], lambda x: np.flip(x, at.params["dimensions"]))]
+def _concat(at: Step, v: Values) -> Values:
+    full = [x for x in v if math.prod(at.shape_of(x))]
+    return [full[0] if len(full) == 1 else at.add("concat", *full, attrs=(at.params["dimension"],))]
 
 
-def concat(at: Step, v: Values) -> Values:
-    """Lower `concatenate`."""
-    axis = at.params["dimension"]
-    full = [x for x in v if count(at, x)]
-    if len(full) == 1:
-        return [full[0]]
-    return [at.add("concat", *full, attrs=(axis,))]
-
-
-def stack(at: Step, v: Values) -> Values:
-    """Stack values along a new axis."""
+def _stack(at: Step, v: Values) -> Values:
     axis, shape = at.params["axis"], at.shape
     one = (*shape[:axis], 1, *shape[axis + 1 :])
     rows = [at.add("reshape", x, attrs=one) for x in v]
     return [at.add("concat", *rows, attrs=(axis,))]
 
 
-def count(at: Step, value: Value) -> int:
-    """Number of elements of a value."""
-    return math.prod(at.shape_of(value))
-
-
-def split(at: Step, v: Values) -> Values:
-    """Lower `split` along an axis."""
+def _split(at: Step, v: Values) -> Values:
     axis, shape, found, start = at.params["axis"], at.shape_of(v[0]), list[Value](), 0
     for size in at.params["sizes"]:
         starts = [start if a == axis else 0 for a in range(len(shape))]
         ends = [start + size if a == axis else n for a, n in enumerate(shape)]
-        found.append(at.add("slice", v[0], attrs=(*starts, *ends, *(1 for _ in shape))))
+        found.append(_segment(at, v[0], starts, ends))
         start += size
     return found
 
 
-def pad(at: Step, v: Values) -> Values:
-    """Lower `pad` with a constant around the array."""
+def _pad(at: Step, v: Values) -> Values:
     counts = at.params["padding_config"]
     if any(inner for _, _, inner in counts):
         raise CannotLowerError("cannot be exported: pad between the numbers of an array")
@@ -230,16 +203,14 @@ def pad(at: Step, v: Values) -> Values:
     if any(low < 0 or high < 0 for low, high, _ in counts):
         starts = [max(-low, 0) for low, _, _ in counts]
         ends = [n - max(-high, 0) for n, (_, high, _) in zip(shape, counts, strict=True)]
-        value = at.add("slice", value, attrs=(*starts, *ends, *(1 for _ in shape)))
+        value = _segment(at, value, starts, ends)
     before, behind = [max(c[0], 0) for c in counts], [max(c[1], 0) for c in counts]
     if not any((*before, *behind)):
         return [value]
     return [at.add("pad", value, v[1], attrs=(*before, *behind))]
 
 
-def reduce(op: str) -> Rule:
-    """Make the rule of a reduction over axes."""
-
+def _reduce(op: str) -> Rule:
     def rule(at: Step, v: Values) -> Values:
         axes, shape = at.params["axes"], at.shape_of(v[0])
         if all(shape[a] == 1 for a in axes):
@@ -249,7 +220,7 @@ def reduce(op: str) -> Rule:
     return rule
 
 
-def dot(at: Step, v: Values) -> Values:
+def _dot(at: Step, v: Values) -> Values:
     """Lower `dot_general` to a product of matrices."""
     (left_sum, right_sum), (left_batch, right_batch) = at.params["dimension_numbers"]
     shapes = [at.shape_of(x) for x in v]
@@ -267,10 +238,10 @@ def dot(at: Step, v: Values) -> Values:
         wide = math.prod(shape[a] for a in free)
         ends = [wide, inner] if side == 0 else [inner, wide]
         front = [math.prod(stack)] if math.prod(stack) != 1 else []
-        sides.append(reshaped(at, transposed(at, value, order), [*front, *ends]))
+        sides.append(_reshaped(at, _transposed(at, value, order), [*front, *ends]))
         kept.append([shape[a] for a in free])
     product = at.add("matmul", *sides)
-    return [reshaped(at, product, [*stack, *kept[0], *kept[1]])]
+    return [_reshaped(at, product, [*stack, *kept[0], *kept[1]])]
 
 
 # Lowering rules, one a JAX primitive.
@@ -284,113 +255,92 @@ def in_single_precision(jaxpr: Any) -> bool:
     for equation in jaxpr.eqns:
         if any(getattr(v.aval, "dtype", None) == np.float32 for v in equation.outvars):
             return True
-        for inner in _inner(equation.params):
-            if in_single_precision(inner):
-                return True
+        for value in equation.params.values():
+            for one in value if isinstance(value, tuple | list) else (value,):
+                inner = getattr(one, "jaxpr", one)
+                if hasattr(inner, "eqns") and in_single_precision(inner):
+                    return True
     return False
 
 
-def _inner(params: dict[str, Any]) -> list[Any]:
-    found: list[Any] = []
-    for value in params.values():
-        for one in value if isinstance(value, tuple | list) else (value,):
-            jaxpr = getattr(one, "jaxpr", one)
-            if hasattr(jaxpr, "eqns"):
-                found.append(jaxpr)
-    return found
+def _lowered_values(build: Builder, jaxpr: Any, consts: Sequence[Any], given: Values) -> Values:
+    """Add the operations of a jaxpr to a program; return its outputs from its inputs."""
+    env: dict[Any, Value] = {}
+    env.update(zip(jaxpr.constvars, (np.asarray(c) for c in consts), strict=True))
+    env.update(zip(jaxpr.invars, given, strict=True))
 
+    def read(v: Any) -> Value:
+        return np.asarray(v.val) if hasattr(v, "val") else env[v]
 
-class Lowering:
-    """Translation of a jaxpr into operations of a program."""
-
-    def __init__(self, build: Builder) -> None:
-        self.build = build
-
-    def run(self, jaxpr: Any, consts: Sequence[Any], given: Values) -> Values:
-        """Compute the values of the jaxpr's outputs from those of its inputs."""
-        env: dict[Any, Value] = {}
-        env.update(zip(jaxpr.constvars, (np.asarray(c) for c in consts), strict=True))
-        env.update(zip(jaxpr.invars, given, strict=True))
-
-        def read(v: Any) -> Value:
-            return np.asarray(v.val) if hasattr(v, "val") else env[v]
-
-        for equation in jaxpr.eqns:
-            values = [read(v) for v in equation.invars]
-            found = self._equation(equation, values)
-            for variable, value in zip(equation.outvars, found, strict=True):
-                env[variable] = value
-        return [read(v) for v in jaxpr.outvars]
-
-    def _equation(self, equation: Any, values: Values) -> Values:
-        name, params = equation.primitive.name, equation.params
+    for equation in jaxpr.eqns:
+        values = [read(v) for v in equation.invars]
+        name, results = equation.primitive.name, equation.outvars
         if all(not isinstance(v, int) for v in values):
-            return _computed(equation, values)
-        if all(math.prod(v.aval.shape) == 0 for v in equation.outvars):
-            return [np.zeros(v.aval.shape) for v in equation.outvars]
-        if name in _INLINED:
-            return self._inlined(params, values)
-        if name == "scan":
-            return self._scan(params, values)
-        if name == "cond":
-            return self._cond(params, values, equation)
-        if name not in _RULES:
+            found = _computed(equation, values)
+        elif all(math.prod(v.aval.shape) == 0 for v in results):
+            found = [np.zeros(v.aval.shape) for v in results]
+        elif name in _CONTROL:
+            found = _CONTROL[name](Step(build, equation), values)
+        elif name not in _RULES:
             raise CannotLowerError(
                 f"cannot be exported: {name}; write the step without it (docs/use/export.md lists "
                 "what can be exported)"
             )
-        for variable in equation.outvars:
-            if np.dtype(variable.aval.dtype).kind == "c":
-                raise CannotLowerError(
-                    f"cannot be exported: {name} of complex numbers; keep real and imaginary parts "
-                    "apart in the state"
-                )
-        return _RULES[name](Step(self.build, equation), values)
+        elif any(np.dtype(v.aval.dtype).kind == "c" for v in results):
+            raise CannotLowerError(
+                f"cannot be exported: {name} of complex numbers; keep real and imaginary parts "
+                "apart in the state"
+            )
+        else:
+            found = _RULES[name](Step(build, equation), values)
+        env.update(zip(results, found, strict=True))
+    return [read(v) for v in jaxpr.outvars]
 
-    def _inlined(self, params: dict[str, Any], values: Values) -> Values:
-        inner = next(params[k] for k in ("jaxpr", "call_jaxpr", "fun_jaxpr") if k in params)
-        closed = inner if hasattr(inner, "consts") else None
-        jaxpr = inner if closed is None else closed.jaxpr
-        return self.run(jaxpr, () if closed is None else closed.consts, values)
 
-    def _cond(self, params: dict[str, Any], values: Values, equation: Any) -> Values:
-        which, rest = values[0], values[1:]
-        branches = params["branches"]
-        if not isinstance(which, int):
-            chosen = branches[int(np.clip(which, 0, len(branches) - 1))]
-            return self.run(chosen.jaxpr, chosen.consts, rest)
-        if len(branches) != 2:
-            raise CannotLowerError("cannot be exported: a choice among more than two branches")
-        no, yes = (self.run(b.jaxpr, b.consts, rest) for b in branches)
-        at = Step(self.build, equation)
-        pairs = zip(yes, no, equation.outvars, strict=True)
-        return [at.choose(which, a, b, v.aval.shape) for a, b, v in pairs]
+def _called(at: Step, v: Values) -> Values:
+    keys = ("jaxpr", "call_jaxpr", "fun_jaxpr")
+    inner = next(at.params[key] for key in keys if key in at.params)
+    if hasattr(inner, "consts"):
+        return _lowered_values(at.build, inner.jaxpr, inner.consts, v)
+    return _lowered_values(at.build, inner, (), v)
 
-    def _scan(self, params: dict[str, Any], values: Values) -> Values:
-        closed, length = params["jaxpr"], params["length"]
-        same, carried = params["num_consts"], params["num_carry"]
-        at = Step(self.build, None)
-        rows = values[same + carried :]
-        if params["reverse"]:
-            rows = [at.reversed_rows(r) for r in rows]
-        free = [i for i, v in enumerate(values[:same]) if isinstance(v, int)]
-        carry = [number(self.build, v) for v in values[same : same + carried]]
-        passed = [number(self.build, values[i]) for i in free]
-        stacked = [number(self.build, r) for r in rows]
-        shapes = [self.build.shape(i) for i in (*passed, *carry)]
-        body = Builder((*shapes, *(self.build.shape(r)[1:] for r in stacked)))
-        given: list[Value] = list(values[:same])
-        for place, i in enumerate(free):
-            given[i] = place
-        given += list(range(len(free), len(body.inputs)))
-        found = Lowering(body).run(closed.jaxpr, closed.consts, given)
-        program = body.program([number(body, v) for v in found])
-        attrs = (length, len(free), carried)
-        loop = self.build.add("loop", (*passed, *carry, *stacked), attrs, program)
-        parts: list[Value] = [self.build.add("part", (loop,), (k,)) for k in range(len(found))]
-        if params["reverse"]:
-            parts[carried:] = [at.reversed_rows(p) for p in parts[carried:]]
-        return parts
+
+def _cond(at: Step, v: Values) -> Values:
+    which, branches = v[0], at.params["branches"]
+    if not isinstance(which, int):
+        chosen = branches[int(np.clip(which, 0, len(branches) - 1))]
+        return _lowered_values(at.build, chosen.jaxpr, chosen.consts, v[1:])
+    if len(branches) != 2:
+        raise CannotLowerError("cannot be exported: a choice among more than two branches")
+    no, yes = (_lowered_values(at.build, b.jaxpr, b.consts, v[1:]) for b in branches)
+    pairs = zip(yes, no, at.equation.outvars, strict=True)
+    return [at.choose(which, a, b, result.aval.shape) for a, b, result in pairs]
+
+
+def _scan(at: Step, v: Values) -> Values:
+    closed, length, build = at.params["jaxpr"], at.params["length"], at.build
+    same, carried = at.params["num_consts"], at.params["num_carry"]
+    rows = v[same + carried :]
+    if at.params["reverse"]:
+        rows = [at.reversed_rows(r) for r in rows]
+    free = [i for i, value in enumerate(v[:same]) if isinstance(value, int)]
+    carry = [number(build, value) for value in v[same : same + carried]]
+    passed = [number(build, v[i]) for i in free]
+    stacked = [number(build, r) for r in rows]
+    shapes = [build.shape(i) for i in (*passed, *carry)]
+    body = Builder((*shapes, *(build.shape(r)[1:] for r in stacked)))
+    given: list[Value] = list(v[:same])
+    for place, i in enumerate(free):
+        given[i] = place
+    given += list(range(len(free), len(body.inputs)))
+    found = _lowered_values(body, closed.jaxpr, closed.consts, given)
+    program = body.program([number(body, value) for value in found])
+    attrs = (length, len(free), carried)
+    loop = build.add("loop", (*passed, *carry, *stacked), attrs, program)
+    parts: list[Value] = [build.add("part", (loop,), (k,)) for k in range(len(found))]
+    if at.params["reverse"]:
+        parts[carried:] = [at.reversed_rows(p) for p in parts[carried:]]
+    return parts
 
 
 def _computed(equation: Any, values: Values) -> Values:
@@ -409,12 +359,8 @@ def _computed(equation: Any, values: Values) -> Values:
     return [np.asarray(v) for v in many]
 
 
-def _plain(op: str) -> Rule:
+def _elementwise(op: str) -> Rule:
     return lambda at, v: [at.wise(op, *v)]
-
-
-def _same(at: Step, v: Values) -> Values:
-    return [v[0]]
 
 
 def _logistic(at: Step, v: Values) -> Values:
@@ -444,11 +390,6 @@ def _select(at: Step, v: Values) -> Values:
     return [at.choose(v[0], v[2], v[1], at.shape)]
 
 
-def _clamp(at: Step, v: Values) -> Values:
-    low, x, high = v
-    return [at.wise("min", at.wise("max", x, low), high)]
-
-
 def _convert(at: Step, v: Values) -> Values:
     new, old = np.dtype(at.params["new_dtype"]), np.dtype(at.equation.invars[0].aval.dtype)
     if new.kind in "iu" and old.kind == "f":
@@ -466,57 +407,52 @@ def _division(at: Step, v: Values) -> Values:
     return [at.wise("div", *v)]
 
 
-def _not(at: Step, v: Values) -> Values:
-    return [at.wise("sub", np.float64(1.0), v[0])]
-
-
-def _or(at: Step, v: Values) -> Values:
-    return [at.wise("max", *v)]
-
-
-def _and(at: Step, v: Values) -> Values:
-    return [at.wise("mul", *v)]
-
-
-_INLINED_NAMES = (
+_CALLS = (
     "pjit jit closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr remat2 "
     "checkpoint custom_jvp_call_jaxpr"
 )
-_INLINED = frozenset(_INLINED_NAMES.split())
-_UNARY = "neg abs sign floor sqrt exp log log1p expm1 tanh sin cos tan asin acos atan sinh cosh"
-_BINARY = "add sub mul max min pow atan2 lt le gt ge eq ne"
+_CONTROL: dict[str, Rule] = {
+    **dict.fromkeys(_CALLS.split(), _called),
+    "scan": _scan,
+    "cond": _cond,
+}
 _RULES: dict[str, Rule] = {
-    **{name: _plain(name) for name in (*_UNARY.split(), *_BINARY.split())},
-    **{f"reduce_{n}": reduce("r" + n) for n in ("sum", "max", "min", "prod")},
-    **dict.fromkeys(("copy", "copy_p", "stop_gradient", "optimization_barrier"), _same),
-    **dict.fromkeys(("reshape", "squeeze", "expand_dims"), reshape),
-    "add_any": _plain("add"),
-    "is_finite": _plain("isfinite"),
+    **{name: _elementwise(name) for name in UNARY | BINARY},
+    **{f"reduce_{n}": _reduce("r" + n) for n in ("sum", "max", "min", "prod")},
+    **dict.fromkeys(
+        ("copy", "copy_p", "stop_gradient", "optimization_barrier"), lambda at, v: [v[0]]
+    ),
+    **dict.fromkeys(
+        ("reshape", "squeeze", "expand_dims"),
+        lambda at, v: [at.add("reshape", v[0], attrs=at.shape)],
+    ),
+    "add_any": _elementwise("add"),
+    "is_finite": _elementwise("isfinite"),
     "rsqrt": lambda at, v: [at.wise("div", np.float64(1.0), at.wise("sqrt", v[0]))],
     "square": lambda at, v: [at.wise("mul", v[0], v[0])],
     "div": _division,
     "logistic": _logistic,
     "integer_pow": _power,
     "select_n": _select,
-    "clamp": _clamp,
+    "clamp": lambda at, v: [at.wise("min", at.wise("max", v[1], v[0]), v[2])],
     "convert_element_type": _convert,
-    "not": _not,
-    "or": _or,
-    "and": _and,
-    "broadcast_in_dim": broadcast,
-    "transpose": transpose,
-    "slice": sliced,
-    "dynamic_slice": dynamic_slice,
-    "gather": gather,
-    "rev": reverse,
-    "concatenate": concat,
-    "stack": stack,
-    "split": split,
-    "pad": pad,
-    "dot_general": dot,
+    "not": lambda at, v: [at.wise("sub", np.float64(1.0), v[0])],
+    "or": _elementwise("max"),
+    "and": _elementwise("mul"),
+    "broadcast_in_dim": _broadcast,
+    "transpose": lambda at, v: [_transposed(at, v[0], at.params["permutation"])],
+    "slice": _sliced,
+    "dynamic_slice": _dynamic_slice,
+    "gather": _gather,
+    "rev": lambda at, v: [
+        _picked(at, number(at.build, v[0]), lambda x: np.flip(x, at.params["dimensions"]))
+    ],
+    "concatenate": _concat,
+    "stack": _stack,
+    "split": _split,
+    "pad": _pad,
+    "dot_general": _dot,
 }
-PRIMITIVES = tuple(sorted((*_RULES, "scan", "cond")))
-"""The JAX primitives that signals may pass through."""
 
 
 # Trace a fitted model with JAX and lower it to programs.
@@ -556,8 +492,13 @@ def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> Lower
     def begin(*signals: Any) -> Any:
         return jax.tree.map(_row, model.initial(*(signal[None] for signal in signals)))
 
-    window = [_like((n_past_u, nu)), _like((n_past_y, ny)), _like((nu,))]
-    start, state = _traced(begin, window)
+    def traced(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[Any, Any]:
+        return jax.make_jaxpr(function, return_shape=True)(*arguments)
+
+    def array(*shape: int) -> Any:
+        return jax.ShapeDtypeStruct(shape, np.float64)
+
+    start, state = traced(begin, [array(n_past_u, nu), array(n_past_y, ny), array(nu)])
     leaves, tree = jax.tree.flatten(state)
     # Empty arrays are no states.
     kept = [i for i, leaf in enumerate(leaves) if leaf.size]
@@ -573,8 +514,14 @@ def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> Lower
             raise CannotLowerError("step gives a state of another structure than it takes")
         return [_row(y), *(_row(found[i]) for i in kept)]
 
-    one, _ = _traced(step, [*(leaves[i] for i in kept), _like((nu,))])
-    programs = [_program(start, kept), _program(one)]
+    def program(closed: Any, outputs: Sequence[int]) -> Program:
+        build = Builder(tuple(v.aval.shape for v in closed.jaxpr.invars))
+        given = list(range(len(build.inputs)))
+        found = _lowered_values(build, closed.jaxpr, closed.consts, given)
+        return build.program([number(build, found[i]) for i in outputs])
+
+    one, _ = traced(step, [*(leaves[i] for i in kept), array(nu)])
+    programs = program(start, kept), program(one, range(1 + len(kept)))
     single = any(in_single_precision(p.jaxpr) for p in (start, one))
     return LoweredModel(n_past_u, n_past_y, nu, ny, single, *programs)
 
@@ -589,23 +536,3 @@ def _row(batch: Any) -> Any:
             f"an output or a state has shape {batch.shape} for a batch of 1: the batch comes first"
         )
     return batch.reshape(batch.shape[1:])
-
-
-def _like(shape: Shape) -> Any:
-    import jax
-
-    return jax.ShapeDtypeStruct(shape, np.float64)
-
-
-def _traced(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[Any, Any]:
-    import jax
-
-    return jax.make_jaxpr(function, return_shape=True)(*arguments)
-
-
-def _program(closed: Any, kept: Sequence[int] | None = None) -> Program:
-    build = Builder(tuple(v.aval.shape for v in closed.jaxpr.invars))
-    given: Values = list(range(len(build.inputs)))
-    found = Lowering(build).run(closed.jaxpr, closed.consts, given)
-    chosen = found if kept is None else [found[i] for i in kept]
-    return build.program([number(build, v) for v in chosen])

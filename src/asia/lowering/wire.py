@@ -19,7 +19,6 @@ from asia.lowering.program import (
     OPERATIONS,
     Builder,
     LoweredModel,
-    Node,
     Program,
     Shape,
     ShapeError,
@@ -182,6 +181,3 @@ def _one_of(places: list[int], number: int) -> int:
     if not 0 <= number < len(places):
         raise FormatError("a value that is not there yet")
     return places[number]
-
-
-__all__ = ["LARGEST_BYTES", "MAGIC", "FormatError", "Node", "pack", "pack_refusal", "unpack"]

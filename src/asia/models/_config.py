@@ -12,39 +12,21 @@ Progress: TypeAlias = Callable[[float, float], None]
 
 
 def demand(settings: object, name: str, holds: bool, expected: str) -> None:
-    """Check a condition on a setting.
-
-    Args:
-        settings: settings.
-        name: name of the setting.
-        holds: the condition.
-        expected: expected value, for the message.
-
-    Raises:
-        UserError: if the condition does not hold, with the present value.
-    """
+    """Raise a UserError with the present and the expected value of a setting unless `holds`."""
     if not holds:
         value = getattr(settings, name)
         raise UserError(f"{owner(settings)}: {name} is {value!r}, expected {expected}")
 
 
 def check_at_least(low: int, settings: object, *names: str) -> None:
-    """Check that settings are not less than `low`; None, which leaves one open, passes.
-
-    Raises:
-        UserError: if one is less.
-    """
+    """Demand that settings are not less than `low`; None, which leaves one open, passes."""
     for name in names:
         value = getattr(settings, name)
         demand(settings, name, value is None or value >= low, f"at least {low}")
 
 
 def check_choice(settings: object, name: str, known: Sequence[object]) -> None:
-    """Check that a setting is one of the known values.
-
-    Raises:
-        UserError: if it is not.
-    """
+    """Demand that a setting is one of the known values."""
     values = [str(value) for value in known]
     expected = f"{', '.join(values[:-1])} or {values[-1]}"
     demand(settings, name, getattr(settings, name) in known, expected)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import combinations_with_replacement, product
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ from asia.models._numerics.records import (
     shortened,
 )
 from asia.models._numerics.segments import Stretches, left_out_error, simulation_error
+from asia.models._steps import WrappedModel
 
 # Polynomial one-step models, linear in their parameters: products of lagged signals.
 #
@@ -42,9 +44,6 @@ Terms = NDArray[np.intp]
 
 # Numbers in a block of Jacobian rows.
 _BLOCK = 4_000_000
-# Limit on the products in a Gauss-Newton matrix, and on its samples, at least and at most.
-_WORK = 1e10
-_SAMPLES = (1000, 10_000)
 
 
 @dataclass(frozen=True)
@@ -152,7 +151,7 @@ def refine(
 def refinement_samples(run: PolynomialRun) -> int:
     """Number of samples whose Gauss-Newton matrix is still cheap to make."""
     used = run.one_step.used
-    return int(np.clip(_WORK / (used.shape[1] * used.sum() ** 2), *_SAMPLES))
+    return int(np.clip(1e10 / (used.shape[1] * used.sum() ** 2), 1000, 10_000))
 
 
 def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[Array, Array]:
@@ -163,7 +162,13 @@ def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[A
     batch, ny = len(data), data.y.shape[2]
     rows, columns = np.nonzero(model.used)
     free = np.arange(len(rows))
-    slope = _Slope(model, lags.outputs * ny)
+    ones = np.ones((batch, 1))
+    newest = np.arange(1, lags.outputs * ny + 1)
+    # Derivatives of the outputs by the lagged outputs, apart from the other factors of a product.
+    maps = [
+        ((column[:, None] == newest)[:, None, :] * model.theta[:, :, None]).reshape(len(column), -1)
+        for column in model.terms.T
+    ]
     past = old_y[:, ::-1].reshape(batch, -1)
     sensitivity = np.zeros((batch, past.shape[1], len(rows)))
     normal, gradient = np.zeros((len(rows), len(rows))), np.zeros(len(rows))
@@ -172,10 +177,16 @@ def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[A
     block = max(1, _BLOCK // (batch * ny * len(rows)))
     for k in range(data.u.shape[1]):
         z = np.concatenate([past, drive[:, k]], axis=1)
-        phi, by_past = slope(z)
+        full = np.concatenate([ones, z], axis=1)
+        factors = [full[:, column] for column in model.terms.T]
+        phi = reduce(np.multiply, factors)
+        by_past = np.zeros((batch, ny * len(newest)))
+        for p, by_factor in enumerate(maps):
+            others = [factor for q, factor in enumerate(factors) if q != p]
+            by_past += reduce(np.multiply, others, np.ones_like(phi)) @ by_factor
         free_y = phi @ model.theta
         y = np.clip(free_y, limits.low, limits.high)
-        change = by_past @ sensitivity
+        change = by_past.reshape(batch, ny, -1) @ sensitivity
         change[:, columns, free] += phi[:, rows]
         change *= (y == free_y)[..., None]
         past = np.concatenate([y, past], axis=1)[:, : past.shape[1]]
@@ -191,46 +202,38 @@ def _normal(start: PolynomialRun, model: Polynomial, data: Stretches) -> tuple[A
     return normal / total, gradient / total
 
 
-class _Slope:
-    """Products and the derivative of the outputs with respect to the lagged outputs."""
-
-    def __init__(self, model: Polynomial, past: int) -> None:
-        self._terms, self._past, self._ny = model.terms, past, model.theta.shape[1]
-        degree = model.terms.shape[1]
-        self._maps: list[Array] = []
-        for p in range(degree):
-            hit = model.terms[:, p : p + 1] == np.arange(1, past + 1)
-            full = hit[:, None, :] * model.theta[:, :, None]
-            self._maps.append(full.reshape(len(full), -1))
-
-    def __call__(self, z: Array) -> tuple[Array, Array]:
-        full = np.concatenate([np.ones((len(z), 1)), z], axis=1)
-        factors = [full[:, column] for column in self._terms.T]
-        total = np.zeros((len(z), self._ny * self._past))
-        phi = np.ones_like(factors[0])
-        for factor in factors:
-            phi = phi * factor
-        for p, map_ in enumerate(self._maps):
-            others = np.ones_like(factors[0])
-            for q, factor in enumerate(factors):
-                if q != p:
-                    others = others * factor
-            total += others @ map_
-        return phi, total.reshape(len(z), self._ny, self._past)
-
-
 # Common parts of the families that predict one step ahead and are used in free run.
 
 
 C = TypeVar("C")
 
 RIDGES = (1e-9, 1e-7, 1e-5, 1e-4, 1e-3, 1e-2)
-# Samples for choices of lags, which take hundreds of fits; this many distinguish candidates.
-_SELECTION_SAMPLES = 6000
+
+
+class ScaledRun(NamedTuple):
+    """Model in free run that simulates in physical units."""
+
+    run: FreeRun
+    scaling: Scaling
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate in physical units."""
+        s = self.scaling
+        return s.physical(self.run(s.inputs(past_u), s.outputs(past_y), s.inputs(u)))
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """Lagged signals at the first sample."""
+        s = self.scaling
+        return self.run.initial(s.inputs(past_u), s.outputs(past_y), s.inputs(u))
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """Advance by one sample."""
+        state, y = self.run.step(state, self.scaling.inputs(u))
+        return state, self.scaling.physical(y)
 
 
 @dataclass(frozen=True)
-class FreeRunModel(Generic[C]):
+class FreeRunModel(WrappedModel[ScaledRun], Generic[C]):
     """Input-output model used in free run."""
 
     config: C
@@ -240,46 +243,16 @@ class FreeRunModel(Generic[C]):
     scaling: Scaling | None = None
     """Scaling from physical units to z-scores; None before training."""
 
-    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate in physical units.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Outputs (B, H, ny).
-
-        Raises:
-            UserError: before training.
-        """
-        run, s = self._trained()
-        return s.physical(run(s.inputs(past_u), s.outputs(past_y), s.inputs(u)))
-
-    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """Initial state, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        run, s = self._trained()
-        return run.initial(s.inputs(past_u), s.outputs(past_y), s.inputs(u))
-
-    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Advance by one sample, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        run, s = self._trained()
-        state, y = run.step(state, s.inputs(u))
-        return state, s.physical(y)
-
-    def _trained(self) -> tuple[FreeRun, Scaling]:
+    def _trained(self) -> ScaledRun:
         if self.run is None or self.scaling is None:
             raise UserError("input-output model: not trained yet; call train first")
-        return self.run, self.scaling
+        return ScaledRun(self.run, self.scaling)
+
+
+def build(config: C, context: Context) -> FreeRunModel[C]:
+    """Build an untrained model."""
+    del context
+    return FreeRunModel(config)
 
 
 @dataclass(frozen=True)
@@ -323,7 +296,7 @@ def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lag
     delay = choice.delay
     if delay is None:
         few = [Lags(min(2, highest), min(2, highest), d) for d in range(choice.max_delay + 1)]
-        delay = _best(few, _errors(part, context, few), 0.01).delay
+        delay = _best_lags(part, context, few, 0.01).delay
     counts = range(1, highest + 1)
     numbers = product(
         counts if choice.outputs is None else (choice.outputs,),
@@ -334,15 +307,30 @@ def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lag
         return lags[0]
     ny, nu = context.ny, context.nu
     lags.sort(key=lambda item: item.outputs * ny + item.inputs * nu)
-    return _best(lags, _errors(part, context, lags), choice.tolerance)
+    return _best_lags(part, context, lags, choice.tolerance)
+
+
+def candidate_lags(records: ScaledData, context: Context, choice: LagChoice) -> list[Lags]:
+    """Lags to compare for a nonlinear model: one number for all that are left open.
+
+    An open delay is that of a linear model.
+    """
+    outputs, inputs, delay = choice.outputs, choice.inputs, choice.delay
+    if delay is None:
+        delay = choose_lags(records, context, LagChoice(1, 1, None, 1)).delay
+    if outputs is not None and inputs is not None:
+        return [Lags(outputs, inputs, delay)]
+    part = selection(records, context, choice.max_order)
+    highest = max(1, min(choice.max_order, min(len(r) for r in part) // 12))
+    return [Lags(outputs or n, inputs or n, delay) for n in range(1, highest + 1)]
 
 
 def selection(records: ScaledData, context: Context, max_order: int) -> list[ScaledTrajectory]:
     """Records for choices: parts long enough to leave something to simulate."""
     shortest = 3 * (past_length(context) + (context.horizon or 0)) + 12 * max_order
-    return shortened(
-        [r for r in records if len(r) > past_length(context)], _SELECTION_SAMPLES, shortest
-    )
+    long = [r for r in records if len(r) > past_length(context)]
+    # Choices of lags take hundreds of fits; so many samples distinguish the candidates.
+    return shortened(long, 6000, shortest)
 
 
 def choose_ridge(
@@ -371,17 +359,15 @@ def usable(records: ScaledData, lags: Lags) -> None:
         )
 
 
-def _errors(records: ScaledData, context: Context, lags: Sequence[Lags]) -> Array:
-    usable(records, max(lags, key=lambda item: item.memory))
-    shortest = 2 * past_length(context) + 4 * max(item.memory for item in lags)
-    return left_out_error(
+def _best_lags(
+    records: ScaledData, context: Context, lags: Sequence[Lags], tolerance: float
+) -> Lags:
+    longest = max(lags, key=lambda item: item.memory)
+    usable(records, longest)
+    errors = left_out_error(
         records,
         context,
         lambda kept: [linear_run(kept, item, context, 1e-7, 10.0) for item in lags],
-        shortest,
+        2 * past_length(context) + 4 * longest.memory,
     )
-
-
-def _best(lags: Sequence[Lags], errors: Array, tolerance: float) -> Lags:
-    limit = errors.min() + 2 * np.log1p(tolerance)
-    return lags[int(np.argmax(errors <= limit))]
+    return lags[int(np.argmax(errors <= errors.min() + 2 * np.log1p(tolerance)))]

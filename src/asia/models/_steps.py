@@ -1,12 +1,81 @@
-"""Common parts of the steps of several families, batch first, for NumPy and JAX arrays alike."""
+"""Common parts of the models and steps of several families, batch first, for NumPy and JAX."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from asia.candidate import Model, StepModel
+from asia.data.trajectory import Array
+from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace
+
+
+class FittedModel(Model, StepModel, Protocol):
+    """Result of training that simulates in physical units, at once and step by step."""
+
+
+C = TypeVar("C")
+F = TypeVar("F", bound=FittedModel)
+
+
+class WrappedModel(Generic[F]):
+    """Model that simulates by the fitted model inside."""
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate in physical units.
+
+        Args:
+            past_u: past inputs (B, n_past_u, nu).
+            past_y: past outputs (B, n_past_y, ny).
+            u: inputs (B, H, nu).
+
+        Returns:
+            Outputs (B, H, ny).
+
+        Raises:
+            UserError: before training.
+        """
+        return self._trained().simulate(past_u, past_y, u)
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        """Initial state, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
+        return self._trained().initial(past_u, past_y, u)
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        """Advance by one sample, see `asia.candidate.StepModel`.
+
+        Raises:
+            UserError: before training.
+        """
+        return self._trained().step(state, u)
+
+    def _trained(self) -> F:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TrainableModel(WrappedModel[F], Generic[C, F]):
+    """Settings of a family, and the fitted model that simulates."""
+
+    label: ClassVar[str]
+    """Name of the model in messages."""
+    config: C
+    """Settings of the family."""
+    fitted: F | None = None
+    """Result of training; None before."""
+
+    def _trained(self) -> F:
+        if self.fitted is None:
+            raise UserError(f"{self.label}: not trained yet; call train first")
+        return self.fitted
 
 
 def first_of_line(past: AnyArray, u: AnyArray, delay: int) -> AnyArray:

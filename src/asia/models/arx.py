@@ -20,13 +20,14 @@ from asia.errors import UserError
 from asia.models._config import check_at_least, check_choice
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._noise.model import refuse_noise
-from asia.models._numerics.lags import History, Lags, fit_history
+from asia.models._numerics.lags import fit_history
 from asia.models._numerics.records import ScaledData, Scaling, check, past_length, scaled
 from asia.models._numerics.segments import segments, simulation_error
 from asia.models._one_step import (
     FreeRunModel,
     LagChoice,
     PolynomialRun,
+    build,
     choose_lags,
     choose_ridge,
     linear_run,
@@ -37,9 +38,7 @@ from asia.models._one_step import (
 )
 from asia.models.methods import LeastSquares
 
-# Limit on the output of an unstable model, in widths of the training range.
-_MARGIN = 10.0
-_START_RIDGE = 1e-7
+__all__ = ["Config", "build", "train"]
 
 
 @dataclass(frozen=True)
@@ -65,12 +64,6 @@ class Config:
         check_choice(self, "structure", ("arx", "oe"))
         check_at_least(1, self, "na", "nb", "max_order")
         check_at_least(0, self, "delay", "max_delay")
-
-
-def build(config: Config, context: Context) -> FreeRunModel[Config]:
-    """Build an untrained model."""
-    del context
-    return FreeRunModel(config)
 
 
 def train(
@@ -99,56 +92,49 @@ def train(
     choice = LagChoice(c.na, c.nb, c.delay, c.max_order, c.max_delay)
     lags = choose_lags(records, context, choice)
     usable(records, lags)
-    if isinstance(method, LeastSquares) or c.structure == "arx":
-        ridge = _ridge(records, context, lags, method)
-        run = linear_run(records, lags, context, ridge, _MARGIN)
-    else:
-        run = _output_error(records, context, lags, method)
+
+    def fit(records: ScaledData, ridge: float) -> PolynomialRun:
+        # Outputs of an unstable model are limited to ten widths of the training range.
+        return linear_run(records, lags, context, ridge, 10.0)
+
+    ridge = method.ridge if isinstance(method, LeastSquares) else None
+    if ridge is None:
+        part = selection(records, context, lags.memory)
+        shortest = 2 * past_length(context) + 4 * lags.memory
+        ridge = choose_ridge(part, context, fit, shortest)
+    run = fit(records, ridge)
+    if c.structure == "oe" and isinstance(method, LevenbergMarquardt):
+        run = _output_error(records, context, (fit(records, 1e-7), run), method)
     data = segments(records, context)
     if data is not None:
         context.log(0, float(np.sqrt(simulation_error(run, data))))
     return replace(model, run=run, scaling=scaling)
 
 
-def _ridge(
-    records: ScaledData, context: Context, lags: Lags, method: LeastSquares | LevenbergMarquardt
-) -> float:
-    if isinstance(method, LeastSquares) and method.ridge is not None:
-        return method.ridge
-    part = selection(records, context, lags.memory)
-    shortest = 2 * past_length(context) + 4 * lags.memory
-    return choose_ridge(
-        part, context, lambda kept, r: linear_run(kept, lags, context, r, _MARGIN), shortest
-    )
-
-
 def _output_error(
-    records: ScaledData, context: Context, lags: Lags, method: LevenbergMarquardt
+    records: ScaledData,
+    context: Context,
+    starts: Sequence[PolynomialRun],
+    method: LevenbergMarquardt,
 ) -> PolynomialRun:
-    run = linear_run(records, lags, context, _START_RIDGE, _MARGIN)
-    ridge = _ridge(records, context, lags, method)
-    damped = linear_run(records, lags, context, ridge, _MARGIN)
-    data = segments(records, context, refinement_samples(run))
+    """Refine the best start; return the last one for records too short."""
+    data = segments(records, context, refinement_samples(starts[0]))
     if data is None:
-        return damped
-    start = min((run, damped), key=lambda r: simulation_error(r, data))
+        return starts[-1]
+    start = min(starts, key=lambda run: simulation_error(run, data))
     refined, history = refine(start, data, method, 0.0)
     for i, loss in enumerate(history):
         context.log(i, loss)
     if context.horizon is not None:
         return refined
-    # The model's own outputs are free of the noise of the measured ones.
-    own = replace(refined, history=_own_history(records, context, refined))
-    return min((refined, own), key=lambda r: simulation_error(r, data))
-
-
-def _own_history(records: ScaledData, context: Context, run: PolynomialRun) -> History:
-    """Regression of the model's own lagged outputs, simulated through its records, on the past
-    window."""
+    # Regress the model's own lagged outputs, which are free of the noise of the measured ones, on
+    # the past window.
     past = past_length(context)
     outputs: list[Array] = []
     for r in records:
         start_u = r.measured_u[None, past - context.n_past_u : past]
         start_y = r.y[None, past - context.n_past_y : past]
-        outputs.append(np.concatenate([r.y[:past], run(start_u, start_y, r.u[None, past:])[0]]))
-    return fit_history(records, run.history.lags, context, outputs)
+        simulated = refined(start_u, start_y, r.u[None, past:])[0]
+        outputs.append(np.concatenate([r.y[:past], simulated]))
+    own = replace(refined, history=fit_history(records, refined.history.lags, context, outputs))
+    return min((refined, own), key=lambda run: simulation_error(run, data))

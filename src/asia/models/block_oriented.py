@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from asia.candidate import Context
-from asia.data.trajectory import Trajectory
+from asia.data.trajectory import Array, Trajectory
 from asia.models import linear, neural_ss
 from asia.models._config import check_choice
 from asia.models._least_squares import LevenbergMarquardt
@@ -70,8 +70,7 @@ class Config:
     """Search order, delay and the shares of poles and zeros by many short fits of two filters and
     `hidden` units on a fixed grid, which takes little time for each sample. It applies to
     "wiener_hammerstein" with one input and output; with other structures, more inputs or outputs,
-    or
-    polynomials it changes nothing."""
+    or polynomials it changes nothing."""
 
     def __post_init__(self) -> None:
         check_choice(self, "structure", (*_PLACES, "wiener_hammerstein"))
@@ -114,85 +113,64 @@ def train(
 ) -> BlockOriented:
     """Fit the linear model, then all parameters to the simulation error.
 
-    Of the fits from `method.starts` starts the one with the least training cost is returned. Where
-    the
-    problem has a horizon, windows of that length from all over the records are fitted.
+    The fit with the least training cost from `method.starts` starts is returned. Where the problem
+    has a horizon, windows of that length from all over the records are fitted.
 
     Raises:
         UserError: for records too short or mis-shaped.
     """
     check(trajectories, context)
     segments = window_segments(trajectories, context, _WINDOWS)
-    blocks = model.blocks
-    series = blocks.structure == "wiener_hammerstein" and blocks.basis == "tanh"
-    if blocks.searched and series and context.nu == context.ny == 1:
-        fitted = _searched(blocks, segments, context, method)
-    elif blocks.structure != "wiener_hammerstein":
+    config = model.blocks
+    if config.structure != "wiener_hammerstein":
         plain = neural_ss.build(model.config, context)
-        fitted = neural_ss.train(plain, segments, context, method).fitted
-    else:
-        fitted = _wiener_hammerstein(blocks, segments, context, method)
-    return replace(model, fitted=fitted)
-
-
-def _searched(
-    config: Config, trajectories: Sequence[Trajectory], context: Context, method: LevenbergMarquardt
-) -> FittedStateSpace:
+        return replace(model, fitted=neural_ss.train(plain, segments, context, method).fitted)
     from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
-    from asia.models._state_space.wiener_hammerstein import FilterRidge, searched
+    from asia.models._state_space.wiener_hammerstein import (
+        FilterRidge,
+        searched,
+        wiener_hammerstein_starts,
+    )
 
-    scaling = Scaling.of(trajectories)
-    records = scaled(trajectories, scaling)
+    scaling = Scaling.of(segments)
+    records = scaled(segments, scaling)
     choice = linear.Config(order=config.order, delay=config.delay)
-    ridge = FilterRidge(config.linear_ridge, config.ridge, _INITIAL_RIDGE)
-    found = searched(records, context, choice, config.hidden, ridge, method, context.log)
     template = WienerHammersteinStructure(
         1, context.nu, context.ny, "state", config.basis, config.hidden, config.degree, None
     )
-    structure, params = found.filters.state_space(template)
-    fit = StateFit(found.filters.x0, params, found.error, found.history)
-    late = [r.with_delay(found.delay) for r in records]
-    if method.noise_model != "white":
-        weights = dict.fromkeys(params, config.linear_ridge) | {"f": config.ridge}
-        weights["x0"] = _INITIAL_RIDGE
-        samples, time = of_records(late, fit.x0), context.sampling_time
-        fit = fit_states(structure, [params], samples, weights, method, lambda *_: None, time)[0]
-        params = fit.params
-    encoder = state_encoder(structure, fit, late, context, config.encoder)
-    return FittedStateSpace(structure, ((params, encoder),), found.delay, scaling)
 
+    def fit(
+        structure: WienerHammersteinStructure,
+        params: dict[str, Any],
+        x0: Array,
+        initial_ridge: float,
+    ) -> StateFit:
+        weights = dict.fromkeys(params, config.linear_ridge)
+        weights |= {"f": config.ridge, "x0": initial_ridge}
+        samples = of_records(late, x0)
+        time = context.sampling_time
+        return fit_states(structure, [params], samples, weights, method, lambda *_: None, time)[0]
 
-def _wiener_hammerstein(
-    config: Config, trajectories: Sequence[Trajectory], context: Context, method: LevenbergMarquardt
-) -> FittedStateSpace:
-    from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
-    from asia.models._state_space.wiener_hammerstein import wiener_hammerstein_starts
-
-    scaling = Scaling.of(trajectories)
-    records = scaled(trajectories, scaling)
-    choice = linear.Config(order=config.order, delay=config.delay)
-    found, delay, late = linear.fit_of_least_order(records, context, choice, 2)
-    template = WienerHammersteinStructure(
-        found.system.order, context.nu, context.ny, "state", config.basis, config.hidden,
-        config.degree, None,
-    )  # fmt: skip
-    rng = np.random.default_rng(context.seed)
-    starts = wiener_hammerstein_starts(late, found.system, template, rng, method.starts)
-    ridge = found.error / sum(len(r) for r in late)
-    fits: list[tuple[WienerHammersteinStructure, StateFit]] = []
-    for start in starts:
-        x0 = np.zeros((len(late), start.structure.order))
-        weights = dict.fromkeys(start.params, config.linear_ridge) | {
-            "f": config.ridge,
-            "x0": ridge,
-        }
-        one = fit_states(
-            start.structure, [start.params], of_records(late, x0), weights, method, lambda *_: None,
-            context.sampling_time,
-        )[0]  # fmt: skip
-        fits.append((start.structure, one))
-    structure, best = min(fits, key=lambda f: f[1].cost)
-    for i, loss in enumerate(best.history):
-        context.log(i, float(loss))
+    if config.searched and config.basis == "tanh" and context.nu == context.ny == 1:
+        ridge = FilterRidge(config.linear_ridge, config.ridge, _INITIAL_RIDGE)
+        found = searched(records, context, choice, config.hidden, ridge, method, context.log)
+        delay, late = found.delay, [r.with_delay(found.delay) for r in records]
+        structure, params = found.filters.state_space(template)
+        best = StateFit(found.filters.x0, params, found.error, found.history)
+        if method.noise_model != "white":
+            best = fit(structure, params, best.x0, _INITIAL_RIDGE)
+    else:
+        found, delay, late = linear.fit_of_least_order(records, context, choice, 2)
+        template = replace(template, order=found.system.order)
+        rng = np.random.default_rng(context.seed)
+        starts = wiener_hammerstein_starts(late, found.system, template, rng, method.starts)
+        ridge = found.error / sum(len(r) for r in late)
+        fits: list[tuple[StateFit, WienerHammersteinStructure]] = []
+        for start in starts:
+            x0 = np.zeros((len(late), start.structure.order))
+            fits.append((fit(start.structure, start.params, x0, ridge), start.structure))
+        best, structure = min(fits, key=lambda pair: pair[0].cost)
+        for i, loss in enumerate(best.history):
+            context.log(i, float(loss))
     member = best.params, state_encoder(structure, best, late, context, config.encoder)
-    return FittedStateSpace(structure, (member,), delay, scaling)
+    return replace(model, fitted=FittedStateSpace(structure, (member,), delay, scaling))

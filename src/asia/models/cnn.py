@@ -2,11 +2,10 @@
 
 Blocks of gated convolutions with dilations 1, 2, 4, ... see `receptive_field` samples back. The
 information of the past window enters as channels that start from a learned function of it and
-decay,
-each with its own learned time constant, so that the model reaches further back than its
-convolutions
-there. Sources: Bai, Kolter and Koltun, arXiv 1803.01271, 2018; Andersson et al., Deep convolutional
-networks in system identification, CDC 2019; van den Oord et al., arXiv 1609.03499, 2016 (gates).
+decay, each with its own learned time constant, so that the model reaches further back than its
+convolutions there. Sources: Bai, Kolter and Koltun, arXiv 1803.01271, 2018; Andersson et al., Deep
+convolutional networks in system identification, CDC 2019; van den Oord et al., arXiv 1609.03499,
+2016 (gates).
 """
 
 from __future__ import annotations
@@ -80,7 +79,15 @@ class ConvolutionStack(Driven[Config]):
             "encoder": mlp_params(rng, (window_size(context), c.encoder, c.memory)),
             "log_tau": log_spaced(1.0, c.receptive_field, c.memory),
             "in": mlp_params(rng, (inputs, c.width)),
-            "blocks": [_block_params(rng, c) for _ in c.dilations],
+            "blocks": [
+                {
+                    "taps": dense(rng, c.kernel * c.width, 2 * c.width),
+                    "b1": zeros(2 * c.width),
+                    "w2": dense(rng, c.width, c.width),
+                    "b2": zeros(c.width),
+                }
+                for _ in c.dilations
+            ],
             "out_w": zeros(c.width + c.memory + context.nu, context.ny),
             "out_b": zeros(context.ny),
         }
@@ -91,9 +98,8 @@ class ConvolutionStack(Driven[Config]):
         memory = decaying(mlp(params["encoder"], window), params["log_tau"], u.shape[1])
         x = mlp(params["in"], xp.concatenate([self.drive(u), memory], axis=-1))
         for p, dilation in zip(params["blocks"], self.config.dilations, strict=True):
-            taps = [_delayed(x, dilation * i) for i in range(self.config.kernel)]
-            value, gate = split(xp.concatenate(taps, -1) @ p["taps"] + p["b1"], 2)
-            x = x + (xp.tanh(value) * sigmoid(gate)) @ p["w2"] + p["b2"]
+            delays = [dilation * i for i in range(self.config.kernel)]
+            x = _block(p, x, [xp.pad(x, ((0, 0), (d, 0), (0, 0)))[:, : x.shape[1]] for d in delays])
         return xp.concatenate([x, memory], axis=-1)
 
     def begin(self, params: Any, window: AnyArray) -> Any:
@@ -113,24 +119,15 @@ class ConvolutionStack(Driven[Config]):
             known = xp.concatenate([line, x[:, None]], axis=1)
             last = known.shape[1] - 1
             taps = [known[:, last - dilation * i] for i in range(self.config.kernel)]
-            value, gate = split(xp.concatenate(taps, -1) @ p["taps"] + p["b1"], 2)
-            x = x + (xp.tanh(value) * sigmoid(gate)) @ p["w2"] + p["b2"]
+            x = _block(p, x, taps)
             after.append(known[:, 1:])
         return (memory, after), xp.concatenate([x, memory], axis=-1)
 
 
-def _delayed(x: AnyArray, samples: int) -> AnyArray:
-    """x (B, T, channels) delayed, zero before the first sample."""
-    return namespace(x).pad(x, ((0, 0), (samples, 0), (0, 0)))[:, : x.shape[1]]
-
-
-def _block_params(rng: np.random.Generator, c: Config) -> dict[str, Any]:
-    return {
-        "taps": dense(rng, c.kernel * c.width, 2 * c.width),
-        "b1": zeros(2 * c.width),
-        "w2": dense(rng, c.width, c.width),
-        "b2": zeros(c.width),
-    }
+def _block(p: Any, x: AnyArray, taps: list[AnyArray]) -> AnyArray:
+    xp = namespace(x)
+    value, gate = split(xp.concatenate(taps, -1) @ p["taps"] + p["b1"], 2)
+    return x + (xp.tanh(value) * sigmoid(gate)) @ p["w2"] + p["b2"]
 
 
 build, train = network_family(Config, ConvolutionStack)

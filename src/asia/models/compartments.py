@@ -12,19 +12,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array, Trajectory
-from asia.errors import UserError
 from asia.models import greybox
-from asia.models._arrays import AnyArray
 from asia.models._config import check_at_least, demand
 from asia.models._equations.config import Sensor
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._numerics.records import check
+from asia.models._steps import TrainableModel
 from asia.problem.physics import Bounds, ParameterRange, Physics
 
 Outflow = Literal["linear", "root", "power"]
@@ -73,52 +72,14 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Compartments:
-    """Storages in series; `fitted` is None before training."""
+class Compartments(TrainableModel[Config, greybox.GreyBox]):
+    """Storages in series."""
 
-    config: Config
-    fitted: greybox.GreyBox | None = None
-
-    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate in physical units.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Outputs (B, H, ny).
-
-        Raises:
-            UserError: before training.
-        """
-        return self._trained().simulate(past_u, past_y, u)
-
-    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """Initial state, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        return self._trained().initial(past_u, past_y, u)
-
-    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Advance by one sample, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        return self._trained().step(state, u)
+    label = "compartments"
 
     def parameters(self) -> dict[str, float]:
         """Run-offs, gains and zeros by name."""
         return self._trained().parameters()
-
-    def _trained(self) -> greybox.GreyBox:
-        if self.fitted is None:
-            raise UserError("compartments: not trained yet; call train first")
-        return self.fitted
 
 
 def build(config: Config, context: Context) -> Compartments:
@@ -139,7 +100,13 @@ def train(
         UserError: for records too short or mis-shaped.
     """
     check(trajectories, context)
-    c, context = model.config, _renamed(context)
+    c = model.config
+    # Equations need names that are plain and not taken.
+    context = replace(
+        context,
+        inputs=tuple(replace(s, name=f"u{j}") for j, s in enumerate(context.inputs)),
+        outputs=tuple(replace(s, name=f"y{k}") for k, s in enumerate(context.outputs)),
+    )
     physics = balances(c, trajectories, context)
     context = replace(context, physics=physics)
     added = greybox.Config(
@@ -158,89 +125,57 @@ def train(
 
 def balances(config: Config, trajectories: Sequence[Trajectory], context: Context) -> Physics:
     """Make the equations, with ranges from the records and the names of the signals."""
-    found = _Balances(config, context, _effects(trajectories))
-    for k in range(context.ny):
-        values = np.concatenate([t.y[:, k] for t in trajectories])
-        found.add(k, float(values.min()), float(np.ptp(values)) or 1.0)
+    u = np.concatenate([t.u for t in trajectories])
+    constants: dict[str, float] = {}
+    for j in range(context.nu):
+        constants[f"low{j}"] = float(u[:, j].min())
+        constants[f"width{j}"] = float(np.ptp(u[:, j])) or 1.0
+    slow, fast = (rate / context.sampling_time for rate in _RATES)
+    signs = _effects(trajectories)
+    dynamics: dict[str, str] = {}
+    observation: dict[str, str] = {}
+    parameters: dict[str, ParameterRange] = {}
+    for k, output in enumerate(context.outputs):
+        inflows: list[str] = []
+        for j, signal in enumerate(context.inputs):
+            scaled = f"({signal.name} - low{j})/width{j}"
+            parameters[f"inflow{k}_{j}"] = ParameterRange(slow, _LARGEST_GAIN * fast)
+            inflows.append(f"inflow{k}_{j}*{scaled if signs[j, k] > 0 else f'(1 - {scaled})'}")
+        parameters[f"rest{k}"] = ParameterRange(0.0, 0.1 * fast)
+        inflow = " + ".join([*inflows, f"rest{k}"])
+        for i in range(config.count):
+            state, rate, power = f"x{k}_{i}", f"rate_{k}_{i}", f"power_{k}_{i}"
+            parameters[rate] = ParameterRange(slow, fast)
+            if config.outflow == "linear":
+                run_off = f"{rate}*{state}"
+            elif config.outflow == "root":
+                run_off = f"{rate}*sqrt({state})"
+            else:
+                parameters[power] = ParameterRange(*_EXPONENTS)
+                run_off = f"{rate}*exp({power}*log({state} + {_EMPTY!r}))"
+            dynamics[state] = f"{inflow} - {run_off}"
+            if i + 1 < config.count:
+                parameters[f"gain{k}_{i}"] = ParameterRange(0.3, 3.0)
+            inflow = f"gain{k}_{i}*{run_off}"
+        y = np.concatenate([t.y[:, k] for t in trajectories])
+        low, span = float(y.min()), float(np.ptp(y)) or 1.0
+        parameters[f"zero{k}"] = ParameterRange(low - _BELOW * span, low)
+        observation[output.name] = f"zero{k} + {span!r}*x{k}_{config.count - 1}"
     return Physics(
-        states=tuple(found.dynamics),
-        dynamics=found.dynamics,
-        parameters=found.parameters,
-        constants=found.constants(trajectories),
-        observation=found.observation,
-        bounds={name: Bounds(min=0.0) for name in found.dynamics},
+        states=tuple(dynamics),
+        dynamics=dynamics,
+        parameters=parameters,
+        constants=constants,
+        observation=observation,
+        bounds={name: Bounds(min=0.0) for name in dynamics},
     )
-
-
-def _renamed(context: Context) -> Context:
-    """Rename signals so that their names are plain and not taken, as equations require."""
-    inputs = tuple(replace(s, name=f"u{j}") for j, s in enumerate(context.inputs))
-    outputs = tuple(replace(s, name=f"y{k}") for k, s in enumerate(context.outputs))
-    return replace(context, inputs=inputs, outputs=outputs)
-
-
-class _Balances:
-    """Parts of the equations, output by output."""
-
-    def __init__(self, config: Config, context: Context, signs: Array) -> None:
-        self._config, self._context, self._signs = config, context, signs
-        self.dynamics: dict[str, str] = {}
-        self.observation: dict[str, str] = {}
-        self.parameters: dict[str, ParameterRange] = {}
-
-    def constants(self, trajectories: Sequence[Trajectory]) -> dict[str, float]:
-        """Least value and width of each input."""
-        u = np.concatenate([t.u for t in trajectories])
-        found: dict[str, float] = {}
-        for j in range(u.shape[1]):
-            found[f"low{j}"] = float(u[:, j].min())
-            found[f"width{j}"] = float(np.ptp(u[:, j])) or 1.0
-        return found
-
-    def add(self, k: int, low: float, span: float) -> None:
-        """Add the storages of output k, which goes from `low` up over `span`."""
-        names = [f"x{k}_{i}" for i in range(self._config.count)]
-        slow, fast = (rate / self._context.sampling_time for rate in _RATES)
-        arrives = self._inflow(k, slow, fast)
-        for i, name in enumerate(names):
-            leaves = self._run_off(f"{k}_{i}", name, slow, fast)
-            self.dynamics[name] = f"{arrives} - {leaves}"
-            if i + 1 < len(names):
-                self.parameters[f"gain{k}_{i}"] = ParameterRange(0.3, 3.0)
-            arrives = f"gain{k}_{i}*{leaves}"
-        self.parameters[f"zero{k}"] = ParameterRange(low - _BELOW * span, low)
-        output = self._context.outputs[k].name
-        self.observation[output] = f"zero{k} + {span!r}*{names[-1]}"
-
-    def _inflow(self, k: int, slow: float, fast: float) -> str:
-        terms: list[str] = []
-        for j, signal in enumerate(self._context.inputs):
-            seen = f"({signal.name} - low{j})/width{j}"
-            sign = self._signs[j, k]
-            name = f"inflow{k}_{j}"
-            self.parameters[name] = ParameterRange(slow, _LARGEST_GAIN * fast)
-            terms.append(f"{name}*{seen}" if sign >= 0 else f"{name}*(1 - {seen})")
-        self.parameters[f"rest{k}"] = ParameterRange(0.0, 0.1 * fast)
-        return " + ".join([*terms, f"rest{k}"])
-
-    def _run_off(self, label: str, state: str, slow: float, fast: float) -> str:
-        rate = f"rate_{label}"
-        self.parameters[rate] = ParameterRange(slow, fast)
-        if self._config.outflow == "linear":
-            return f"{rate}*{state}"
-        if self._config.outflow == "root":
-            return f"{rate}*sqrt({state})"
-        power = f"power_{label}"
-        self.parameters[power] = ParameterRange(*_EXPONENTS)
-        return f"{rate}*exp({power}*log({state} + {_EMPTY!r}))"
 
 
 def _effects(trajectories: Sequence[Trajectory]) -> Array:
     """Signs (nu, ny) of the effects of the inputs.
 
     The change of an output over a segment of samples is regressed on its initial value and on the
-    mean
-    inputs in between.
+    mean inputs in between.
     """
     total = np.zeros((trajectories[0].u.shape[1], trajectories[0].y.shape[1]))
     for ahead in _LOOK_AHEAD:

@@ -19,7 +19,6 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array, Trajectory
-from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace, scan
 from asia.models._config import check_at_least, demand
 from asia.models._numerics.encoder import Encoder, fit_encoder
@@ -33,8 +32,8 @@ from asia.models._numerics.records import (
     window_rows,
     windows,
 )
-from asia.models._numerics.segments import Stretches, segments
-from asia.models._steps import mean
+from asia.models._numerics.segments import segments
+from asia.models._steps import TrainableModel, mean
 from asia.models.methods import LeastSquares
 
 _MOST_SAMPLES = 40_000
@@ -141,55 +140,30 @@ class FittedReservoirs:
     scaling: Scaling
     """Scaling from physical units to z-scores."""
 
-
-@dataclass(frozen=True)
-class EchoState:
-    """Echo state network; `fitted` is None before training."""
-
-    config: Config
-    fitted: FittedReservoirs | None = None
-
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate in physical units.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Outputs (B, H, ny).
-
-        Raises:
-            UserError: before training.
-        """
-        f = self._trained()
-        past = window(f.scaling.inputs(past_u), f.scaling.outputs(past_y))
-        inputs = f.scaling.inputs(u)
-        return f.scaling.physical(np.mean([m(past, inputs) for m in f.members], axis=0))
+        """Simulate in physical units; the output is the mean over the reservoirs."""
+        past = window(self.scaling.inputs(past_u), self.scaling.outputs(past_y))
+        inputs = self.scaling.inputs(u)
+        return self.scaling.physical(np.mean([m(past, inputs) for m in self.members], axis=0))
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """Initial state, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
+        """State of each reservoir at the first sample."""
         del u
-        f = self._trained()
-        past = window(f.scaling.inputs(past_u), f.scaling.outputs(past_y))
-        return [member.initial(past) for member in f.members]
+        past = window(self.scaling.inputs(past_u), self.scaling.outputs(past_y))
+        return [member.initial(past) for member in self.members]
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Advance by one sample; the output is the mean over the reservoirs."""
-        f = self._trained()
-        v = f.scaling.inputs(u)
-        pairs = [m.step(s, v) for m, s in zip(f.members, state, strict=True)]
-        return [s for s, _ in pairs], f.scaling.physical(mean([y for _, y in pairs]))
+        """Advance by one sample."""
+        v = self.scaling.inputs(u)
+        pairs = [m.step(s, v) for m, s in zip(self.members, state, strict=True)]
+        return [s for s, _ in pairs], self.scaling.physical(mean([y for _, y in pairs]))
 
-    def _trained(self) -> FittedReservoirs:
-        if self.fitted is None:
-            raise UserError("echo state network: not trained yet; call train first")
-        return self.fitted
+
+@dataclass(frozen=True)
+class EchoState(TrainableModel[Config, FittedReservoirs]):
+    """Echo state network."""
+
+    label = "echo state network"
 
 
 def build(config: Config, context: Context) -> EchoState:
@@ -214,29 +188,18 @@ def train(
     rng = np.random.default_rng(context.seed)
     members: list[Member] = []
     for i in range(model.config.members):
-        member, error = _member(model.config, records, context, method, rng)
-        context.log(i, error)
-        members.append(member)
+        reservoir = draw(model.config, context.nu, rng)
+        if context.horizon is None:
+            start, features, targets = _whole_records(model.config, reservoir, records, context)
+        else:
+            start, features, targets = _horizon_segments(
+                model.config, reservoir, records, context, rng
+            )
+        readout = _readout(features, targets, method)
+        x, y = np.concatenate(features), np.concatenate(targets)
+        context.log(i, float(np.sqrt(((readout(x) - y) ** 2).mean())))
+        members.append(Member(reservoir, start, readout, context.horizon))
     return replace(model, fitted=FittedReservoirs(tuple(members), scaling))
-
-
-def _member(
-    config: Config,
-    records: ScaledData,
-    context: Context,
-    method: LeastSquares,
-    rng: np.random.Generator,
-) -> tuple[Member, float]:
-    """Fit a member; return the root mean squared error of its readout on the training data too."""
-    reservoir = draw(config, context.nu, rng)
-    if context.horizon is None:
-        start, features, targets = _long(config, reservoir, records, context)
-    else:
-        start, features, targets = _short(config, reservoir, records, context, rng)
-    readout = _readout(features, targets, method)
-    x, y = np.concatenate(features), np.concatenate(targets)
-    error = float(np.sqrt(((readout(x) - y) ** 2).mean()))
-    return Member(reservoir, start, readout, context.horizon), error
 
 
 def draw(config: Config, nu: int, rng: np.random.Generator) -> Reservoir:
@@ -261,7 +224,7 @@ def _features(states: Array, u: Array, past: Array, span: int | None) -> Array:
     return np.concatenate([states, u, held, held * elapsed], axis=2)
 
 
-def _long(
+def _whole_records(
     config: Config, reservoir: Reservoir, records: ScaledData, context: Context
 ) -> tuple[Encoder, list[Array], list[Array]]:
     """States of whole records from an empty reservoir; no less than a quarter of each record is
@@ -287,28 +250,24 @@ def _long(
     return fit_encoder(seen, before), features, targets
 
 
-def _short(
+def _horizon_segments(
     config: Config,
     reservoir: Reservoir,
     records: ScaledData,
     context: Context,
     rng: np.random.Generator,
 ) -> tuple[Encoder, list[Array], list[Array]]:
-    data: Stretches | None = segments(records, context, _MOST_SAMPLES)
+    """Segments of the problem's horizon, whose states start from a random layer."""
+    data = segments(records, context, _MOST_SAMPLES)
     assert data is not None  # check() has seen a record longer than the past window
     past = window(data.past_u, data.past_y)
-    start = _random_layer(past.shape[1], config, rng)
+    size, n = past.shape[1], config.units
+    inner = rng.standard_normal((size, n)) / np.sqrt(max(size, 1))
+    bias = config.bias * rng.uniform(-1, 1, n)
+    start = Encoder(np.zeros((size, n)), np.zeros(n), inner, bias, np.eye(n))
     features = _features(reservoir.run(start(past), data.u), data.u, past, context.horizon)
     counts = data.weight > 0
     return start, [features[counts]], [data.y[counts]]
-
-
-def _random_layer(size: int, config: Config, rng: np.random.Generator) -> Encoder:
-    n = config.units
-    inner = rng.standard_normal((size, n)) / np.sqrt(max(size, 1))
-    return Encoder(
-        np.zeros((size, n)), np.zeros(n), inner, config.bias * rng.uniform(-1, 1, n), np.eye(n)
-    )
 
 
 def _readout(features: list[Array], targets: list[Array], method: LeastSquares) -> Encoder:

@@ -29,18 +29,17 @@ from asia.models._numerics.segments import left_out_error, segments, simulation_
 from asia.models._one_step import (
     FreeRunModel,
     LagChoice,
-    choose_lags,
+    build,
+    candidate_lags,
     linear_run,
     selection,
     usable,
 )
 from asia.models.methods import MarginalLikelihood
 
+__all__ = ["Config", "build", "train"]
+
 _JITTER = 1e-8
-_MEAN_RIDGE = 1e-6
-_CHOICE_POINTS = 200
-_CHOICE_ITERATIONS = 15
-_SHORTEST, _LONGEST = 0.1, 300.0
 
 
 @dataclass(frozen=True)
@@ -102,12 +101,6 @@ class GaussianPredictor:
         return line + namespace(z).stack([p(z) for p in self.processes], axis=1)
 
 
-def build(config: Config, context: Context) -> FreeRunModel[Config]:
-    """Build an untrained model."""
-    del context
-    return FreeRunModel(config)
-
-
 def train(
     model: FreeRunModel[Config],
     trajectories: Sequence[Trajectory],
@@ -132,23 +125,16 @@ def train(
     return replace(model, run=run, scaling=scaling)
 
 
-def _choose(
-    records: ScaledData, context: Context, config: Config, method: MarginalLikelihood
-) -> Lags:
+def _choose(records: ScaledData, context: Context, c: Config, method: MarginalLikelihood) -> Lags:
     """Choose one number for all lags left open, by the simulation error on samples left out."""
-    c = config
-    delay = c.delay
-    if delay is None:
-        delay = choose_lags(records, context, LagChoice(1, 1, None, 1)).delay
+    lags = candidate_lags(records, context, LagChoice(c.na, c.nb, c.delay, c.max_order))
     if c.na is not None and c.nb is not None:
-        return Lags(c.na, c.nb, delay)
+        return lags[0]
     part = selection(records, context, c.max_order)
-    highest = max(1, min(c.max_order, min(len(r) for r in part) // 12))
-    lags = [Lags(c.na or n, c.nb or n, delay) for n in range(1, highest + 1)]
     usable(part, lags[-1])
-    few = min(c.points, method.points, _CHOICE_POINTS)
+    few = min(c.points, method.points, 200)
     quick = replace(c, points=few)
-    brief = MarginalLikelihood(min(method.iterations, _CHOICE_ITERATIONS), few)
+    brief = MarginalLikelihood(min(method.iterations, 15), few)
     errors = left_out_error(
         part,
         context,
@@ -168,29 +154,27 @@ def _fit(
 ) -> FreeRun:
     pairs = [regressors(r, lags) for r in records if len(r) > lags.memory]
     z, y = np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
-    mean = _mean(config, records, lags, context)
+    ny = context.ny
+    if config.mean == "hold":
+        mean = np.zeros((1 + z.shape[1], ny))
+        mean[1 : 1 + ny] = np.eye(ny)
+    else:
+        # The products of degree one are the constant and each regressor, in order.
+        mean = linear_run(records, lags, context, 1e-6, config.margin).one_step.theta
     left = y - mean[0] - z @ mean[1:]
     rows = spread(len(z), config.points)
     few = spread(len(z), min(config.points, method.points))
     processes: list[OutputProcess] = []
-    for i in range(y.shape[1]):
+    for i in range(ny):
         size = float(left[:, i].std()) or 1.0
         theta, evidence = _hyper(z[few], left[few, i] / size, method)
         log(i, evidence)
-        processes.append(_process(z[rows], left[rows, i], theta))
+        scaled, signal, _, factor = _covariance(z[rows], theta)
+        weights = signal * cho_solve((factor, True), left[rows, i])
+        processes.append(OutputProcess(scaled, np.exp(theta[:-2]), weights))
     history = fit_history(records, lags, context)
     limits = OutputRange.of(records, config.margin)
     return FreeRun(GaussianPredictor(mean, tuple(processes)), history, limits)
-
-
-def _mean(config: Config, records: ScaledData, lags: Lags, context: Context) -> Array:
-    ny = context.ny
-    if config.mean == "hold":
-        hold = np.zeros((1 + lags.outputs * ny + lags.inputs * context.nu, ny))
-        hold[1 : 1 + ny] = np.eye(ny)
-        return hold
-    # The products of degree one are the constant and each regressor, in order.
-    return linear_run(records, lags, context, _MEAN_RIDGE, config.margin).one_step.theta
 
 
 def _distances(a: AnyArray, b: Array) -> AnyArray:
@@ -208,7 +192,7 @@ def _hyper(x: Array, y: Array, method: MarginalLikelihood) -> tuple[Array, float
     """
     d = x.shape[1]
     start = np.concatenate([np.full(d, np.log(2.0 * np.sqrt(d))), [0.0, np.log(0.5)]])
-    bounds = [(np.log(_SHORTEST), np.log(_LONGEST))] * d
+    bounds = [(np.log(0.1), np.log(300.0))] * d
     bounds += [(np.log(1e-2), np.log(1e2)), (np.log(1e-3), np.log(2.0))]
     result = minimize(
         negative_log_evidence,
@@ -225,11 +209,9 @@ def _hyper(x: Array, y: Array, method: MarginalLikelihood) -> tuple[Array, float
 def negative_log_evidence(theta: Array, x: Array, y: Array) -> tuple[float, Array]:
     """Negative log marginal likelihood a sample, and its gradient (d + 2,); theta as `_hyper`
     returns it."""
-    n, d = x.shape
-    scaled = x / np.exp(theta[:d])
-    signal, noise = np.exp(2 * theta[d]), np.exp(2 * theta[d + 1])
-    kernel = signal * np.exp(-0.5 * _distances(scaled, scaled))
-    factor = cholesky(kernel + (noise + _JITTER * signal) * np.eye(n), lower=True)
+    n = len(x)
+    scaled, signal, kernel, factor = _covariance(x, theta)
+    noise = np.exp(2 * theta[-1])
     inverse = cho_solve((factor, True), np.eye(n))
     alpha = inverse @ y
     value = 0.5 * float(y @ alpha) + float(np.log(np.diag(factor)).sum())
@@ -244,11 +226,11 @@ def negative_log_evidence(theta: Array, x: Array, y: Array) -> tuple[float, Arra
     return value / n, gradient / n
 
 
-def _process(x: Array, y: Array, theta: Array) -> OutputProcess:
-    d = x.shape[1]
-    lengths = np.exp(theta[:d])
-    signal, noise = np.exp(2 * theta[d]), np.exp(2 * theta[d + 1])
-    scaled = x / lengths
+def _covariance(x: Array, theta: Array) -> tuple[Array, float, Array, Array]:
+    """Regressors over their length scales, variance of the signal, covariance of the function at
+    the regressors, and Cholesky factor of that of the outputs."""
+    scaled = x / np.exp(theta[:-2])
+    signal, noise = np.exp(2 * theta[-2]), np.exp(2 * theta[-1])
     kernel = signal * np.exp(-0.5 * _distances(scaled, scaled))
     factor = cholesky(kernel + (noise + _JITTER * signal) * np.eye(len(x)), lower=True)
-    return OutputProcess(scaled, lengths, signal * cho_solve((factor, True), y))
+    return scaled, signal, kernel, factor

@@ -18,18 +18,18 @@ from asia.candidate import Context, ParameterEstimates
 from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray
-from asia.models._equations.additions import NO_PRIORS, ParameterPriors, parameter_priors
+from asia.models._equations.additions import NO_PRIORS, parameter_priors
 from asia.models._equations.config import Config, GreyBoxStructure, Range
 from asia.models._equations.extension import extended
 from asia.models._equations.fit import FittedEquations, fit
 from asia.models._equations.identified import equation_lines
 from asia.models._equations.initial_state import CaseSteps, simulate_cases
-from asia.models._equations.ode import Equations, equations
+from asia.models._equations.ode import equations
 from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._numerics.records import refuse_gaps
-from asia.problem.physics import Bounds, Physics
+from asia.problem.physics import Bounds
 
 __all__ = ["Config", "GreyBox", "build", "train"]
 
@@ -45,8 +45,7 @@ class GreyBox:
         """Simulate in open loop, in physical units.
 
         The initial state is measured or estimated from the past window (`Config.initial`). The
-        result is
-        always finite for finite input.
+        result is always finite for finite input.
 
         Args:
             past_u: past inputs (B, n_past_u, nu).
@@ -159,8 +158,12 @@ def build(config: Config, context: Context) -> GreyBox:
             "family"
         )
     bounds = [physics.bounds.get(name, Bounds()) for name in physics.states]
-    names = [signal.name for signal in context.inputs], [signal.name for signal in context.outputs]
-    system = equations(physics, *names)
+    system = equations(physics, [s.name for s in context.inputs], [s.name for s in context.outputs])
+    priors = NO_PRIORS
+    if config.prior_width is not None:
+        rows = [(text, p.mean, p.deviation) for text, p in physics.priors.items()]
+        rows += [(text, mean, deviation) for text, mean, deviation, _ in config.priors]
+        priors = parameter_priors(system, rows, config.prior_width)
     structure = GreyBoxStructure(
         equations=system,
         config=config,
@@ -170,17 +173,9 @@ def build(config: Config, context: Context) -> GreyBox:
         sampling_time=context.sampling_time,
         n_past_u=context.n_past_u,
         n_past_y=context.n_past_y,
-        priors=_priors(system, config, physics),
+        priors=priors,
     )
     return GreyBox(replace(structure, measured=_is_measured(structure, context)))
-
-
-def _priors(system: Equations, config: Config, physics: Physics) -> ParameterPriors:
-    if config.prior_width is None:
-        return NO_PRIORS
-    rows = [(text, p.mean, p.deviation) for text, p in physics.priors.items()]
-    rows += [(text, mean, deviation) for text, mean, deviation, _ in config.priors]
-    return parameter_priors(system, rows, config.prior_width)
 
 
 def _is_measured(structure: GreyBoxStructure, context: Context) -> bool:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -79,12 +78,21 @@ class KinematicCell(AutoregressiveCell):
         rates = find_rates(trajectories, context)
         if not rates:
             raise _no_rates()
-        return partial(
-            _with_kinematics,
-            rates=rates,
-            read=_read(self.config.blind, rates, context),
-            sampling_time=context.sampling_time,
-        )
+        read = _read(self.config.blind, rates, context)
+
+        def with_kinematics(params: Params, records: ScaledData, scaling: Scaling) -> Params:
+            """Add the kinematics in z-scores and the size of the other increments."""
+            ny, increment = context.ny, increment_sizes(records)
+            rate, drift = np.zeros((ny, ny)), np.zeros(ny)
+            for r in rates:
+                increment[r.output] = 0.0
+                moved = r.gain * context.sampling_time / scaling.y_std[r.output]
+                rate[r.rate, r.output] = moved * scaling.y_std[r.rate]
+                drift[r.output] = moved * scaling.y_mean[r.rate]
+            fixed = {"increment": increment, "read": np.array(read), "rate": rate, "drift": drift}
+            return {**params, "fixed": {k: np.asarray(v, np.float32) for k, v in fixed.items()}}
+
+        return with_kinematics
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`: the output is held."""
@@ -132,28 +140,6 @@ def _read(
     integrated = {r.output for r in rates}
     needed = read_by_equations(context)
     return tuple(j in needed or j not in integrated for j in range(context.ny))
-
-
-def _with_kinematics(
-    params: Params,
-    records: ScaledData,
-    scaling: Scaling,
-    *,
-    rates: Sequence[Rate],
-    read: tuple[bool, ...],
-    sampling_time: float,
-) -> Params:
-    """Add the kinematics in z-scores and the size of the other increments to the parameters."""
-    increment = increment_sizes(records)
-    ny = len(increment)
-    rate, drift = np.zeros((ny, ny)), np.zeros(ny)
-    for r in rates:
-        increment[r.output] = 0.0
-        moved = r.gain * sampling_time / scaling.y_std[r.output]
-        rate[r.rate, r.output] = moved * scaling.y_std[r.rate]
-        drift[r.output] = moved * scaling.y_mean[r.rate]
-    fixed = {"increment": increment, "read": np.array(read), "rate": rate, "drift": drift}
-    return {**params, "fixed": {k: np.asarray(v, np.float32) for k, v in fixed.items()}}
 
 
 def _no_rates() -> UserError:

@@ -77,7 +77,17 @@ class KoopmanMap(Driven[Config]):
         return {
             "encoder": mlp_params(rng, (window_size(context), c.width, states)),
             "lift": mlp_params(rng, (nu, c.width, c.lift)),
-            "levels": [_level_params(rng, c, lifted, 2 * i * c.states) for i in range(c.levels)],
+            "levels": [
+                {
+                    "log_rate": -log_spaced(1.0, c.tau_max, c.states),
+                    "angle": rng.uniform(0.0, c.angle_max, c.states).astype(np.float32),
+                    "b": dense(rng, lifted, 2 * c.states),
+                    "left": dense(rng, 2 * level * c.states, 2 * c.states),
+                    "right": dense(rng, lifted, 2 * c.states),
+                    "shift": zeros(2 * c.states),
+                }
+                for level in range(c.levels)
+            ],
             "out_w": zeros(states + context.nu, context.ny),
             "out_b": zeros(context.ny),
         }
@@ -87,14 +97,16 @@ class KoopmanMap(Driven[Config]):
         u, xp = self.drive(u), namespace(u)
         v = xp.concatenate([u, mlp(params["lift"], u)], axis=-1)
         starts = split(mlp(params["encoder"], window), self.config.levels)
-        below = xp.zeros((*v.shape[:2], 0), v.dtype)
-        before = below
+        found: list[AnyArray] = []
+        before: list[AnyArray] = []
         for p, start in zip(params["levels"], starts, strict=True):
-            z = _level(p, v, before, start)
-            below = xp.concatenate([below, z], axis=-1)
-            previous = xp.concatenate([start[:, None], z[:, :-1]], axis=1)
-            before = xp.concatenate([before, previous], axis=-1)
-        return below
+            pole, gain = poles(p["log_rate"], p["angle"])
+            real, imaginary = _driven(p, v, before)
+            first = complex_number(*split(start, 2))
+            z = diagonal_states(pole, complex_number(gain * real, gain * imaginary), first)
+            found.append(xp.concatenate([z.real, z.imag], axis=-1))
+            before.append(xp.concatenate([start[:, None], found[-1][:, :-1]], axis=1))
+        return xp.concatenate(found, axis=-1)
 
     def begin(self, params: Any, window: AnyArray) -> Any:
         """Latent state z of each level before the first sample, real parts and then imaginary
@@ -108,47 +120,21 @@ class KoopmanMap(Driven[Config]):
         after = list[AnyArray]()
         for level, (p, z) in enumerate(zip(params["levels"], state, strict=True)):
             pole, gain = poles(p["log_rate"], p["angle"])
-            drive = v @ p["b"]
-            if level:
-                before = xp.concatenate(state[:level], axis=-1)
-                drive = drive + (before @ p["left"]) * (v @ p["right"] + p["shift"])
-            real, imaginary = split(drive, 2)
-            before_real, before_imaginary = split(z, 2)
-            moved = rotated_pole(
-                pole, before_real, before_imaginary, (gain * real, gain * imaginary)
-            )
+            real, imaginary = _driven(p, v, state[:level])
+            z_real, z_imaginary = split(z, 2)
+            moved = rotated_pole(pole, z_real, z_imaginary, (gain * real, gain * imaginary))
             after.append(xp.concatenate(moved, axis=-1))
         return after, xp.concatenate(after, axis=-1)
 
 
-def _level(p: Any, v: AnyArray, before: AnyArray, start: AnyArray) -> AnyArray:
-    """States (B, T, 2 n) of one level: real parts, then imaginary parts.
-
-    Args:
-        p: parameters.
-        v: lifted inputs (B, T, m).
-        before: lower states (B, T, lower states) of the sample before.
-        start: initial states (B, 2 n).
-    """
-    pole, gain = poles(p["log_rate"], p["angle"])
+def _driven(p: Any, v: AnyArray, before: list[AnyArray]) -> list[AnyArray]:
+    """Real and imaginary parts of the drive of a level by inputs v (..., m) and by the lower levels
+    of the sample before."""
     drive = v @ p["b"]
-    if before.shape[-1]:
-        drive = drive + (before @ p["left"]) * (v @ p["right"] + p["shift"])
-    real, imaginary = split(drive, 2)
-    first = complex_number(*split(start, 2))
-    z = diagonal_states(pole, complex_number(gain * real, gain * imaginary), first)
-    return namespace(z).concatenate([z.real, z.imag], axis=-1)
-
-
-def _level_params(rng: np.random.Generator, c: Config, lifted: int, lower: int) -> dict[str, Any]:
-    return {
-        "log_rate": -log_spaced(1.0, c.tau_max, c.states),
-        "angle": rng.uniform(0.0, c.angle_max, c.states).astype(np.float32),
-        "b": dense(rng, lifted, 2 * c.states),
-        "left": dense(rng, lower, 2 * c.states),
-        "right": dense(rng, lifted, 2 * c.states),
-        "shift": zeros(2 * c.states),
-    }
+    if before:
+        lower = namespace(v).concatenate(before, axis=-1)
+        drive = drive + (lower @ p["left"]) * (v @ p["right"] + p["shift"])
+    return split(drive, 2)
 
 
 build, train = network_family(Config, KoopmanMap)

@@ -15,7 +15,6 @@ import numpy as np
 
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Trajectory
-from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace
 from asia.models._config import check_at_least, demand
 from asia.models._linear import fit as levels
@@ -55,7 +54,7 @@ from asia.models._numerics.records import (
     stretches,
     window,
 )
-from asia.models._steps import first_of_line, through_line
+from asia.models._steps import TrainableModel, first_of_line, through_line
 
 if TYPE_CHECKING:
     from asia.models._least_squares import LevenbergMarquardt
@@ -97,8 +96,7 @@ class Config:
     """Greatest order tried by `periodic` where `order` is None."""
     levels: bool = False
     """Fit separate systems to records whose inputs differ in size; a simulation interpolates
-    between
-    their outputs by the root mean square of its inputs so far."""
+    between their outputs by the root mean square of its inputs so far."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "order", "max_order", "periodic_order")
@@ -120,6 +118,15 @@ class FittedLinear:
     scaling: Scaling
     """Scaling from physical units to z-scores."""
 
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate in physical units, block by block."""
+        x0 = self.encoder(window(self.scaling.inputs(past_u), self.scaling.outputs(past_y)))
+
+        def late(first: int, stop: int) -> Array:
+            return delayed_inputs(self.scaling, self.delay, past_u, u, first, stop)
+
+        return self.scaling.physical(self.system.outputs(x0, late, u.shape[1]))
+
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
         """States, and the inputs that the delay holds back."""
         past, first = self.scaling.inputs(past_u), self.scaling.inputs(u)
@@ -133,6 +140,11 @@ class FittedLinear:
         y = x @ s.c.T + v @ s.d.T + s.offset
         return (x @ s.a.T + v @ s.b.T, line), self.scaling.physical(y)
 
+    def parameters(self) -> dict[str, float]:
+        """Static gains in physical units; order, delay and slowest time constants in samples."""
+        chosen = {"order [states]": float(self.system.order), "delay [samples]": float(self.delay)}
+        return invariants(self.system, self.scaling) | chosen
+
 
 @dataclass(frozen=True)
 class FittedLevels:
@@ -144,6 +156,13 @@ class FittedLevels:
     """Root mean squares of the scaled inputs (L,), rising."""
     memory: int
     """Number of samples of the inputs that give the level."""
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate in physical units."""
+        scaling = self.systems[0].scaling
+        each = np.stack([f.simulate(past_u, past_y, u) for f in self.systems])
+        past, future = scaling.inputs(past_u), scaling.inputs(u)
+        return levels.interpolated(self.levels, each, past, future, self.memory)
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
         """State of each system, the power of the last `memory` inputs, and their number."""
@@ -168,57 +187,16 @@ class FittedLevels:
 
 
 @dataclass(frozen=True)
-class LinearStateSpace:
-    """Linear model; before training `fitted` and `by_level` are None, after it one of them."""
+class LinearStateSpace(TrainableModel[Config, FittedLinear | FittedLevels]):
+    """Linear model; before training `fitted` and `by_level` are None, after it one of them.
 
-    config: Config
+    Before a past window that is shorter than the delay the input is held at the window's first
+    value.
+    """
+
+    label = "linear model"
     fitted: FittedLinear | None = None
     by_level: FittedLevels | None = None
-
-    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate in physical units, by the steps, block by block.
-
-        Before a past window that is shorter than the delay the input is held at the window's first
-        value.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Outputs (B, H, ny).
-
-        Raises:
-            UserError: before training.
-        """
-        if self.by_level is not None:
-            return _by_level(self.by_level, past_u, past_y, u)
-        if self.fitted is None:
-            raise UserError("linear model: not trained yet; call linear.train before simulate")
-        return _simulated(self.fitted, past_u, past_y, u)
-
-    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """Initial state, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        return self._trained().initial(past_u, past_y, u)
-
-    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Advance by one sample, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        return self._trained().step(state, u)
-
-    def _trained(self) -> FittedLinear | FittedLevels:
-        found = self.by_level or self.fitted
-        if found is None:
-            raise UserError("linear model: not trained yet; call linear.train first")
-        return found
 
     def parameters(self) -> dict[str, float]:
         """Static gains in physical units; order, delay and slowest time constants in samples.
@@ -229,13 +207,12 @@ class LinearStateSpace:
         Raises:
             UserError: before training.
         """
-        if self.by_level is not None:
-            each = enumerate(map(_parameters, self.by_level.systems), 1)
-            named = [(f"{name}, level {k}", v) for k, p in each for name, v in p.items()]
-            return dict(named[:_MOST_PARAMETERS])
-        if self.fitted is None:
-            raise UserError("linear model: not trained yet; call linear.train before parameters")
-        return _parameters(self.fitted)
+        found = self._trained()
+        if isinstance(found, FittedLinear):
+            return found.parameters()
+        each = enumerate((one.parameters() for one in found.systems), 1)
+        named = [(f"{name}, level {k}", v) for k, p in each for name, v in p.items()]
+        return dict(named[:_MOST_PARAMETERS])
 
     def estimates(self, trajectories: Sequence[Trajectory], context: Context) -> ParameterEstimates:
         """Gains and time constants with their standard errors, given the records of the fit.
@@ -245,13 +222,11 @@ class LinearStateSpace:
             ValueError: for free integrators, many states, and a fit that is no minimum of the
                 simulation error: one under a noise model, or over windows.
         """
-        if self.by_level is not None:
+        f = self._trained()
+        if isinstance(f, FittedLevels):
             raise ValueError("linear model: gains and time constants differ from level to level")
-        if self.fitted is None:
-            raise UserError("linear model: not trained yet; call linear.train before estimates")
         if self.config.integrators:
             raise ValueError("linear model: with free integrators there are no static gains")
-        f = self.fitted
         units = {
             f"gain y{i + 1}/u{j + 1}": f"{y.unit}/{u.unit}" if y.unit or u.unit else ""
             for i, y in enumerate(context.outputs)
@@ -266,26 +241,8 @@ class LinearStateSpace:
 
         return system_estimates(f.system, records, report)
 
-
-def _parameters(f: FittedLinear) -> dict[str, float]:
-    chosen = {"order [states]": float(f.system.order), "delay [samples]": float(f.delay)}
-    return invariants(f.system, f.scaling) | chosen
-
-
-def _simulated(f: FittedLinear, past_u: Array, past_y: Array, u: Array) -> Array:
-    x0 = f.encoder(window(f.scaling.inputs(past_u), f.scaling.outputs(past_y)))
-
-    def late(first: int, stop: int) -> Array:
-        return delayed_inputs(f.scaling, f.delay, past_u, u, first, stop)
-
-    return f.scaling.physical(f.system.outputs(x0, late, u.shape[1]))
-
-
-def _by_level(found: FittedLevels, past_u: Array, past_y: Array, u: Array) -> Array:
-    scaling = found.systems[0].scaling
-    each = np.stack([_simulated(f, past_u, past_y, u) for f in found.systems])
-    past, future = scaling.inputs(past_u), scaling.inputs(u)
-    return levels.interpolated(found.levels, each, past, future, found.memory)
+    def _trained(self) -> FittedLinear | FittedLevels:
+        return self.by_level or super()._trained()
 
 
 def build(config: Config, context: Context) -> LinearStateSpace:
@@ -327,20 +284,20 @@ def train(
 
 
 def _fitted(
-    records: ScaledData, context: Context, config: Config, how: Refinement, scaling: Scaling
+    records: ScaledData, context: Context, config: Config, refinement: Refinement, scaling: Scaling
 ) -> FittedLinear:
-    plain = context.horizon is None and config.integrators == 0 and how.noise is None
+    plain = context.horizon is None and config.integrators == 0 and refinement.noise is None
     if config.periodic and plain:
         late = [r.with_delay(config.delay or 0) for r in records]
         choice = PeriodicChoice(config.order, config.periodic_order, config.tolerance)
-        found = fit_periodic(late, context, choice, how.iterations, context.log)
-        if found is not None:
-            return FittedLinear(*found, config.delay or 0, scaling)
-    predictor = windowed(records, context, config, how)
+        periodic = fit_periodic(late, context, choice, refinement.iterations, context.log)
+        if periodic is not None:
+            return FittedLinear(*periodic, config.delay or 0, scaling)
+    predictor = windowed(records, context, config, refinement)
     if predictor is not None:
         return FittedLinear(*predictor.system(), 0, scaling)
-    fit_found, delay, used = fit_records(records, context, config, how)
-    return FittedLinear(fit_found.system, encoder_of(used, fit_found, context), delay, scaling)
+    found, delay, used = fit_records(records, context, config, refinement)
+    return FittedLinear(found.system, encoder_of(used, found, context), delay, scaling)
 
 
 def scaling_of(trajectories: Sequence[Trajectory], context: Context, config: Config) -> Scaling:
@@ -372,21 +329,16 @@ def windowed(
         part = _selection(records, context, config)
         order = fit_records(part, context, config, refinement)[0].system.order
         known = replace(config, order=order)
-        errors = [_window_error(*s, context, known, refinement) for s in held_out(part, context)]
+        errors: list[float] = []
+        for kept, left in held_out(part, context):
+            found, delay, used = fit_records(kept, context, known, refinement)
+            cut = cut_windows([r.with_delay(delay) for r in left], context, MOST_WINDOWS)
+            errors.append(window_error(found.system, encoder_of(used, found, context), cut))
         if np.mean(errors) < choice.error:
             return None
     predictor = fit_choice(records, context, choice, refinement)
     context.log(0, float(np.sqrt(choice.error)))
     return predictor
-
-
-def _window_error(
-    kept: ScaledData, left: ScaledData, context: Context, config: Config, refinement: Refinement
-) -> float:
-    """Mean squared error of the state-space model on windows of records left out of its fit."""
-    found, delay, used = fit_records(kept, context, config, refinement)
-    cut = cut_windows([r.with_delay(delay) for r in left], context, MOST_WINDOWS)
-    return window_error(found.system, encoder_of(used, found, context), cut)
 
 
 def fit_records(
@@ -400,16 +352,29 @@ def fit_records(
     """
     refinement = replace(refinement, integrators=config.integrators)
     part = _selection(records, context, config)
-    delay = _estimate_delay(part, config) if config.delay is None else config.delay
-    order = config.order
+    delay, order = config.delay, config.order
+    if delay is None:
+        # The least simulation error of a model of modest order, preferring the smallest delay
+        # within 1 %.
+        held = config.integrators
+        modest = max(min(order or 2 + held, _affordable(part, config.max_order)), held)
+        quick = Refinement(iterations=5, integrators=held)
+        tried = range(config.max_delay + 1)
+        errors = [fit([r.with_delay(d) for r in part], modest, quick).error for d in tried]
+        delay = next(
+            d for d, error in zip(tried, errors, strict=True) if error <= 1.02 * min(errors)
+        )
     if order is None:
         quick = replace(refinement, iterations=min(refinement.iterations, 15))
         late_part = [r.with_delay(delay) for r in part]
         highest = max(_affordable(late_part, config.max_order), config.integrators)
         order = choose_order(late_part, context, highest, config.tolerance, quick)
+    # Number of samples whose Jacobian fits in memory, with the transforms it is made by.
+    signals = order + context.nu
+    numbers = context.ny * (5 * order * signals + context.ny * signals)
     late = stretches(
         [r.with_delay(delay) for r in records],
-        _samples_held(order, context),
+        max(1000, _JACOBIAN_NUMBERS // numbers),
         2 * past_length(context) + 100 * order,
     )
     found = fit(late, order, refinement, context.log)
@@ -428,13 +393,6 @@ def fit_of_least_order(
     return found, delay, used
 
 
-def _samples_held(order: int, context: Context) -> int:
-    """Number of samples whose Jacobian fits in memory, with the transforms it is made by."""
-    signals = order + context.nu
-    numbers = context.ny * (5 * order * signals + context.ny * signals)
-    return max(1000, _JACOBIAN_NUMBERS // numbers)
-
-
 def _selection(records: ScaledData, context: Context, config: Config) -> list[ScaledTrajectory]:
     """Records for the choice of order and delay: each segment leaves samples to simulate after
     its past window, enough of them to distinguish the states."""
@@ -445,16 +403,3 @@ def _selection(records: ScaledData, context: Context, config: Config) -> list[Sc
 def _affordable(records: ScaledData, max_order: int) -> int:
     samples = min(len(r) for r in records) // 8
     return max(1, min(max_order, samples))
-
-
-def _estimate_delay(records: ScaledData, config: Config) -> int:
-    """Delay with the least simulation error of a model of modest order, preferring the smallest
-    within 1 %."""
-    held = config.integrators
-    order = max(min(config.order or 2 + held, _affordable(records, config.max_order)), held)
-    quick = Refinement(iterations=5, integrators=held)
-    errors = [
-        fit([r.with_delay(d) for r in records], order, quick).error
-        for d in range(config.max_delay + 1)
-    ]
-    return next(d for d, error in enumerate(errors) if error <= 1.02 * min(errors))

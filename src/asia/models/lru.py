@@ -70,10 +70,24 @@ class LRUStack(Driven[Config]):
         """Untrained parameters drawn from `context.seed`."""
         rng, c = np.random.default_rng(context.seed), self.config
         nu, states = drive_size(c.features, context.nu), 2 * c.layers * c.states
+        half = float(np.sqrt(0.5))
         return {
             "encoder": mlp_params(rng, (window_size(context), c.encoder, states)),
             "in": mlp_params(rng, (nu, c.width, c.width)),
-            "layers": [_layer_params(rng, c) for _ in range(c.layers)],
+            "layers": [
+                {
+                    "log_rate": -log_spaced(1.0, c.tau_max, c.states),
+                    "angle": rng.uniform(0.0, c.angle_max, c.states).astype(np.float32),
+                    "b_re": dense(rng, c.width, c.states, half),
+                    "b_im": dense(rng, c.width, c.states, half),
+                    "c_re": dense(rng, c.states, c.width),
+                    "c_im": dense(rng, c.states, c.width),
+                    "d": rng.standard_normal(c.width).astype(np.float32),
+                    "gate_w": dense(rng, c.width, 2 * c.width),
+                    "gate_b": zeros(2 * c.width),
+                }
+                for _ in range(c.layers)
+            ],
             "out_w": zeros(c.width + context.nu, context.ny),
             "out_b": zeros(context.ny),
         }
@@ -81,9 +95,11 @@ class LRUStack(Driven[Config]):
     def features(self, params: Any, window: AnyArray, u: AnyArray) -> AnyArray:
         """Output of the last layer."""
         x = mlp(params["in"], self.drive(u))
-        starts = split(mlp(params["encoder"], window), 2 * self.config.layers)
-        for i, p in enumerate(params["layers"]):
-            x = x + _layer(p, x, complex_number(starts[2 * i], starts[2 * i + 1]))
+        for p, start in zip(params["layers"], self.begin(params, window), strict=True):
+            pole, gain = poles(p["log_rate"], p["angle"])
+            drive = complex_number(gain * (x @ p["b_re"]), gain * (x @ p["b_im"]))
+            states = diagonal_states(pole, drive, complex_number(*start))
+            x = x + _read(p, x, states.real, states.imag)
         return x
 
     def begin(self, params: Any, window: AnyArray) -> Any:
@@ -103,31 +119,9 @@ class LRUStack(Driven[Config]):
         return after, x
 
 
-def _layer(p: Any, v: AnyArray, start: AnyArray) -> AnyArray:
-    pole, gain = poles(p["log_rate"], p["angle"])
-    drive = complex_number(gain * (v @ p["b_re"]), gain * (v @ p["b_im"]))
-    x = diagonal_states(pole, drive, start)
-    return _read(p, v, x.real, x.imag)
-
-
 def _read(p: Any, v: AnyArray, real: AnyArray, imaginary: AnyArray) -> AnyArray:
     y = real @ p["c_re"] - imaginary @ p["c_im"] + v * p["d"]
     return gated(gelu(y), p["gate_w"], p["gate_b"])
-
-
-def _layer_params(rng: np.random.Generator, c: Config) -> dict[str, Any]:
-    half = float(np.sqrt(0.5))
-    return {
-        "log_rate": -log_spaced(1.0, c.tau_max, c.states),
-        "angle": rng.uniform(0.0, c.angle_max, c.states).astype(np.float32),
-        "b_re": dense(rng, c.width, c.states, half),
-        "b_im": dense(rng, c.width, c.states, half),
-        "c_re": dense(rng, c.states, c.width),
-        "c_im": dense(rng, c.states, c.width),
-        "d": rng.standard_normal(c.width).astype(np.float32),
-        "gate_w": dense(rng, c.width, 2 * c.width),
-        "gate_b": zeros(2 * c.width),
-    }
 
 
 build, train = network_family(Config, LRUStack)

@@ -68,7 +68,33 @@ class LTCCell(Driven[Config]):
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`."""
-        return _parameters(self.config, context)
+        rng, c = np.random.default_rng(context.seed), self.config
+        hidden, width = c.hidden, c.width or c.hidden
+        seen, nu = window_size(context), context.nu
+        inputs = drive_size(c.features, nu)
+        weights = {
+            "enc_w1": (seen, width),
+            "enc_w2": (width, hidden),
+            "f_h": (hidden, width),
+            "f_u": (inputs, width),
+            "f_w2": (width, hidden),
+        }
+        biases = {"enc_b1": width, "enc_b2": hidden, "f_b1": width, "f_b2": hidden}
+        read = hidden + nu
+        if c.start == "ridge":
+            params = {name: dense(rng, *shape) for name, shape in weights.items()}
+            params |= {name: zeros(size) for name, size in biases.items()}
+            params |= {"out_w": zeros(read, context.ny), "out_b": zeros(context.ny)}
+        else:
+            shapes = weights | {name: (size,) for name, size in biases.items()}
+            shapes |= {"out_w": (read, context.ny), "out_b": (context.ny,)}
+            fan_in = {name: shape[0] for name, shape in weights.items()}
+            # f's first layer reads h and u together.
+            fan_in |= dict.fromkeys(("f_h", "f_u", "f_b1"), hidden + inputs)
+            fan_in |= {"enc_b1": seen, "enc_b2": width, "f_b2": width, "out_w": read, "out_b": read}
+            params = {name: uniform(rng, shape, fan_in[name]) for name, shape in shapes.items()}
+        taus = np.linspace(np.log(c.tau_min), np.log(c.tau_max), hidden)
+        return {**params, "log_tau": taus.astype(np.float32)}
 
     def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
         """Leave the weights of a "uniform" start as they are drawn."""
@@ -91,40 +117,6 @@ class LTCCell(Driven[Config]):
 
     def _bent(self, values: AnyArray) -> AnyArray:
         return namespace(values).tanh(values) if self.config.bounded else values
-
-
-def _parameters(config: Config, context: Context) -> Params:
-    rng = np.random.default_rng(context.seed)
-    hidden, width = config.hidden, config.width or config.hidden
-    seen, nu = window_size(context), context.nu
-    inputs = drive_size(config.features, nu)
-    shapes = {
-        "enc_w1": (seen, width),
-        "enc_w2": (width, hidden),
-        "f_h": (hidden, width),
-        "f_u": (inputs, width),
-        "f_w2": (width, hidden),
-    }
-    taus = np.linspace(np.log(config.tau_min), np.log(config.tau_max), hidden)
-    if config.start == "ridge":
-        params = {name: dense(rng, *shape) for name, shape in shapes.items()}
-        biases = {name: zeros(size) for name, size in _biases(config).items()}
-        params |= biases | {"out_w": zeros(hidden + nu, context.ny), "out_b": zeros(context.ny)}
-    else:
-        # f's first layer reads h and u together.
-        fan_in = {name: shape[0] for name, shape in shapes.items()}
-        fan_in |= {"f_h": hidden + inputs, "f_u": hidden + inputs}
-        fan_in |= {"enc_b1": seen, "enc_b2": width, "f_b1": hidden + inputs, "f_b2": width}
-        shapes |= {name: (size,) for name, size in _biases(config).items()}
-        shapes |= {"out_w": (hidden + nu, context.ny), "out_b": (context.ny,)}
-        fan_in |= {"out_w": hidden + nu, "out_b": hidden + nu}
-        params = {name: uniform(rng, shape, fan_in[name]) for name, shape in shapes.items()}
-    return {**params, "log_tau": taus.astype(np.float32)}
-
-
-def _biases(config: Config) -> dict[str, int]:
-    width = config.width or config.hidden
-    return {"enc_b1": width, "enc_b2": config.hidden, "f_b1": width, "f_b2": config.hidden}
 
 
 build, train = network_family(Config, LTCCell)

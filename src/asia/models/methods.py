@@ -157,17 +157,19 @@ class Adam(_NetworkFit):
 
     def __post_init__(self) -> None:
         _check_optimiser(self)
-        _check_fit(self)
-        _check_loss(self, self.truncation, self.washout)
-        _check_horizons(self.horizons, self.washout)
-        demand(self, "noise", self.noise >= 0, "0 or more")
-        demand(self, "gentle", self.gentle >= 0, "0 or more")
-        demand(self, "offset", self.offset >= 0, "0 or more")
+        _check_fit(self, self.truncation, self.washout)
+        if self.horizons is not None and min(self.horizons, default=0) <= self.washout:
+            raise UserError(
+                f"Adam: horizons is {self.horizons!r}, expected sample counts that are all above "
+                f"washout ({self.washout})"
+            )
+        for name in ("noise", "gentle", "offset"):
+            demand(self, name, getattr(self, name) >= 0, "0 or more")
         demand(self, "dropout", 0 <= self.dropout < 1, "a share in [0, 1)")
         demand(self, "average", 0 <= self.average < 1, "a decay in [0, 1)")
         demand(self, "teacher", 0 <= self.teacher <= 1, "a probability")
         demand(self, "teacher_end", 0 <= self.teacher_end <= 1, "a probability")
-        demand(self, "batch", _at_least_1(self.batch), "None or at least 1")
+        demand(self, "batch", self.batch is None or self.batch >= 1, "None or at least 1")
         if self.carry and (self.full_batch or self.truncation is None):
             raise UserError(
                 "Adam: carry reads the records in chunks of `truncation` samples; give truncation "
@@ -201,8 +203,7 @@ class LBFGS(_NetworkFit):
     """Samples at the start of a simulation that do not count."""
 
     def __post_init__(self) -> None:
-        _check_fit(self)
-        _check_loss(self, self.truncation, self.washout)
+        _check_fit(self, self.truncation, self.washout)
         demand(self, "memory", self.memory >= 1, "at least 1")
         demand(self, "ridge", self.ridge >= 0, "0 or more")
         if self.loss == "mae":
@@ -248,7 +249,6 @@ class MultipleShooting(_NetworkFit):
     def __post_init__(self) -> None:
         _check_optimiser(self)
         _check_fit(self)
-        _check_loss(self, None, 0)
         if NoiseChoice.of(self) is not None:
             raise UserError(
                 "MultipleShooting: free starts of segments take up a slow disturbance; give "
@@ -270,10 +270,6 @@ class MultipleShooting(_NetworkFit):
 NetworkMethod: TypeAlias = Adam | LBFGS | MultipleShooting
 
 
-def _at_least_1(value: int | None) -> bool:
-    return value is None or value >= 1
-
-
 def _check_optimiser(m: Adam | MultipleShooting) -> None:
     demand(m, "learning_rate", m.learning_rate > 0, "a positive number")
     demand(m, "weight_decay", m.weight_decay >= 0, "0 or more")
@@ -282,7 +278,7 @@ def _check_optimiser(m: Adam | MultipleShooting) -> None:
     demand(m, "plateau_patience", m.plateau_patience >= 0, "0 checks or more")
 
 
-def _check_fit(m: NetworkMethod) -> None:
+def _check_fit(m: NetworkMethod, truncation: int | None = None, washout: int = 0) -> None:
     check_at_least(1, m, "steps", "members", "every", "patience")
     check_noise(m)
     if NoiseChoice.of(m) is not None and m.loss != "mse":
@@ -292,9 +288,6 @@ def _check_fit(m: NetworkMethod) -> None:
         )
     demand(m, "holdout", 0 <= m.holdout < 0.9, "a fraction in [0, 0.9)")
     demand(m, "stop", m.stop in (None, "validation"), "None or 'validation'")
-
-
-def _check_loss(m: NetworkMethod, truncation: int | None, washout: int) -> None:
     check_choice(m, "loss", get_args(Loss))
     if truncation is not None:
         demand(m, "truncation", truncation >= 1, "None or at least 1")
@@ -304,14 +297,4 @@ def _check_loss(m: NetworkMethod, truncation: int | None, washout: int) -> None:
         raise UserError(
             f"{owner(m)}: washout is {washout}, expected less than truncation ({truncation}): "
             "no sample of a chunk would count"
-        )
-
-
-def _check_horizons(horizons: tuple[int, ...] | None, washout: int) -> None:
-    if horizons is None:
-        return
-    if not horizons or min(horizons) <= washout:
-        raise UserError(
-            f"Adam: horizons is {horizons!r}, expected sample counts that are all above washout "
-            f"({washout})"
         )

@@ -34,9 +34,9 @@ from asia.models._one_step import (
     LagChoice,
     Polynomial,
     PolynomialRun,
-    Terms,
     all_terms,
-    choose_lags,
+    build,
+    candidate_lags,
     equations,
     refine,
     refinement_samples,
@@ -46,12 +46,9 @@ from asia.models._one_step import (
 )
 from asia.models.methods import LeastSquares
 
-# Greatest number of products, whose Gram matrix is still cheap; beyond it the degree is lowered.
+__all__ = ["Config", "build", "train"]
+
 _MOST_PRODUCTS = 1000
-_START_RIDGE = 1e-7
-# Iterations for the comparison of numbers of terms, and the relative excess error allowed to fewer
-# terms, since few segments do not resolve less.
-_QUICK, _FEWER = 10, 0.1
 
 
 @dataclass(frozen=True)
@@ -80,18 +77,11 @@ class Config:
     width."""
     coefficient_ridge: float = 1e-5
     """Weight of the squared distance of the coefficients from those of least squares, against the
-    mean
-    squared error in z-scores, with Levenberg-Marquardt."""
+    mean squared error in z-scores, with Levenberg-Marquardt."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "na", "nb", "degree", "terms", "max_terms", "max_order")
         check_at_least(0, self, "delay", "margin", "coefficient_ridge")
-
-
-def build(config: Config, context: Context) -> FreeRunModel[Config]:
-    """Build an untrained model."""
-    del context
-    return FreeRunModel(config)
 
 
 def train(
@@ -149,7 +139,7 @@ def _with_more_terms(
 
     Where lags are those of a model, errors one step ahead show little of what is still missing.
     """
-    lags, quick = choice.lags, LevenbergMarquardt(iterations=_QUICK)
+    lags, quick = choice.lags, LevenbergMarquardt(iterations=10)
     counts = [n for n in _counts(config) if n >= choice.terms]
     part = selection(records, context, config.max_order)
 
@@ -164,7 +154,8 @@ def _with_more_terms(
     errors = left_out_error(part, context, refined, _shortest(context, lags))
     if len(errors) != len(counts):
         return choice
-    best = int(np.argmax(errors <= errors.min() + 2 * np.log1p(_FEWER)))
+    # Few segments do not resolve differences of less than 10 %.
+    best = int(np.argmax(errors <= errors.min() + 2 * np.log1p(0.1)))
     return choice._replace(terms=counts[best])
 
 
@@ -182,20 +173,14 @@ def _choose(
 ) -> _Choice:
     """Choose lags, number of terms and ridge by the simulation error on samples left out."""
     c = config
-    delay = c.delay
-    if delay is None:
-        delay = choose_lags(records, context, LagChoice(1, 1, None, 1)).delay
-    ridges: Sequence[float] = (_START_RIDGE,)
+    lags = candidate_lags(records, context, LagChoice(c.na, c.nb, c.delay, c.max_order))
+    ridges: Sequence[float] = (1e-7,)
     if isinstance(method, LeastSquares):
         ridges = RIDGES[::2] if method.ridge is None else (method.ridge,)
     if c.na is not None and c.nb is not None and c.terms is not None and len(ridges) == 1:
-        return _Choice(Lags(c.na, c.nb, delay), c.terms, ridges[0], 0.0)
+        return _Choice(lags[0], c.terms, ridges[0], 0.0)
     part = selection(records, context, c.max_order)
-    highest = max(1, min(c.max_order, min(len(r) for r in part) // 12))
-    orders = (1,) if c.na is not None and c.nb is not None else range(1, highest + 1)
-    found = [
-        _choose_terms(part, context, Lags(c.na or n, c.nb or n, delay), c, ridges) for n in orders
-    ]
+    found = [_choose_terms(part, context, item, c, ridges) for item in lags]
     least = min(choice.error for choice in found)
     return next(choice for choice in found if choice.error <= least + 2 * np.log(1.02))
 
@@ -230,13 +215,6 @@ def _counts(config: Config) -> list[int]:
     return sorted({round(n) for n in np.geomspace(1, config.max_terms, 14)})
 
 
-def _dictionary(lags: Lags, context: Context, degree: int) -> Terms:
-    size = lags.outputs * context.ny + lags.inputs * context.nu
-    while degree > 1 and comb(size + degree, degree) > _MOST_PRODUCTS:
-        degree -= 1
-    return all_terms(size, degree)
-
-
 def _runs(
     records: ScaledData,
     context: Context,
@@ -246,7 +224,11 @@ def _runs(
     ridges: Sequence[float],
 ) -> list[PolynomialRun]:
     """Models with so many terms, for each ridge."""
-    terms = _dictionary(lags, context, config.degree)
+    size, degree = lags.outputs * context.ny + lags.inputs * context.nu, config.degree
+    # Lower the degree until the Gram matrix of the products is cheap.
+    while degree > 1 and comb(size + degree, degree) > _MOST_PRODUCTS:
+        degree -= 1
+    terms = all_terms(size, degree)
     x, y = equations(records, lags, terms)
     gram, cross = x.T @ x, x.T @ y
     chosen = [error_reduction_order(gram, cross[:, i], max(counts)) for i in range(cross.shape[1])]
@@ -254,14 +236,12 @@ def _runs(
     found: list[PolynomialRun] = []
     for count in counts:
         for ridge in ridges:
-            theta = np.zeros(cross.shape)
+            theta, used = np.zeros(cross.shape), np.zeros(cross.shape, bool)
             for i, order in enumerate(chosen):
                 kept = order[:count]
                 part = gram[np.ix_(kept, kept)]
                 theta[kept, i : i + 1] = solve(part, cross[kept, i : i + 1], ridge)
-            used = np.zeros(theta.shape, bool)
-            for i, order in enumerate(chosen):
-                used[order[:count], i] = True
+                used[kept, i] = True
             rows = used.any(axis=1)
             model = Polynomial(terms[rows], theta[rows], used[rows])
             found.append(PolynomialRun(model, history, limits))

@@ -12,21 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from asia.candidate import Context
-from asia.data.trajectory import Array, Trajectory
-from asia.errors import UserError
+from asia.data.trajectory import Trajectory
 from asia.models import linear
-from asia.models._arrays import AnyArray, tree_size
+from asia.models._arrays import tree_size
 from asia.models._config import check_at_least, demand
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import Refinement, encoder_of
 from asia.models._linear.windows import WindowPredictor
 from asia.models._numerics.encoder import affine
-from asia.models._numerics.records import ScaledData, check, cut_windows, scaled
+from asia.models._numerics.records import check, cut_windows, scaled
 from asia.models._numerics.symmetry import SignalTransformations, TransformedRecords
 from asia.models._state_space.model import (
     FittedStateSpace,
@@ -40,10 +38,9 @@ from asia.models._state_space.model import (
     symmetric,
 )
 from asia.models._state_space.structure import Basis, Nonlinearity, StateSpaceStructure
+from asia.models._steps import TrainableModel
 from asia.models.methods import Adam
 
-_LINEAR = ("a", "b", "c", "d", "offset")
-_NONLINEAR = ("f", "s", "r", "read", "act", "dry", "play")
 # Limit on samples times squared parameters of one Levenberg-Marquardt iteration on windows, and on
 # the resulting number of windows.
 _WORK, _WINDOWS = 2e10, (24, 1000)
@@ -97,8 +94,7 @@ class Config:
     grow. An estimated delay is then compared with none by the whole fit."""
     past_fit: bool = False
     """Fit the initial state to the past window by the model itself, with Levenberg-Marquardt,
-    instead
-    of only reading it by the encoder."""
+    instead of only reading it by the encoder."""
     transport: int | None = None
     """Number of an input with positive values, a flow or a speed, at whose pace all inputs are
     carried to where they act: their delay is the longer the smaller it is. The volume on the way
@@ -115,48 +111,10 @@ class Config:
 
 
 @dataclass(frozen=True)
-class NeuralStateSpace:
-    """Neural state-space model; `fitted` is None before training."""
+class NeuralStateSpace(TrainableModel[Config, FittedStateSpace]):
+    """Neural state-space model."""
 
-    config: Config
-    fitted: FittedStateSpace | None = None
-
-    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate in physical units.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Outputs (B, H, ny).
-
-        Raises:
-            UserError: before training.
-        """
-        return self._trained().simulate(past_u, past_y, u)
-
-    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """Initial state, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        return self._trained().initial(past_u, past_y, u)
-
-    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Advance by one sample, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        return self._trained().step(state, u)
-
-    def _trained(self) -> FittedStateSpace:
-        if self.fitted is None:
-            raise UserError("neural state-space model: not trained yet; call train first")
-        return self.fitted
+    label = "neural state-space model"
 
 
 def build(config: Config, context: Context) -> NeuralStateSpace:
@@ -174,9 +132,8 @@ def train(
     """Fit the linear model, then all parameters to the simulation error.
 
     The error is that of all records, or of windows where `linear.windowed` chooses the past window
-    as
-    state. Levenberg-Marquardt suits short records and few parameters (its Jacobian takes samples x
-    outputs x parameters numbers); `method.starts` initialisations are tried and the
+    as state. Levenberg-Marquardt suits short records and few parameters (its Jacobian takes
+    samples x outputs x parameters numbers); `method.starts` initialisations are tried and the
     `config.members` with the lowest training cost are kept.
 
     Raises:
@@ -186,7 +143,13 @@ def train(
     check(trajectories, context)
     c = model.config
     if c.transport is not None:
-        return _train_carried(model, trajectories, context, method, c.transport)
+        # Train on inputs at the outlet of the pipe.
+        demand(c, "transport", c.transport < context.nu, f"less than {context.nu}, the inputs")
+        transport, behind, known = carried_records(trajectories, context, c.transport)
+        plain = replace(model, config=replace(c, transport=None))
+        found = train(plain, behind, known, method).fitted
+        assert found is not None
+        return replace(model, fitted=replace(found, transport=transport))
     if isinstance(method, Adam):
         demand(c, "pieces", not c.pieces, "False with Adam")
         demand(c, "past_fit", not c.past_fit, "False with Adam")
@@ -194,35 +157,21 @@ def train(
     data = TransformedRecords.of(
         trajectories, SignalTransformations.of(context) if turned else None
     )
-    choice = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
     if c.integrators and data.turns is None:
+        choice = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
         still = linear.scaling_of(trajectories, context, choice)
         data = replace(data, records=scaled(trajectories, still), scaling=still)
-    predictor = _windowed_start(data.records, context, c)
-    if predictor is not None:
-        return _train_windowed(model, predictor, data, context, method)
+    if c.nonlinearity == "state" and not (c.friction or c.play or c.integrators):
+        choice = linear.Config(order=c.order, delay=c.delay)
+        predictor = linear.windowed(data.records, context, choice, Refinement())
+        if predictor is not None:
+            return _train_windowed(model, predictor, data, context, method)
     fitted, cost = _train_records(c, data, context, method)
     if c.pieces and c.delay is None and fitted.delay > 0:
         # A linear model of a nonlinear system may find a delay that does not exist.
         other, other_cost = _train_records(replace(c, delay=0), data, context, method)
         fitted = other if other_cost < cost else fitted
     return replace(model, fitted=fitted)
-
-
-def _train_carried(
-    model: NeuralStateSpace,
-    trajectories: Sequence[Trajectory],
-    context: Context,
-    method: LevenbergMarquardt | Adam,
-    pace: int,
-) -> NeuralStateSpace:
-    """Train on inputs at the outlet of the pipe."""
-    demand(model.config, "transport", pace < context.nu, f"less than {context.nu}, the inputs")
-    transport, behind, known = carried_records(trajectories, context, pace)
-    plain = replace(model, config=replace(model.config, transport=None))
-    found = train(plain, behind, known, method).fitted
-    assert found is not None
-    return replace(model, fitted=replace(found, transport=transport))
 
 
 def _train_records(
@@ -237,9 +186,8 @@ def _train_records(
         found = symmetric(found, used, data.copies, Refinement(integrators=c.integrators))
     structure = StateSpaceStructure(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
-        c.channels,
+        c.channels, friction=c.friction, play=c.play, integrators=c.integrators,
     )  # fmt: skip
-    structure = replace(structure, friction=c.friction, play=c.play, integrators=c.integrators)
     if isinstance(method, LevenbergMarquardt):
         from asia.models._state_space.training import LmOptions, fit_members
 
@@ -249,21 +197,13 @@ def _train_records(
         best = fit_members(structure, found, used, data.scaling, context, method, options)
         each = best.members, delay, data.scaling, data.turns, best.starts
         return FittedStateSpace(structure, *each), best.cost
-    start = starts_of(structure, found, used, 1, data.scaling, _random(context))[0]
+    rng = np.random.default_rng(context.seed)
+    start = starts_of(structure, found, used, 1, data.scaling, rng)[0]
     encoder = encoded_at_rest(structure, encoder_of(used, found, context))
     params = encoded(start, encoder, c.encoder, context)
     late = [r.with_delay(delay) for r in data.every]
     member = fit_encoded(StateCell(structure), params, late, context, method, data.copies)
     return FittedStateSpace(structure, (member,), delay, data.scaling, data.turns), np.inf
-
-
-def _windowed_start(
-    records: ScaledData, context: Context, config: Config
-) -> WindowPredictor | None:
-    if config.nonlinearity != "state" or config.friction or config.play or config.integrators:
-        return None
-    choice = linear.Config(order=config.order, delay=config.delay)
-    return linear.windowed(records, context, choice, Refinement())
 
 
 def _train_windowed(
@@ -282,7 +222,8 @@ def _train_windowed(
         lags.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree, c.channels,
         lags,
     )  # fmt: skip
-    encoder, rng = affine(lags.selection(), np.zeros(lags.order)), _random(context)
+    encoder = affine(lags.selection(), np.zeros(lags.order))
+    rng = np.random.default_rng(context.seed)
     if isinstance(method, Adam):
         params = structure.start_windowed(predictor, rng)
         cell = StateCell(structure)
@@ -303,11 +244,7 @@ def _train_windowed(
     return replace(model, fitted=FittedStateSpace(structure, each, 0, data.scaling, data.turns))
 
 
-def _random(context: Context) -> np.random.Generator:
-    return np.random.default_rng(context.seed)
-
-
 def _ridges(config: Config) -> dict[str, float]:
-    ridge: dict[str, float] = dict.fromkeys(_LINEAR, config.linear_ridge)
-    ridge.update(dict.fromkeys(_NONLINEAR, config.ridge))
+    ridge: dict[str, float] = dict.fromkeys(("a", "b", "c", "d", "offset"), config.linear_ridge)
+    ridge.update(dict.fromkeys(("f", "s", "r", "read", "act", "dry", "play"), config.ridge))
     return ridge

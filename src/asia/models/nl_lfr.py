@@ -13,19 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import product
 
 from asia.candidate import Context
-from asia.data.trajectory import Array, Trajectory
-from asia.errors import UserError
+from asia.data.trajectory import Trajectory
 from asia.models import linear
-from asia.models._arrays import AnyArray
 from asia.models._config import check_at_least
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import Refinement
 from asia.models._numerics.records import check, scaled
 from asia.models._numerics.segments import window_segments
 from asia.models._state_space.model import FittedStateSpace
+from asia.models._steps import TrainableModel
 
 # Greatest number of windows for a problem with a horizon; each has its own initial state.
 _WINDOWS = 40
@@ -69,48 +68,10 @@ class Config:
 
 
 @dataclass(frozen=True)
-class NonlinearLfr:
-    """Nonlinear LFR model; `fitted` is None before training."""
+class NonlinearLfr(TrainableModel[Config, FittedStateSpace]):
+    """Nonlinear LFR model."""
 
-    config: Config
-    fitted: FittedStateSpace | None = None
-
-    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate in physical units.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Outputs (B, H, ny).
-
-        Raises:
-            UserError: before training.
-        """
-        return self._trained().simulate(past_u, past_y, u)
-
-    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """Initial state, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        return self._trained().initial(past_u, past_y, u)
-
-    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Advance by one sample, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        return self._trained().step(state, u)
-
-    def _trained(self) -> FittedStateSpace:
-        if self.fitted is None:
-            raise UserError("nonlinear LFR model: not trained yet; call train first")
-        return self.fitted
+    label = "nonlinear LFR model"
 
 
 def build(config: Config, context: Context) -> NonlinearLfr:
@@ -143,9 +104,23 @@ def train(
     scaling = linear.scaling_of(pieces, context, plain)
     records = scaled(pieces, scaling)
     first = LinearCore(*linear.fit_records(records, context, plain, Refinement()))
+    # The best linear model may have more states, and a delay, in place of the static functions.
+    best = first.delay, first.found.system.order
+    if c.delay is not None:
+        delays = [c.delay]
+    elif best[0] > _MODELLED:
+        delays = [0, best[0]]
+    else:
+        delays = [0]
+    if c.order is not None:
+        orders = [c.order]
+    elif context.ny == 1:
+        orders = [n for n in _ORDERS if n > c.integrators]
+    else:
+        orders = sorted({max(context.ny, best[1] + step) for step in (-1, 0, 1)})
     cores: list[LinearCore] = []
-    for delay, order in _sizes(c, first.delay, first.found.system.order, context.ny):
-        if (delay, order) == (first.delay, first.found.system.order):
+    for delay, order in product(delays, orders):
+        if (delay, order) == best:
             cores.append(first)
         else:
             choice = replace(plain, order=order, delay=delay)
@@ -154,20 +129,3 @@ def train(
         c.channels, c.hidden, c.ridge, c.linear_ridge, c.encoder, c.integrators, c.pieces
     )
     return replace(model, fitted=fit_feedback(cores, options, scaling, context, method))
-
-
-def _sizes(c: Config, delay: int, order: int, ny: int) -> list[tuple[int, int]]:
-    """Delays and orders of the linear models to begin with.
-
-    The best linear model may have more states, and a delay, in place of the static functions.
-    """
-    delays = (
-        [0, delay] if c.delay is None and delay > _MODELLED else [0 if c.delay is None else delay]
-    )
-    if c.order is not None:
-        orders = [c.order]
-    elif ny == 1:
-        orders = [n for n in _ORDERS if n > c.integrators]
-    else:
-        orders = sorted({max(ny, n) for n in (order - 1, order, order + 1)})
-    return [(d, n) for d in delays for n in orders]

@@ -21,10 +21,9 @@ from typing import Any
 import numpy as np
 
 from asia.candidate import VALIDATION_SCORES, Context
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.models import recurrent
-from asia.models._arrays import AnyArray
 from asia.models._config import check_at_least, check_choice, demand
 from asia.models._equations.config import Range
 from asia.models._equations.measured import (
@@ -42,12 +41,13 @@ from asia.models._equations.measured import (
     readable_signals,
     single_precision,
 )
-from asia.models._equations.ode import Equations, equations
+from asia.models._equations.ode import equations
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._networks.network import NetworkModel, as_built, train_network
 from asia.models._networks.structure import dense, zeros
 from asia.models._noise.model import refuse_noise
 from asia.models._numerics.records import Scaling, check, past_length, scaled, whole_windows
+from asia.models._steps import WrappedModel
 from asia.models.methods import NetworkMethod
 from asia.problem.physics import parse_expression
 
@@ -87,8 +87,7 @@ class Config:
     """Largest effect of the network, as a share of the rates measured."""
     robust: float | None = 0.3
     """Error at which the loss on windows changes from square to linear, in standard deviations of
-    the
-    output; None is least squares."""
+    the output; None is least squares."""
     equations: int = 15
     """Iterations on the equations before a network method."""
     windows: int = 240
@@ -113,43 +112,14 @@ class Config:
 
 
 @dataclass(frozen=True)
-class PhysicsNet:
+class PhysicsNet(WrappedModel[NetworkModel]):
     """Physics with learned terms; `network` holds the fitted cell, its parameters and scaling."""
 
     config: Config
     network: NetworkModel
 
-    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate in physical units.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Outputs (B, H, ny), float64.
-
-        Raises:
-            UserError: before training.
-        """
-        return self.network.simulate(past_u, past_y, u)
-
-    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
-        """Initial state, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        return self.network.initial(past_u, past_y, u)
-
-    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        """Advance by one sample, see `asia.candidate.StepModel`.
-
-        Raises:
-            UserError: before training.
-        """
-        return self.network.step(state, u)
+    def _trained(self) -> NetworkModel:
+        return self.network
 
     def parameters(self) -> dict[str, float]:
         """Parameters of the equations in their physical units, of the first member where there
@@ -165,16 +135,64 @@ def build(config: Config, context: Context) -> PhysicsNet:
     Raises:
         UserError: if the problem has no [physics] or the past window does not show every state.
     """
-    if context.physics is None:
+    physics = context.physics
+    if physics is None:
         raise UserError(
             "physics_net: the problem has no [physics]; give states and dynamics, or use a "
             "black-box family"
         )
-    system = equations(
-        context.physics, [s.name for s in context.inputs], [s.name for s in context.outputs]
+    given = equations(physics, [s.name for s in context.inputs], [s.name for s in context.outputs])
+    shown = outputs_of_states(given, context)
+    places = tuple(physics.corrections)
+    priors = {f"[physics.priors] {text}": p for text, p in physics.priors.items()}
+    prior_terms = tuple((n, parse_expression(n.split("] ")[1], n)) for n in priors)
+    system = replace(
+        given,
+        parameters=(*given.parameters, *places),
+        constants=tuple((k, v) for k, v in given.constants if k not in places),
+        definitions=(*given.definitions, *prior_terms),
     )
-    ranges = tuple(Range(r.min, r.max) for r in context.physics.parameters.values())
-    cell = _cell(config, context, system, ranges)
+    closures = [system.closure(e) for e in system.dynamics]
+    measured = MeasuredEquations(
+        system=system,
+        ranges=tuple(Range(r.min, r.max) for r in physics.parameters.values()),
+        order=tuple(shown[s] for s in system.states),
+        dynamic=tuple(i for i, names in enumerate(closures) if names & set(given.parameters)),
+        corrections=places,
+        priors=tuple((name, p.mean, p.deviation) for name, p in priors.items()),
+    )
+    read = readable_signals(given, system, context)
+    if config.symmetry and not (places and context.symmetry and config.network):
+        raise UserError(
+            "physics_net.Config: symmetry is for a network at [physics.corrections] of a problem "
+            "with [symmetry]; leave symmetry out"
+        )
+    network = None
+    if config.network is not None:
+        inner = None
+        if config.network != "mlp":
+            inner = recurrent.Config(
+                cell=config.network, hidden=config.hidden, layers=config.layers
+            )
+        made = tuple(k for k, n in enumerate(read) if places and made_by_inputs(system, n))
+        network = TermNetwork(
+            config.network, inner, config.size, config.reach, made, config.symmetry
+        )
+    sampling_time, past_inputs = context.sampling_time, context.n_past_u > 0
+    cell = MeasuredCell(
+        physics=measured,
+        read=read,
+        sampling_time=sampling_time,
+        past_inputs=past_inputs,
+        lag=InputLag(sampling_time, past_inputs) if config.lag else None,
+        gain=config.gain,
+        linear=config.linear,
+        disturbance=Disturbance(sampling_time) if config.disturbance else None,
+        network=network,
+        delay=config.delay,
+        ridge=config.ridge if places else 0.0,
+        prior_weight=config.prior,
+    )
     return PhysicsNet(config, NetworkModel(cell, _parameters(cell, config, context)))
 
 
@@ -193,10 +211,23 @@ def train(
             for several members that would share the validation scores of a fit.
     """
     check(trajectories, context)
-    if not isinstance(method, LevenbergMarquardt) and method.members > 1:
-        return _average(model, trajectories, context, method)
-    cell, config = model.network.cell, model.config
+    cell, config, network = model.network.cell, model.config, model.network
     assert isinstance(cell, MeasuredCell)
+    validated = method.stop == "validation" and context.validation_score is not None
+    if not isinstance(method, LevenbergMarquardt) and method.members > 1:
+        if validated:
+            raise UserError(
+                f"physics_net: members is {method.members} and stop is 'validation', but there are "
+                f"{VALIDATION_SCORES} validation scores a fit; leave one of them out"
+            )
+        fitted: list[NetworkModel] = []
+        for i in range(method.members):
+            own = replace(context, seed=context.seed + i)
+            drawn = replace(network, params=_parameters(cell, config, own))
+            member = replace(model, network=drawn)
+            fitted.append(train(member, trajectories, own, replace(method, members=1)).network)
+        others = tuple(member.params for member in fitted[1:])
+        return replace(model, network=replace(fitted[0], others=others))
     if isinstance(method, LevenbergMarquardt):
         if config.network is not None:
             raise UserError(
@@ -206,142 +237,37 @@ def train(
         refuse_noise(method, "physics_net without a network method")
     scaling = Scaling.of(trajectories)
     sizes = measured_sizes(cell, trajectories, scaling, context)
-    network = model.network
     network = replace(network, params={**network.params, "fixed": sizes}, scaling=scaling)
     judge = None
-    if method.stop == "validation" and context.validation_score is not None:
+    if validated and context.validation_score is not None:
         reserve = 0 if isinstance(method, LevenbergMarquardt) else _RESERVED
         judge = LimitedScore(context.validation_score, network, VALIDATION_SCORES - reserve)
-    own = LevenbergMarquardt(iterations=config.equations)
-    first = method if isinstance(method, LevenbergMarquardt) else own
+    first = method
+    if not isinstance(first, LevenbergMarquardt):
+        first = LevenbergMarquardt(iterations=config.equations)
     if first.iterations > 0:
-        network = _fit_equations(network, config, trajectories, context, first, judge)
+        # Import of JAX, which a trained model does not need.
+        from asia.models._equations.measured_terms import TermPenalties, fit_equations
+
+        records = scaled(trajectories, scaling)
+        shortest = min(len(r) for r in records) - past_length(context)
+        horizon = context.horizon or min(_LONGEST, shortest)
+        params = fit_equations(
+            replace(cell, network=None),
+            network.params,
+            whole_windows(records, context, horizon, config.windows),
+            TermPenalties(config.robust, config.ridge, config.sparsity),
+            first,
+            context.log,
+            judge,
+        )
+        network = replace(network, params=single_precision(params))
     if not isinstance(method, LevenbergMarquardt):
         if judge is not None:
             left = VALIDATION_SCORES - judge.asked - 1
             method = replace(method, every=max(method.every, -(-method.steps // left)))
         network = train_network(network, trajectories, context, method, as_built)
     return replace(model, network=network)
-
-
-def _average(
-    model: PhysicsNet, trajectories: Sequence[Trajectory], context: Context, method: NetworkMethod
-) -> PhysicsNet:
-    """Fit members sequentially; their simulations are averaged."""
-    if method.stop == "validation" and context.validation_score is not None:
-        raise UserError(
-            f"physics_net: members is {method.members} and stop is 'validation', but there are "
-            f"{VALIDATION_SCORES} validation scores a fit; leave one of them out"
-        )
-    cell, fitted = model.network.cell, list[NetworkModel]()
-    assert isinstance(cell, MeasuredCell)
-    for i in range(method.members):
-        own = replace(context, seed=context.seed + i)
-        network = replace(model.network, params=_parameters(cell, model.config, own))
-        member = replace(model, network=network)
-        fitted.append(train(member, trajectories, own, replace(method, members=1)).network)
-    others = tuple(member.params for member in fitted[1:])
-    return replace(model, network=replace(fitted[0], others=others))
-
-
-def _fit_equations(
-    network: NetworkModel,
-    config: Config,
-    trajectories: Sequence[Trajectory],
-    context: Context,
-    method: LevenbergMarquardt,
-    judge: LimitedScore | None,
-) -> NetworkModel:
-    # Import of JAX, which a trained model does not need.
-    from asia.models._equations.measured_terms import TermPenalties, fit_equations
-
-    cell, scaling = network.cell, network.scaling
-    assert isinstance(cell, MeasuredCell)
-    assert scaling is not None
-    plain = replace(cell, network=None)
-    records = scaled(trajectories, scaling)
-    shortest = min(len(r) for r in records) - past_length(context)
-    horizon = context.horizon or min(_LONGEST, shortest)
-    params = fit_equations(
-        plain,
-        network.params,
-        whole_windows(records, context, horizon, config.windows),
-        TermPenalties(config.robust, config.ridge, config.sparsity),
-        method,
-        context.log,
-        judge,
-    )
-    return replace(network, params=single_precision(params))
-
-
-def _cell(
-    config: Config, context: Context, given: Equations, ranges: tuple[Range, ...]
-) -> MeasuredCell:
-    assert context.physics is not None
-    shown = outputs_of_states(given, context)
-    places = tuple(context.physics.corrections)
-    priors = {f"[physics.priors] {text}": p for text, p in context.physics.priors.items()}
-    system = replace(
-        given,
-        parameters=(*given.parameters, *places),
-        constants=tuple((k, v) for k, v in given.constants if k not in places),
-        definitions=(
-            *given.definitions,
-            *((n, parse_expression(n.split("] ")[1], n)) for n in priors),
-        ),
-    )
-    closures = [system.closure(e) for e in system.dynamics]
-    dynamic = tuple(i for i, names in enumerate(closures) if names & set(given.parameters))
-    read = readable_signals(given, system, context)
-    _check_symmetry(config, context)
-    network = None
-    if config.network is not None:
-        inner = None
-        if config.network != "mlp":
-            inner = recurrent.Config(
-                cell=config.network, hidden=config.hidden, layers=config.layers
-            )
-        made = [k for k, n in enumerate(read) if places and made_by_inputs(system, n)]
-        network = TermNetwork(
-            config.network, inner, config.size, config.reach, tuple(made), config.symmetry
-        )
-    physics = MeasuredEquations(
-        system=system,
-        ranges=ranges,
-        order=tuple(shown[s] for s in system.states),
-        dynamic=dynamic,
-        corrections=places,
-        priors=tuple((name, p.mean, p.deviation) for name, p in priors.items()),
-    )
-    sampling_time, past_inputs = context.sampling_time, context.n_past_u > 0
-    return MeasuredCell(
-        physics=physics,
-        read=read,
-        sampling_time=sampling_time,
-        past_inputs=past_inputs,
-        lag=InputLag(sampling_time, past_inputs) if config.lag else None,
-        gain=config.gain,
-        linear=config.linear,
-        disturbance=Disturbance(sampling_time) if config.disturbance else None,
-        network=network,
-        delay=config.delay,
-        ridge=config.ridge if places else 0.0,
-        prior_weight=config.prior,
-    )
-
-
-def _check_symmetry(config: Config, context: Context) -> None:
-    """Check that the problem has a usable symmetry.
-
-    Raises:
-        UserError: if it has none.
-    """
-    places = bool(context.physics and context.physics.corrections)
-    if config.symmetry and not (places and context.symmetry and config.network):
-        raise UserError(
-            "physics_net.Config: symmetry is for a network at [physics.corrections] of a problem "
-            "with [symmetry]; leave symmetry out"
-        )
 
 
 def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[str, Any]:
@@ -360,11 +286,12 @@ def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[st
     if config.delay:
         params["delay"] = zeros(nd)
     if config.disturbance:
+        seconds = (context.horizon or _LONGEST) * context.sampling_time
         params |= {
             "d_start": np.full(nd, 0.7, np.float32),
             "d_bound": np.full(nd, np.log(0.5), np.float32),
-            "d_gain": np.full(nd, 0.5 / _window_seconds(context), np.float32),
-            "d_decay": np.full(nd, 0.5 / _window_seconds(context), np.float32),
+            "d_gain": np.full(nd, 0.5 / seconds, np.float32),
+            "d_decay": np.full(nd, 0.5 / seconds, np.float32),
         }
     if config.network == "mlp":
         params["net"] = {
@@ -383,7 +310,3 @@ def _parameters(cell: MeasuredCell, config: Config, context: Context) -> dict[st
     if config.network is not None:
         params |= {"out_w": zeros(config.hidden, nc), "out_b": zeros(nc)}
     return params
-
-
-def _window_seconds(context: Context) -> float:
-    return (context.horizon or _LONGEST) * context.sampling_time

@@ -50,8 +50,7 @@ class Config:
     """Units of the network that maps the past window to the initial state."""
     activation: Literal["tanh", "relu"] = "tanh"
     """Activation of the inner layer of that network; with "relu" its outputs are linear, with
-    "tanh"
-    bounded."""
+    "tanh" bounded."""
     tied: bool = False
     """Start the c of an LSTM equal to its h."""
     direct: bool = True
@@ -77,10 +76,50 @@ class RecurrentCell(Driven[Config]):
 
     def parameters(self, context: Context) -> Params:
         """Untrained parameters drawn from `context.seed`."""
-        rng = np.random.default_rng(context.seed)
-        if self.config.start == "uniform":
-            return _uniform_parameters(rng, self.config, context)
-        return _parameters(rng, self.config, context)
+        c, rng = self.config, np.random.default_rng(context.seed)
+        hidden, parts = c.hidden, _GATES[c.cell]
+        inputs, seen = drive_size(c.features, context.nu), window_size(context)
+        states = (1 if c.tied else 2) * c.layers * hidden
+        read = hidden + (context.nu if c.direct else 0)
+        layers: list[dict[str, Float32]] = []
+        for i in range(c.layers):
+            wide = inputs if i == 0 else hidden, parts * hidden
+            if c.start == "ridge":
+                layers.append(
+                    {
+                        "u": dense(rng, *wide),
+                        "h": np.concatenate([_orthogonal(rng, hidden) for _ in range(parts)], 1),
+                        "b": _memory(rng, c),
+                    }
+                )
+            else:
+                layers.append(
+                    {
+                        "u": uniform(rng, wide, hidden),
+                        "h": uniform(rng, (hidden, parts * hidden), hidden),
+                        # PyTorch draws a bias for each of the two products.
+                        "b": uniform(rng, wide[1:], hidden) + uniform(rng, wide[1:], hidden),
+                    }
+                )
+        if c.start == "ridge":
+            return {
+                "enc_w1": dense(rng, seen, c.encoder),
+                "enc_b1": zeros(c.encoder),
+                "enc_w2": dense(rng, c.encoder, states, gain=0.5),
+                "enc_b2": zeros(states),
+                "layers": layers,
+                "out_w": zeros(read, context.ny),
+                "out_b": zeros(context.ny),
+            }
+        return {
+            "enc_w1": uniform(rng, (seen, c.encoder), seen),
+            "enc_b1": uniform(rng, (c.encoder,), seen),
+            "enc_w2": uniform(rng, (c.encoder, states), c.encoder),
+            "enc_b2": uniform(rng, (states,), c.encoder),
+            "layers": layers,
+            "out_w": uniform(rng, (read, context.ny), read),
+            "out_b": uniform(rng, (context.ny,), read),
+        }
 
     def start(self, trajectories: Sequence[Trajectory], context: Context) -> Prepare | None:
         """Leave the weights of a "uniform" start as they are drawn."""
@@ -128,54 +167,6 @@ class RecurrentCell(Driven[Config]):
         write, keep, read, new = gates(drive + back, 4)
         c = keep * c + write * tanh(new)
         return read * tanh(c), c
-
-
-def _parameters(rng: np.random.Generator, config: Config, context: Context) -> Params:
-    hidden, gates = config.hidden, _GATES[config.cell]
-    inputs = drive_size(config.features, context.nu)
-    layers = [
-        {
-            "u": dense(rng, inputs if i == 0 else hidden, gates * hidden),
-            "h": np.concatenate([_orthogonal(rng, hidden) for _ in range(gates)], axis=1),
-            "b": _memory(rng, config),
-        }
-        for i in range(config.layers)
-    ]
-    states = (1 if config.tied else 2) * config.layers * hidden
-    return {
-        "enc_w1": dense(rng, window_size(context), config.encoder),
-        "enc_b1": zeros(config.encoder),
-        "enc_w2": dense(rng, config.encoder, states, gain=0.5),
-        "enc_b2": zeros(states),
-        "layers": layers,
-        "out_w": zeros(hidden + (context.nu if config.direct else 0), context.ny),
-        "out_b": zeros(context.ny),
-    }
-
-
-def _uniform_parameters(rng: np.random.Generator, config: Config, context: Context) -> Params:
-    hidden, wide = config.hidden, _GATES[config.cell] * config.hidden
-    inputs = drive_size(config.features, context.nu)
-    layers = [
-        {
-            "u": uniform(rng, (inputs if i == 0 else hidden, wide), hidden),
-            "h": uniform(rng, (hidden, wide), hidden),
-            # PyTorch draws a bias for each of the two products.
-            "b": uniform(rng, (wide,), hidden) + uniform(rng, (wide,), hidden),
-        }
-        for i in range(config.layers)
-    ]
-    states = (1 if config.tied else 2) * config.layers * hidden
-    seen, read = window_size(context), hidden + (context.nu if config.direct else 0)
-    return {
-        "enc_w1": uniform(rng, (seen, config.encoder), seen),
-        "enc_b1": uniform(rng, (config.encoder,), seen),
-        "enc_w2": uniform(rng, (config.encoder, states), config.encoder),
-        "enc_b2": uniform(rng, (states,), config.encoder),
-        "layers": layers,
-        "out_w": uniform(rng, (read, context.ny), read),
-        "out_b": uniform(rng, (context.ny,), read),
-    }
 
 
 def _orthogonal(rng: np.random.Generator, size: int) -> Float32:

@@ -4,9 +4,9 @@ x[k+1] = A x + B u + f(x, u),  y = C x + D u + offset + h(x, u), where f and h a
 and the state at the first sample is a linear map plus a network of the past window: trained on
 truncated simulations, each from its own past window (`methods.Adam(truncation=...)`). The linear
 part and the linear encoder may start from the best linear model of that order. Some of the states
-may be free integrators. Sources: Beintema,
-Schoukens and Toth, Deep subspace encoders for nonlinear system identification, Automatica 156,
-2023; Schoukens, Improved initialization of state-space artificial neural networks, ECC 2021.
+may be free integrators. Sources: Beintema, Schoukens and Toth, Deep subspace encoders for nonlinear
+system identification, Automatica 156, 2023; Schoukens, Improved initialization of state-space
+artificial neural networks, ECC 2021.
 """
 
 from __future__ import annotations
@@ -114,7 +114,11 @@ class SubnetCell(Driven[Config]):
 
     def step(self, params: Any, state: AnyArray, u: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Advance by one sample; the features are the state before it."""
-        after = state @ self._dynamics(params) + u @ params["b"] + self._bent(params["f"], state, u)
+        a, c = params["a"], self.config
+        if c.integrators:
+            free, held = (find(c.states, c.integrators).T for find in (free_entries, held_entries))
+            a = a * free.astype(a.dtype) + held.astype(a.dtype)
+        after = state @ a + u @ params["b"] + self._bent(params["f"], state, u)
         return bounded(after, -_LARGEST_STATE, _LARGEST_STATE), state
 
     def output(self, params: Any, features: AnyArray, u: AnyArray) -> AnyArray:
@@ -127,25 +131,26 @@ class SubnetCell(Driven[Config]):
         read = state[..., : self.config.states - self.config.integrators]
         return mlp(layers, namespace(read, u).concatenate([read, self.drive(u)], axis=-1))
 
-    def _dynamics(self, params: Any) -> AnyArray:
-        """Transposed matrix A."""
-        a, c = params["a"], self.config
-        if not c.integrators:
-            return a
-        free, held = free_entries(c.states, c.integrators), held_entries(c.states, c.integrators)
-        return a * free.T.astype(a.dtype) + held.T.astype(a.dtype)
-
 
 def _from_linear_model(
     params: Params, records: ScaledData, scaling: Scaling, *, context: Context, integrators: int
 ) -> Params:
     del scaling
     states = len(params["a"])
+    if integrators:
+        # Inputs at which the integrators are at rest are not the zero of the z-scores: the effect
+        # of these inputs goes into the constants of f and of the output.
+        choice = linear.Config(order=states, integrators=integrators)
+        shift = drift_shift(records, states, integrators)
+        moved = [replace(r, u=r.u + shift, measured_u=r.measured_u) for r in records]
+        found, _, used = linear.fit_records(moved, context, choice, Refinement())
+        encoder, s = encoder_of(used, found, context), found.system
+        at_rest = LinearSystem(s.a, s.b, s.c, s.d, s.offset + s.d @ shift)
+        params = _embedded(params, at_rest, encoder.weights, encoder.bias)
+        return _with_constant(params, s.b @ shift)
     lags = WindowLags(
         context.n_past_u, context.n_past_y, 0, context.n_past_y, context.nu, context.ny
     )
-    if integrators:
-        return _from_integrating_model(params, records, context, integrators)
     if context.horizon is None or lags.y == 0:
         found, _, used = linear.fit_records(
             records, context, linear.Config(order=states), Refinement()
@@ -159,36 +164,16 @@ def _from_linear_model(
     windows = cut_windows(records, context, _MOST_WINDOWS)
     s, encoder = one_step(windows, lags, _ONE_STEP_RIDGE).system()
     n = lags.order
-    params = _embedded(params, _without_constant(s), encoder.weights[:, :n], encoder.bias[:n])
-    last = dict(params["f"][-1])
-    last["b"] = np.pad(s.a[:n, n], (0, states - n)).astype(np.float32)
+    # The last state, the constant 1, moves from A and C to the constant of f and the offset.
+    system = LinearSystem(s.a[:n, :n], s.b[:n], s.c[:, :n], s.d, s.offset + s.c[:, n])
+    params = _embedded(params, system, encoder.weights[:, :n], encoder.bias[:n])
+    return _with_constant(params, np.pad(s.a[:n, n], (0, states - n)))
+
+
+def _with_constant(params: Params, constant: Array) -> Params:
+    """Set the constant of f."""
+    last = {**params["f"][-1], "b": constant.astype(np.float32)}
     return {**params, "f": [*params["f"][:-1], last]}
-
-
-def _from_integrating_model(
-    params: Params, records: ScaledData, context: Context, integrators: int
-) -> Params:
-    """Start from a linear model with integrators.
-
-    Inputs at which the integrators are at rest are not the zero of the z-scores: the effect of
-    these
-    inputs goes into the constants of f and of the output.
-    """
-    choice = linear.Config(order=len(params["a"]), integrators=integrators)
-    shift = drift_shift(records, len(params["a"]), integrators)
-    moved = [replace(r, u=r.u + shift, measured_u=r.measured_u) for r in records]
-    found, _, used = linear.fit_records(moved, context, choice, Refinement())
-    encoder, s = encoder_of(used, found, context), found.system
-    s = LinearSystem(s.a, s.b, s.c, s.d, s.offset + s.d @ shift)
-    params = _embedded(params, s, encoder.weights, encoder.bias)
-    last = {**params["f"][-1], "b": (s.b @ shift).astype(np.float32)}
-    return {**params, "f": [*params["f"][:-1], last]}
-
-
-def _without_constant(s: LinearSystem) -> LinearSystem:
-    """Move the last state, the constant 1, from C to the offset."""
-    n = s.order - 1
-    return LinearSystem(s.a[:n, :n], s.b[:n], s.c[:, :n], s.d, s.offset + s.c[:, n])
 
 
 def _embedded(params: Params, s: LinearSystem, weights: Array, bias: Array) -> dict[str, Any]:

@@ -20,7 +20,6 @@ from asia.models._arrays import AnyArray, gelu, namespace, softmax, split
 from asia.models._config import check_at_least, demand
 from asia.models._networks.network import Driven, NetworkModel, network_family
 from asia.models._networks.structure import (
-    Float32,
     Params,
     check_features,
     dense,
@@ -73,10 +72,25 @@ class Transformer(Driven[Config]):
         """Untrained parameters drawn from `context.seed`."""
         rng, c = np.random.default_rng(context.seed), self.config
         nu = drive_size(c.features, context.nu)
+        # Heads look from a few samples back to the whole span.
+        reach = np.geomspace(2.0, c.span, c.heads)
         return {
             "encoder": mlp_params(rng, (window_size(context), c.encoder, c.width)),
             "in": mlp_params(rng, (nu, c.width, c.width)),
-            "layers": [_layer_params(rng, c) for _ in range(c.layers)],
+            "layers": [
+                {
+                    "gain1": np.ones(c.width, np.float32),
+                    "gain2": np.ones(c.width, np.float32),
+                    "qkv": dense(rng, c.width, 3 * c.width),
+                    "merge": dense(rng, c.width, c.width),
+                    "bias": (-np.arange(c.span) / reach[:, None]).astype(np.float32),
+                    "w1": dense(rng, c.width, c.inner),
+                    "b1": zeros(c.inner),
+                    "w2": dense(rng, c.inner, c.width),
+                    "b2": zeros(c.width),
+                }
+                for _ in range(c.layers)
+            ],
             "out_w": zeros(c.width + context.nu, context.ny),
             "out_b": zeros(context.ny),
         }
@@ -88,9 +102,8 @@ class Transformer(Driven[Config]):
         x = xp.concatenate([token, mlp(params["in"], self.drive(u))], axis=1)
         x = xp.pad(x, ((0, 0), (0, -(samples + 1) % c.span), (0, 0)))
         for p in params["layers"]:
-            x = x + banded_attention(p, normalised(x, p["gain1"]), c.heads, c.span) @ p["merge"]
-            inner = gelu(normalised(x, p["gain2"]) @ p["w1"] + p["b1"])
-            x = x + inner @ p["w2"] + p["b2"]
+            seen = banded_attention(p, normalised(x, p["gain1"]), c.heads, c.span)
+            x = _layer_output(p, x, seen)
         return x[:, 1 : samples + 1]
 
     def begin(self, params: Any, window: AnyArray) -> Any:
@@ -110,10 +123,14 @@ class Transformer(Driven[Config]):
         for p, held in zip(params["layers"], state, strict=True):
             held, seen = _attended(p, normalised(x, p["gain1"]), held, self.config.heads)
             after.append(held)
-            x = x + seen @ p["merge"]
-            inner = gelu(normalised(x, p["gain2"]) @ p["w1"] + p["b1"])
-            x = x + inner @ p["w2"] + p["b2"]
+            x = _layer_output(p, x, seen)
         return after, x
+
+
+def _layer_output(p: Any, x: AnyArray, seen: AnyArray) -> AnyArray:
+    x = x + seen @ p["merge"]
+    inner = gelu(normalised(x, p["gain2"]) @ p["w1"] + p["b1"])
+    return x + inner @ p["w2"] + p["b2"]
 
 
 def _attended(p: Any, x: AnyArray, held: Any, heads: int) -> tuple[Any, AnyArray]:
@@ -155,26 +172,6 @@ def _with_block_before(x: AnyArray) -> AnyArray:
     xp = namespace(x)
     before = xp.pad(x, ((0, 0), (1, 0), (0, 0), (0, 0), (0, 0)))[:, :-1]
     return xp.concatenate([before, x], axis=3)
-
-
-def _layer_params(rng: np.random.Generator, c: Config) -> dict[str, Any]:
-    return {
-        "gain1": np.ones(c.width, np.float32),
-        "gain2": np.ones(c.width, np.float32),
-        "qkv": dense(rng, c.width, 3 * c.width),
-        "merge": dense(rng, c.width, c.width),
-        "bias": _nearness(c),
-        "w1": dense(rng, c.width, c.inner),
-        "b1": zeros(c.inner),
-        "w2": dense(rng, c.inner, c.width),
-        "b2": zeros(c.width),
-    }
-
-
-def _nearness(c: Config) -> Float32:
-    """Biases (heads, span): heads that look from a few samples back to the whole span."""
-    reach = np.geomspace(2.0, c.span, c.heads)
-    return (-np.arange(c.span) / reach[:, None]).astype(np.float32)
 
 
 build, train = network_family(Config, Transformer)

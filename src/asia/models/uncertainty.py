@@ -27,20 +27,11 @@ from asia.models._noise.model import ResidualProcess
 
 __all__ = ["Covariance", "PriorPenalty", "estimates", "gradient", "jacobians_of", "sandwich"]
 
-_CONFIDENCE = 0.95
-# Least number of records, in total and for each parameter, at which each record counts as one
-# cluster.
-_CLUSTERS, _CLUSTERS_A_PARAMETER = 30, 5
-# Least eigenvalue of an information matrix with ones on its diagonal: smaller ones are rounding.
-_NO_INFORMATION = 1e-14
-_STEP = 1e-6
-# Level of the test for a missing effect: the smallest of four probabilities, corrected for their
-# number.
-_MISFIT_LEVEL = 0.1
 # Assumed ratio of the effect absorbed by the parameters to the one left in the residuals. On 36
 # systems with a missing effect 2 held 89 % of the true values, and 2.5 held 94 %.
 _ABSORBED = 2.5
 _MISFIT_LAGS = (1, 2, 4, 8)
+# Greatest number of rows of the test for a missing effect, and of combinations of sensitivities.
 _MISFIT_ROWS, _MISFIT_DIRECTIONS = 20_000, 6
 
 
@@ -73,8 +64,7 @@ class PriorPenalty:
     """(P, P): contribution of the penalty to the normal equations, the weight included."""
     weight: float
     """Weight of the sum. With white residuals of variance s the sum of squares is a likelihood
-    where this
-    is s. Another weight makes the estimate another one, but the knowledge no better."""
+    where this is s. Another weight makes the estimate another one, but the knowledge no better."""
 
 
 def sandwich(
@@ -93,9 +83,9 @@ def sandwich(
         nuisance: derivatives (T, ny, Q) by the unknowns of each record, such as its initial state.
         prior: prior knowledge in the same sum.
     """
-    free = list(jacobians)
-    if nuisance is not None:
-        free = [_projected(j, q) for j, q in zip(jacobians, nuisance, strict=True)]
+    if nuisance is None:
+        nuisance = [np.zeros((*e.shape, 0)) for e in residuals]
+    free = [_projected(j, q) for j, q in zip(jacobians, nuisance, strict=True)]
     count = free[0].shape[-1]
     held = np.zeros((count, count)) if ridge is None else ridge
     known = PriorPenalty(np.zeros((count, count)), 0.0) if prior is None else prior
@@ -103,10 +93,22 @@ def sandwich(
     own = sum((np.einsum("typ,tyq->pq", j, j) for j in free), np.zeros((count, count)))
     inverse, unknown = _inverse(own + weights)
     noise = ResidualProcess.of(residuals, jacobians, nuisance)
-    middle = _middle(residuals, free, noise)
+    if len(residuals) >= max(30, 5 * count):
+        # Each record counts as one cluster.
+        sums = np.stack(
+            [np.einsum("typ,ty->p", j, e) for j, e in zip(free, residuals, strict=True)]
+        )
+        middle = sums.T @ sums
+    else:
+        middle = sum((noise.middle(j) for j in free), np.zeros((count, count)))
     squares = sum(float((e**2).sum()) for e in residuals)
     lost = float(np.trace(inverse @ middle))
-    lost += sum(_lost(noise, q) for q in nuisance or ())
+    for one in nuisance:
+        # Part of the squares that a record's own unknowns absorb.
+        basis = _basis(one)
+        if basis.size:
+            shaped = basis.reshape(*one.shape[:2], -1)
+            lost += float(np.trace(noise.middle(shaped)))
     # Noise absorbed by the fit, if the process does not account for it.
     kept = max(1.0 - lost / squares, 0.05) if squares > 0 else 1.0
     samples = sum(e.size for e in residuals)
@@ -151,7 +153,11 @@ def estimates(
         equations: lines of the equations.
     """
     plain = list(report(theta))
-    slopes = _slopes(lambda x: np.array([p.value for p in report(x)]), theta)
+
+    def values(x: Array) -> list[Array]:
+        return [np.array([p.value for p in report(x)])]
+
+    slopes = jacobians_of(values, theta, 1e-5)[1][0]
     matrix = slopes @ covariance.matrix @ slopes.T
     errors = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
     size = np.linalg.norm(slopes, axis=1)
@@ -161,28 +167,40 @@ def estimates(
         np.einsum("ip,pq,iq->i", slopes, part, slopes)
         for part in (covariance.from_prior, covariance.information)
     )
-    share = np.clip(1.0 - priors / np.where(alls > 0, alls, 1.0), 0.0, 1.0)
-    factor = float(student.ppf(0.5 + 0.5 * _CONFIDENCE, covariance.freedom))
+    shares = np.clip(1.0 - priors / np.where(alls > 0, alls, 1.0), 0.0, 1.0)
+    shares = np.where(lost, 0.0, shares)
+    factor = float(student.ppf(0.975, covariance.freedom))
     misfits = _ABSORBED * covariance.misfit * np.sqrt(np.maximum(alls, 0.0))
-    found = tuple(
-        replace(
-            _with_interval(one, float(error), factor, 0.0 if gone else float(part)),
-            misfit_error=float(misfit),
+    found: list[ParameterEstimate] = []
+    for one, error, share, misfit in zip(plain, errors, shares, misfits, strict=True):
+        wide = factor * float(error)
+        low, high = one.value - wide, one.value + wide
+        if one.lower > 0 and one.value > 0:
+            with np.errstate(over="ignore"):
+                ratio = float(np.exp(wide / one.value))
+            low, high = one.value / ratio, one.value * ratio
+        found.append(
+            replace(
+                one,
+                standard_error=float(error),
+                low=low,
+                high=high,
+                data_share=float(share),
+                misfit_error=float(misfit),
+            )
         )
-        for one, error, part, gone, misfit in zip(plain, errors, share, lost, misfits, strict=True)
-    )
     with np.errstate(all="ignore"):
         correlation = matrix / (errors[:, None] * errors)
     correlation[lost], correlation[:, lost] = np.nan, np.nan
-    return ParameterEstimates(found, np.clip(correlation, -1.0, 1.0), tuple(equations))
+    return ParameterEstimates(tuple(found), np.clip(correlation, -1.0, 1.0), tuple(equations))
 
 
 def jacobians_of(
-    residuals: Callable[[Array], Sequence[Array]], theta: Array
+    residuals: Callable[[Array], Sequence[Array]], theta: Array, step: float = 1e-6
 ) -> tuple[list[Array], list[Array]]:
     """Residuals (T, ny) of each record at theta (P,), and their derivatives (T, ny, P) by central
-    differences."""
-    steps = _STEP * np.maximum(np.abs(theta), 1.0)
+    differences with this relative step."""
+    steps = step * np.maximum(np.abs(theta), 1.0)
     at = [np.asarray(e) for e in residuals(theta)]
     slopes = [np.empty((*e.shape, len(theta))) for e in at]
     for k, h in enumerate(steps.tolist()):
@@ -192,31 +210,6 @@ def jacobians_of(
         for found, more, less in zip(slopes, up, down, strict=True):
             found[..., k] = (more - less) / (2 * h)
     return at, slopes
-
-
-def _with_interval(
-    one: ParameterEstimate, error: float, factor: float, share: float
-) -> ParameterEstimate:
-    value, wide = one.value, factor * error
-    low, high = value - wide, value + wide
-    if one.lower > 0 and value > 0:
-        with np.errstate(over="ignore"):
-            ratio = float(np.exp(wide / value))
-        low, high = value / ratio, value * ratio
-    return ParameterEstimate(
-        one.name, value, error, low, high, one.unit, one.lower, one.upper, share
-    )
-
-
-def _slopes(values: Callable[[Array], Array], theta: Array) -> Array:
-    """(n, P): derivatives by central differences."""
-    units = np.eye(len(theta))
-    steps = 1e-5 * np.maximum(np.abs(theta), 1.0)
-    parts = [
-        (values(theta + h * unit) - values(theta - h * unit)) / (2 * h)
-        for h, unit in zip(steps, units, strict=True)
-    ]
-    return np.stack(parts, axis=1) if parts else np.zeros((len(values(theta)), 0))
 
 
 def _projected(jacobian: Array, nuisance: Array) -> Array:
@@ -229,7 +222,7 @@ def _projected(jacobian: Array, nuisance: Array) -> Array:
 
 def _basis(columns: Array) -> Array:
     """Orthonormal columns (T ny, k) that span those of (T, ny, Q)."""
-    flat = columns.reshape(-1, columns.shape[-1])
+    flat = columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
     left, sizes, _ = np.linalg.svd(flat, full_matrices=False)
     return left[:, sizes > 1e-9 * max(float(sizes.max(initial=0.0)), 1e-300)]
 
@@ -239,46 +232,34 @@ def _inverse(gram: Array) -> tuple[Array, Array]:
     scale = np.sqrt(np.diagonal(gram))
     scale = np.where(scale > 0, scale, 1.0)
     sizes, ways = np.linalg.eigh(gram / (scale[:, None] * scale))
-    known = sizes > _NO_INFORMATION * max(len(gram), 1)
+    # With ones on the diagonal, smaller eigenvalues are rounding.
+    known = sizes > 1e-14 * max(len(gram), 1)
     inside = ways[:, known] / scale[:, None]
     unknown = ways[:, ~known] / scale[:, None]
     norms = np.linalg.norm(unknown, axis=0)
     return (inside / sizes[known]) @ inside.T, unknown / np.where(norms > 0, norms, 1.0)
 
 
-def _middle(
-    residuals: Sequence[Array], jacobians: Sequence[Array], noise: ResidualProcess
-) -> Array:
-    count = jacobians[0].shape[-1]
-    if len(residuals) >= max(_CLUSTERS, _CLUSTERS_A_PARAMETER * count):
-        sums = np.stack(
-            [np.einsum("typ,ty->p", j, e) for j, e in zip(jacobians, residuals, strict=True)]
-        )
-        return sums.T @ sums
-    return sum((noise.middle(j) for j in jacobians), np.zeros((count, count)))
-
-
 def _misfit(
     residuals: Sequence[Array],
     jacobians: Sequence[Array],
-    nuisance: Sequence[Array] | None,
+    nuisance: Sequence[Array],
     noise: ResidualProcess,
 ) -> float:
     """Root of the sum of squares that lags, products, cubes and bends of the sensitivities
     explain of the residuals; 0 where an F test after whitening finds that noise explains it."""
     samples, used = sum(e.size for e in residuals), 0
-    rows: list[int] = []
-    lost = max(len(a) for a in noise.filters) - 1
-    for k, e in enumerate(residuals):
-        if used < _MISFIT_ROWS and len(e) > 2 * lost + max(_MISFIT_LAGS):
-            rows.append(k)
-            used += e.size
-    if not rows or not jacobians[0].shape[-1]:
-        return 0.0
+    kept: list[tuple[Array, Array, Array]] = []
     most = _MISFIT_ROWS // residuals[0].shape[1] + 1
-    e, slopes = [residuals[k][:most] for k in rows], [jacobians[k][:most] for k in rows]
+    lost = max(len(a) for a in noise.filters) - 1
+    for e, jacobian, one in zip(residuals, jacobians, nuisance, strict=True):
+        if used < _MISFIT_ROWS and len(e) > 2 * lost + max(_MISFIT_LAGS):
+            kept.append((e[:most], jacobian[:most], one[:most]))
+            used += e.size
+    if not kept or not jacobians[0].shape[-1]:
+        return 0.0
+    e, slopes, own = ([record[i] for record in kept] for i in range(3))
     used = sum(one.size for one in e)
-    own = None if nuisance is None else [nuisance[k][:most] for k in rows]
     groups = _shapes(slopes)
     white, tests = _explained(e, slopes, own, groups, noise.filters)
     chances: list[float] = []
@@ -287,9 +268,10 @@ def _misfit(
         part = float(((basis.T @ white) ** 2).sum())
         if freedom > 0 and 0 < basis.shape[1] < freedom / 4:
             rest = max(float(white @ white) - part, 1e-300)
-            chances.append(float(fisher.sf(part / basis.shape[1] / (rest / freedom),
-                                           basis.shape[1], freedom)))  # fmt: skip
-    if not chances or len(chances) * min(chances) > _MISFIT_LEVEL:
+            ratio = part / basis.shape[1] / (rest / freedom)
+            chances.append(float(fisher.sf(ratio, basis.shape[1], freedom)))
+    # The smallest of the probabilities, corrected for their number.
+    if not chances or len(chances) * min(chances) > 0.1:
         return 0.0
     plain, parts = _explained(e, slopes, own, groups, [np.ones(1)] * len(noise.filters))
     left, sizes, _ = np.linalg.svd(np.concatenate(parts, axis=1), full_matrices=False)
@@ -322,7 +304,7 @@ def _shapes(jacobians: Sequence[Array]) -> list[list[Array]]:
 def _explained(
     residuals: Sequence[Array],
     jacobians: Sequence[Array],
-    nuisance: Sequence[Array] | None,
+    nuisance: Sequence[Array],
     groups: Sequence[Sequence[Array]],
     filters: Sequence[Array],
 ) -> tuple[Array, list[Array]]:
@@ -336,7 +318,7 @@ def _explained(
 
     def joined(parts: Sequence[Array]) -> Array:
         kept = [white(one) for one in parts]
-        if nuisance is not None:
+        if nuisance[0].size:
             kept = [_projected(one, white(q)) for one, q in zip(kept, nuisance, strict=True)]
         return np.concatenate([one.reshape(-1, one.shape[-1]) for one in kept])
 
@@ -350,11 +332,3 @@ def _explained(
         left, sizes, _ = np.linalg.svd(columns - held @ (held.T @ columns), full_matrices=False)
         bases.append(left[:, sizes > 0.02])
     return e - held @ (held.T @ e), bases
-
-
-def _lost(noise: ResidualProcess, nuisance: Array) -> float:
-    """Sum of squares that a record's own unknowns absorb."""
-    basis = _basis(nuisance)
-    if not basis.size:
-        return 0.0
-    return float(np.trace(noise.middle(basis.reshape(*nuisance.shape[:2], -1))))

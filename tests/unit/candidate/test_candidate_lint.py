@@ -128,7 +128,7 @@ def test_a_kilobyte_in_statements_alike_is_refused(disguise: Callable[[bytes], l
         return "\n".join((*disguise(np.random.default_rng(2).bytes(size)), "TABLE = x", FIT))
 
     check_source(table(64))
-    with pytest.raises(CandidateError, match="statements of one kind|nested too deeply"):
+    with pytest.raises(CandidateError, match=r"statements of one kind|nested too deeply"):
         check_source(table(1024))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Literal, NamedTuple, Protocol, TypeAlias, get_args
 
 import numpy as np
@@ -15,9 +16,6 @@ from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace, scan
 from asia.models._config import check_choice, demand, owner
 from asia.models._numerics.records import spread
-
-# Settings of a training method for the noise of the outputs.
-
 
 NoiseKind: TypeAlias = Literal["white", "slow"]
 
@@ -105,10 +103,6 @@ def refuse_noise(method: NoiseSettings, place: str) -> None:
 # chapter 3.
 
 
-# Share of a prediction below which it no longer counts.
-_FORGOTTEN = 1e-30
-
-
 class ResidualNoise(NamedTuple):
     """Sizes of the two parts for each output; JAX reads it as a tree of its arrays."""
 
@@ -143,10 +137,8 @@ def innovation_filter(
     """Make the Kalman filter for samples that count where mask (..., T) is positive.
 
     A sample that does not count leaves the filter to its prediction, so that padding and gaps
-    change
-    no other innovation. Deviations must be positive in sum; all fields may have leading dimensions
-    that
-    fit those of `mask`.
+    change no other innovation. Deviations must be positive in sum; all fields may have leading
+    dimensions that fit those of `mask`.
     """
     xp = namespace(mask, *noise)
     keep = xp.exp(-sampling_time / noise.time)
@@ -182,8 +174,8 @@ def innovations(through: InnovationFilter, residual: AnyArray) -> AnyArray:
         longer = decay[..., shift:, :] * decay[..., :-shift, :]
         decay = xp.concatenate([decay[..., :shift, :], longer], axis=-2)
         shift *= 2
-        if xp is np and np.abs(decay).max() < _FORGOTTEN:
-            break
+        if xp is np and np.abs(decay).max() < 1e-30:
+            break  # no prediction reaches further
     known = xp.concatenate([xp.zeros_like(predicted[..., :1, :]), predicted[..., :-1, :]], axis=-2)
     return (residual - known) * through.weight
 
@@ -204,20 +196,6 @@ NOISE_ROUNDS = 3
 LEAST_DEVIATION = 1e-6
 """Share of the output's deviation below which a residual is rounding."""
 
-# Numbers of candidates: time constants, and ratios of the slow part to the white one, both spaced
-# logarithmically.
-_TIMES, _RATIOS = 9, 9
-_RATIO_LIMITS = (0.1, 100.0)
-# Shortest time constant in samples, longest one as a share of the longest segment, and least upper
-# bound of it in samples. A longer one would leave the level of the output without weight, which the
-# errors of a poor model favour.
-_FASTEST, _LONGEST_SHARE, _LEAST_LONGEST = 3.0, 0.25, 20.0
-# Rounds of a grid around the best candidate, each with half the spacing.
-_ROUNDS, _WAYS = 4, np.array([-1.0, 0.0, 1.0])
-_MOST_SAMPLES = 20_000
-_SCALE_ROUNDS = 12
-_SAME_SIZE, _SAME_TIME = 0.03, 0.1
-
 
 def estimate_noise(
     residual: Array, mask: Array, sampling_time: float, choice: NoiseChoice, floor: Array
@@ -234,19 +212,47 @@ def estimate_noise(
         choice: given and estimated parts.
         floor: least deviation (ny,).
     """
-    residual, mask = _some(residual, mask)
-    samples = max(float((mask > 0).sum()), 1.0)
-    search = _Search(residual, mask, sampling_time, choice.huber)
-    still = np.full((1, residual.shape[-1]), sampling_time)
-    plain, size = search(still, np.zeros_like(still))
+    # Subset of long data: segments spread over them, and their first part.
+    length = min(residual.shape[1], 20_000)
+    rows = spread(len(residual), max(1, 20_000 // length))
+    residual, mask = residual[rows, :length], mask[rows, :length]
+    ny, samples = residual.shape[-1], max(float((mask > 0).sum()), 1.0)
+
+    def likelihoods(time: Array, ratio: Array) -> tuple[Array, Array]:
+        return _scaled_likelihoods(residual, mask, sampling_time, choice.huber, time, ratio)
+
+    still = np.full((1, ny), sampling_time)
+    plain, size = likelihoods(still, np.zeros_like(still))
     white = ResidualNoise(still[0], np.zeros_like(floor), np.maximum(size[0], floor))
     if not choice.slow:
         return white
-    longest = max(_LONGEST_SHARE * float((mask > 0).sum(axis=1).max()), _LEAST_LONGEST)
-    ranges = (_FASTEST * sampling_time, longest * sampling_time), _RATIO_LIMITS
+    # Time constants from 3 samples to a quarter of the longest segment, but at least 20 samples. A
+    # longer one would leave the level of the output without weight, which the errors of a poor
+    # model favour.
+    longest = max(0.25 * float((mask > 0).sum(axis=1).max()), 20.0)
+    times = (3.0 * sampling_time, longest * sampling_time)
     if choice.time is not None:
-        ranges = (choice.time, choice.time), _RATIO_LIMITS
-    at, likelihood, size = _best(search, [np.log(r) for r in ranges], residual.shape[-1])
+        times = (choice.time, choice.time)
+    ratios = (0.1, 100.0)
+    # A grid in the logarithms, then four grids around the best candidate, each with half the
+    # spacing.
+    axes = [np.linspace(np.log(a), np.log(b), 9) for a, b in (times, ratios)]
+    low, high = (np.array([axis[end] for axis in axes])[:, None, None] for end in (0, -1))
+    spacing = np.array([axis[1] - axis[0] for axis in axes])
+    grid = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")])
+    ways = np.array([-1.0, 0.0, 1.0])
+    around = np.stack([a.ravel() for a in np.meshgrid(ways, ways, indexing="ij")])
+    points, outputs = np.repeat(grid[:, :, None], ny, axis=2), np.arange(ny)
+    rounds = 0
+    while True:
+        values, sizes = likelihoods(*np.exp(points))
+        best = values.argmin(axis=0)
+        at = points[:, best, outputs]
+        if rounds == 4:
+            break
+        rounds, spacing = rounds + 1, 0.5 * spacing
+        points = np.clip(at[:, None] + (around * spacing[:, None])[:, :, None], low, high)
+    likelihood, size = values[best, outputs], sizes[best, outputs]
     time, ratio = np.exp(at)
     time = time if choice.time is None else np.full_like(time, choice.time)
     size = np.maximum(size, floor / np.sqrt(1.0 + ratio**2))
@@ -258,64 +264,46 @@ def estimate_noise(
     )
 
 
-def _some(residual: Array, mask: Array) -> tuple[Array, Array]:
-    """Subset of long data: segments spread over them, and their first part."""
-    length = min(residual.shape[1], _MOST_SAMPLES)
-    rows = spread(len(residual), max(1, _MOST_SAMPLES // length))
-    return residual[rows, :length], mask[rows, :length]
+def _scaled_likelihoods(
+    residual: Array,
+    mask: Array,
+    sampling_time: float,
+    huber: float | None,
+    time: Array,
+    ratio: Array,
+) -> tuple[Array, Array]:
+    """Negative log likelihoods of candidates side by side, their scale at its optimum.
 
+    Args:
+        residual: (S, T, ny).
+        mask: (S, T), positive where a residual counts.
+        sampling_time: in s.
+        huber: threshold on the innovations.
+        time: time constants (G, ny).
+        ratio: ratios of the slow part to the white one (G, ny).
 
-def _best(search: _Search, limits: list[Array], ny: int) -> tuple[Array, Array, Array]:
-    """Best candidate: logarithms of time constant and ratio (2, ny), the negative log likelihood
-    there (ny,) and the size of the white part (ny,)."""
-    axes = [np.linspace(a, b, n) for (a, b), n in zip(limits, (_TIMES, _RATIOS), strict=True)]
-    spacing = np.array([axis[1] - axis[0] for axis in axes])
-    grid = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")])
-    points = np.repeat(grid[:, :, None], ny, axis=2)
-    around = np.stack([a.ravel() for a in np.meshgrid(_WAYS, _WAYS, indexing="ij")])
-    low, high = (np.array([limit[i] for limit in limits])[:, None, None] for i in range(2))
-    each, rounds = np.arange(ny), 0
-    while True:
-        values, sizes = search(*np.exp(points))
-        best = values.argmin(axis=0)
-        at = points[:, best, each]
-        if rounds == _ROUNDS:
-            return at, values[best, each], sizes[best, each]
-        rounds, spacing = rounds + 1, 0.5 * spacing
-        points = np.clip(at[:, None] + (around * spacing[:, None])[:, :, None], low, high)
-
-
-class _Search:
-    """Negative log likelihood, its scale at its optimum, of candidates side by side."""
-
-    def __init__(
-        self, residual: Array, mask: Array, sampling_time: float, huber: float | None
-    ) -> None:
-        self._residual, self._mask, self._huber = residual, mask, huber
-        self._sampling_time = sampling_time
-
-    def __call__(self, time: Array, ratio: Array) -> tuple[Array, Array]:
-        """Evaluate candidates: time and ratio (G, ny) -> likelihoods and sizes of the white part
-        (G, ny)."""
-        wide = time[:, None], ratio[:, None]
-        unit = ResidualNoise(*wide, np.ones_like(wide[0]))
-        through = innovation_filter(unit, self._sampling_time, self._mask)
-        inside = self._mask[..., None] > 0
-        weight = np.where(inside, through.weight, 1.0)
-        error = innovations(through, self._residual)
-        axes, samples = (1, 2), max(float(inside.sum()), 1.0)
-        squares = (error**2).sum(axis=axes)
-        tiny = np.finfo(float).tiny
-        size = np.sqrt(np.maximum(squares / samples, tiny))
-        penalty = 0.5 * samples
-        if self._huber is not None:
-            for _ in range(_SCALE_ROUNDS):
-                scaled = np.abs(error) / size[:, None, None]
-                share = np.minimum(1.0, self._huber / np.maximum(scaled, tiny))
-                size = np.sqrt(np.maximum((share * error**2).sum(axis=axes) / samples, tiny))
+    Returns:
+        Likelihoods and sizes of the white part (G, ny).
+    """
+    wide = time[:, None], ratio[:, None]
+    unit = ResidualNoise(*wide, np.ones_like(wide[0]))
+    through = innovation_filter(unit, sampling_time, mask)
+    inside = mask[..., None] > 0
+    weight = np.where(inside, through.weight, 1.0)
+    error = innovations(through, residual)
+    axes, samples = (1, 2), max(float(inside.sum()), 1.0)
+    squares = (error**2).sum(axis=axes)
+    tiny = np.finfo(float).tiny
+    size = np.sqrt(np.maximum(squares / samples, tiny))
+    penalty = 0.5 * samples
+    if huber is not None:
+        for _ in range(12):
             scaled = np.abs(error) / size[:, None, None]
-            penalty = (0.5 * huber_root(scaled, self._huber) ** 2).sum(axis=axes)
-        return samples * np.log(size) - np.log(weight).sum(axis=axes) + penalty, size
+            share = np.minimum(1.0, huber / np.maximum(scaled, tiny))
+            size = np.sqrt(np.maximum((share * error**2).sum(axis=axes) / samples, tiny))
+        scaled = np.abs(error) / size[:, None, None]
+        penalty = (0.5 * huber_root(scaled, huber) ** 2).sum(axis=axes)
+    return samples * np.log(size) - np.log(weight).sum(axis=axes) + penalty, size
 
 
 def settled(before: ResidualNoise | None, after: ResidualNoise) -> bool:
@@ -324,9 +312,9 @@ def settled(before: ResidualNoise | None, after: ResidualNoise) -> bool:
     if before is None:
         return False
     unit = np.sqrt(after.variance)
-    sizes = [np.abs(a - b) < _SAME_SIZE * unit for a, b in zip(before[1:], after[1:], strict=True)]
-    times = np.abs(np.log(after.time / before.time)) < _SAME_TIME
-    return bool(np.all(sizes) and np.all(times | (after.slow < _SAME_SIZE * unit)))
+    sizes = [np.abs(a - b) < 0.03 * unit for a, b in zip(before[1:], after[1:], strict=True)]
+    times = np.abs(np.log(after.time / before.time)) < 0.1
+    return bool(np.all(sizes) and np.all(times | (after.slow < 0.03 * unit)))
 
 
 # Weighting of simulation errors by generalised least squares, in NumPy.
@@ -387,19 +375,11 @@ class ErrorWeighting:
 # Association 72, 1977).
 
 
-_MOST_LAGS = 30
-# Greatest number of lags as a share of the record length: more would be fitted to chance.
-_SHARE_OF_LAGS = 0.1
-# Share of the initial response below which a filter has forgotten.
-_PROCESS_FORGOTTEN = 1e-3
-# Samples after which the correlation of any residual has vanished.
-_LONG = 4096
 # Least length of a record that is filtered block by block, and length of a block.
 _MANY, _BLOCK = 65_536, 8192
 # Limit on values times lags of one restricted likelihood, and on its lags: on longer records the
 # fit absorbs hardly any noise.
 _MOST_WORK, _MOST_RESTRICTED_LAGS = 5_000_000, 8
-_STABLE = 0.999
 
 
 @dataclass(frozen=True)
@@ -437,35 +417,30 @@ class ResidualProcess:
         if restricted:
             columns = [_columns(jacobians, nuisance, i) for i in outputs]
             filters = tuple(map(_restricted, filters, segments, columns))
-        white = [_innovations(*each, lags) for each in zip(filters, segments, columns, strict=True)]
+        white: list[Array] = []
+        for each in zip(filters, segments, columns, strict=True):
+            e, x = _filtered(*each, lags)
+            # Without the part that a change of the columns explains.
+            white.append(e - x @ np.linalg.lstsq(x, e, rcond=1e-7)[0] if x.shape[1] else e)
         rank = columns[0][0].shape[1] / len(filters)
         samples = np.stack(white, axis=1)
         freedom = max(len(samples) - rank, 1.0)
         return ResidualProcess(filters, samples.T @ samples / freedom, restricted)
 
-    def innovations_of(self, jacobian: Array) -> Array:
-        """Filtered derivatives (L + T, ny, P): the sum over time of their products with innovations
-        has the covariance of J'e.
+    def middle(self, jacobian: Array) -> Array:
+        """Covariance (P, P) of J'e of one record.
 
-        The first L rows belong to innovations before the record, which its residuals remember.
+        It is the sum over time of products of the derivatives filtered backwards. The rows before
+        the record belong to innovations that its residuals remember.
         """
         before = max(_memory(a, len(jacobian)) for a in self.filters)
-        padded = np.concatenate([np.zeros((before, *jacobian.shape[1:])), jacobian])
-        reverse = padded[::-1]
-        columns = [lfilter([1.0], a, reverse[:, i], axis=0) for i, a in enumerate(self.filters)]
-        return np.stack(columns, axis=1)[::-1]
-
-    def middle(self, jacobian: Array) -> Array:
-        """Covariance (P, P) of J'e of one record."""
-        if len(jacobian) > _MANY:
-            return self._middle_by_blocks(jacobian)
-        found = self.innovations_of(jacobian)
-        return np.einsum("tip,ij,tjq->pq", found, self.covariance, found)
-
-    def _middle_by_blocks(self, jacobian: Array) -> Array:
-        """Covariance of J'e block by block, from the end of the record back: the filters go on from
-        block to block."""
-        before = max(_memory(a, len(jacobian)) for a in self.filters)
+        if len(jacobian) <= _MANY:
+            padded = np.concatenate([np.zeros((before, *jacobian.shape[1:])), jacobian])
+            reverse = padded[::-1]
+            columns = [lfilter([1.0], a, reverse[:, i], axis=0) for i, a in enumerate(self.filters)]
+            white = np.stack(columns, axis=1)[::-1]
+            return np.einsum("tip,ij,tjq->pq", white, self.covariance, white)
+        # Block by block, from the end of the record back: the filters go on from block to block.
         parameters = jacobian.shape[-1]
         memories = [np.zeros((len(a) - 1, parameters)) for a in self.filters]
         found = np.zeros((parameters, parameters))
@@ -484,7 +459,14 @@ class ResidualProcess:
     def independent(self, samples: int) -> float:
         """Number of independent samples that give a variance with the same relative error
         (Bartlett)."""
-        return samples * float(np.mean([_variance_share(a) for a in self.filters]))
+        shares: list[float] = []
+        for a in self.filters:
+            # Reciprocal of the sum of the squared correlations at all lags, which vanish before
+            # 4096 samples.
+            spectrum = np.abs(np.fft.rfft(lfilter([1.0], a, _impulse(4096)), 2 * 4096)) ** 2
+            correlation = np.fft.irfft(spectrum)
+            shares.append(float(correlation[0] ** 2 / (correlation**2).sum()))
+        return samples * float(np.mean(shares))
 
 
 def burg(segments: Sequence[Array]) -> Array:
@@ -492,7 +474,7 @@ def burg(segments: Sequence[Array]) -> Array:
     Quinn."""
     longest = max(len(segment) for segment in segments)
     samples = sum(len(segment) for segment in segments)
-    most = min(_MOST_LAGS, int(_SHARE_OF_LAGS * longest))
+    most = min(30, int(0.1 * longest))  # more lags would be fitted to chance
     forward, backward = [np.array(p) for p in segments], [np.array(p) for p in segments]
     power = sum(float(p @ p) for p in segments) / samples
     best, chosen = samples * np.log(max(power, 1e-300)), np.ones(1)
@@ -503,8 +485,7 @@ def burg(segments: Sequence[Array]) -> Array:
         if energy <= 0 or power <= 0:
             break
         k = -2.0 * sum(float(f @ b) for f, b in pairs) / energy
-        a = np.concatenate([a, [0.0]])
-        a = a + k * a[::-1]
+        a = _with_reflection(a, k)
         forward, backward = [f + k * b for f, b in pairs], [b + k * f for f, b in pairs]
         power *= 1.0 - k * k
         criterion = samples * np.log(max(power, 1e-300)) + penalty * order
@@ -517,21 +498,13 @@ def _memory(a: Array, most: int) -> int:
     """Number of samples after which an impulse through 1/a has decayed."""
     if len(a) == 1:
         return 0
-    impulse = np.zeros(most)
-    impulse[0] = 1.0
-    response = np.abs(lfilter([1.0], a, impulse))
-    large = np.flatnonzero(response > _PROCESS_FORGOTTEN * response.max())
+    response = np.abs(lfilter([1.0], a, _impulse(most)))
+    large = np.flatnonzero(response > 1e-3 * response.max())
     return int(large[-1]) + 1
 
 
-def _variance_share(a: Array) -> float:
-    """Reciprocal of the sum of the squared correlations of the process 1/a at all lags."""
-    impulse = np.zeros(_LONG)
-    impulse[0] = 1.0
-    response = lfilter([1.0], a, impulse)
-    spectrum = np.abs(np.fft.rfft(response, 2 * _LONG)) ** 2
-    correlation = np.fft.irfft(spectrum)
-    return float(correlation[0] ** 2 / (correlation**2).sum())
+def _impulse(samples: int) -> Array:
+    return np.concatenate([np.ones(1), np.zeros(samples - 1)])
 
 
 def _columns(
@@ -555,19 +528,28 @@ def _restricted(a: Array, segments: Sequence[Array], columns: Sequence[Array]) -
     if not order:
         return a
 
+    def stable(points: Array) -> Array:
+        return _filter(0.999 * np.tanh(points))
+
     def criterion(points: Array) -> float:
-        through = _filter(_STABLE * np.tanh(points))
-        e, x = _filtered(through, segments, columns, order)
+        e, x = _filtered(stable(points), segments, columns, order)
         left, sizes, _ = np.linalg.svd(x, full_matrices=False)
         kept = sizes > 1e-7 * sizes.max(initial=1e-300)
         e = e - left[:, kept] @ (left[:, kept].T @ e)
         rest = max(len(e) - int(kept.sum()), 1)
         return rest * float(np.log(max(e @ e, 1e-300))) + 2.0 * float(np.log(sizes[kept]).sum())
 
-    start = np.arctanh(np.clip(_reflections(a) / _STABLE, -0.9999, 0.9999))
+    # Reflection coefficients, by Levinson's recursion backwards.
+    reflections: list[float] = []
+    rest = a
+    while len(rest) > 1:
+        k = float(rest[-1])
+        reflections.insert(0, k)
+        rest = ((rest - k * rest[::-1]) / max(1.0 - k * k, 1e-12))[:-1]
+    start = np.arctanh(np.clip(np.array(reflections) / 0.999, -0.9999, 0.9999))
     found = minimize(criterion, start, method="BFGS", options={"maxiter": 30, "gtol": 1e-3})
     better = np.isfinite(found.fun) and found.fun < criterion(start)
-    return _filter(_STABLE * np.tanh(found.x)) if better else a
+    return stable(found.x) if better else a
 
 
 def _filtered(
@@ -582,26 +564,11 @@ def _filtered(
     return e, np.concatenate([lfilter(a, [1.0], part, axis=0)[lags:] for part in columns])
 
 
-def _innovations(a: Array, segments: Sequence[Array], columns: Sequence[Array], lags: int) -> Array:
-    """Filtered residuals (N,) without the part that a change of the columns explains."""
-    e, x = _filtered(a, segments, columns, lags)
-    return e - x @ np.linalg.lstsq(x, e, rcond=1e-7)[0] if x.shape[1] else e
-
-
 def _filter(reflections: Array) -> Array:
     """Filter (1, a_1, ...) from reflection coefficients: stable where these are within 1."""
-    a = np.ones(1)
-    for k in reflections:
-        a = np.concatenate([a, [0.0]])
-        a = a + k * a[::-1]
-    return a
+    return reduce(_with_reflection, reflections, np.ones(1))
 
 
-def _reflections(a: Array) -> Array:
-    """Inverse of `_filter` (Levinson's recursion backwards)."""
-    found: list[float] = []
-    while len(a) > 1:
-        k = float(a[-1])
-        found.append(k)
-        a = ((a - k * a[::-1]) / max(1.0 - k * k, 1e-12))[:-1]
-    return np.array(found[::-1])
+def _with_reflection(a: Array, k: float) -> Array:
+    longer = np.concatenate([a, [0.0]])
+    return longer + k * longer[::-1]
