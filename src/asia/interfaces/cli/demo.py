@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from asia._text import say
+from asia._text import nearest, say
+from asia.errors import UserError
 
 
 def demo(
@@ -16,9 +17,6 @@ def demo(
 ) -> None:
     """List the example notebooks, or copy one to work on."""
     import shutil
-
-    from asia._text import nearest
-    from asia.errors import UserError
 
     found = {path.stem: path for path in sorted(_folder().glob("*.ipynb"))}
     if name is None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asia._text import say
+from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, RunName, Runs, run_directory
 
 if TYPE_CHECKING:
@@ -41,7 +42,6 @@ def export(
     Compares the code with ASIA's own simulation of the training windows, and writes only code that
     agrees.
     """
-    from asia.errors import UserError
     from asia.export.pipeline import export as write
     from asia.export.pipeline import table
     from asia.export.registry import target_names

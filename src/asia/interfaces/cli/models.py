@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asia._text import say, say_lines
+from asia._text import nearest, say, say_lines
+from asia.errors import UserError
 
 if TYPE_CHECKING:
     from asia.agents.view import Facts
+
 
 _EXAMPLE_PROBLEM = "two_tanks_sim"
 
@@ -23,10 +25,8 @@ def models(
     ] = None,
 ) -> None:
     """Print the model families, or one of them: options, training, an example."""
-    from asia._text import nearest
     from asia.agents.library.pages import family_page
     from asia.agents.library.registry import all_families
-    from asia.errors import UserError
 
     rows = all_families()
     if name is None:

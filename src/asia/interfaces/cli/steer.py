@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from asia._text import say
+from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, RunName, Runs, run_directory
-
-if TYPE_CHECKING:
-    from asia.ledger.run import Run
+from asia.ledger.run import Run, open_run
 
 
 def steer(
@@ -36,9 +35,6 @@ def steer(
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Send a note to the agent of a running search; pause, resume or stop the search."""
-    from asia.errors import UserError
-    from asia.ledger.run import open_run
-
     if text is not None:
         raise UserError("`asia steer RUN TEXT` is now `asia steer RUN --note TEXT`.")
     given = {"pause": pause, "resume": resume, "stop": stop}

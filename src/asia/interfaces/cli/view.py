@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from asia._text import say
-from asia.interfaces.cli.options import DEFAULT_RUNS, Runs
+from asia.interfaces.cli.options import DEFAULT_RUNS, Runs, run_directory
 
 
 def view(
@@ -46,8 +46,6 @@ def view(
 
 def _place(runs: Path, run: str | None) -> tuple[Path, str | None]:
     """Return the folder of runs and the named run. Raises UserError."""
-    from asia.interfaces.cli.options import run_directory
-
     if run is not None and Path(run).is_dir() and not (Path(run) / "ledger.jsonl").exists():
         return Path(run).resolve(), None
     if run is None and runs.is_dir():

@@ -54,8 +54,8 @@ def test_a_submission_is_judged_and_found_by_its_ticket(served: tuple[Place, str
     baseline, result = place.desk.results()
     assert (baseline.title, baseline.status) == ("baseline", "keep")
     assert result.status == "keep"
-    assert result.value is not None
-    assert result.value < 0.05
+    assert result.V is not None
+    assert result.V < 0.05
     assert len(result.folds) == 2
     assert place.desk.source(2) == arx(2)
     progress = place.desk.progress()
@@ -240,7 +240,7 @@ def test_a_search_that_never_began_is_started_first(tmp_path: Path) -> None:
     submission = desk.submit(Proposal(CRASH, "", "", "it fails", "", None))
     assert (submission.state, submission.experiment) == ("done", 2)
     crash = desk.results()[1]
-    assert (crash.status, crash.value, crash.reason) == ("crash", None, "crash")
+    assert (crash.status, crash.V, crash.reason) == ("crash", None, "crash")
     assert crash.detail == "line 2: ValueError: no such luck"
 
 
