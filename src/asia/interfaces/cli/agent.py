@@ -428,8 +428,8 @@ def llm_check(
     Default model: the first one that the server lists. The report is kept as llm-check.json in the
     run. Exit code 3: not able.
     """
-    from asia.agents.llm.models import first_model
     from asia.agents.llm.reply import llm_report
+    from asia.agents.llm.settings import first_model
     from asia.problem.load import load_problem
     from asia.search.run import prepare, search
     from asia.search.steering import Steering

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from importlib import resources
@@ -151,15 +150,22 @@ class _Pages:
     async def run_events(self, request: Request) -> Response:
         """Stream the changes of a run."""
         followed = await run_sync(self.folder.get, request.path_params["run"])
-        return _stream(self.streams.of_run(followed, _mark(request)))
+        messages = self.streams.of_run(followed, _mark(request))
+        return StreamingResponse(messages, media_type="text/event-stream")
 
     async def list_events(self, request: Request) -> Response:
         """The list of runs, whenever it changes."""
-        return _stream(self.streams.of_list(self.folder, _mark(request)))
+        messages = self.streams.of_list(self.folder, _mark(request))
+        return StreamingResponse(messages, media_type="text/event-stream")
 
     async def steer(self, request: Request) -> Response:
         """Pass a command of the user to the search."""
-        text = await _body(request)
+        body = b""
+        async for part in request.stream():
+            body += part
+            if len(body) > _LONGEST_BODY:
+                raise UserError(f"a note has at most {_LONGEST_BODY} bytes")
+        text = body.decode("utf-8", "replace")
         snapshot = await run_sync(self._snapshot, request)
         words = await run_sync(tell, snapshot.run, request.path_params["what"], text)
         return JSONResponse({"words": words})
@@ -195,20 +201,6 @@ def _mark(request: Request) -> str:
     was loaded with.
     """
     return request.headers.get("last-event-id") or request.query_params.get("mark", "")
-
-
-def _stream(messages: AsyncIterator[str]) -> Response:
-    return StreamingResponse(messages, media_type="text/event-stream")
-
-
-async def _body(request: Request) -> str:
-    """Raises UserError where it is too long."""
-    found = b""
-    async for part in request.stream():
-        found += part
-        if len(found) > _LONGEST_BODY:
-            raise UserError(f"a note has at most {_LONGEST_BODY} bytes")
-    return found.decode("utf-8", "replace")
 
 
 # Access control: the pages answer only browsers on this machine that hold the token.
@@ -310,8 +302,7 @@ class TokenOnly:
         return answer
 
     def _brought(self, scope: Scope) -> str:
-        found = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
-        return found[0] if found else ""
+        return parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
 
     def _remembered(self, headers: Headers) -> str:
         try:

@@ -97,23 +97,16 @@ class _RunNews:
 
 
 def tell(run: Run, what: str, text: str) -> str:
-    """Execute a command: steer, pause, continue or stop.
-
-    Args:
-        run: the run.
-        what: the command.
-        text: the note of steer.
-
-    Returns:
-        The effect of the command, as a sentence.
-
-    Raises:
-        UserError: the command cannot be executed.
-    """
+    """Execute the command `what` (steer, pause, continue or stop), with `text` as the note of
+    steer. Return its effect as a sentence. Raises UserError if it cannot be executed."""
     steering, running = Steering(run.directory), run.state == "running"
     if what == "steer":
         steering.steer(text)
-        return _noted(run, running=running)
+        agent = run.view.started.agent
+        noted = f"noted: recorded {'at its next step' if running else 'when the search continues'}"
+        if reads_notes(run.view.started):
+            return noted
+        return f"{noted}; the agent '{agent}' does not read notes, so the note is only recorded"
     if what == "continue":
         words = "the search continues" if steering.paused else "the search was not paused"
         steering.go_on()
@@ -127,10 +120,3 @@ def tell(run: Run, what: str, text: str) -> str:
         return "the search pauses after its current experiment"
     steering.stop()
     return "the search stops after its present experiment; repeat its command to resume it"
-
-
-def _noted(run: Run, *, running: bool) -> str:
-    when = "at its next step" if running else "when the search continues"
-    text, started = f"noted: recorded {when}", run.view.started
-    deaf = f"; the agent '{started.agent}' does not read notes, so the note is only recorded"
-    return text if reads_notes(started) else f"{text}{deaf}"
