@@ -42,9 +42,10 @@ from asia.ledger.view import SearchView
 
 if TYPE_CHECKING:
     from asia.interfaces.workspace.server import (
-        Desk,
         ExperimentResult,
+        RunDesk,
         SearchProgress,
+        SocketDesk,
         Submission,
     )
 
@@ -284,7 +285,7 @@ class Waiting:
     """Print each change once: finished rungs and experiments, and the state of the submission.
     Repeat an unchanged state every minute."""
 
-    def __init__(self, desk: Desk, say: Callable[[str], None]) -> None:
+    def __init__(self, desk: RunDesk | SocketDesk, say: Callable[[str], None]) -> None:
         self._desk, self._say = desk, say
         now = desk.progress()
         self._rungs = set(now.rungs if now.experiments else ())

@@ -810,7 +810,7 @@ class _RenewingDesk(RunDesk):
         self._written = -1
 
     def progress(self) -> SearchProgress:
-        """See `Desk.progress`."""
+        """See `RunDesk.progress`."""
         now = super().progress()
         if now.experiments != self._written:
             opened = open_run(self._run_directory)

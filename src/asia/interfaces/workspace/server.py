@@ -12,7 +12,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, is_dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -378,53 +378,9 @@ _POLL = 0.1
 _BASELINE = "experiment-1"
 
 
-class Desk(Protocol):
-    """Submission server of a search. Every method raises UserError with the recommended action."""
-
-    def submit(self, proposal: Proposal) -> Submission:
-        """Hand in a candidate; its static errors are reported at once and cost no experiment."""
-        ...
-
-    def submission(self, ticket: str) -> Submission:
-        """Return the state of a submission."""
-        ...
-
-    def withdraw(self, ticket: str) -> Submission:
-        """Take a submission back that is still queued."""
-        ...
-
-    def results(self) -> tuple[ExperimentResult, ...]:
-        """Return all finished experiments."""
-        ...
-
-    def source(self, experiment: int) -> str:
-        """An experiment's candidate.py."""
-        ...
-
-    def evidence(self, experiment: int) -> ExperimentEvidence:
-        """Return the evidence on a finished experiment besides its score."""
-        ...
-
-    def progress(self) -> SearchProgress:
-        """Return the state of the search."""
-        ...
-
-    def attended(self) -> bool:
-        """Return whether a process judges the submissions."""
-        ...
-
-    def simulated(self, experiment: int) -> SimulatedCases:
-        """Some training cases of an experiment, simulated again; held-out ones too where the
-        problem shows their residuals."""
-        ...
-
-    def dry_run(self, source: str) -> DryRunResult:
-        """Try a candidate on a short cut of training records: no experiment, no score."""
-        ...
-
-
 class RunDesk:
-    """The desk of a run directory."""
+    """Submission server of a run directory. Every method raises UserError with the recommended
+    action."""
 
     def __init__(self, directory: Path, keep_alive: Callable[[Path], None] | None = None) -> None:
         """keep_alive: called with the run directory where the search is needed and does not run."""
@@ -455,8 +411,9 @@ class RunDesk:
         return read[1]
 
     def submit(self, proposal: Proposal) -> Submission:
-        """See `Desk.submit`; the same source, comments apart, is one submission, unless its result
-        depended on how fast the machine was."""
+        """Hand in a candidate; its static errors are reported at once and cost no experiment. The
+        same source, comments apart, is one submission, unless its result depended on how fast the
+        machine was."""
         proposal = tidy(proposal)
         try:
             check_source(proposal.source)
@@ -558,7 +515,7 @@ class RunDesk:
             )
 
     def submission(self, ticket: str) -> Submission:
-        """See `Desk.submission`."""
+        """Return the state of a submission."""
         waiting = self._queue.tickets()
         for experiment in self.run().view.experiments:
             found = _submission_of(experiment)
@@ -569,7 +526,7 @@ class RunDesk:
         return Submission(ticket, "queued" if ticket == _BASELINE else "unknown")
 
     def withdraw(self, ticket: str) -> Submission:
-        """See `Desk.withdraw`."""
+        """Take a submission back that is still queued."""
         if self._queue.withdraw(ticket):
             return Submission(ticket, "withdrawn")
         state = self.submission(ticket).state
@@ -579,34 +536,36 @@ class RunDesk:
         )
 
     def results(self) -> tuple[ExperimentResult, ...]:
-        """See `Desk.results`."""
+        """Return all finished experiments."""
         return tuple(map(ExperimentResult.of, self.run().view.finished))
 
     def source(self, experiment: int) -> str:
-        """See `Desk.source`."""
+        """An experiment's candidate.py."""
         run = self.run()
         return run.store.text(run.view.experiment(experiment).proposed.source)
 
     def evidence(self, experiment: int) -> ExperimentEvidence:
-        """See `Desk.evidence`."""
+        """Return the evidence on a finished experiment besides its score."""
         return ExperimentEvidence.of(self.run(), experiment)
 
     def progress(self) -> SearchProgress:
-        """See `Desk.progress`."""
+        """Return the state of the search."""
         return SearchProgress.of(replace(self.run(), busy=runs(self._directory)))
 
     def attended(self) -> bool:
-        """See `Desk.attended`."""
+        """Return whether a process judges the submissions."""
         return attended(self._directory)
 
     def simulated(self, experiment: int) -> SimulatedCases:
-        """See `Desk.simulated`; one at a time."""
+        """Some training cases of an experiment, simulated again, one experiment at a time;
+        held-out ones too where the problem shows their residuals."""
         run = self.run()
         with self._extra_workers():
             return simulated_excerpts(run, experiment)
 
     def dry_run(self, source: str) -> DryRunResult:
-        """See `Desk.dry_run`; one at a time."""
+        """Try a candidate on a short cut of training records, one at a time: no experiment, no
+        score."""
         run = self.run()
         with self._extra_workers():
             return DryRunResult.of(dry_run(run, source))
@@ -633,7 +592,9 @@ def _submission_of(experiment: Experiment) -> Submission:
     )
 
 
-def wait(desk: Desk, ticket: str, seconds: float, tick: Callable[[Submission], None]) -> Submission:
+def wait(
+    desk: RunDesk | SocketDesk, ticket: str, seconds: float, tick: Callable[[Submission], None]
+) -> Submission:
     """Wait for a submission until it is done or the time is over.
 
     Args:
@@ -742,7 +703,7 @@ _ANSWERS: dict[str, TypeAdapter[Any]] = {
 class DeskServer:
     """Serves a desk at `path` until closed; a context manager."""
 
-    def __init__(self, path: Path, desk: Desk) -> None:
+    def __init__(self, path: Path, desk: RunDesk) -> None:
         self.path = path
         path.unlink(missing_ok=True)
 
@@ -796,7 +757,7 @@ class _Server(socketserver.ThreadingUnixStreamServer):
             self._slots.release()
 
 
-def _answer(desk: Desk, raw: bytes) -> bytes:
+def _answer(desk: RunDesk, raw: bytes) -> bytes:
     try:
         if len(raw) > MOST_BYTES or not raw.endswith(b"\n"):
             raise UserError(f"a request is one line of at most {MOST_BYTES} bytes")
@@ -819,50 +780,50 @@ def _answer(desk: Desk, raw: bytes) -> bytes:
 
 
 class SocketDesk:
-    """The other end: a `Desk`."""
+    """The other end, with the methods of `RunDesk`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def submit(self, proposal: Proposal) -> Submission:
-        """See `Desk.submit`."""
+        """See `RunDesk.submit`."""
         fields = {n: getattr(proposal, n) for n in _SubmitCall.model_fields if n != "op"}
         return self._ask("submit", **fields)
 
     def submission(self, ticket: str) -> Submission:
-        """See `Desk.submission`."""
+        """See `RunDesk.submission`."""
         return self._ask("submission", ticket=ticket)
 
     def withdraw(self, ticket: str) -> Submission:
-        """See `Desk.withdraw`."""
+        """See `RunDesk.withdraw`."""
         return self._ask("withdraw", ticket=ticket)
 
     def results(self) -> tuple[ExperimentResult, ...]:
-        """See `Desk.results`."""
+        """See `RunDesk.results`."""
         return self._ask("results")
 
     def source(self, experiment: int) -> str:
-        """See `Desk.source`."""
+        """See `RunDesk.source`."""
         return self._ask("source", experiment=experiment)
 
     def evidence(self, experiment: int) -> ExperimentEvidence:
-        """See `Desk.evidence`."""
+        """See `RunDesk.evidence`."""
         return self._ask("evidence", experiment=experiment)
 
     def progress(self) -> SearchProgress:
-        """See `Desk.progress`."""
+        """See `RunDesk.progress`."""
         return self._ask("progress")
 
     def attended(self) -> bool:
-        """See `Desk.attended`."""
+        """See `RunDesk.attended`."""
         return self._ask("attended")
 
     def simulated(self, experiment: int) -> SimulatedCases:
-        """See `Desk.simulated`."""
+        """See `RunDesk.simulated`."""
         return self._ask("simulated", _WORK_SECONDS, experiment=experiment)
 
     def dry_run(self, source: str) -> DryRunResult:
-        """See `Desk.dry_run`."""
+        """See `RunDesk.dry_run`."""
         return self._ask("dry_run", _WORK_SECONDS, source=source)
 
     def _ask(self, op: str, seconds: float = _SILENCE_SECONDS, **arguments: object) -> Any:

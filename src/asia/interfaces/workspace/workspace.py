@@ -18,7 +18,7 @@ from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.interfaces.workspace.process import SearchRequest, start_search
 from asia.interfaces.workspace.program import Confinement, models_page, program
-from asia.interfaces.workspace.server import Desk, RunDesk, SocketDesk
+from asia.interfaces.workspace.server import RunDesk, SocketDesk
 from asia.judge.evaluation.references import LINEAR
 from asia.ledger.artifacts import Store
 from asia.ledger.exports import journal, results_table
@@ -201,7 +201,7 @@ class Workspace:
                 return cls(place, Path(run) if run else None)
         return None
 
-    def desk(self) -> Desk:
+    def desk(self) -> RunDesk | SocketDesk:
         """Return the submission server: the socket that ASIA_DESK names, else the run itself."""
         path = os.environ.get(DESK_VARIABLE)
         if path:
