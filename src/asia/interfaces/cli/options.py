@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from asia.agents.llm.agent import LlmAgent
     from asia.interfaces.coding_agents.session import Access
     from asia.interfaces.workspace.process import SearchRequest
-    from asia.judge.executors import Executor
     from asia.judge.sandbox.types import Isolation
     from asia.problem.problem import Problem
 
@@ -283,12 +282,6 @@ class EngineOptions:
         ),
     ] = "local"
 
-    def chosen(self) -> Executor:
-        """Make the executor. Raises UserError for an unknown name."""
-        from asia.judge.executors import make_executor
-
-        return make_executor(self.executor)
-
 
 # Groups of options as dataclasses, one field per option; short and full help.
 
@@ -519,14 +512,9 @@ class SearchOptions:
         """Return the problem with these options in place of its own."""
         from asia.search.run import with_early_stopping
 
-        own = problem.budget
-        budget = replace(
-            own,
-            experiments=self.experiments or own.experiments,
-            hours=self.hours if self.hours is not None else own.hours,
-            retests=self.retests if self.retests is not None else own.retests,
-        )
-        problem = replace(problem, budget=budget)
+        given = {name: getattr(self, name) for name in ("experiments", "hours", "retests")}
+        given = {name: value for name, value in given.items() if value is not None}
+        problem = replace(problem, budget=replace(problem.budget, **given))
         if self.early_stopping is None:
             return problem
         return with_early_stopping(problem, self.early_stopping)
@@ -550,14 +538,11 @@ class SearchOptions:
 
     def words(self) -> list[str]:
         """Return the command line of these options."""
-        pairs = (
-            ("--experiments", self.experiments),
-            ("--seed", self.seed or None),
-            ("--hours", self.hours),
-            ("--retests", self.retests),
-            ("--name", self.name),
-            ("--early-stopping", self.early_stopping),
-            ("--isolation", self.isolation),
-        )
-        words = [w for option, value in pairs if value is not None for w in (option, str(value))]
+        words: list[str] = []
+        for name in ("experiments", "seed", "hours", "retests", "name", "early_stopping"):
+            value = getattr(self, name)
+            if value is not None and (name, value) != ("seed", 0):
+                words += [f"--{name.replace('_', '-')}", str(value)]
+        if self.isolation is not None:
+            words += ["--isolation", self.isolation]
         return [*words, *(["--isolation-strict"] if self.isolation_strict else [])]

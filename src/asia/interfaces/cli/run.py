@@ -87,15 +87,6 @@ BRIEF_HELP = frozenset(
     | {"isolation", "model", "json"}
 )
 
-Space = Annotated[
-    str | None,
-    typer.Option(help="Search space of random: library (default), or paper."),
-]
-Sinks = Annotated[
-    list[str] | None,
-    typer.Option(help="Send the events to an installed sink, or module:Name; repeatable."),
-]
-
 
 def run(
     *,
@@ -107,10 +98,15 @@ def run(
             " expert*8,bayes."
         ),
     ] = "expert",
-    space: Space = None,
+    space: Annotated[
+        str | None, typer.Option(help="Search space of random: library (default), or paper.")
+    ] = None,
     options: SearchOptions,
     engine: EngineOptions,
-    sink: Sinks = None,
+    sink: Annotated[
+        list[str] | None,
+        typer.Option(help="Send the events to an installed sink, or module:Name; repeatable."),
+    ] = None,
     runs: Runs = DEFAULT_RUNS,
     profile: Profile = False,
     json: Json = False,
@@ -125,6 +121,7 @@ def run(
 
     from asia.agents.relay import RelayAgent
     from asia.interfaces.coding_agents.session import CommandAgent, search_with_agents
+    from asia.judge.executors import make_executor
     from asia.problem.load import load_problem
     from asia.report import write_report
     from asia.search.run import prepare, with_relay_budget
@@ -151,7 +148,7 @@ def run(
             stop_folds=engine.stop_folds,
             device=engine.device,
         )
-        executor = engine.chosen()
+        executor = make_executor(engine.executor)
     sinks = open_sinks(ready.directory, sink or ())
     display = JsonDisplay() if json else TextDisplay(loaded, ready)
     with closing(display), sinks:
@@ -270,10 +267,7 @@ def command_driver(agent: str, options: CommandOptions, limits: ModelOptions) ->
         tokens=limits.max_tokens,
         cost=limits.max_cost,
         stuck_minutes=options.stuck_minutes,
-        network=access.network,
-        mounts=access.mounts,
-        configs=access.configs,
-        variables=access.variables,
+        **vars(access),
         jail=Jail.why_not() is None,
         model=limits.model,
     )
