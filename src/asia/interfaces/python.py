@@ -24,7 +24,7 @@ from asia.ledger.events import Evaluated, Event, Use
 from asia.ledger.evidence import IdentifiedParameter, identified
 from asia.ledger.run import Run, find_run, model_to_use, open_run
 from asia.ledger.text import error_value
-from asia.ledger.view import Experiment, SearchView
+from asia.ledger.view import SearchView
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.report import brief_html, write_page, write_report
@@ -56,8 +56,26 @@ def load_run(run: Run | Path | str | None = None, *, runs: Path | str = "runs") 
         run = run.directory
     opened = open_run(find_run(Path(runs), None if run is None else str(run)))
     view = opened.view
+    rows: list[dict[str, Any]] = []
+    for experiment in view.experiments:
+        proposed, score = experiment.proposed, experiment.score
+        result, failure = experiment.result, experiment.failure
+        folds = score.folds if score else ()
+        rows.append(
+            {
+                "V": score.value if score else float("nan"),
+                **{f"V_fold{k}": fold.value for k, fold in enumerate(folds, 1)},
+                "status": result.status if result else "running",
+                "family": proposed.family,
+                "title": proposed.title,
+                "parent": proposed.parent,
+                "hypothesis": proposed.hypothesis,
+                "seconds": result.seconds if result else float("nan"),
+                "failure": failure.reason.advice if failure else None,
+            }
+        )
     numbers = pd.Index([e.number for e in view.experiments], name="experiment")
-    frame = pd.DataFrame([_row(e) for e in view.experiments], index=numbers)
+    frame = pd.DataFrame(rows, index=numbers)
     frame.attrs.update(
         run=opened.name,
         problem=view.started.problem,
@@ -67,29 +85,10 @@ def load_run(run: Run | Path | str | None = None, *, runs: Path | str = "runs") 
     return frame
 
 
-def _row(experiment: Experiment) -> dict[str, Any]:
-    proposed, score = experiment.proposed, experiment.score
-    result, failure = experiment.result, experiment.failure
-    folds = score.folds if score else ()
-    return {
-        "V": score.value if score else float("nan"),
-        **{f"V_fold{k}": fold.value for k, fold in enumerate(folds, 1)},
-        "status": result.status if result else "running",
-        "family": proposed.family,
-        "title": proposed.title,
-        "parent": proposed.parent,
-        "hypothesis": proposed.hypothesis,
-        "seconds": result.seconds if result else float("nan"),
-        "failure": failure.reason.advice if failure else None,
-    }
-
-
 # An estimator over a whole search.
 
 
 Table = Mapping[str, Any]
-_AT_ONCE = 4096
-_ESTIMATES = ("value", "unit", "standard_error", "low", "high")
 
 
 class SystemIdentifier:
@@ -229,11 +228,18 @@ class SystemIdentifier:
             raise UserError(f"horizon is {horizon}, expected at least 1 sample")
         found = np.full((len(y), ny), np.nan)
         starts = range(rule.past, len(y) - horizon + 1)
-        for first in range(0, len(starts), _AT_ONCE):
-            part = starts[first : first + _AT_ONCE]
+
+        def past_outputs(k: int) -> Array:
+            """The outputs before sample k; where one was not measured, from samples before k."""
+            window = y[k - rule.past_outputs : k]
+            if np.isnan(window).any():
+                return filled(y[:k])[k - rule.past_outputs :]
+            return window
+
+        for first in range(0, len(starts), 4096):
+            part = starts[first : first + 4096]
             cases = [
-                (u[k - rule.past_inputs : k], _before(y, k, rule.past_outputs), u[k : k + horizon])
-                for k in part
+                (u[k - rule.past_inputs : k], past_outputs(k), u[k : k + horizon]) for k in part
             ]
             ends = simulate_cases(self._opened.directory, cases, self.model)
             found[[k + horizon - 1 for k in part]] = [end[-1] for end in ends]
@@ -323,16 +329,17 @@ class SystemIdentifier:
             import pandas as pd
         except ImportError:
             return found
+        estimates = ("value", "unit", "standard_error", "low", "high")
         rows = [
             {
-                **{name: getattr(one.fitted, name) for name in _ESTIMATES},
+                **{name: getattr(one.fitted, name) for name in estimates},
                 "fold_error": one.fold_error,
                 **{name: getattr(one.fitted, name) for name in ("lower", "upper", "identifiable")},
             }
             for one in found
         ]
         names = pd.Index([one.fitted.name for one in found], name="parameter")
-        columns = [*_ESTIMATES, "fold_error", "lower", "upper", "identifiable"]
+        columns = [*estimates, "fold_error", "lower", "upper", "identifiable"]
         frame = pd.DataFrame(rows, index=names, columns=columns)
         numbers = [name for name in columns if name not in ("unit", "identifiable")]
         return frame.astype(dict.fromkeys(numbers, float))
@@ -364,16 +371,20 @@ class SystemIdentifier:
     def _directory(self, u: Any, y: Any, step: float, inputs: object, outputs: object) -> Path:
         if self.directory is not None:
             return Path(self.directory)
-        arrays = [np.asarray(one, dtype=np.float64) for v in (u, y) for one in one_a_record(v)]
-        settings = step, inputs, outputs, self.protocol, self.budget, self.physics
+        # Named by a digest of records and settings, so that the same ones have the same name.
+        records = [one for values in (u, y) for one in one_a_record(values)]
         times = [
             str(np.asarray(one.index).tolist())
-            for v in (u, y)
-            for one in one_a_record(v)
+            for one in records
             if hasattr(one, "columns") and hasattr(one, "index")
         ]
-        name = _digest(arrays, *settings, self.symmetry, self.description, *times)
-        return Path(self.runs) / "problems" / f"records-{name}"
+        given = step, inputs, outputs, self.protocol, self.budget, self.physics
+        settings = (*given, self.symmetry, self.description, *times)
+        digest = hashlib.sha256(repr(settings).encode())
+        for record in records:
+            array = np.asarray(record, dtype=np.float64)
+            digest.update(repr(array.shape).encode() + array.astype("<f8").tobytes())
+        return Path(self.runs) / "problems" / f"records-{digest.hexdigest()[:8]}"
 
 
 @dataclass(frozen=True)
@@ -402,14 +413,6 @@ def _parameters() -> list[str]:
     return list(inspect.signature(SystemIdentifier).parameters)
 
 
-def _digest(arrays: Sequence[Array], *settings: object) -> str:
-    """8 hexadecimal digits of records and settings: the same ones have the same name."""
-    found = hashlib.sha256(repr(settings).encode())
-    for array in arrays:
-        found.update(repr(array.shape).encode() + array.astype("<f8").tobytes())
-    return found.hexdigest()[:8]
-
-
 def _table(values: Any, channels: int, name: str) -> Array:
     """(T, channels). Raises UserError for another shape."""
     try:
@@ -420,12 +423,6 @@ def _table(values: Any, channels: int, name: str) -> Array:
     if found.ndim != 2 or found.shape[1] != channels:
         raise UserError(f"{name} has shape {np.shape(values)}, expected (samples, {channels})")
     return found
-
-
-def _before(y: Array, k: int, count: int) -> Array:
-    """The `count` outputs before sample k; where one was not measured, from samples before k."""
-    window = y[k - count : k]
-    return filled(y[:k])[k - count :] if np.isnan(window).any() else window
 
 
 def _past(values: Any, samples: int, channels: int, name: str) -> Array:

@@ -13,8 +13,8 @@ from asia.agents.llm.prompt import problem_text, search_text, task_of
 from asia.assurance.redteam import arena
 from asia.assurance.redteam.attacks import probing
 from asia.errors import Reason, UserError
-from asia.interfaces.cli.try_ import result_lines
-from asia.interfaces.mcp.answers import source_answer
+from asia.interfaces.cli.agent import result_lines
+from asia.interfaces.mcp.server import source_answer
 from asia.interfaces.workspace.program import program
 from asia.interfaces.workspace.server import RunDesk
 from asia.interfaces.workspace.workspace import write_views
@@ -85,7 +85,9 @@ def test_what_agents_see_is_what_is_told(
     assert last.trials[1].value == last.trials[2].value
     desk = RunDesk(directory)
     results = desk.results()
-    assert results[1].value == results[2].value == results[3].value == desk.progress().best_value
+    best = desk.progress().best
+    assert best is not None
+    assert results[1].V == results[2].V == results[3].V == best.V
     assert {r.folds for r in results} == {()}
     (tmp_path / "folder").mkdir()
     opened = open_run(directory)

@@ -21,7 +21,7 @@ from asia.analysis.ablation import ablate
 from asia.analysis.confirmation import confirm
 from asia.analysis.validation import validate
 from asia.export.pipeline import export
-from asia.interfaces.cli.results import describe, wide_console
+from asia.interfaces.cli.show import describe, wide_console
 from asia.interfaces.view.app import TokenOnly, make_app
 from asia.interfaces.view.followed import RunFolder
 from asia.interfaces.view.streams import Streams

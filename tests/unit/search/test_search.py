@@ -12,7 +12,7 @@ import pytest
 
 from asia.agents import Agent
 from asia.errors import Reason, UserError
-from asia.interfaces.cli.text import again_words
+from asia.interfaces.cli.output import again_words
 from asia.judge.evaluation.references import LINEAR
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.chain import in_use

@@ -205,11 +205,10 @@ def test_no_mount_shows_an_agent_the_test_or_its_key(tmp_path: Path, problem: Pa
 
 
 def test_rules_of_a_command_agent_are_checked_for_it(tmp_path: Path) -> None:
-    from asia.interfaces.coding_agents.session import run_command
-    from tests.unit.interfaces.workspace.commands import fake
+    from tests.unit.interfaces.workspace.commands import fake, run_command
 
     toy = write_problem(tmp_path / "toy")
     ready = prepare(load_problem(toy), "claude", seed=0, runs=tmp_path / "elsewhere" / "runs")
     rules = CommandRules(mounts=(toy,), jail=True)
     with pytest.raises(UserError, match="contains test data or their key"):
-        run_command(ready, fake("claude", "search"), rules, lambda e, v: None, lambda v: None)
+        run_command(ready, fake("claude", "search"), rules)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from asia.agents.llm.prompt import (
     NO_CANDIDATE,
-    Task,
     anonymous,
     bounded,
     problem_text,
@@ -22,9 +21,6 @@ from asia.errors import InternalError, UserError
 
 if TYPE_CHECKING:
     from asia.agents.llm.client import ChatClient, Message
-
-_ECHO = 40_000
-_WRONG = 300
 
 
 class LlmAgent:
@@ -77,10 +73,22 @@ class LlmAgent:
             {"role": "system", "content": problem_text(seen.facts)},
             {"role": "user", "content": search_text(seen, task, hide_baseline=hidden)},
         ]
-        reply, wrong = self._answered(self._client, messages, seen)
-        return _no_candidate(wrong) if reply is None else _proposal(reply, task, seen)
+        reply, wrong = self._last_reply(self._client, messages, seen)
+        if reply is None:
+            return Proposal(
+                source="# The answer held no candidate.py.\n",
+                family=NO_CANDIDATE,
+                title="answer without a candidate",
+                hypothesis="None: the model's answers could not be used.",
+                expected=f"A failure: {wrong}",
+            )
+        parent = task.parent
+        if task.kind != "repair" and reply.parent in {trial.number for trial in seen.trials}:
+            parent = reply.parent
+        family = reply.family if reply.family != NO_CANDIDATE else "custom"
+        return Proposal(reply.source, family, reply.title, reply.hypothesis, reply.expected, parent)
 
-    def _answered(
+    def _last_reply(
         self, client: ChatClient, messages: list[Message], view: AgentView
     ) -> tuple[Reply | None, str]:
         """Return the last answer with a source, and the error of the last answer of all."""
@@ -91,47 +99,19 @@ class LlmAgent:
             answer = client.ask(messages)
             try:
                 reply = read_reply(answer.text, answer.cut)
-                wrong = _wrong(reply, view)
+                wrong = reply.problem
+                if not wrong and view.is_known(reply.source):
+                    wrong = "this candidate was evaluated before (comments and layout do not count)"
             except MalformedReplyError as error:
                 wrong = str(error)
             if not wrong:
                 break
-            said = bounded(answer.text, _ECHO) or "(nothing)"
+            request = (
+                f"Your answer cannot be used, and no experiment was spent: {quoted(wrong, 300)}. "
+                "Answer again in the form asked for, with the complete candidate.py."
+            )
             messages += [
-                {"role": "assistant", "content": said},
-                {"role": "user", "content": _mend(wrong)},
+                {"role": "assistant", "content": bounded(answer.text, 40_000) or "(nothing)"},
+                {"role": "user", "content": request},
             ]
         return reply, wrong
-
-
-def _wrong(reply: Reply, view: AgentView) -> str:
-    if reply.problem:
-        return reply.problem
-    if view.is_known(reply.source):
-        return "this candidate was evaluated before (comments and layout do not count)"
-    return ""
-
-
-def _mend(wrong: str) -> str:
-    return (
-        f"Your answer cannot be used, and no experiment was spent: {quoted(wrong, _WRONG)}. "
-        "Answer again in the form asked for, with the complete candidate.py."
-    )
-
-
-def _proposal(reply: Reply, task: Task, view: AgentView) -> Proposal:
-    parent = task.parent
-    if task.kind != "repair" and reply.parent in {trial.number for trial in view.trials}:
-        parent = reply.parent
-    family = reply.family if reply.family != NO_CANDIDATE else "custom"
-    return Proposal(reply.source, family, reply.title, reply.hypothesis, reply.expected, parent)
-
-
-def _no_candidate(wrong: str) -> Proposal:
-    return Proposal(
-        source="# The answer held no candidate.py.\n",
-        family=NO_CANDIDATE,
-        title="answer without a candidate",
-        hypothesis="None: the model's answers could not be used.",
-        expected=f"A failure: {wrong}",
-    )

@@ -16,7 +16,6 @@ import httpx2
 from asia.agents.view import DivergedError, Journal
 from asia.ledger.events import Exchanged, Usage
 
-_LEAST_SECRET = 8
 _NEVER_SENT = ("ConnectError", "ConnectTimeout", "PoolTimeout", "UnsupportedProtocol", "ProxyError")
 
 
@@ -43,7 +42,7 @@ class Cassette(httpx2.BaseTransport):
     ) -> None:
         self._journal, self._inner, self._admit = journal, inner, admit
         self._usage_of = usage_of
-        self._secret = secret.encode() if len(secret) >= _LEAST_SECRET else b""
+        self._secret = secret.encode() if len(secret) >= 8 else b""
         self._experiment = 0
         self._recorded: list[Exchanged] = []
 

@@ -23,13 +23,6 @@ from asia.ledger.events import Usage
 Message = dict[str, str]
 
 _BUSY = frozenset({408, 409, 425, 429, 500, 502, 503, 504, 520, 522, 524, 529})
-_MARGIN = 1.25
-_MILLION = 1e6
-_MOST_TOKENS = 10**12
-_FIRST_WAIT = 1.0
-_LONGEST_WAIT = 60.0
-_POLL = 0.1
-_SAID = 300
 
 
 @dataclass(frozen=True)
@@ -87,7 +80,10 @@ class ChatClient:
         waited, attempt = 0.0, 0
         while True:
             try:
-                return self._send(messages)
+                create: Any = self._client.chat.completions.with_raw_response.create
+                s = self._settings
+                raw = create(model=s.model, messages=messages, extra_body=s.parameters)
+                return read_answer(raw.http_response.content)
             except openai.APIStatusError as error:
                 what = f"status {error.status_code}: {self._said(error)}"
                 if error.status_code not in _BUSY or error.code == "insufficient_quota":
@@ -101,30 +97,20 @@ class ChatClient:
                 if isinstance(error.__cause__, httpx2.ConnectError) and not self._answered:
                     self._give_up(what)
             attempt += 1
-            wait = min(_FIRST_WAIT * 2**attempt, _LONGEST_WAIT) if wait is None else wait
+            wait = min(2.0**attempt, 60.0) if wait is None else wait
             if attempt > self._settings.retries or waited + wait > self._settings.retry_seconds:
                 self._give_up(f"{what}, after {attempt} attempts")
-            self._wait(wait)
             waited += wait
+            end = time.monotonic() + wait
+            while (left := end - time.monotonic()) > 0:
+                if self._journal.interrupted():
+                    raise InterruptedWaitError
+                time.sleep(min(left, 0.1))
 
     @property
     def _answered(self) -> bool:
         """Whether the server ever did."""
         return any(200 <= e.status < 300 for e in self._journal.exchanges)
-
-    def _send(self, messages: list[Message]) -> Answer:
-        create: Any = self._client.chat.completions.with_raw_response.create
-        raw = create(
-            model=self._settings.model, messages=messages, extra_body=self._settings.parameters
-        )
-        return read_answer(raw.http_response.content)
-
-    def _wait(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0:
-            if self._journal.interrupted():
-                raise InterruptedWaitError
-            time.sleep(min(left, _POLL))
 
     def _admit(self, body: bytes) -> None:
         """Raise AgentStoppedError unless the worst-case cost of the request fits the remaining
@@ -157,7 +143,7 @@ class ChatClient:
             if e.usage is not None
         ]
         # A token is a byte or more; then the server's own counts tell.
-        rate = _MARGIN * max(reported) if reported else 1.0
+        rate = 1.25 * max(reported) if reported else 1.0
         tokens, cost = 0, 0.0
         for e in exchanges:
             if e.usage is not None:
@@ -178,7 +164,7 @@ class ChatClient:
         s = self._settings
         if s.price_input is None or s.price_output is None:
             return None
-        return (prompt * s.price_input + reply * s.price_output) / _MILLION
+        return (prompt * s.price_input + reply * s.price_output) / 1e6
 
     def _usage(self, content: bytes) -> Usage | None:
         usage = _object(_object(content).get("usage"))
@@ -206,9 +192,18 @@ class ChatClient:
                 f"{s.shown_url} does not know the model '{s.model}' or the path: check --model and "
                 f"--base-url, which ends in /v1 for most servers; it said: {said}"
             )
+        known = {
+            "temperature": "--temperature", "top_p": "--top-p", "seed": "--llm-seed",
+            "max_tokens": "--max-reply-tokens", "max_completion_tokens": "--max-reply-tokens",
+        }  # fmt: skip
+        advice = "Change the options of the language model, and choose another --name"
+        if error.param in known:
+            advice = (
+                f"The model does not take this value of {error.param}: change or leave out "
+                f"{known[error.param]}, and choose another --name"
+            )
         raise UserError(
-            f"{s.shown_url} refuses the request ({error.status_code}): {said}. "
-            f"{_advice(error.param)}"
+            f"{s.shown_url} refuses the request ({error.status_code}): {said}. {advice}"
         )
 
     def _give_up(self, what: str) -> NoReturn:
@@ -225,20 +220,7 @@ class ChatClient:
         body = _object(error.body)
         message = body.get("message")
         text = message if isinstance(message, str) else error.message
-        return one_line(text.replace(self._key, "[key]"), _SAID)
-
-
-def _advice(parameter: str | None) -> str:
-    known = {
-        "temperature": "--temperature", "top_p": "--top-p", "seed": "--llm-seed",
-        "max_tokens": "--max-reply-tokens", "max_completion_tokens": "--max-reply-tokens",
-    }  # fmt: skip
-    if parameter in known:
-        return (
-            f"The model does not take this value of {parameter}: change or leave out "
-            f"{known[parameter]}, and choose another --name"
-        )
-    return "Change the options of the language model, and choose another --name"
+        return one_line(text.replace(self._key, "[key]"), 300)
 
 
 def _network(url: str) -> httpx2.BaseTransport:
@@ -288,4 +270,4 @@ def _object(value: Any) -> dict[str, Any]:
 
 
 def _is_count(value: Any) -> TypeGuard[int]:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MOST_TOKENS
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 10**12

@@ -5,8 +5,8 @@ from __future__ import annotations
 import ast
 import json
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import astuple, dataclass, fields, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,11 +15,10 @@ from asia._syntax import syntax_tree
 from asia._text import one_line
 from asia.agents.library.recipe import MODELS
 from asia.agents.library.registry import families
-from asia.agents.library.space import OneOf, Span
-from asia.agents.view import AgentView, Facts, Trial
+from asia.agents.library.space import Span
+from asia.agents.view import AgentView, Facts, Running, Trial
 from asia.candidate import VALIDATION_SCORES, installed_libraries
-from asia.data.trajectory import Array, Signal
-from asia.judge.scoring.residuals import Diagnostics
+from asia.data.trajectory import Signal
 from asia.ledger.text import error_line
 from asia.problem.metrics import find_metric, metric_label
 from asia.problem.physics import Physics
@@ -51,8 +50,6 @@ def fenced(source: str, most: int) -> str:
 
 
 _TEXT = 8000
-_EXPRESSION = 400
-_RECORD_LINES = 64
 _SOURCE = 4000
 
 EXAMPLE = '''"""First-order difference equation, least squares on one-step errors."""
@@ -148,7 +145,18 @@ def problem_text(facts: Facts) -> str:
 
 def briefing(facts: Facts) -> str:
     """Describe task, problem, contract and library for an agent."""
-    metric = metric_label(facts.metric)
+    contract = _CONTRACT.format(
+        nu=len(facts.inputs),
+        ny=len(facts.outputs),
+        pu=facts.past_inputs,
+        py=facts.past_outputs,
+        libraries=", ".join(installed_libraries()),
+        seconds=facts.budget.fit_seconds,
+        stopping=_INNER
+        if facts.early_stopping == "inner"
+        else _VALIDATION.format(scores=VALIDATION_SCORES),
+        model=MODEL_RULES.replace("\n", "\n  "),
+    )
     sections = {
         "Description": bounded(facts.description, _TEXT),
         "Signals": "\n".join(_signals(facts)),
@@ -156,13 +164,13 @@ def briefing(facts: Facts) -> str:
         "Equations": "" if facts.physics is None else "\n".join(equations(facts.physics)),
         "Symmetry": "\n".join(symmetries(facts.symmetry)),
         "Training records": "\n".join(_records(facts)),
-        "Contract": _contract(facts),
+        "Contract": contract,
         "A small candidate": fenced(EXAMPLE, _SOURCE),
         "Library": library(facts),
         "Notes from the literature": bounded(facts.notes, _TEXT),
         "Strategies suggested": bounded(facts.strategies, _TEXT),
     }
-    parts = [_ROLE.format(metric=metric)]
+    parts = [_ROLE.format(metric=metric_label(facts.metric))]
     parts += [f"# {title}\n{text}" for title, text in sections.items() if text]
     return "\n\n".join(parts)
 
@@ -170,11 +178,8 @@ def briefing(facts: Facts) -> str:
 def _signals(facts: Facts) -> Iterator[str]:
     yield f"sampling time {facts.sampling_time:g} s"
     for kind, signals in (("u", facts.inputs), ("y", facts.outputs)):
-        yield f"{kind}: {', '.join(_label(s, i) for i, s in enumerate(signals))}"
-
-
-def _label(signal: Signal, index: int) -> str:
-    return f"[{index}] {one_line(signal.label, 60)}"
+        labels = ", ".join(f"[{i}] {one_line(s.label, 60)}" for i, s in enumerate(signals))
+        yield f"{kind}: {labels}"
 
 
 def _judgement(facts: Facts) -> Iterator[str]:
@@ -191,7 +196,7 @@ def _judgement(facts: Facts) -> Iterator[str]:
         + ("each holds out one block of every record." if not facts.groups else "each holds out ")
         + "; ".join(one_line(", ".join(group), 200) for group in facts.groups)
     )
-    yield (f"V: {find_metric(facts.metric).v_words}, mean over outputs, then over folds.")
+    yield f"V: {find_metric(facts.metric).v_words}, mean over outputs, then over folds."
     if facts.ladder is not None:
         yield ladder_rule(facts.ladder)
 
@@ -208,23 +213,27 @@ def ladder_rule(step: float) -> str:
 def equations(physics: Physics) -> Iterator[str]:
     """Yield the equations of the problem file, a line each."""
     yield f"states: {', '.join(physics.states)}"
-    ranges = {k: f"{r.min:g} to {r.max:g}" for k, r in physics.parameters.items()}
-    bounds = {k: _range(b.min, b.max) for k, b in physics.bounds.items()}
-    constants = {k: f"{v:g}" for k, v in physics.constants.items()}
-    for title, entries in (
-        ("parameters, unknown", ranges),
-        ("constants", constants),
-        ("definitions", physics.definitions),
-        ("d/dt", physics.dynamics),
-        ("observation", physics.observation),
-        ("bounds", bounds),
-    ):
-        yield from _entries(title, entries)
-    for title, lines in (
-        ("prior knowledge, mean +- standard deviation", prior_lines(physics)),
-        ("corrections, 0 in the equations as they stand", correction_lines(physics)),
-    ):
-        yield from _listed(title, lines)
+    bounds: dict[str, str] = {}
+    for name, bound in physics.bounds.items():
+        low, high = bound.min, bound.max
+        if low is None:
+            bounds[name] = "no bounds" if high is None else f"{high:g} or less"
+        else:
+            bounds[name] = f"{low:g} or more" if high is None else f"{low:g} to {high:g}"
+    entries: dict[str, Mapping[str, str]] = {
+        "parameters, unknown": {
+            k: f"{r.min:g} to {r.max:g}" for k, r in physics.parameters.items()
+        },
+        "constants": {k: f"{v:g}" for k, v in physics.constants.items()},
+        "definitions": physics.definitions,
+        "d/dt": physics.dynamics,
+        "observation": physics.observation,
+        "bounds": bounds,
+    }
+    for title, found in entries.items():
+        yield from _listed(title, (f"{name}: {one_line(e, 400)}" for name, e in found.items()))
+    yield from _listed("prior knowledge, mean +- standard deviation", prior_lines(physics))
+    yield from _listed("corrections, 0 in the equations as they stand", correction_lines(physics))
 
 
 def symmetries(symmetry: Symmetry) -> Iterator[str]:
@@ -232,94 +241,52 @@ def symmetries(symmetry: Symmetry) -> Iterator[str]:
     yield from _listed("symmetries: each leaves the laws as they are", symmetry_lines(symmetry))
 
 
-def _listed(title: str, lines: Iterator[str]) -> Iterator[str]:
+def _listed(title: str, lines: Iterable[str]) -> Iterator[str]:
     found = [f"  {line}" for line in lines]
     if found:
         yield from (f"{title}:", *found)
 
 
-def _entries(title: str, entries: Mapping[str, str]) -> Iterator[str]:
-    if entries:
-        yield f"{title}:"
-        for name, text in entries.items():
-            yield f"  {name}: {one_line(text, _EXPRESSION)}"
-
-
-def _range(low: float | None, high: float | None) -> str:
-    """Describe a range, in words where a side has no bound."""
-    if low is None and high is None:
-        return "no bounds"
-    if low is None:
-        return f"{high:g} or less"
-    return f"{low:g} or more" if high is None else f"{low:g} to {high:g}"
-
-
 def _records(facts: Facts) -> Iterator[str]:
     """Each channel of the first records, as many as there is room for."""
     channels = len(facts.inputs) + len(facts.outputs)
-    shown = facts.records[: max(1, _RECORD_LINES // channels)]
+    shown = facts.records[: max(1, 64 // channels)]
     for record in shown:
         yield f"{one_line(record.name, 60) or 'record'}: {len(record)} samples"
         for kind, values in (("u", record.u), ("y", record.y)):
-            yield from (f"  {kind}[{i}] {_statistics(c)}" for i, c in enumerate(values.T))
+            for i, x in enumerate(values.T):
+                yield (
+                    f"  {kind}[{i}] min {x.min():.4g}, mean {x.mean():.4g}, max {x.max():.4g}, "
+                    f"std {x.std():.4g}, std of its steps {np.diff(x).std():.4g}"
+                )
     if len(facts.records) > len(shown):
         yield f"and {len(facts.records) - len(shown)} more, {facts.samples} samples in all"
 
 
-def _statistics(x: Array) -> str:
-    moves = np.diff(x)
-    return (
-        f"min {x.min():.4g}, mean {x.mean():.4g}, max {x.max():.4g}, std {x.std():.4g}, "
-        f"std of its steps {moves.std():.4g}"
-    )
-
-
-def _contract(facts: Facts) -> str:
-    inner = facts.early_stopping == "inner"
-    return _CONTRACT.format(
-        nu=len(facts.inputs),
-        ny=len(facts.outputs),
-        pu=facts.past_inputs,
-        py=facts.past_outputs,
-        libraries=", ".join(installed_libraries()),
-        seconds=facts.budget.fit_seconds,
-        stopping=_INNER if inner else _VALIDATION.format(scores=VALIDATION_SCORES),
-        model=MODEL_RULES.replace("\n", "\n  "),
-    )
-
-
 def library(facts: Facts) -> str:
     """The families that suit a problem, with the calls to start from."""
-    return "\n".join(_library(facts))
-
-
-def _library(facts: Facts) -> Iterator[str]:
     rows = families(facts)
-    yield (
+    lines = [
         "Families of asia.models, the most apt for this problem first. All follow the pattern "
         "below; the calls in each line are where to start. You may also write a model of your own."
-    )
+    ]
     for row in rows:
-        calls = "; ".join(_settings(row.trial(facts).source("")))
+        # The assignments say model and method.
+        tree = syntax_tree(row.trial(facts).source(""), "candidate.py")
+        calls = "; ".join(ast.unparse(n) for n in ast.walk(tree) if isinstance(n, ast.Assign))
         space = row.space(facts)
-        varied = ", ".join(_varied(choice) for choice in (*space.config, *space.options))
+        varied = ", ".join(
+            f"{choice.name} {choice.low:g} to {choice.high:g}"
+            if isinstance(choice, Span)
+            else f"{choice.name} {'|'.join(map(str, choice.values))}"
+            for choice in (*space.config, *space.options)
+        )
         where = "" if row.package == MODELS else f"from {row.package} import {row.name}; "
-        known = f"- {row.name} ({row.label}): {row.use}. {where}{calls}"
-        yield known + (varied and f"; vary {varied}")
+        line = f"- {row.name} ({row.label}): {row.use}. {where}{calls}"
+        lines.append(line + (varied and f"; vary {varied}"))
     if rows:
-        yield fenced(rows[0].trial(facts).source(f"{rows[0].label}.".capitalize()), _SOURCE)
-
-
-def _settings(source: str) -> list[str]:
-    """The assignments that say model and method."""
-    nodes = [n for n in ast.walk(syntax_tree(source, "candidate.py")) if isinstance(n, ast.Assign)]
-    return [ast.unparse(node) for node in nodes]
-
-
-def _varied(choice: OneOf | Span) -> str:
-    if isinstance(choice, Span):
-        return f"{choice.name} {choice.low:g} to {choice.high:g}"
-    return f"{choice.name} {'|'.join(str(value) for value in choice.values)}"
+        lines.append(fenced(rows[0].trial(facts).source(f"{rows[0].label}.".capitalize()), _SOURCE))
+    return "\n".join(lines)
 
 
 # Summary of the search for a language model, and the request to it.
@@ -331,16 +298,10 @@ def _varied(choice: OneOf | Span) -> str:
 NO_CANDIDATE = "none"
 ERROR = 300
 
-_SEARCH_SOURCE = 16_000
 _SAID = 300
-_TITLE = 80
-_NOTE = 1000
-_NOTES = 10
-_TOLD = 5
-_BEST = 10
-_RECENT = 40
-_EVIDENCE = 60
 
+# Lines of evidence, each one line whatever a candidate printed.
+_EVIDENCE = 60
 _MEANING = """\
 train_error: the metric on the training folds (far below V: overfitted; about V: too simple);
 bias, whiteness (autocorrelation), input_correlation, curvature of the training residuals: 0 is
@@ -380,72 +341,75 @@ def search_text(view: AgentView, task: Task, hide_baseline: bool = False) -> str
     Args:
         hide_baseline: leave out the source of experiment 1
     """
-    shown = _Shown(view, hide_baseline)
+
+    def source(trial: Trial) -> str:
+        if hide_baseline and trial.number == 1:
+            return "(its source is not shown)"
+        return f"source of #{trial.number}:\n{fenced(trial.source, 16_000)}"
+
     parts = [
         f"{len(view.trials)} experiments done, {view.remaining} left. Phase: {view.phase}.",
-        "# Experiments\n" + "\n".join(_lines(view)),
-        "# Families tried\n" + "\n".join(_families(view)),
+        "# Experiments\n" + "\n".join(_experiments(view)),
     ]
     if view.running:
-        parts.insert(2, "# Running now, without a result yet\n" + "\n".join(_running(view)))
-    if view.best is not None:
-        parts.append("# Best so far\n" + "\n".join(shown.best(view.best)))
+        running = [
+            f"{_title(each)}: hypothesis {quoted(each.hypothesis, _SAID)}" for each in view.running
+        ]
+        parts.append("# Running now, without a result yet\n" + "\n".join(running))
+    parts.append("# Families tried\n" + "\n".join(_families(view)))
+    best = view.best
+    if best is not None:
+        lines = [_line(best), *_training(best), _MEANING, *best.evidence[:_EVIDENCE], source(best)]
+        parts.append("# Best so far\n" + "\n".join(lines))
     last = view.trials[-1] if view.trials else None
-    if last is not None and last is not view.best and last.evidence:
-        parts.append("# The last experiment\n" + "\n".join((_line(last), *_evidence(last))))
+    if last is not None and last is not best and last.evidence:
+        lines = [_line(last), *last.evidence[:_EVIDENCE]]
+        parts.append("# The last experiment\n" + "\n".join(lines))
     if task.kind == "repair" and task.parent is not None:
-        parts.append("# To mend\n" + "\n".join(shown.failed(task.parent)))
+        failed = [trial for trial in view.trials if trial.number == task.parent]
+        lines = [line for trial in failed for line in (_line(trial), source(trial))]
+        parts.append("# To mend\n" + "\n".join(lines))
     if view.notes:
-        said = "\n".join(f"- {bounded(note, _NOTE)}" for note in view.notes[-_NOTES:])
-        parts.append(f"# Notes of the user\n{said}")
-    parts.append(f"# Task\n{_ask(view, task)}{_apart(view)}")
+        notes = "\n".join(f"- {bounded(note, 1000)}" for note in view.notes[-10:])
+        parts.append(f"# Notes of the user\n{notes}")
+    parts.append(f"# Task\n{_request(view, task)}")
     return "\n\n".join(parts)
 
 
-def _lines(view: AgentView) -> Iterator[str]:
-    """One line each: the best, the most recent, and how many are left out."""
-    best = {trial.number for trial in view.ranked[:_BEST]}
-    recent = {trial.number for trial in view.trials[-_RECENT:]}
+def _experiments(view: AgentView) -> Iterator[str]:
+    """One line each: the best 10, the most recent 40, and how many are left out."""
+    best = {trial.number for trial in view.ranked[:10]}
+    recent = {trial.number for trial in view.trials[-40:]}
     kept = [trial for trial in view.trials if trial.number in best | recent]
     if len(kept) < len(view.trials):
         yield f"({len(view.trials) - len(kept)} older ones are left out)"
-    shown = {trial.number for trial in view.trials[-_TOLD:]}
+    last = {trial.number for trial in view.trials[-5:]}
     for trial in kept:
         yield _line(trial)
-        if trial.number in shown:
+        if trial.number in last:
             yield (
                 f"    hypothesis {quoted(trial.hypothesis, _SAID)}, expected "
                 f"{quoted(trial.expected, _SAID)}"
             )
 
 
-def _running(view: AgentView) -> Iterator[str]:
-    for known in view.running:
-        origin = f" from #{known.parent}" if known.parent is not None else ""
-        yield (
-            f"#{known.number}{origin} {quoted(known.family, 40)} {quoted(known.title, _TITLE)}: "
-            f"hypothesis {quoted(known.hypothesis, _SAID)}"
-        )
+def _title(trial: Trial | Running, status: str = "") -> str:
+    origin = f" from #{trial.parent}" if trial.parent is not None else ""
+    title = f"{quoted(trial.family, 40)} {quoted(trial.title, 80)}"
+    return f"#{trial.number}{status}{origin} {title}"
 
 
 def _line(trial: Trial) -> str:
-    origin = f" from #{trial.parent}" if trial.parent is not None else ""
-    head = (
-        f"#{trial.number} {trial.status}{origin} {quoted(trial.family, 40)} "
-        f"{quoted(trial.title, _TITLE)}"
-    )
+    head = _title(trial, f" {trial.status}")
     if trial.value is not None:
         folds = ", ".join(f"{v:.5g}" for v in trial.folds)
         train = trial.train_error
         tail = "" if train is None else f", train_error {train:.4g}"
         parts = f" (folds {folds})" if folds else ""
         return f"{head}: V {trial.value:.5g}{parts}{tail}"
-    return f"{head}: {one_line(trial.failure or 'failed', 200)}{_words(trial)}"
-
-
-def _words(trial: Trial) -> str:
-    line = error_line(trial.error, ERROR)
-    return f"; it said {quoted(line, ERROR)}" if line else ""
+    error = error_line(trial.error, ERROR)
+    said = f"; it said {quoted(error, ERROR)}" if error else ""
+    return f"{head}: {one_line(trial.failure or 'failed', 200)}{said}"
 
 
 def _families(view: AgentView) -> Iterator[str]:
@@ -462,75 +426,43 @@ def _families(view: AgentView) -> Iterator[str]:
         yield f"- {quoted(name, 40)}: {len(trials)} tried, {failures} failed, {found}"
 
 
-@dataclass(frozen=True)
-class _Shown:
-    view: AgentView
-    hide_baseline: bool
-
-    def best(self, trial: Trial) -> Iterator[str]:
-        """The incumbent with its evidence."""
-        yield _line(trial)
-        for fold, diagnostics in enumerate(trial.diagnostics, 1):
-            yield f"fold {fold}, training side: {_numbers(diagnostics)}"
-        for fold, curve in enumerate(trial.curves, 1):
-            if curve:
-                losses = np.array([loss for _, loss in curve])
-                yield (
-                    f"fold {fold}, logged loss: {losses[0]:.4g} at step {curve[0][0]:g}, least "
-                    f"{losses.min():.4g}, {losses[-1]:.4g} at step {curve[-1][0]:g}"
-                )
-        yield _MEANING
-        yield from _evidence(trial)
-        yield self._source(trial)
-
-    def failed(self, number: int) -> Iterator[str]:
-        """Describe the trial to correct."""
-        for trial in self.view.trials:
-            if trial.number == number:
-                yield _line(trial)
-                yield self._source(trial)
-
-    def _source(self, trial: Trial) -> str:
-        if self.hide_baseline and trial.number == 1:
-            return "(its source is not shown)"
-        return f"source of #{trial.number}:\n{fenced(trial.source, _SEARCH_SOURCE)}"
+def _training(trial: Trial) -> Iterator[str]:
+    """Yield the training-side figures and the logged losses of each fold."""
+    for fold, diagnostics in enumerate(trial.diagnostics, 1):
+        numbers = ", ".join(f"{name} {value:.4g}" for name, value in asdict(diagnostics).items())
+        yield f"fold {fold}, training side: {numbers}"
+    for fold, curve in enumerate(trial.curves, 1):
+        if curve:
+            losses = np.array([loss for _, loss in curve])
+            yield (
+                f"fold {fold}, logged loss: {losses[0]:.4g} at step {curve[0][0]:g}, least "
+                f"{losses.min():.4g}, {losses[-1]:.4g} at step {curve[-1][0]:g}"
+            )
 
 
-def _evidence(trial: Trial) -> Iterator[str]:
-    """Bounded already; each line is one line whatever a candidate printed."""
-    yield from trial.evidence[:_EVIDENCE]
-
-
-def _numbers(diagnostics: Diagnostics) -> str:
-    values = zip(fields(diagnostics), astuple(diagnostics), strict=True)
-    return ", ".join(f"{field.name} {value:.4g}" for field, value in values)
-
-
-def _apart(view: AgentView) -> str:
-    if not view.running:
-        return ""
-    return (
-        " Do not wait for what is running, and do not repeat it: take another direction, so that "
-        "the results say different things."
-    )
-
-
-def _ask(view: AgentView, task: Task) -> str:
+def _request(view: AgentView, task: Task) -> str:
     if task.kind == "repair":
-        return (
+        request = (
             f"Experiment #{task.parent} failed. Find the cause, and answer with the mended, "
             "complete candidate.py; keep its idea."
         )
-    if task.kind == "explore":
-        return (
+    elif task.kind == "explore":
+        request = (
             "Explore: propose a candidate of a family that is not among those tried, as different "
             "from them as the physics allows, in a simple first version."
         )
-    leader = f"#{task.parent}" if task.parent is not None else "what there is"
-    return (
-        f"Refine: propose a candidate that beats {leader}. Say what its evidence tells you, and "
-        "change one thing for a reason; or combine what worked."
-    )
+    else:
+        leader = f"#{task.parent}" if task.parent is not None else "what there is"
+        request = (
+            f"Refine: propose a candidate that beats {leader}. Say what its evidence tells you, "
+            "and change one thing for a reason; or combine what worked."
+        )
+    if view.running:
+        request += (
+            " Do not wait for what is running, and do not repeat it: take another direction, so "
+            "that the results say different things."
+        )
+    return request
 
 
 # Anonymous view of a search, to measure the value of knowing the system.
@@ -544,25 +476,23 @@ def anonymous(view: AgentView) -> AgentView:
     too. Array columns keep their order, so that candidates need no names.
     """
     facts = view.facts
-    names = _names(facts)
-    words = re.compile("|".join(rf"(?<!\w){re.escape(n)}(?!\w)" for n in names)) if names else None
+    records = {r.name: f"r{i}" for i, r in enumerate(facts.records, 1)}
+    # Real name to alias; the longest first, so that none is replaced inside another.
+    units = {s.unit for s in (*facts.inputs, *facts.outputs) if s.unit}
+    names = {**dict.fromkeys(units, "unit"), **records}
+    for letter, given in (
+        ("x", facts.physics.states if facts.physics else ()),
+        ("y", [s.name for s in facts.outputs]),
+        ("u", [s.name for s in facts.inputs]),
+    ):
+        names |= {name: f"{letter}{i}" for i, name in enumerate(given, 1)}
+    ordered = sorted((n for n in names if n), key=lambda n: (-len(n), n))
+    pattern = "|".join(rf"(?<!\w){re.escape(n)}(?!\w)" for n in ordered)
 
     def renamed(text: str) -> str:
-        return text if words is None else words.sub(lambda found: names[found.group()], text)
+        return re.sub(pattern, lambda found: names[found.group()], text) if ordered else text
 
-    return replace(
-        view,
-        facts=_facts(facts),
-        trials=tuple(
-            replace(t, error=renamed(t.error), evidence=tuple(map(renamed, t.evidence)))
-            for t in view.trials
-        ),
-    )
-
-
-def _facts(facts: Facts) -> Facts:
-    records = {r.name: f"r{i}" for i, r in enumerate(facts.records, 1)}
-    return replace(
+    hidden = replace(
         facts,
         description="",
         notes="",
@@ -574,18 +504,11 @@ def _facts(facts: Facts) -> Facts:
         records=tuple(replace(record, name=f"r{i}") for i, record in enumerate(facts.records, 1)),
         groups=tuple(tuple(records.get(n, n) for n in group) for group in facts.groups),
     )
-
-
-def _names(facts: Facts) -> dict[str, str]:
-    """Real name to alias, the longest first, so that none is replaced inside another."""
-    names = {r.name: f"r{i}" for i, r in enumerate(facts.records, 1)}
-    states = facts.physics.states if facts.physics else ()
-    for letter, given in (
-        ("x", states),
-        ("y", [s.name for s in facts.outputs]),
-        ("u", [s.name for s in facts.inputs]),
-    ):
-        names |= {name: f"{letter}{i}" for i, name in enumerate(given, 1)}
-    units = {s.unit for s in (*facts.inputs, *facts.outputs) if s.unit}
-    names = {**dict.fromkeys(units, "unit"), **names}
-    return {n: names[n] for n in sorted(names, key=lambda n: (-len(n), n)) if n}
+    return replace(
+        view,
+        facts=hidden,
+        trials=tuple(
+            replace(t, error=renamed(t.error), evidence=tuple(map(renamed, t.evidence)))
+            for t in view.trials
+        ),
+    )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,7 +12,6 @@ from asia.agents.llm.client import read_answer
 from asia.agents.llm.prompt import NO_CANDIDATE
 from asia.candidate import check_source
 from asia.errors import CandidateError
-from asia.ledger.events import Exchanged
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment
 
@@ -23,7 +21,6 @@ from asia.ledger.view import Experiment
 _TEXT = 1000
 _TITLE = 60
 _FAMILY = 30
-_LONG = ("hypothesis", "expected")
 _FENCE = re.compile(r"^\s{0,3}(`{3,}|~{3,})[ \t]*(\w*)[^\n]*$")
 _LABEL = re.compile(
     r"^[\s>#*_-]*(hypothesis|expected|family|title|parent)[\s*_]*[:=][\s*_]*(.*)$", re.IGNORECASE
@@ -58,35 +55,8 @@ def read_reply(text: str, cut: bool = False) -> Reply:
     Raises:
         MalformedReplyError: when it holds no candidate
     """
-    text = _without_thoughts(text)
-    prose, blocks, is_open = _split(text)
-    if cut or is_open:
-        raise MalformedReplyError(
-            "the answer ended before candidate.py was complete: be shorter"
-            if cut
-            else "the python block has no closing fence"
-        )
-    if not blocks:
-        raise MalformedReplyError("the answer has no fenced python block with candidate.py")
-    source, wrong = _best(blocks)
-    said = dict(_labels(prose))
-    hypothesis = one_line(said.get("hypothesis", ""), _TEXT) or "not said"
-    family = one_line(said.get("family", "").lower(), _FAMILY).strip("`'\" ") or "custom"
-    parent = re.search(r"\d+", said.get("parent", ""))
-    return Reply(
-        source=source,
-        hypothesis=hypothesis,
-        expected=one_line(said.get("expected", ""), _TEXT) or "not said",
-        family=family,
-        title=one_line(said.get("title", ""), _TITLE).strip("`'\" ") or family,
-        parent=int(parent.group()[:9]) if parent else None,
-        problem=wrong,
-    )
-
-
-def _without_thoughts(text: str) -> str:
-    """Remove the model's thoughts in one pass: a model that repeats itself must not cost the square
-    of its answer."""
+    # Without the model's thoughts, removed in one pass: a model that repeats itself must not cost
+    # the square of its answer.
     parts: list[str] = []
     at = 0
     while begin := _THOUGHT.search(text, at):
@@ -95,40 +65,63 @@ def _without_thoughts(text: str) -> str:
             break
         parts.append(text[at : begin.start()])
         at = end.end()
-    return "".join((*parts, text[at:]))
+    text = "".join((*parts, text[at:]))
 
-
-def _split(text: str) -> tuple[str, list[str], bool]:
-    """Text outside fences, the blocks inside, and whether the last fence is open."""
+    # Text outside fences, and the blocks inside.
     prose: list[str] = []
     blocks: list[str] = []
     block: list[str] = []
     fence = ""
     for line in text.splitlines():
         found = _FENCE.match(line)
-        if fence:
-            if found and not found[2] and found[1].startswith(fence):
-                blocks.append("\n".join(block) + "\n")
-                fence, block = "", []
+        if not fence:
+            if found:
+                fence = found[1]
             else:
-                block.append(line)
-        elif found:
-            fence = found[1]
+                prose.append(line)
+        elif found and not found[2] and found[1].startswith(fence):
+            blocks.append("\n".join(block) + "\n")
+            fence, block = "", []
         else:
-            prose.append(line)
-    return "\n".join(prose), blocks, bool(fence)
+            block.append(line)
+    if cut:
+        raise MalformedReplyError("the answer ended before candidate.py was complete: be shorter")
+    if fence:
+        raise MalformedReplyError("the python block has no closing fence")
+    if not blocks:
+        raise MalformedReplyError("the answer has no fenced python block with candidate.py")
+
+    # The last block that can be a candidate; without one the longest, and its error.
+    source = next((block for block in reversed(blocks) if not _error(block)), None)
+    problem = ""
+    if source is None:
+        source = max(blocks, key=len)
+        problem = _error(source)
+
+    # The text of each label; that of a hypothesis may go on over several lines.
+    said: dict[str, str] = {}
+    label = ""
+    for line in prose:
+        found = _LABEL.match(line)
+        if found:
+            label = found[1].lower()
+            said[label] = found[2]
+        elif label in ("hypothesis", "expected"):
+            said[label] += f" {line}"
+    family = one_line(said.get("family", "").lower(), _FAMILY).strip("`'\" ") or "custom"
+    parent = re.search(r"\d+", said.get("parent", ""))
+    return Reply(
+        source=source,
+        hypothesis=one_line(said.get("hypothesis", ""), _TEXT) or "not said",
+        expected=one_line(said.get("expected", ""), _TEXT) or "not said",
+        family=family,
+        title=one_line(said.get("title", ""), _TITLE).strip("`'\" ") or family,
+        parent=int(parent.group()[:9]) if parent else None,
+        problem=problem,
+    )
 
 
-def _best(blocks: list[str]) -> tuple[str, str]:
-    """Return the last block that can be a candidate; without one the longest, and its error."""
-    for block in reversed(blocks):
-        if not _wrong(block):
-            return block, ""
-    longest = max(blocks, key=len)
-    return longest, _wrong(longest)
-
-
-def _wrong(source: str) -> str:
+def _error(source: str) -> str:
     try:
         check_source(source)
     except CandidateError as error:
@@ -136,27 +129,10 @@ def _wrong(source: str) -> str:
     return ""
 
 
-def _labels(prose: str) -> Iterator[tuple[str, str]]:
-    """Label in lower case and its text; that of a hypothesis may go on over several lines."""
-    label, text = "", ""
-    for line in prose.splitlines():
-        found = _LABEL.match(line)
-        if found:
-            if label:
-                yield label, text
-            label, text = found[1].lower(), found[2]
-        elif label in _LONG:
-            text = f"{text} {line}"
-    if label:
-        yield label, text
-
-
 # Report on a language model in a search: contract violations and cost.
 
 
 LlmVerdict = Literal["able", "able with repairs", "not able"]
-
-_WRONG = 200
 
 
 @dataclass(frozen=True)
@@ -209,14 +185,28 @@ def llm_report(run: Run) -> LlmReport:
     view = run.view
     steps = [e for e in view.finished if e.proposed.phase != "baseline"]
     answered = [e for e in view.exchanges if 200 <= e.status < 300]
-    objections = [(e.experiment, _objection(run, e)) for e in answered]
-    count = Counter(number for number, _ in objections)
-    wrong = Counter(words for _, words in objections if words)
+    count = Counter(exchange.experiment for exchange in answered)
+    wrong: Counter[str] = Counter()
+    for exchange in answered:
+        answer = read_answer(run.store.get(exchange.response))
+        try:
+            error = one_line(read_reply(answer.text, answer.cut).problem, 200)
+        except MalformedReplyError as malformed:
+            error = str(malformed)
+        if error:
+            wrong[error] += 1
     at_once = [s for s in steps if count[s.number] == 1 and s.proposed.family != NO_CANDIDATE]
     lost = [s for s in steps if s.proposed.family == NO_CANDIDATE]
     failures = Counter(s.failure.reason.value for s in steps if s.failure is not None)
     used = [e.usage for e in answered if e.usage is not None]
     settings = view.started.agent_settings
+
+    def counted(found: Counter[str]) -> tuple[str, ...]:
+        return tuple(f"{text} ({number} times)" for text, number in found.most_common())
+
+    def lowest(experiments: list[Experiment]) -> float | None:
+        return min((e.score.value for e in experiments if e.score is not None), default=None)
+
     return LlmReport(
         model=settings.get("model", ""),
         base_url=settings.get("base_url", ""),
@@ -226,29 +216,11 @@ def llm_report(run: Run) -> LlmReport:
         repaired=len(steps) - len(at_once) - len(lost),
         without_candidate=len(lost),
         scored=sum(s.score is not None for s in steps),
-        wrong=_counted(wrong),
-        failures=_counted(failures),
-        baseline=_best_in_search([e for e in view.finished if e.proposed.phase == "baseline"]),
-        best=_best_in_search(steps),
+        wrong=counted(wrong),
+        failures=counted(failures),
+        baseline=lowest([e for e in view.finished if e.proposed.phase == "baseline"]),
+        best=lowest(steps),
         prompt_tokens=max((u.input_tokens for u in used), default=0),
         reply_tokens=max((u.output_tokens for u in used), default=0),
         tokens_a_step=sum(u.tokens for u in used) / len(steps) if steps else 0.0,
     )
-
-
-def _objection(run: Run, exchange: Exchanged) -> str:
-    """Describe the error of an answer; "" for none."""
-    answer = read_answer(run.store.get(exchange.response))
-    try:
-        reply = read_reply(answer.text, answer.cut)
-    except MalformedReplyError as error:
-        return str(error)
-    return one_line(reply.problem, _WRONG)
-
-
-def _counted(found: Counter[str]) -> tuple[str, ...]:
-    return tuple(f"{words} ({count} times)" for words, count in found.most_common())
-
-
-def _best_in_search(experiments: list[Experiment]) -> float | None:
-    return min((e.score.value for e in experiments if e.score is not None), default=None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 from collections.abc import Mapping
@@ -18,8 +19,6 @@ _OURS = frozenset({
     "model", "messages", "stream", "n", "max_tokens", "max_completion_tokens", "temperature",
     "top_p", "seed",
 })  # fmt: skip
-_NO_KEY = "none"
-_TEXTS = ("model", "base_url")
 
 
 @dataclass(frozen=True)
@@ -134,7 +133,7 @@ class LlmSettings:
                 f"{self.api_key_env} is not set: export it, or give the --base-url of a server "
                 "that needs no key"
             )
-        return key or _NO_KEY
+        return key or "none"
 
     def record(self) -> dict[str, str]:
         """Return the settings that shape the search, for the ledger: no key, no limit that may be
@@ -162,7 +161,9 @@ class LlmSettings:
             UserError: when it is not one
         """
         try:
-            given = {k: v if k in _TEXTS else json.loads(v) for k, v in record.items()}
+            given = {
+                k: v if k in ("model", "base_url") else json.loads(v) for k, v in record.items()
+            }
             if given.keys() - {f.name for f in fields(cls)}:
                 raise ValueError
             return TypeAdapter(cls).validate_json(json.dumps(given), strict=True)
@@ -170,3 +171,34 @@ class LlmSettings:
             raise UserError(
                 "the ledger does not contain the settings of its language model"
             ) from None
+
+
+def first_model(base_url: str, api_key_env: str) -> str:
+    """The name of the first model that an OpenAI-compatible server lists.
+
+    Raises:
+        UserError: without the extra `llm`, for a server that cannot be reached, and for one
+            that lists none
+    """
+    if importlib.util.find_spec("openai") is None:
+        raise UserError(
+            "asking a server needs the package openai: pip install '.[llm]' in a clone of ASIA"
+        )
+    import openai
+
+    settings = LlmSettings("any", base_url, api_key_env=api_key_env)
+    client = openai.OpenAI(
+        api_key=settings.api_key(), base_url=settings.url, max_retries=0, timeout=20.0
+    )
+    try:
+        names = [model.id for model in client.models.list().data]
+    except openai.APIError as error:
+        raise UserError(
+            f"{settings.shown_url} does not list its models ({type(error).__name__}): check "
+            "--base-url, which ends in /v1 for most servers, or name the model with --model"
+        ) from None
+    finally:
+        client.close()
+    if not names:
+        raise UserError(f"{settings.shown_url} lists no model: name one with --model")
+    return names[0]

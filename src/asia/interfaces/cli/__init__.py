@@ -21,6 +21,7 @@ from asia._diagnostic import error_sentence
 from asia._plugins import Part, parts_of
 from asia._text import say
 from asia.errors import CandidateError, SandboxError, UserError
+from asia.interfaces.cli import agent as _agent
 from asia.interfaces.cli import bench as _bench
 from asia.interfaces.cli import check as _check
 from asia.interfaces.cli import (
@@ -28,20 +29,15 @@ from asia.interfaces.cli import (
     doctor,
     export,
     init,
-    llm_check,
-    mcp,
     models,
-    redteam,
     report,
     show,
     status,
     steer,
-    try_,
     unseal,
     validate,
     verify,
     view,
-    workspace,
 )
 from asia.interfaces.cli import run as _run
 from asia.interfaces.cli.options import with_groups
@@ -51,7 +47,6 @@ __all__ = ["app", "main"]
 INTERRUPTED = 130
 TERMINATED = 128 + signal.SIGTERM
 PLUGINS = "asia.commands"
-MORE = "More commands"
 MOVED = {
     "diff": "`asia diff` is now `asia show N M`.",
     "confirm": "`asia confirm` is now `asia validate --repeat`.",
@@ -84,8 +79,8 @@ class Commands(TyperGroup):
         own = super().get_command(ctx, cmd_name)
         if own is not None or cmd_name in MOVED:
             return own
-        found = next((part for part in parts_of(PLUGINS) if part.name == cmd_name), None)
-        return None if found is None else _plugin_command(found)
+        part = next((part for part in parts_of(PLUGINS) if part.name == cmd_name), None)
+        return None if part is None else _plugin_command(part)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command of a command line. Raises UserError for an old name."""
@@ -143,14 +138,14 @@ _MORE: dict[str, Callable[..., None] | typer.Typer] = {
     "doctor": doctor.doctor,
     "models": models.models,
     "demo": demo.demo,
-    "try": try_.try_,
+    "try": _agent.try_,
 }
 _AGENT: dict[str, Callable[..., None]] = {
-    "workspace": workspace.workspace,
-    "try": try_.try_,
-    "mcp": mcp.mcp,
-    "config": mcp.mcp_config,
-    "check": llm_check.llm_check,
+    "workspace": _agent.workspace,
+    "try": _agent.try_,
+    "mcp": _agent.mcp,
+    "config": _agent.mcp_config,
+    "check": _agent.llm_check,
 }
 _BENCH: dict[str, Callable[..., None]] = {
     "paper": _bench.paper,
@@ -160,13 +155,13 @@ _BENCH: dict[str, Callable[..., None]] = {
 _BRIEF_HELP = {
     _run.run: _run.BRIEF_HELP,
     init.init: init.BRIEF_HELP,
-    workspace.workspace: workspace.BRIEF_HELP,
+    _agent.workspace: _agent.BRIEF_HELP,
 }
 """Options that `--help` of a command shows; `--help-all` shows the others too. Without an entry
 here `--help` shows all."""
 for _app, _commands, _panel in (
     (app, _MAIN, None),
-    (app, _MORE, MORE),
+    (app, _MORE, "More commands"),
     (agent_app, _AGENT, None),
     (bench_app, _BENCH, None),
 ):
@@ -189,20 +184,19 @@ def _plugin_command(part: Part) -> Any:
                 f"function, got {type(loaded).__name__}"
             )
     except UserError as error:
-        loaded = _broken(error)
+        reason = error
+
+        def broken() -> None:
+            """Does not load; `asia doctor` gives the reason."""
+            raise reason
+
+        loaded = broken
+
     plugin = loaded if isinstance(loaded, typer.Typer) else typer.Typer(add_completion=False)
     if inspect.isfunction(loaded):
         plugin.command()(with_groups(loaded))
     command: Any = typer.main.get_command(plugin)
     command.name, command.rich_help_panel = part.name, f"Commands of {part.package}"
-    return command
-
-
-def _broken(error: UserError) -> Callable[[], None]:
-    def command() -> None:
-        """Does not load; `asia doctor` gives the reason."""
-        raise error
-
     return command
 
 
@@ -221,46 +215,46 @@ def _version(
 
 def main() -> None:
     """Entry point of the `asia` command."""
-    before = signal.signal(signal.SIGTERM, _terminate)
+
+    def terminate(number: int, frame: FrameType | None) -> NoReturn:
+        """Exit as for an interrupt, so that workers are stopped and the ledger is closed."""
+        sys.exit(TERMINATED)
+
+    def complain(message: str, code: int) -> int:
+        say(f"asia: {message}", file=sys.stderr)
+        return code
+
+    before = signal.signal(signal.SIGTERM, terminate)
     try:
         app(args=spread(sys.argv[1:]))
     except UserError as error:
-        sys.exit(_complain(str(error), 2))
+        sys.exit(complain(str(error), 2))
     except CandidateError as error:
-        sys.exit(_complain(f"the candidate failed: {error.reason.advice}", 1))
+        sys.exit(complain(f"the candidate failed: {error.reason.advice}", 1))
     except SandboxError as error:
-        sys.exit(_complain(f"the sandbox failed: {error}", 1))
+        sys.exit(complain(f"the sandbox failed: {error}", 1))
     except OSError as error:
-        sys.exit(_complain(f"{error.strerror or error}: {error.filename or 'a file'}", 2))
+        sys.exit(complain(f"{error.strerror or error}: {error.filename or 'a file'}", 2))
     except Exception as error:
         # A search has written its traceback already.
         notes = getattr(error, "__notes__", ())
         if not notes:
             raise
-        sys.exit(_complain(f"internal error: {error_sentence(error)}; {'; '.join(notes)}", 1))
+        sys.exit(complain(f"internal error: {error_sentence(error)}; {'; '.join(notes)}", 1))
     except SystemExit as end:
-        if end.code == INTERRUPTED:
-            _complain(_ended("interrupted"), INTERRUPTED)
-        if end.code == TERMINATED:
-            _complain(_ended("terminated"), TERMINATED)
+        if end.code in (INTERRUPTED, TERMINATED):
+            words = sys.argv[1:]
+            resumed = words[:1] in (["run"], ["bench"]) or words[:2] in (
+                ["agent", "workspace"],
+                ["agent", "mcp"],
+            )
+            resumed |= words[:1] == ["validate"] and not {"--repeat", "--ablate"}.isdisjoint(words)
+            how = "interrupted" if end.code == INTERRUPTED else "terminated"
+            more = "; the same command continues from here" if resumed else ""
+            complain(f"{how}{more}", end.code)
         raise
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def _terminate(number: int, frame: FrameType | None) -> NoReturn:
-    """Exit as for an interrupt, so that workers are stopped and the ledger is closed."""
-    sys.exit(TERMINATED)
-
-
-def _ended(how: str) -> str:
-    words = sys.argv[1:]
-    resumed = words[:1] in (["run"], ["bench"]) or words[:2] in (
-        ["agent", "workspace"],
-        ["agent", "mcp"],
-    )
-    resumed |= words[:1] == ["validate"] and not {"--repeat", "--ablate"}.isdisjoint(words)
-    return f"{how}; the same command continues from here" if resumed else how
 
 
 def spread(words: list[str]) -> list[str]:
@@ -271,25 +265,18 @@ def spread(words: list[str]) -> list[str]:
         "validate": ("--columns",),
         "bench paper": _bench.LISTS,
         "bench agents": _bench.COMPARE_LISTS,
-        "doctor": redteam.LISTS,
+        "doctor": doctor.LISTS,
     }
     lists = known.get(" ".join(words[:1])) or known.get(" ".join(words[:2]))
     if lists is None:
         return words
     option: str | None = None
-    answer: list[str] = []
+    found: list[str] = []
     for word in words:
         if word.startswith("-"):
             name, equals, _ = word.partition("=")
             option = name if name in lists else None
-            answer += [word] if equals or option is None else []
-        elif option is not None:
-            answer += [option, word]
+            found += [word] if equals or option is None else []
         else:
-            answer.append(word)
-    return answer
-
-
-def _complain(message: str, code: int) -> int:
-    say(f"asia: {message}", file=sys.stderr)
-    return code
+            found += [word] if option is None else [option, word]
+    return found

@@ -10,6 +10,7 @@ import typer
 
 from asia._text import say
 from asia.interfaces.cli.options import DEFAULT_RUNS, ProblemName, Runs
+from asia.problem.protocol import make_folds
 
 
 def check(
@@ -21,7 +22,6 @@ def check(
     from asia.interfaces.workspace.workspace import is_workspace
     from asia.problem.check import check_problem
     from asia.problem.load import load_problem
-    from asia.problem.protocol import make_folds
     from asia.problem.seal import seal
     from asia.report import draw_problem
     from asia.search.run import check_baseline

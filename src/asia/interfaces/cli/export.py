@@ -5,15 +5,16 @@ from __future__ import annotations
 import json as jsonlib
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from asia._text import say
+from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, RunName, Runs, run_directory
 
 if TYPE_CHECKING:
-    from asia.export.pipeline import Exported
+    pass
 
 
 def export(
@@ -41,7 +42,6 @@ def export(
     Compares the code with ASIA's own simulation of the training windows, and writes only code that
     agrees.
     """
-    from asia.errors import UserError
     from asia.export.pipeline import export as write
     from asia.export.pipeline import table
     from asia.export.registry import target_names
@@ -50,20 +50,15 @@ def export(
         raise UserError(f"--to is missing: one of {', '.join(target_names())}, or several")
     for one in write(run_directory(runs, run), to, model, out):
         if json:
-            say(jsonlib.dumps(_facts(one), allow_nan=False))
+            facts = {
+                "target": one.target,
+                "files": [str(path) for path in one.files],
+                "parity": {r.target: r.difference for r in one.parity},
+                "microseconds_per_step": {r.target: r.microseconds for r in one.parity},
+                "bytes": one.parity[0].bytes,
+            }
+            say(jsonlib.dumps(facts, allow_nan=False))
         stream = sys.stderr if json else sys.stdout
         for line in table(one.parity):
             say(line, file=stream)
         say(str(one.folder), file=stream)
-
-
-def _facts(one: Exported) -> dict[str, Any]:
-    rows = one.parity
-    gaps = {r.target: r.difference for r in rows}
-    return {
-        "target": one.target,
-        "files": [str(path) for path in one.files],
-        "parity": gaps,
-        "microseconds_per_step": {r.target: r.microseconds for r in rows},
-        "bytes": rows[0].bytes,
-    }

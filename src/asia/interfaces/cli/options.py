@@ -6,24 +6,24 @@ import inspect
 import json
 import os
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from copy import copy
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
-from typer.models import ArgumentInfo, OptionInfo, ParameterInfo
+from typer.models import OptionInfo
 
 from asia._text import say
-from asia.interfaces.cli.driver import Driver
+from asia.errors import UserError
+from asia.ledger.run import find_run
 
 if TYPE_CHECKING:
     from asia.agents.llm.agent import LlmAgent
-    from asia.interfaces.coding_agents.session import Access, CommandRules
+    from asia.interfaces.coding_agents.session import Access
     from asia.interfaces.workspace.process import SearchRequest
-    from asia.judge.executors import Executor
     from asia.judge.sandbox.types import Isolation
     from asia.problem.problem import Problem
 
@@ -62,7 +62,12 @@ class JailOptions:
         from asia.interfaces.coding_agents.session import Access
 
         configs, mounts = self.agent_config or (), self.agent_mount or ()
-        _check_given((*configs, *mounts), self.pass_env or ())
+        for path in (*configs, *mounts):
+            if not path.expanduser().exists():
+                raise UserError(f"{path} does not exist: give a folder or file that does")
+        for variable in self.pass_env or ():
+            if variable not in os.environ:
+                raise UserError(f"--pass-env {variable}: the variable is not set; export it first")
         return Access(
             network=self.network,
             mounts=tuple(p.expanduser().resolve() for p in mounts),
@@ -74,10 +79,15 @@ class JailOptions:
 
 def access_settings(access: Access) -> dict[str, str]:
     """Return the settings for the ledger."""
+
+    def names(paths: Sequence[Path]) -> str:
+        home = re.escape(str(Path.home()))
+        return ", ".join(re.sub(f"^{home}(?=/|$)", "~", str(p)) for p in paths) or "none"
+
     return {
         "network": "yes" if access.network else "no",
-        "mounts": _names(access.mounts),
-        "configs": _names(access.configs),
+        "mounts": names(access.mounts),
+        "configs": names(access.configs),
     }
 
 
@@ -88,26 +98,9 @@ def jail_words(access: Access) -> str:
     return f"in a jail (level namespace) with its workspace, {network}, {shown}"
 
 
-def _names(paths: Sequence[Path]) -> str:
-    home = str(Path.home())
-    return ", ".join(re.sub(f"^{re.escape(home)}(?=/|$)", "~", str(p)) for p in paths) or "none"
-
-
-def _check_given(paths: Sequence[Path], variables: Sequence[str]) -> None:
-    from asia.errors import UserError
-
-    for path in paths:
-        if not path.expanduser().exists():
-            raise UserError(f"{path} does not exist: give a folder or file that does")
-    for variable in variables:
-        if variable not in os.environ:
-            raise UserError(f"--pass-env {variable}: the variable is not set; export it first")
-
-
 # Options of language models: `asia run --agent llm`, and what coding agents share with it.
 
 
-KEY_VARIABLE = "OPENAI_API_KEY"
 _shared = partial(
     typer.Option, rich_help_panel="Language models and coding agents (--agent llm, command:NAME)"
 )
@@ -161,7 +154,7 @@ class LlmOptions:
         _own(
             metavar="NAME", help="Environment variable that holds the key; local servers need none."
         ),
-    ] = KEY_VARIABLE
+    ] = "OPENAI_API_KEY"
     max_reply_tokens: Annotated[
         int | None, _own(min=1, help="Limit of one reply, with its reasoning; default 16384.")
     ] = None
@@ -185,7 +178,26 @@ class LlmOptions:
         from asia.agents.llm.agent import LlmAgent
         from asia.agents.llm.settings import LlmSettings
 
-        price_input, price_output = _prices(self.prices)
+        price_input = price_output = None
+        if self.prices is not None:
+            try:
+                price_input, price_output = map(float, self.prices.split(","))
+            except ValueError:
+                raise UserError(
+                    f"--prices {self.prices}: expected two numbers, USD for a million input and "
+                    "output tokens, such as 0.5,2"
+                ) from None
+        extra_body: Any = {}
+        if self.extra_body is not None:
+            try:
+                extra_body = json.loads(self.extra_body)
+            except (ValueError, RecursionError):
+                extra_body = None
+            if not isinstance(extra_body, dict):
+                raise UserError(
+                    f"--extra-body {self.extra_body}: expected a JSON object, such as "
+                    "'{\"top_k\": 20}'"
+                )
         return LlmAgent(
             LlmSettings(
                 model=caps.model or "",
@@ -193,7 +205,7 @@ class LlmOptions:
                 temperature=self.temperature,
                 top_p=self.top_p,
                 seed=self.llm_seed,
-                extra_body=_object(self.extra_body),
+                extra_body=extra_body,
                 api_key_env=self.api_key_env,
                 max_tokens_total=caps.max_tokens,
                 max_cost=caps.max_cost,
@@ -203,35 +215,6 @@ class LlmOptions:
                 anonymous=self.anonymous,
             )
         )
-
-
-def _prices(text: str | None) -> tuple[float | None, float | None]:
-    from asia.errors import UserError
-
-    if text is None:
-        return None, None
-    try:
-        price_input, price_output = (float(part) for part in text.split(","))
-    except ValueError:
-        raise UserError(
-            f"--prices {text}: expected two numbers, USD for a million input and output tokens, "
-            "such as 0.5,2"
-        ) from None
-    return price_input, price_output
-
-
-def _object(text: str | None) -> dict[str, Any]:
-    from asia.errors import UserError
-
-    if text is None:
-        return {}
-    try:
-        value = json.loads(text)
-    except (ValueError, RecursionError):
-        value = None
-    if not isinstance(value, dict):
-        raise UserError(f"--extra-body {text}: expected a JSON object, such as '{{\"top_k\": 20}}'")
-    return value
 
 
 # Options of the agent `command:NAME`.
@@ -262,75 +245,6 @@ class CommandOptions(JailOptions):
         float,
         _command_option(help="Stop the agent after this many minutes without a new experiment."),
     ] = 30.0
-
-    def driver(self, agent: str, caps: ModelOptions) -> Driver:
-        """Make the driver: program, rules and jail. Raises UserError for a missing program, and for
-        a limit that cannot be enforced."""
-        from asia.interfaces.coding_agents.presets import make_preset
-        from asia.interfaces.coding_agents.session import check_rules, command_agent
-
-        name = _name(agent)
-        preset = make_preset(name, self.command)
-        rules = self._rules(preset.keys, caps)
-        check_rules(preset, rules)
-        return Driver(
-            name,
-            lambda ready, leg: command_agent(ready, preset, rules, leg),
-            _settings(self.command or name, rules),
-            (_jail_words(name, rules),),
-        )
-
-    def _rules(self, keys: tuple[str, ...], caps: ModelOptions) -> CommandRules:
-        from asia.interfaces.coding_agents.session import CommandRules
-        from asia.judge.sandbox.jail import Jail
-
-        access = self.access(keys)
-        return CommandRules(
-            minutes=self.agent_minutes,
-            tokens=caps.max_tokens,
-            cost=caps.max_cost,
-            stuck_minutes=self.stuck_minutes,
-            network=access.network,
-            mounts=access.mounts,
-            configs=access.configs,
-            variables=access.variables,
-            jail=Jail.why_not() is None,
-            model=caps.model,
-        )
-
-
-def _name(agent: str) -> str:
-    """Return NAME of `command:NAME`. Raises UserError if it is reserved or invalid."""
-    from asia.agents.registry import RESERVED
-    from asia.errors import UserError
-
-    name = agent.removeprefix(PREFIX)
-    if not name.replace("-", "").isalnum():
-        raise UserError(f"--agent {agent}: expected command:NAME with letters and digits")
-    if name in RESERVED:
-        raise UserError(f"--agent {agent}: '{name}' is reserved; choose another name")
-    return name
-
-
-def _settings(command: str, rules: CommandRules) -> dict[str, str]:
-    """Return the settings for the ledger."""
-    return {
-        "command": command,
-        "model": rules.model or "its default",
-        "jail": "namespace" if rules.jail else "none",
-        **access_settings(rules),
-    }
-
-
-def _jail_words(name: str, rules: CommandRules) -> str:
-    """Return a sentence on the isolation of the agent."""
-    if not rules.jail:
-        return (
-            f"agent {name}: no jail (level process). It can read all your files: other runs, "
-            "unsealed test files, keys. Its score still comes only from the evaluator. "
-            "Install bubblewrap for a jail."
-        )
-    return f"agent {name}: {jail_words(rules)}"
 
 
 # Options of the evaluation: executor, device, experiments at a time.
@@ -368,17 +282,8 @@ class EngineOptions:
         ),
     ] = "local"
 
-    def chosen(self) -> Executor:
-        """Make the executor. Raises UserError for an unknown name."""
-        from asia.judge.executors import make_executor
-
-        return make_executor(self.executor)
-
 
 # Groups of options as dataclasses, one field per option; short and full help.
-
-
-_ALL = "help_all"
 
 
 def with_groups(
@@ -396,60 +301,55 @@ def with_groups(
     def called(**given: Any) -> None:
         for name, group in groups.items():
             given[name] = group(**{f.name: given.pop(f.name) for f in fields(group)})
-        given.pop(_ALL)
+        given.pop("help_all")
         command(**given)
 
-    own = inspect.signature(command).parameters
-    shown = [p for name in own for p in _parameters(own[name], hints[name])]
-    if brief_help is not None:
-        shown = [p if p.name in brief_help else _hidden(p) for p in shown]
-    shown.append(_parameter(_ALL, _help_all(any(map(_is_hidden, shown))), False))
-    called.__signature__ = inspect.Signature(shown)  # pyright: ignore[reportAttributeAccessIssue]
-    called.__annotations__ = {p.name: p.annotation for p in shown}
-    return called
+    # Name, annotation and default of each option.
+    shown: list[tuple[str, Any, Any]] = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if name not in groups:
+            shown.append((name, hints[name], parameter.default))
+            continue
+        own = get_type_hints(groups[name], include_extras=True)
+        for field in fields(groups[name]):
+            default = inspect.Parameter.empty if field.default is MISSING else field.default
+            shown.append((field.name, own[field.name], default))
 
+    some_hidden = False
+    for place, (name, annotation, default) in enumerate(shown):
+        notes = get_args(annotation)[1:] if get_origin(annotation) is Annotated else ()
+        option = next((note for note in notes if isinstance(note, OptionInfo)), None)
+        if option is not None and brief_help is not None and name not in brief_help:
+            option = copy(option)
+            option.hidden = True
+            shown[place] = name, Annotated[get_args(annotation)[0], option], default
+        some_hidden = some_hidden or (option is not None and option.hidden)
 
-def _help_all(useful: bool) -> Any:
-    """Annotation of `--help-all`; itself hidden for a command that hides nothing."""
-
-    def show(ctx: typer.Context, wanted: bool) -> None:
+    def show_all(ctx: typer.Context, wanted: bool) -> None:
         if wanted:
             for parameter in ctx.command.params:
                 parameter.hidden = False  # pyright: ignore[reportAttributeAccessIssue]
             say(ctx.get_help())
             raise typer.Exit
 
-    option = typer.Option(
+    help_all = typer.Option(
         "--help-all",
         is_eager=True,
-        callback=show,
-        hidden=not useful,
+        callback=show_all,
+        # A command that hides nothing does not need it.
+        hidden=not some_hidden,
         help="Show all options and exit.",
     )
-    return Annotated[bool, option]
-
-
-def _info(parameter: inspect.Parameter) -> ParameterInfo | None:
-    """Declaration of an option or an argument."""
-    notes = (
-        get_args(parameter.annotation)[1:] if get_origin(parameter.annotation) is Annotated else ()
-    )
-    return next((n for n in notes if isinstance(n, ParameterInfo)), None)
-
-
-def _is_hidden(parameter: inspect.Parameter) -> bool:
-    found = _info(parameter)
-    return isinstance(found, OptionInfo) and found.hidden
-
-
-def _hidden(parameter: inspect.Parameter) -> inspect.Parameter:
-    found = _info(parameter)
-    if found is None or isinstance(found, ArgumentInfo):
-        return parameter
-    found = copy(found)
-    found.hidden = True
-    kind = get_args(parameter.annotation)[0]
-    return parameter.replace(annotation=Annotated[kind, found])
+    shown.append(("help_all", Annotated[bool, help_all], False))
+    parameters = [
+        inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default
+        )
+        for name, annotation, default in shown
+    ]
+    called.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportAttributeAccessIssue]
+    called.__annotations__ = {p.name: p.annotation for p in parameters}
+    return called
 
 
 def given(group: Any, *, leave_out: tuple[str, ...] = ()) -> dict[str, object]:
@@ -459,24 +359,6 @@ def given(group: Any, *, leave_out: tuple[str, ...] = ()) -> dict[str, object]:
         for f in fields(group)
         if f.name not in leave_out and getattr(group, f.name) != f.default
     }
-
-
-def _parameters(own: inspect.Parameter, hint: Any) -> Iterator[inspect.Parameter]:
-    if not is_dataclass(hint):
-        yield _parameter(own.name, hint, own.default)
-        return
-    hints = get_type_hints(hint, include_extras=True)
-    for field in fields(hint):
-        yield _parameter(field.name, hints[field.name], _default(field))
-
-
-def _parameter(name: str, annotation: Any, default: Any) -> inspect.Parameter:
-    kind = inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(name, kind, annotation=annotation, default=default)
-
-
-def _default(field: Field[Any]) -> Any:
-    return inspect.Parameter.empty if field.default is MISSING else field.default
 
 
 # Options that several commands share.
@@ -541,9 +423,7 @@ def run_directory(runs: Path, name: str | None, *, named: bool = False) -> Path:
     is
     the run of the workspace, and a name is a run in the same folder. named: require a name in a
     workspace, for actions that cannot be undone. Raises UserError."""
-    from asia.errors import UserError
     from asia.interfaces.workspace.workspace import Workspace
-    from asia.ledger.run import find_run
 
     place = Workspace.around(Path()) if runs == DEFAULT_RUNS else None
     if place is None:
@@ -610,7 +490,6 @@ class SearchOptions:
     @property
     def level(self) -> Isolation | None:
         """The requested level. Raises UserError for an unknown one."""
-        from asia.errors import UserError
         from asia.judge.sandbox.types import Isolation
 
         levels = [level.value for level in Isolation]
@@ -621,8 +500,6 @@ class SearchOptions:
     def check(self) -> None:
         """Raise UserError for an invalid name or an unknown level. A number would be read as an
         experiment, and a path would leave the directory of the runs."""
-        from asia.errors import UserError
-
         name = self.name
         if name is not None and (not re.fullmatch(r"\w[\w.+-]*", name) or name.isdecimal()):
             raise UserError(
@@ -635,14 +512,9 @@ class SearchOptions:
         """Return the problem with these options in place of its own."""
         from asia.search.run import with_early_stopping
 
-        own = problem.budget
-        budget = replace(
-            own,
-            experiments=self.experiments or own.experiments,
-            hours=self.hours if self.hours is not None else own.hours,
-            retests=self.retests if self.retests is not None else own.retests,
-        )
-        problem = replace(problem, budget=budget)
+        given = {name: getattr(self, name) for name in ("experiments", "hours", "retests")}
+        given = {name: value for name, value in given.items() if value is not None}
+        problem = replace(problem, budget=replace(problem.budget, **given))
         if self.early_stopping is None:
             return problem
         return with_early_stopping(problem, self.early_stopping)
@@ -666,14 +538,11 @@ class SearchOptions:
 
     def words(self) -> list[str]:
         """Return the command line of these options."""
-        pairs = (
-            ("--experiments", self.experiments),
-            ("--seed", self.seed or None),
-            ("--hours", self.hours),
-            ("--retests", self.retests),
-            ("--name", self.name),
-            ("--early-stopping", self.early_stopping),
-            ("--isolation", self.isolation),
-        )
-        words = [w for option, value in pairs if value is not None for w in (option, str(value))]
+        words: list[str] = []
+        for name in ("experiments", "seed", "hours", "retests", "name", "early_stopping"):
+            value = getattr(self, name)
+            if value is not None and (name, value) != ("seed", 0):
+                words += [f"--{name.replace('_', '-')}", str(value)]
+        if self.isolation is not None:
+            words += ["--isolation", self.isolation]
         return [*words, *(["--isolation-strict"] if self.isolation_strict else [])]

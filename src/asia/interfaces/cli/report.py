@@ -10,6 +10,9 @@ import typer
 
 from asia._text import say
 from asia.interfaces.cli.options import DEFAULT_RUNS, RunName, Runs, run_directory
+from asia.interfaces.cli.output import use_lines
+from asia.ledger.artifacts import Store
+from asia.ledger.run import open_run
 
 
 def report(
@@ -31,11 +34,22 @@ def report(
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Write a run as one HTML page, and its pictures as PNG and PDF."""
-    if bundle is not None:
-        _publish(runs, bundle)
-        return
-    from asia.report import methods_paragraph, write_figures, write_tables
+    from asia.report import (
+        methods_paragraph,
+        write_bundle,
+        write_figures,
+        write_page,
+        write_report,
+        write_tables,
+    )
 
+    if bundle is not None:
+        written = write_bundle(runs, bundle)
+        for path in (written.index, *written.pages):
+            say(str(path))
+        for text in written.left_out:
+            say(f"left out {text}", file=sys.stderr)
+        return
     directory = run_directory(runs, run)
     if figures is not None:
         for path in write_figures(directory, figures):
@@ -45,27 +59,8 @@ def report(
             say(str(path))
     if methods:
         say(methods_paragraph(directory))
-    if figures is None and latex is None and not methods:
-        _whole(directory)
-
-
-def _publish(runs: Path, directory: Path) -> None:
-    from asia.report import write_bundle
-
-    written = write_bundle(runs, directory)
-    for path in (written.index, *written.pages):
-        say(str(path))
-    for words in written.left_out:
-        say(f"left out {words}", file=sys.stderr)
-
-
-def _whole(directory: Path) -> None:
-    """Write the page and the pictures into the folder of the run."""
-    from asia.interfaces.cli.text import use_lines
-    from asia.ledger.artifacts import Store
-    from asia.ledger.run import open_run
-    from asia.report import write_page, write_report
-
+    if figures is not None or latex is not None or methods:
+        return
     failed: list[str] = []
     for path in (write_page(directory), *write_report(directory, failed=failed)):
         say(str(path))

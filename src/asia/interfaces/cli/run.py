@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import json as jsonlib
 import sys
+from collections.abc import Callable, Sequence
 from contextlib import closing
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.status import Status as Spinner
+from rich.text import Text
 
-from asia._text import say
-from asia.interfaces.cli.driver import agent_driver, named_agent, refuse_for_others, relay_driver
+from asia import __version__
+from asia._diagnostic import diagnostic
+from asia._text import printable_line, say
+from asia._timer import Activity, ActivityTimer, TimeSpent, duration
+from asia.errors import UserError
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
     PREFIX,
@@ -22,35 +31,63 @@ from asia.interfaces.cli.options import (
     Profile,
     Runs,
     SearchOptions,
+    access_settings,
     given,
+    jail_words,
 )
+from asia.interfaces.cli.output import (
+    NOT_LEAK_FREE,
+    RESIDUALS_SHOWN,
+    Terminal,
+    again_words,
+    experiment_line,
+    guard_words,
+    profile_lines,
+    profile_object,
+    running_words,
+    stop_words,
+    usage_words,
+    use_lines,
+    validation_words,
+    value_words,
+)
+from asia.judge.scoring.outcome import Failure, Score
+from asia.ledger.events import (
+    Evaluated,
+    Event,
+    Extended,
+    GuardLooked,
+    HandedOver,
+    Leg,
+    Proposed,
+    Refitted,
+    RungScored,
+)
+from asia.ledger.evidence import identified, significance_threshold
+from asia.ledger.run import control, open_run
+from asia.ledger.text import (
+    control_text,
+    error_value,
+    floor_words,
+    hand_over_text,
+    identified_lines,
+    method_note,
+    seed_mean_words,
+)
+from asia.ledger.view import SearchView
+from asia.problem.metrics import find_metric
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from asia._timer import ActivityTimer
-    from asia.interfaces.cli.driver import Driver
-    from asia.judge.executors import Executor
-    from asia.ledger.view import SearchView
+    from asia.agents.registry import NamedAgent
+    from asia.agents.view import Agent
     from asia.problem.problem import Problem
     from asia.search.run import Prepared
-
 
 NOTHING_FOUND = 3
 BRIEF_HELP = frozenset(
     {"problem", "agent", "experiments", "seed", "hours", "name", "runs", "parallel", "executor"}
     | {"isolation", "model", "json"}
 )
-
-Space = Annotated[
-    str | None,
-    typer.Option(help="Search space of random: library (default), or paper."),
-]
-Sinks = Annotated[
-    list[str] | None,
-    typer.Option(help="Send the events to an installed sink, or module:Name; repeatable."),
-]
 
 
 def run(
@@ -63,10 +100,15 @@ def run(
             " expert*8,bayes."
         ),
     ] = "expert",
-    space: Space = None,
+    space: Annotated[
+        str | None, typer.Option(help="Search space of random: library (default), or paper.")
+    ] = None,
     options: SearchOptions,
     engine: EngineOptions,
-    sink: Sinks = None,
+    sink: Annotated[
+        list[str] | None,
+        typer.Option(help="Send the events to an installed sink, or module:Name; repeatable."),
+    ] = None,
     runs: Runs = DEFAULT_RUNS,
     profile: Profile = False,
     json: Json = False,
@@ -78,14 +120,22 @@ def run(
 
     Exit code 3: the search is finished and no candidate has a score.
     """
-    from asia._timer import Activity, ActivityTimer
-    from asia.search.run import prepare
+
+    from asia.agents.relay import RelayAgent
+    from asia.interfaces.coding_agents.session import CommandAgent, search_with_agents
+    from asia.judge.executors import make_executor
+    from asia.problem.load import load_problem
+    from asia.report import write_report
+    from asia.search.run import prepare, with_relay_budget
+    from asia.search.sinks import open_sinks
 
     options.check()
     driver = _driver(agent, space, models, llm, command)
-    watch = ActivityTimer()
-    with watch.activity(Activity.PREPARE):
-        loaded = _problem(problem, options, driver)
+    timer = ActivityTimer()
+    with timer.activity(Activity.PREPARE):
+        loaded = options.applied(load_problem(problem))
+        if options.experiments is None:
+            loaded = with_relay_budget(loaded, driver.legs)
         ready = prepare(
             loaded,
             driver.name,
@@ -100,83 +150,439 @@ def run(
             stop_folds=engine.stop_folds,
             device=engine.device,
         )
-        runs_on = engine.chosen()
-    view = _search(driver, loaded, ready, sink or (), watch, runs_on, profile=profile, json=json)
+        executor = make_executor(engine.executor)
+    sinks = open_sinks(ready.directory, sink or ())
+    display = JsonDisplay() if json else TextDisplay(loaded, ready)
+    with closing(display), sinks:
+        for line in driver.notes:
+            say(line, file=sys.stderr)
+        made = driver.make(ready, 0)
+        agents = [r.agent for r in made.runners] if isinstance(made, RelayAgent) else [made]
+        view = search_with_agents(
+            ready,
+            made,
+            [each for each in agents if isinstance(each, CommandAgent)],
+            sinks.after_event(display.on_event),
+            sinks.after_start(display.on_start),
+            executor,
+        )
+        failed: list[str] = []
+        pictures: tuple[Path, ...] = ()
+        with timer.activity(Activity.PICTURES), diagnostic("pictures", failed):
+            pictures = write_report(ready.directory, failed=failed)
+        display.finish(view, pictures, failed)
+        if profile:
+            events = [line.event for line in open_run(ready.directory).lines]
+            display.profile(events, timer.only(Activity.PREPARE, Activity.PICTURES))
     if view.best is None:
         raise typer.Exit(NOTHING_FOUND)
 
 
-def _problem(name: str, options: SearchOptions, driver: Driver) -> Problem:
-    """Load the problem with the settings of the command line, and the budget of a relay."""
-    from asia.problem.load import load_problem
-    from asia.search.run import with_relay_budget
-
-    loaded = options.applied(load_problem(name))
-    return loaded if options.experiments is not None else with_relay_budget(loaded, driver.legs)
+# Agents as the command starts them.
 
 
-def _search(
-    driver: Driver,
-    problem: Problem,
-    ready: Prepared,
-    sink: Sequence[str],
-    watch: ActivityTimer,
-    runs_on: Executor,
-    *,
-    profile: bool,
-    json: bool,
-) -> SearchView:
-    """Search, then draw the report. watch: time of the preparation."""
-    from asia._diagnostic import diagnostic
-    from asia._timer import Activity
-    from asia.interfaces.cli.display import make_display
-    from asia.report import write_report
-    from asia.search.sinks import open_sinks
+@dataclass(frozen=True)
+class Driver:
+    """Name, factory and settings of an agent."""
 
-    sinks = open_sinks(ready.directory, sink)
-    with closing(make_display(problem, ready, json=json)) as display, sinks:
-        for line in driver.words:
-            say(line, file=sys.stderr)
-        view = driver.search(
-            ready,
-            sinks.after_event(display.on_event),
-            sinks.after_start(display.on_start),
-            runs_on,
-        )
-        failed: list[str] = []
-        pictures: tuple[Path, ...] = ()
-        with watch.activity(Activity.PICTURES), diagnostic("pictures", failed):
-            pictures = write_report(ready.directory, failed=failed)
-        display.finish(view, pictures, failed)
-        if profile:
-            display.profile(ready.directory, watch.only(Activity.PREPARE, Activity.PICTURES))
-    return view
+    name: str
+    """The agent's name, part of the run's name."""
+    make: Callable[[Prepared, int], Agent]
+    """Makes the agent for a search: in a leg of a relay, or alone with 0."""
+    settings: dict[str, str] = field(default_factory=dict[str, str])
+    """Settings of the agent that the ledger records; no keys."""
+    notes: tuple[str, ...] = ()
+    """Lines that are printed before the search."""
+    legs: tuple[Leg, ...] = ()
+    """The legs of a relay, the last one with the requested number of experiments."""
 
 
 def _driver(
     agent: str, space: str | None, models: ModelOptions, llm: LlmOptions, command: CommandOptions
 ) -> Driver:
-    """Make the driver of the agent. Raises UserError for an option of another agent."""
-    from asia.agents.registry import asked_relay
+    """Make the driver of an agent or a relay. Raises UserError for an option of another agent."""
+    from asia.agents.registry import asked_relay, choose_agent
+    from asia.agents.relay import RelayAgent, Runner, check_legs, relay_name
+    from asia.interfaces.coding_agents.presets import PRESETS
 
     plans = asked_relay(agent)
     agents = [plan.agent for plan in plans] or [agent]
+    kinds = {name.partition(":")[0] for name in agents}
     for owners, options in (
         (("llm",), given(llm, leave_out=("base_url", "api_key_env"))),
         (("command",), given(command, leave_out=("stuck_minutes",))),
         (("llm", "command"), given(models)),
         (("random",), {"space": space}),
     ):
-        refuse_for_others(agents, owners=owners, **options)
-    drivers = [_one_driver(each, space, models, llm, command) for each in agents]
-    return relay_driver(plans, drivers) if plans else drivers[0]
+        whose = " or ".join("command:NAME" if owner == "command" else owner for owner in owners)
+        for name, value in options.items():
+            if value is not None and not kinds & set(owners):
+                raise UserError(
+                    f"--{name.replace('_', '-')} is for --agent {whose}, and the agent is "
+                    f"'{', '.join(agents)}': leave it out"
+                )
+
+    def one(name: str) -> Driver:
+        if name.startswith(PREFIX):
+            return command_driver(name, command, models)
+        if name == "llm":
+            model = llm.agent(models)
+            return Driver(model.name, lambda ready, leg: model, model.recorded())
+        if name in PRESETS:
+            raise UserError(f"--agent {name}: write command:{name}, as for every coding agent")
+        chosen: NamedAgent = choose_agent(name, space if name == "random" else None)
+        return Driver(chosen.agent.name, lambda ready, leg: chosen.agent, dict(chosen.settings))
+
+    drivers = [one(name) for name in agents]
+    if not plans:
+        return drivers[0]
+    pairs = zip(plans, drivers, strict=True)
+    legs = tuple(Leg(d.name, plan.experiments, d.settings) for plan, d in pairs)
+    check_legs(legs)
+
+    def make(ready: Prepared, leg: int) -> Agent:
+        del leg
+        made = [driver.make(ready, place) for place, driver in enumerate(drivers, 1)]
+        return RelayAgent([Runner(a, each) for a, each in zip(made, legs, strict=True)])
+
+    notes = tuple(note for driver in drivers for note in driver.notes)
+    return Driver(relay_name(legs), make, notes=notes, legs=legs)
 
 
-def _one_driver(
-    agent: str, space: str | None, models: ModelOptions, llm: LlmOptions, command: CommandOptions
-) -> Driver:
-    if agent.startswith(PREFIX):
-        return command.driver(agent, models)
-    if agent == "llm":
-        return agent_driver(llm.agent(models))
-    return agent_driver(named_agent(agent, space if agent == "random" else None))
+def command_driver(agent: str, options: CommandOptions, limits: ModelOptions) -> Driver:
+    """Make the driver of `command:NAME`: program, rules and jail. Raises UserError for a missing
+    program, and for a limit that cannot be enforced."""
+    from asia.agents.registry import RESERVED
+    from asia.interfaces.coding_agents.presets import make_preset
+    from asia.interfaces.coding_agents.session import CommandRules, check_rules, command_agent
+    from asia.judge.sandbox.jail import Jail
+
+    name = agent.removeprefix(PREFIX)
+    if not name.replace("-", "").isalnum():
+        raise UserError(f"--agent {agent}: expected command:NAME with letters and digits")
+    if name in RESERVED:
+        raise UserError(f"--agent {agent}: '{name}' is reserved; choose another name")
+    preset = make_preset(name, options.command)
+    access = options.access(preset.keys)
+    rules = CommandRules(
+        minutes=options.agent_minutes,
+        tokens=limits.max_tokens,
+        cost=limits.max_cost,
+        stuck_minutes=options.stuck_minutes,
+        **vars(access),
+        jail=Jail.why_not() is None,
+        model=limits.model,
+    )
+    check_rules(preset, rules)
+    isolation = jail_words(rules)
+    if not rules.jail:
+        isolation = (
+            "no jail (level process). It can read all your files: other runs, "
+            "unsealed test files, keys. Its score still comes only from the evaluator. "
+            "Install bubblewrap for a jail."
+        )
+    settings = {
+        "command": options.command or name,
+        "model": rules.model or "its default",
+        "jail": "namespace" if rules.jail else "none",
+        **access_settings(rules),
+    }
+    return Driver(
+        name,
+        lambda ready, leg: command_agent(ready, preset, rules, leg),
+        settings,
+        (f"agent {name}: {isolation}",),
+    )
+
+
+# Output of a running search: one line per experiment, a live footer on a terminal.
+
+
+_STYLES = {
+    "keep": "bold green",
+    "discard": "dim",
+    "inconclusive": "cyan",
+    "crash": "red",
+    "timeout": "yellow",
+}
+
+
+class JsonDisplay:
+    """JSON lines on stdout: `start`, one object per event, `done`."""
+
+    def on_start(self, view: SearchView) -> None:
+        """Print `start`."""
+        start = view.started
+        self._print(
+            "start",
+            run=start.run,
+            problem=start.problem,
+            early_stopping=start.early_stopping,
+            residuals=start.residuals,
+        )
+
+    def on_event(self, event: Event, view: SearchView) -> None:
+        """Print the event as a flat object."""
+        match event:
+            case Evaluated():
+                best, experiment = view.best, view.experiment(event.experiment)
+                self._print(
+                    "evaluated",
+                    experiment=event.experiment,
+                    status=event.status,
+                    V=experiment.score.value if experiment.score else None,
+                    reason=experiment.failure.reason.value if experiment.failure else None,
+                    title=experiment.proposed.title,
+                    seconds=round(event.seconds, 3),
+                    validation_scores=event.validation_scores,
+                    retests=[r.value for r in event.retests],
+                    floor=event.floor,
+                    failed_checks=list(event.failed_checks),
+                    best=best.number if best else None,
+                )
+            case HandedOver():
+                self._print(
+                    "handed_over", agent=event.agent, after=event.after, reason=event.reason
+                )
+            case RungScored():
+                self._print("rung", name=event.name, V=_value(event.outcome))
+            case GuardLooked():
+                scores = {str(s.experiment): _value(s.outcome) for s in event.scores}
+                self._print("guard", look=event.look, pick=event.pick, V=scores)
+            case Refitted():
+                again: dict[str, Any] = {}
+                if event.again is not None:
+                    again = {"again_fold": event.again.fold, "again_ratio": event.again.ratio}
+                self._print("refitted", experiment=event.experiment, use=event.use, **again)
+            case _:
+                self._print(event.event)
+
+    def finish(self, view: SearchView, pictures: Sequence[Path], failed: Sequence[str]) -> None:
+        """Print `done`."""
+        best = view.best
+        self._print(
+            "done",
+            run=view.started.run,
+            experiments=len(view.finished),
+            best=None
+            if best is None or best.score is None
+            else {"experiment": best.number, "V": best.score.value},
+            early_stopping=view.started.early_stopping,
+            residuals=view.started.residuals,
+            validation_scores=view.validation_scores,
+            pictures=[str(p) for p in pictures],
+            failed_checks=[*view.failed_checks, *failed],
+        )
+
+    def profile(self, events: Sequence[Event], unrecorded: Sequence[TimeSpent]) -> None:
+        """Print `profile`. unrecorded: seconds that the ledger does not record."""
+        self._print("profile", **profile_object(events, unrecorded))
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def _print(self, event: str, **values: Any) -> None:
+        say(jsonlib.dumps({"event": event, **values}, allow_nan=False), flush=True)
+
+
+def _value(outcome: Score | Failure) -> float | None:
+    return outcome.value if isinstance(outcome, Score) else None
+
+
+@dataclass
+class TextDisplay:
+    """Text lines; a live footer if stdout is a terminal."""
+
+    problem: Problem
+    prepared: Prepared
+    console: Terminal = field(default_factory=lambda: Terminal(soft_wrap=True))
+    footer: Spinner | None = None
+
+    def on_start(self, view: SearchView) -> None:
+        """Print the problem, the isolation, and the experiments that the run has already."""
+        from asia.search.run import environment_changes
+
+        start, problem = view.started, self.problem
+        samples = sum(len(r) for r in problem.train)
+        self._print(
+            f"ASIA {__version__}  run {start.run}  problem {problem.name}  "
+            f"u:{len(problem.inputs)} y:{len(problem.outputs)}  N={samples}  "
+            f"Ts={problem.sampling_time:g} s  isolation {start.isolation_words}"
+        )
+        sealed = f"sealed sha256:{start.test_digest[:8]}" if start.test_digest else "none"
+        at_once = f"{start.parallel} in flight  " if start.parallel > 1 else ""
+        folds = problem.protocol.folds.count
+        self._print(
+            f"agent {start.agent}  seed {start.seed}  {at_once}{folds} folds  "
+            f"{view.v_name} = {find_metric(problem.protocol.metric).summary}  "
+            f"test {sealed}"
+        )
+        if start.early_stopping == "validation":
+            self._print(f"note    {NOT_LEAK_FREE}")
+        if start.residuals == "held_out":
+            self._print(f"note    {RESIDUALS_SHOWN}")
+        for note in start.isolation_notes:
+            self._print(f"note    {note}", style="dim")
+        for change in environment_changes(start.environment, self.prepared.started.environment):
+            self._print(f"note    the run began in another environment: {change}")
+        if view.experiments:
+            self._print(f"resumed after {len(view.finished)} of {view.budget} experiments")
+        for reference in view.rungs:
+            self._print_reference(reference)
+        for experiment in view.finished:
+            for event in view.handed_over:
+                if event.after == experiment.number - 1:
+                    self._print(f"relay   {hand_over_text(event)}")
+            self._print_experiment(experiment.number, view)
+        if self.console.is_terminal:
+            self.footer = self.console.status("")
+            self.footer.start()
+        self._update_footer(view)
+
+    def on_event(self, event: Event, view: SearchView) -> None:
+        """Print an event if it matters to a user."""
+        match event:
+            case RungScored():
+                self._print_reference(event)
+            case Proposed():
+                before = view.experiments[-2].proposed.remark if len(view.experiments) > 1 else ""
+                if event.remark and event.remark != before:
+                    self._print(f"remark  {event.remark}")
+            case Evaluated():
+                self._print_experiment(event.experiment, view)
+            case HandedOver():
+                self._print(f"relay   {hand_over_text(event)}")
+            case Extended():
+                self._print(f"extended to {event.experiments} experiments")
+            case Refitted():
+                for line in event.failed_checks:
+                    self._print(f"note    {line}", style="yellow")
+                if event.model is None:
+                    self._print(f"no refit on all training data: {event.detail}")
+            case _:
+                pass
+        self._update_footer(view)
+
+    def finish(self, view: SearchView, pictures: Sequence[Path], failed: Sequence[str]) -> None:
+        """Print the result, the paths of its files, and the next commands."""
+        self.close()
+        directory, best = self.prepared.directory, view.best
+        self._print("")
+        if view.stopped is not None:
+            self._print(f"stopped  {stop_words(view.stopped.reason, view)}")
+            if view.stopped.detail:
+                self._print(f"         {view.stopped.detail}")
+        if view.usage is not None:
+            self._print(f"usage    {usage_words(view.usage)}")
+        self._print_best(view)
+        # More than a dozen parameters are left to `asia show`.
+        model = identified(open_run(directory))
+        if model is not None and 0 < len(model.parameters) <= 12:
+            for line in identified_lines(model, equations=False):
+                self._print(line)
+        self._print(f"files    {directory}/results.tsv, search_journal.md")
+        for picture in pictures:
+            if picture.suffix == ".png":
+                self._print(f"picture  {picture}")
+        for line in failed:
+            self._print(f"note     {line}", style="yellow")
+        for line in use_lines(view):
+            word, _, words = line.partition(" ")
+            self._print(f"{word:<9}{words.strip()}")
+        if view.refitted is not None:
+            self._print("models   asia.simulate(run, ...) uses the one named above")
+        run = directory.name if directory.parent == DEFAULT_RUNS else str(directory)
+        show, unseal = f"asia show {run}", f"asia unseal {run}"
+        width = len(unseal) + 4
+        if best is None:
+            self._print(f"next     {show:<{width}}why the last candidate failed")
+            return
+        self._print(f"next     {show:<{width}}the winner: source, folds, evidence")
+        if view.started.test_digest and view.unsealed is None:
+            self._print(f"         {unseal:<{width}}score it on the sealed test, once")
+
+    def _print_best(self, view: SearchView) -> None:
+        """Print the winner and the evidence for its quality."""
+        best = view.best
+        if best is None or best.score is None:
+            self._print("best     none: every candidate failed")
+            return
+        folds = ", ".join(error_value(f.value) for f in best.score.folds)
+        mean = f", {words}" if (words := seed_mean_words(best)) else ""
+        self._print(
+            f"best     #{best.number:02d} V={error_value(best.score.value)} (folds {folds}){mean}  "
+            f"{best.proposed.title}",
+            style="bold",
+        )
+        if view.started.early_stopping == "validation":
+            self._print(f"V is     {validation_words(view.validation_scores)}")
+        if view.started.residuals == "held_out":
+            self._print("V is     with held-out residuals shown")
+        compared = control(self.prepared.directory, view.started, len(view.finished))
+        if compared is not None:
+            self._print(f"control  {control_text(compared, view.started)}")
+        for name, words in (
+            ("method", method_note(view)),
+            ("floor", floor_words(view)),
+            ("again", again_words(view)),
+        ):
+            if words:
+                self._print(f"{name:<8} {words}")
+        if view.looks:
+            self._print(f"guard    {guard_words(view)}")
+        references = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.rungs)
+        self._print(f"references {references}")
+
+    def profile(self, events: Sequence[Event], unrecorded: Sequence[TimeSpent]) -> None:
+        """Print the time of each activity. unrecorded: seconds that the ledger does not record."""
+        for line in profile_lines(events, unrecorded):
+            self._print(line)
+
+    def close(self) -> None:
+        """Stop the footer."""
+        if self.footer is not None:
+            self.footer.stop()
+
+    def _print_experiment(self, number: int, view: SearchView) -> None:
+        experiment = view.experiment(number)
+        assert experiment.result is not None
+        style = _STYLES.get(experiment.result.status, "magenta")
+        self._print(experiment_line(experiment, view), style=style)
+        if experiment.failure is not None:
+            self._print(f"    {_last_line(experiment.failure)}", style="dim")
+        for line in experiment.result.failed_checks:
+            self._print(f"    {line}", style="yellow")
+
+    def _print_reference(self, reference: RungScored) -> None:
+        from asia.judge.evaluation.references import TRUTH
+
+        note = "   the noise floor" if reference.name == TRUTH else ""
+        value = value_words(reference.outcome)
+        self._print(f"reference {reference.name:<18} V={value}{note}", style="cyan")
+        if isinstance(reference.outcome, Failure):
+            self._print(f"        {_last_line(reference.outcome)}", style="dim")
+
+    def _update_footer(self, view: SearchView) -> None:
+        if self.footer is None:
+            return
+        doing = "scoring the rungs"
+        if view.stopped is not None:
+            doing = "refitting the winner on all training data"
+        elif view.running:
+            doing = " · ".join(running_words(view))
+        done = f"{len(view.finished)}/{view.budget} experiments · {duration(view.seconds)}"
+        floor = significance_threshold(view)
+        if floor is not None:
+            done += f" · floor {floor:.2g}"
+        self.footer.update(Text(f"{done} · {printable_line(doing)}"))
+
+    def _print(self, text: str, style: str = "") -> None:
+        self.console.print(printable_line(text), style=style)
+        if not self.console.is_terminal:
+            sys.stdout.flush()
+
+
+def _last_line(failure: Failure) -> str:
+    """Return the last line of the detail of a failure, or its advice."""
+    lines = failure.detail.strip().splitlines()
+    return lines[-1].strip()[:160] if lines else failure.advice

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from asia._text import say
+from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, RunName, Runs, run_directory
-
-if TYPE_CHECKING:
-    from asia.ledger.run import Run
+from asia.ledger.run import open_run
 
 
 def steer(
@@ -36,8 +35,8 @@ def steer(
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Send a note to the agent of a running search; pause, resume or stop the search."""
-    from asia.errors import UserError
-    from asia.ledger.run import open_run
+    from asia.agents.registry import reads_notes
+    from asia.search.steering import Steering
 
     if text is not None:
         raise UserError("`asia steer RUN TEXT` is now `asia steer RUN --note TEXT`.")
@@ -50,37 +49,24 @@ def steer(
     opened = open_run(run_directory(runs, run))
     if (pause or stop) and opened.state != "running":
         raise UserError(f"run '{opened.name}' is {opened.state}: there is nothing to {orders[0]}")
-    if note is not None:
-        _send_note(opened, note)
-    for order in orders:
-        _give_order(opened, order)
-
-
-def _send_note(opened: Run, note: str) -> None:
-    from asia.agents.registry import reads_notes
-    from asia.search.steering import Steering
-
-    started = opened.view.started
-    Steering(opened.directory).steer(note)
-    when = "at its next step" if opened.state == "running" else "when the search continues"
-    say(f"noted for {opened.name}: recorded {when}")
-    if not reads_notes(started):
-        say(f"note     the agent '{started.agent}' reads no notes; the ledger keeps it for people")
-
-
-def _give_order(opened: Run, order: str) -> None:
-    from asia.search.steering import Steering
-
     steering, name = Steering(opened.directory), opened.name
-    resume = f"asia steer {name} --resume continues it"
-    if order == "stop":
+    if note is not None:
+        steering.steer(note)
+        when = "at its next step" if opened.state == "running" else "when the search continues"
+        say(f"noted for {name}: recorded {when}")
+        if not reads_notes(opened.view.started):
+            agent = opened.view.started.agent
+            say(f"note     the agent '{agent}' reads no notes; the ledger keeps it for people")
+    if stop:
         steering.stop()
         say(f"{name} stops after its current experiment")
-    elif order == "resume":
+    elif resume:
         say(f"{name} continues" if steering.paused else f"{name} was not paused")
         steering.go_on()
-    elif steering.paused:
-        say(f"{name} is already paused; {resume}")
-    else:
-        steering.pause()
-        say(f"{name} pauses after its current experiment; {resume}")
+    elif pause:
+        to_resume = f"asia steer {name} --resume continues it"
+        if steering.paused:
+            say(f"{name} is already paused; {to_resume}")
+        else:
+            steering.pause()
+            say(f"{name} pauses after its current experiment; {to_resume}")

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
+from collections.abc import Iterator
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from asia._text import say
-from asia.interfaces.cli.ablate import ablate_winner
-from asia.interfaces.cli.confirm import repeat_candidates
+from asia._timer import duration
+from asia.errors import UserError
 from asia.interfaces.cli.init import split_at_commas
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
@@ -25,9 +27,19 @@ from asia.interfaces.cli.options import (
     TimeUnit,
     run_directory,
 )
-
-if TYPE_CHECKING:
-    from asia.analysis.validation import ValidationReport
+from asia.interfaces.cli.output import value_words
+from asia.judge.scoring.confirmation import Interval
+from asia.judge.scoring.outcome import Score
+from asia.ledger.events import (
+    Ablated,
+    AblationFit,
+    Confirmed,
+    ConfirmedCandidate,
+    ConfirmedPair,
+    Repeated,
+)
+from asia.ledger.run import open_run
+from asia.ledger.text import error_value
 
 DEFAULT_TOP = 3
 REPEAT_SEEDS = 5
@@ -87,7 +99,6 @@ def validate(
     """
     from asia.analysis.validation import validate as check
     from asia.data.intake.sheet import Wanted
-    from asia.errors import UserError
     from asia.report import write_validation
 
     reading = Wanted(
@@ -104,10 +115,10 @@ def validate(
         raise UserError(f"{option} uses training records only: leave --record and its columns out")
     directory = run_directory(runs, run)
     if repeat:
-        repeat_candidates(directory, top or DEFAULT_TOP, seeds or REPEAT_SEEDS, json=json)
+        _repeat(directory, top or DEFAULT_TOP, seeds or REPEAT_SEEDS, json=json)
         return
     if ablate:
-        ablate_winner(directory, seeds or ABLATE_SEEDS, json=json)
+        _ablate(directory, seeds or ABLATE_SEEDS, json=json)
         return
     found = check(
         directory,
@@ -121,7 +132,12 @@ def validate(
     for line in failed:
         say(f"note    {line}", file=sys.stderr)
     if json:
-        _print_json(found)
+        for one in found.checks:
+            line = {"check": one.name, "verdict": one.verdict, "sentence": one.sentence}
+            say(jsonlib.dumps({**line, "cause": one.cause}, allow_nan=False))
+        end = {name: getattr(found, name) for name in ("run", "experiment", "model", "record")}
+        end |= {"recorded": found.recorded, "summary": found.summary}
+        say(jsonlib.dumps(end, allow_nan=False))
         return
     for one in found.checks:
         say(f"{one.verdict.upper():6}{one.name}: {one.sentence}")
@@ -132,14 +148,200 @@ def validate(
     say(found.summary)
 
 
-def _print_json(found: ValidationReport) -> None:
-    for one in found.checks:
-        line = {"check": one.name, "verdict": one.verdict, "sentence": one.sentence}
-        say(jsonlib.dumps({**line, "cause": one.cause}, allow_nan=False))
-    end: dict[str, object] = {
-        "run": found.run,
-        "experiment": found.experiment,
-        "model": found.model,
-    }
-    end |= {"record": found.record, "recorded": found.recorded, "summary": found.summary}
-    say(jsonlib.dumps(end, allow_nan=False))
+# Repeated fits of the best candidates (--repeat).
+
+
+def _repeat(directory: Path, top: int, seeds: int, *, json: bool) -> None:
+    from asia.analysis.confirmation import confirm
+
+    def fitted(event: Repeated, done: int, total: int) -> None:
+        if json:
+            value = event.outcome.value if isinstance(event.outcome, Score) else None
+            fit = {"event": "repeated", "experiment": event.experiment, "repeat": event.repeat}
+            line = {**fit, "V": value, "same": event.same, "done": done, "of": total}
+            say(jsonlib.dumps(line, allow_nan=False), flush=True)
+            return
+        same = ", as in the search: its fits do not depend on the seed" if event.same else ""
+        say(
+            f"#{event.experiment:02d} seed {event.repeat}: V={value_words(event.outcome)} in "
+            f"{duration(event.seconds)}{same}  [{done} of {total}]",
+            file=sys.stderr,
+            flush=True,
+        )
+
+    found, new = confirm(directory, fitted, top=top, seeds=seeds)
+    if json:
+        say(jsonlib.dumps({"new": new, **asdict(found)}, allow_nan=False))
+        return
+    if not new:
+        say("nothing new to fit: these results are in the ledger", file=sys.stderr)
+    for line in confirmation_lines(found, open_run(directory).view.v_name):
+        say(line)
+
+
+def confirmation_lines(
+    found: Confirmed, v_name: str = "V", experiment: int | None = None
+) -> Iterator[str]:
+    """Yield a line per candidate and per pair, the noise floor, the expected error, the verdict.
+
+    experiment: yield only the lines about it; none if it was not repeated.
+    """
+    for candidate in found.candidates:
+        if experiment in (None, candidate.experiment):
+            yield _candidate_line(candidate, v_name)
+    for number in found.failed if experiment is None else ():
+        yield f"#{number:02d} failed with every seed: not ranked"
+    for pair in found.pairs:
+        if experiment in (None, pair.first, pair.second):
+            yield _pair_line(pair)
+    if experiment is None:
+        if found.pairs:
+            yield (
+                f"simultaneous level {found.level:.0%}".replace("%", " %")
+                + f", corrected for the {found.tried} candidates of the search"
+            )
+        yield f"noise floor: {noise_words(found)}"
+    if found.expected is not None and experiment in (None, found.winner):
+        level = f"{found.expected_level:.0%}".replace("%", " %")
+        yield (
+            f"expected of #{found.winner:02d} on a new record, as {v_name}: "
+            f"{error_value(found.expected.value)}, {level} between "
+            f"{error_value(found.expected.low)} and {error_value(found.expected.high)}"
+        )
+        if found.ensemble is not None:
+            yield (
+                f"    of the ensemble: {error_value(found.ensemble.value)}, between "
+                f"{error_value(found.ensemble.low)} and {error_value(found.ensemble.high)}"
+            )
+        yield (
+            f"    of that {found.expected.optimism:.2g} for being the best of {found.tried}; it "
+            "assumes a record of the same kind, as long as a fold, and is of a fold model as the "
+            "search fitted it"
+        )
+    if experiment is None:
+        yield verdict(found)
+        if found.after_unsealing:
+            yield "computed after the sealed test was opened; it was not used"
+
+
+def verdict(found: Confirmed) -> str:
+    """Return the verdict on the winner in one sentence."""
+    winner = f"#{found.winner:02d}"
+    if not found.candidates or found.winner in found.failed:
+        return f"{winner} is not confirmed: it failed with every other seed"
+    if all(one.experiment != found.winner for one in found.candidates):
+        return f"{winner} is not confirmed: it was not repeated"
+    equal = [
+        pair.first if pair.second == found.winner else pair.second
+        for pair in found.pairs
+        if not pair.apart and found.winner in (pair.first, pair.second)
+    ]
+    if not equal and found.candidates[0].experiment == found.winner:
+        if len(found.candidates) == 1:
+            return f"{winner} was the only candidate repeated: there is no comparison"
+        return f"{winner} is confirmed: it is better than all other repeated candidates"
+    better = [p.first for p in found.pairs if p.second == found.winner and p.apart]
+    if better:
+        names = " and ".join(f"#{number:02d}" for number in better)
+        return f"{winner} is not confirmed: {names} {'is' if len(better) == 1 else 'are'} better"
+    names = " and ".join(f"#{number:02d}" for number in equal)
+    return f"{winner} and {names} are statistically equal: prefer the simplest of them"
+
+
+def noise_words(found: Confirmed) -> str:
+    """Return the noise floor."""
+    if found.noise is None:
+        return "not known: needs two seeds with a score"
+    if found.noise == 0.0:
+        return "0, the fits do not depend on the seed"
+    return f"{found.noise:.2g}, standard deviation of V from seed to seed"
+
+
+def _pair_line(pair: ConfirmedPair) -> str:
+    """`#12 and #09 are statistically equal: they differ by 0.0012 (-0.0031 to 0.0055)`."""
+    first, second, gap = f"#{pair.first:02d}", f"#{pair.second:02d}", pair.difference
+    figures = f"{gap.value:.4g} ({gap.low:.3g} to {gap.high:.3g})"
+    if pair.apart:
+        return f"{first} is better than {second} by {figures}"
+    return f"{first} and {second} are statistically equal: they differ by {figures}"
+
+
+def _candidate_line(candidate: ConfirmedCandidate, v_name: str) -> str:
+    """`rank 1 to 2  #12  V=0.1034 (0.0981 to 0.1087)  in the search 0.1002  5 seeds ...`."""
+    low, high = candidate.best_rank, candidate.worst_rank
+    rank = f"rank {low}" if low == high else f"rank {low} to {high}"
+    seeds = f"{candidate.repeats} seeds"
+    if candidate.deterministic:
+        seeds = "does not depend on the seed: one repeat gave the same V"
+    elif candidate.spread is not None:
+        seeds += f", s.d. {candidate.spread:.2g}"
+    if candidate.failed:
+        seeds += f", {candidate.failed} failed"
+    mean = candidate.value
+    return (
+        f"{rank:<12} #{candidate.experiment:02d}  {v_name}={error_value(mean.value)} "
+        f"({error_value(mean.low)} to {error_value(mean.high)})  in the "
+        f"search {error_value(candidate.first)}  {seeds}"
+    )
+
+
+# The gain of the winner in parts (--ablate).
+
+
+def _ablate(directory: Path, seeds: int, *, json: bool) -> None:
+    from asia.analysis.ablation import ablate
+    from asia.report import write_report
+
+    def fitted(event: AblationFit, done: int, total: int) -> None:
+        if json:
+            fit = {"event": "ablation_fit", "variant": event.variant, "seed": event.repeat}
+            line = {**fit, "V": event.value, "failed": event.failed, "done": done, "of": total}
+            say(jsonlib.dumps(line, allow_nan=False), flush=True)
+            return
+        value = event.failed if event.value is None else f"V={error_value(event.value)}"
+        text = f"{event.variant}, seed {event.repeat}: {value} in {duration(event.seconds)}"
+        say(f"{text}  [{done} of {total}]", file=sys.stderr, flush=True)
+
+    found, new = ablate(directory, fitted, seeds=seeds)
+    if json:
+        say(jsonlib.dumps({"new": new, **asdict(found)}, allow_nan=False))
+        return
+    if not new:
+        say("nothing new to fit: these results are in the ledger", file=sys.stderr)
+    for line in _ablation_lines(found, open_run(directory).view.v_name):
+        say(line)
+    for picture in write_report(directory):
+        if picture.name == "ablation.png":
+            say(f"picture  {picture}")
+
+
+def _ablation_lines(found: Ablated, v_name: str) -> Iterator[str]:
+    """Yield the causes of the gain, and a line for each change that was left out."""
+    crossing = found.crossing
+    if crossing is None:
+        yield f"model and training cannot be crossed: {found.detail}"
+    else:
+        yield (
+            f"{v_name} of the winner #{found.winner:02d} is lower than that of the baseline by "
+            f"{_interval(crossing.gain)}"
+        )
+        for name, part in (
+            ("its model", crossing.model),
+            ("its training", crossing.training),
+            ("both together", crossing.interaction),
+        ):
+            share = crossing.share(part)
+            percent = "" if share is None else f"{100 * share:5.0f} %  "
+            yield f"  {name:<14} {percent}{_interval(part)}"
+    for one in found.left_out:
+        name = f"without the change of #{one.experiment:02d}"
+        if one.loss is None:
+            yield f"{name}: not known; {one.detail}"
+        else:
+            yield f"{name}: {v_name} is higher by {_interval(one.loss)}"
+
+
+def _interval(interval: Interval) -> str:
+    ends = f"{error_value(interval.low)} to {error_value(interval.high)}"
+    exact = interval.low == interval.high
+    return error_value(interval.value) + ("" if exact else f" ({ends})")

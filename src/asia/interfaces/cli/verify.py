@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json as jsonlib
+import sys
 from dataclasses import asdict
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from asia._text import say
+from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, RunName, Runs, run_directory
-from asia.interfaces.cli.replay import replay_search
+from asia.ledger.artifacts import Store
+
+if TYPE_CHECKING:
+    from asia.search.replay import Replayed
 
 
 def verify(
@@ -42,15 +48,13 @@ def verify(
     were removed. --replay does not evaluate experiments that the deadline affected. Exit code 1:
     an outcome differs.
     """
-    from asia.errors import UserError
-    from asia.ledger.artifacts import Store
     from asia.ledger.verification import verify as check
 
     if from_scratch and not replay:
         raise UserError("--from-scratch belongs to --replay: add --replay or leave it out")
     directory = run_directory(runs, run)
     if replay:
-        replay_search(directory, tolerance if from_scratch else 0.0, json=json)
+        _replay(directory, tolerance if from_scratch else 0.0, json=json)
         return
     alone = not Store(directory / "artifacts").kept
     found = check(directory, ledger_alone=alone)
@@ -65,3 +69,61 @@ def verify(
     say(f"head {found.head}")
     if found.torn:
         say(f"the last line is incomplete: its {found.torn} bytes were ignored")
+
+
+def _replay(directory: Path, tolerance: float, *, json: bool) -> None:
+    """Query the agent and evaluate every candidate again. Exit code 1 if an outcome differs by more
+    than `tolerance` of V; 0.0: bitwise."""
+    from asia.search.replay import replay_run
+
+    def replayed(item: Replayed) -> None:
+        if json:
+            line = {"event": "replayed", **asdict(item), "agrees": item.agrees}
+            say(jsonlib.dumps(line), flush=True)
+            return
+        # `#07 agrees   outcome same    proposal same    keep     V=0.131`: one greppable line.
+        found = f"V={item.V:.6g}" if item.V is not None else ""
+        near = f"apart {item.apart:.1e}" if item.apart is not None and item.apart > 0 else ""
+        parts = (f"{item.status or '':<7}", found, near, item.detail)
+        words = "  ".join(part for part in parts if part)
+        asked = "" if item.proposal == "none" else f"proposal {item.proposal}"
+        say(
+            f"{item.name:<23} {'agrees' if item.agrees else 'DIFFERS':<7}  "
+            f"outcome {item.outcome:<10}  {asked:<16}  {words}".rstrip(),
+            flush=True,
+        )
+
+    report = replay_run(directory, replayed, tolerance)
+    compared = [i for i in report.items if i.outcome not in ("exempt", "unfinished")]
+    agree = sum(i.agrees for i in compared)
+    exempt = sum(i.outcome == "exempt" for i in report.items)
+    taken = sum(i.proposal == "taken" for i in report.items if i.name.startswith("#"))
+    if json:
+        summary = {
+            "run": report.run,
+            "agrees": report.agrees,
+            "compared": len(compared),
+            "agree": agree,
+            "exempt": exempt,
+            "taken": taken,
+            "exchanges": report.exchanges,
+            "tolerance": report.tolerance,
+            "apart": report.apart,
+            "notes": list(report.notes),
+        }
+        say(jsonlib.dumps({"event": "done", **summary}), flush=True)
+    else:
+        for note in report.notes:
+            say(f"note  {note}", file=sys.stderr)
+        within = "bitwise"
+        if report.tolerance:
+            within = f"within {report.tolerance:g} of V; the largest difference is "
+            within += f"{report.apart:.1e}"
+        say(
+            f"replayed {report.run}: {agree} of {len(compared)} agree {within}"
+            + (f", {exempt} left to the deadline" if exempt else "")
+            + (f", {taken} proposals taken from the ledger" if taken else "")
+            + (f", {report.exchanges} requests answered from it" if report.exchanges else "")
+        )
+    if not report.agrees:
+        raise typer.Exit(1)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from asia._text import say
-from asia.interfaces.cli.options import DEFAULT_RUNS, Runs
+from asia.interfaces.cli.options import DEFAULT_RUNS, Runs, run_directory
 
 
 def view(
@@ -33,7 +33,14 @@ def view(
     from asia.interfaces.view import require_server, serve_view
 
     require_server()
-    folder, name = _place(runs, run)
+    if run is not None and Path(run).is_dir() and not (Path(run) / "ledger.jsonl").exists():
+        folder, name = Path(run).resolve(), None
+    elif run is None and runs.is_dir():
+        folder, name = runs.resolve(), None
+    else:
+        # A workspace has its runs in another folder, and may hide them.
+        directory = run_directory(runs, run).resolve()
+        folder, name = directory.parent, None if run is None else directory.name
 
     def started(address: str) -> None:
         say(f"view     {address}")
@@ -42,16 +49,3 @@ def view(
             webbrowser.open(address)
 
     serve_view(folder, name, port, started)
-
-
-def _place(runs: Path, run: str | None) -> tuple[Path, str | None]:
-    """Return the folder of runs and the named run. Raises UserError."""
-    from asia.interfaces.cli.options import run_directory
-
-    if run is not None and Path(run).is_dir() and not (Path(run) / "ledger.jsonl").exists():
-        return Path(run).resolve(), None
-    if run is None and runs.is_dir():
-        return runs.resolve(), None
-    # A workspace has its runs in another folder, and may hide them.
-    directory = run_directory(runs, run).resolve()
-    return directory.parent, None if run is None else directory.name

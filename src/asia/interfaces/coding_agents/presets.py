@@ -6,7 +6,7 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -40,22 +40,26 @@ class Stream:
     """The agent's own word for its end."""
     totals: Usage | None = None
     """The agent's own totals as they stand now; None until they are reported."""
-    _seen: set[str] = field(default_factory=set[str])
+    _counted: set[str] = field(default_factory=set[str])
 
     def feed(self, line: str) -> None:
         """Parse one line of the stream."""
-        reader = _READERS.get(self.format)
-        if reader is None:
-            return
         try:
             event: Any = json.loads(line)
         except (ValueError, RecursionError):
             return
         if isinstance(event, dict):
-            reader(self, event)
+            match self.format:
+                case "claude":
+                    self._read_claude(event)
+                case "codex":
+                    self._read_codex(event)
+                case "gemini":
+                    self._read_gemini(event)
+                case "none":
+                    pass
 
-    def add(self, tokens_in: int, tokens_out: int, cached: int, turns: int) -> None:
-        """Count."""
+    def _add(self, tokens_in: int, tokens_out: int, cached: int, turns: int) -> None:
         u = self.usage
         self.usage = replace(
             u,
@@ -65,96 +69,71 @@ class Stream:
             turns=u.turns + turns,
         )
 
-    def first_time(self, name: str) -> bool:
-        """Return whether an item occurs for the first time; one reply may have several events."""
-        new = name not in self._seen
-        self._seen.add(name)
-        return new
+    def _read_claude(self, event: dict[str, Any]) -> None:
+        self.session = _name(event.get("session_id")) or self.session
+        if event.get("type") == "assistant":
+            message = _table(event.get("message"))
+            # One reply may have several events.
+            reply = _text(message.get("id")) or str(len(self.outcome))
+            if reply not in self._counted:
+                self._counted.add(reply)
+                usage = _table(message.get("usage"))
+                cached = _count(usage, "cache_read_input_tokens")
+                fresh = _count(usage, "input_tokens") + _count(usage, "cache_creation_input_tokens")
+                self._add(fresh + cached, _count(usage, "output_tokens"), cached, 1)
+        elif event.get("type") == "result":
+            self.outcome = _text(event.get("subtype")) or "result"
+            # Both totals are those of the whole session, of what was resumed too.
+            before, now = self.before, self.usage
+            totals = self.totals or before
+            cost = event.get("total_cost_usd")
+            if isinstance(cost, int | float) and not isinstance(cost, bool) and math.isfinite(cost):
+                totals = replace(totals, cost=float(cost))
+                now = replace(now, cost=max(0.0, float(cost) - (before.cost or 0.0)))
+            models = [_table(m) for m in _table(event.get("modelUsage")).values()]
+            if models:
+                # With sub-agents; before the end only the main loop is reported.
+                made = sum(_count(m, "outputTokens") for m in models)
+                cached = sum(_count(m, "cacheReadInputTokens") for m in models)
+                read = cached + sum(
+                    _count(m, "inputTokens") + _count(m, "cacheCreationInputTokens") for m in models
+                )
+                totals = replace(
+                    totals, input_tokens=read, output_tokens=made, cached_tokens=cached
+                )
+                now = replace(
+                    now,
+                    input_tokens=max(now.input_tokens, read - before.input_tokens),
+                    output_tokens=max(now.output_tokens, made - before.output_tokens),
+                    cached_tokens=max(now.cached_tokens, cached - before.cached_tokens),
+                )
+            self.totals, self.usage = totals, now
 
+    def _read_codex(self, event: dict[str, Any]) -> None:
+        kind = event.get("type")
+        if kind == "thread.started":
+            self.session = _name(event.get("thread_id"))
+        elif kind == "turn.completed":
+            usage = _table(event.get("usage"))
+            names = ("input_tokens", "output_tokens", "cached_input_tokens")
+            self._add(*(_count(usage, name) for name in names), turns=1)
+            self.outcome = "success"
+        elif kind in ("turn.failed", "error"):
+            self.outcome = "error"
 
-def _claude(stream: Stream, event: dict[str, Any]) -> None:
-    stream.session = _name(event.get("session_id")) or stream.session
-    if event.get("type") == "assistant":
-        message = _table(event.get("message"))
-        if stream.first_time(_text(message.get("id")) or str(len(stream.outcome))):
-            usage = _table(message.get("usage"))
-            cached = _count(usage, "cache_read_input_tokens")
-            fresh = _count(usage, "input_tokens") + _count(usage, "cache_creation_input_tokens")
-            stream.add(fresh + cached, _count(usage, "output_tokens"), cached, 1)
-    elif event.get("type") == "result":
-        stream.outcome = _text(event.get("subtype")) or "result"
-        _claude_totals(stream, event)
-
-
-def _claude_totals(stream: Stream, event: dict[str, Any]) -> None:
-    """Both totals are those of the whole session, of what was resumed too."""
-    before, now = stream.before, stream.usage
-    totals = stream.totals or before
-    cost = event.get("total_cost_usd")
-    if isinstance(cost, int | float) and not isinstance(cost, bool) and math.isfinite(cost):
-        totals = replace(totals, cost=float(cost))
-        now = replace(now, cost=max(0.0, float(cost) - (before.cost or 0.0)))
-    models = [_table(m) for m in _table(event.get("modelUsage")).values()]
-    if models:
-        # With sub-agents; before the end only the main loop is reported.
-        cached = sum(_count(m, "cacheReadInputTokens") for m in models)
-        fresh = sum(
-            _count(m, "inputTokens") + _count(m, "cacheCreationInputTokens") for m in models
-        )
-        made = sum(_count(m, "outputTokens") for m in models)
-        totals = replace(
-            totals, input_tokens=fresh + cached, output_tokens=made, cached_tokens=cached
-        )
-        now = replace(
-            now,
-            input_tokens=max(now.input_tokens, fresh + cached - before.input_tokens),
-            output_tokens=max(now.output_tokens, made - before.output_tokens),
-            cached_tokens=max(now.cached_tokens, cached - before.cached_tokens),
-        )
-    stream.totals, stream.usage = totals, now
-
-
-def _codex(stream: Stream, event: dict[str, Any]) -> None:
-    kind = event.get("type")
-    if kind == "thread.started":
-        stream.session = _name(event.get("thread_id"))
-    elif kind == "turn.completed":
-        usage = _table(event.get("usage"))
-        stream.add(
-            _count(usage, "input_tokens"),
-            _count(usage, "output_tokens"),
-            _count(usage, "cached_input_tokens"),
-            1,
-        )
-        stream.outcome = "success"
-    elif kind in ("turn.failed", "error"):
-        stream.outcome = "error"
-
-
-def _gemini(stream: Stream, event: dict[str, Any]) -> None:
-    kind = event.get("type")
-    if kind == "init":
-        stream.session = _name(event.get("session_id"))
-    elif kind == "message" and event.get("role") == "assistant" and not event.get("delta"):
-        stream.add(0, 0, 0, 1)
-    elif kind == "error":
-        stream.outcome = "error"
-    elif kind == "result":
-        stats = _table(event.get("stats"))
-        stream.add(
-            _count(stats, "input_tokens"),
-            _count(stats, "output_tokens"),
-            _count(stats, "cached"),
-            0,
-        )
-        stream.outcome = _text(event.get("status")) or "success"
-
-
-_READERS: dict[str, Callable[[Stream, dict[str, Any]], None]] = {
-    "claude": _claude,
-    "codex": _codex,
-    "gemini": _gemini,
-}
+    def _read_gemini(self, event: dict[str, Any]) -> None:
+        kind = event.get("type")
+        if kind == "init":
+            self.session = _name(event.get("session_id"))
+        elif kind == "message" and event.get("role") == "assistant" and not event.get("delta"):
+            self._add(0, 0, 0, turns=1)
+        elif kind == "error":
+            self.outcome = "error"
+        elif kind == "result":
+            stats = _table(event.get("stats"))
+            names = ("input_tokens", "output_tokens", "cached")
+            self._add(*(_count(stats, name) for name in names), turns=0)
+            self.outcome = _text(event.get("status")) or "success"
 
 
 def _table(value: object) -> dict[str, Any]:
@@ -181,9 +160,6 @@ def _count(table: dict[str, Any], name: str) -> int:
 
 # Coding agents as command lines. `{prompt}`, `{prompt_file}`, `{workspace}`, `{session}` and,
 # where there is a cap on money, `{dollars}` are filled in.
-
-
-PLACEHOLDERS = ("prompt", "prompt_file", "workspace", "session", "dollars")
 
 
 @dataclass(frozen=True)
@@ -274,9 +250,9 @@ def make_preset(name: str, command: str | None) -> Preset:
 
 def filled(template: tuple[str, ...], values: Mapping[str, str]) -> list[str]:
     """The arguments with every placeholder replaced; other braces stay."""
-    answer: list[str] = []
+    found: list[str] = []
     for word in template:
-        for name in PLACEHOLDERS:
+        for name in ("prompt", "prompt_file", "workspace", "session", "dollars"):
             word = word.replace("{" + name + "}", values.get(name, ""))
-        answer.append(word)
-    return answer
+        found.append(word)
+    return found

@@ -17,8 +17,7 @@ import termios
 import threading
 import time
 import tty
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -96,11 +95,8 @@ def check_access(access: Access, directory: Path, problem: Problem) -> None:
 
 def check_program(program: str, access: Access | None) -> None:
     """Raises UserError when the program cannot be run in a jail with this access; None: outside."""
-    if access is None:
-        found = shutil.which(program)
-    else:
-        found = Jail(Path(), Path(), access.mounts).find(program)
-    if found is None:
+    jail = None if access is None else Jail(Path(), Path(), access.mounts)
+    if (shutil.which(program) if jail is None else jail.find(program)) is None:
         raise UserError(
             f"the agent's program '{program}' cannot be run: install it. If it is installed "
             "in your home, give --agent-mount for its folder and for the folder that its "
@@ -125,7 +121,6 @@ def copied_configs(access: Access, home: Path) -> tuple[Path, ...]:
 # Limits of a command agent, its usage so far, and the secrets that must not be recorded.
 
 
-_SHORTEST_SECRET = 6
 _HIDDEN = "[hidden]"
 
 
@@ -190,11 +185,11 @@ class Spent:
         if rules.tokens is not None and self.tokens >= rules.tokens:
             return StopCause("tokens", f"{self.tokens} of {rules.tokens} tokens")
         if rules.cost is not None and self.cost + self.unknown >= rules.cost:
-            more = (
-                f", and up to {self.unknown:.2f} USD in sessions that did not report their cost"
-                if self.unknown
-                else ""
-            )
+            more = ""
+            if self.unknown:
+                more = (
+                    f", and up to {self.unknown:.2f} USD in sessions that did not report their cost"
+                )
             return StopCause("cost", f"{self.cost:.2f} of {rules.cost:.2f} USD{more}")
         return None
 
@@ -210,7 +205,8 @@ class Secrets:
         """Return the secrets in environment variables, plain and JSON-encoded."""
         plain = {os.environ.get(name, "") for name in variables}
         known = {form for v in plain for form in (v, json.dumps(v)[1:-1])}
-        long = [value for value in known if len(value) >= _SHORTEST_SECRET]
+        # Shorter values are part of ordinary words.
+        long = [value for value in known if len(value) >= 6]
         return cls(tuple(sorted(long, key=len, reverse=True)))
 
     def clean(self, text: str) -> str:
@@ -227,14 +223,8 @@ class Secrets:
 
     def clean_proposal(self, proposal: Proposal) -> Proposal:
         """Return the proposal with every secret in its texts replaced."""
-        return replace(
-            proposal,
-            source=self.clean(proposal.source),
-            family=self.clean(proposal.family),
-            title=self.clean(proposal.title),
-            hypothesis=self.clean(proposal.hypothesis),
-            expected=self.clean(proposal.expected),
-        )
+        texts = ("source", "family", "title", "hypothesis", "expected")
+        return replace(proposal, **{name: self.clean(getattr(proposal, name)) for name in texts})
 
 
 def check_rules(preset: Preset, rules: CommandRules) -> None:
@@ -260,13 +250,10 @@ def check_rules(preset: Preset, rules: CommandRules) -> None:
 
 
 _TICK_SECONDS = 0.2
-_GRACE_SECONDS = 2.0
-_JOIN_SECONDS = 10.0
 _FLUSH_SECONDS = 5.0
 _READ_BYTES = 64 * 1024
 _CHUNK_BYTES = 256 * 1024
 _LINE_BYTES = 4 * 1024 * 1024
-_LAST_READS = 64
 
 
 class Session:
@@ -312,7 +299,7 @@ class Session:
         for sign in (signal.SIGTERM, signal.SIGKILL):
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.process.pid, sign)
-            self.wait(_GRACE_SECONDS)
+            self.wait(2.0)
 
     def end(self) -> str:
         """Kill it, read what it has left; how it ended. A child that escaped its group may hold the
@@ -320,7 +307,7 @@ class Session:
         has_ended = self.ended
         self.kill()
         self._over.set()
-        self._thread.join(_JOIN_SECONDS)
+        self._thread.join(10.0)
         if self.stream.outcome:
             return self.stream.outcome
         if self.stopped is not None:
@@ -345,7 +332,8 @@ class Session:
         more = True
         while more or not self.ended:
             if self._over.is_set():
-                for _ in range(_LAST_READS):
+                # Not for ever: a child that escaped may go on writing.
+                for _ in range(64):
                     more = more and self._read(output)
                 break
             if not more:
@@ -394,20 +382,6 @@ class Session:
 
 SOCKET = "desk.sock"
 WORKSPACES = ".workspaces"
-_LAST_OUTPUT_SECONDS = 60.0
-_IDLE_SESSIONS = 2
-_FIRST = (
-    "Read PROGRAM.md in this folder and do what it says: find the best model you can, with "
-    "`asia try`."
-)
-_AGAIN = (
-    "Continue the search that PROGRAM.md describes: read results.tsv and search_journal.md "
-    "first. There are experiments left."
-)
-_FROM_OTHERS = (
-    " Another agent made experiments 1 to {before}: read results.tsv, search_journal.md and the "
-    "best candidate first. Yours are those up to number {end}."
-)
 
 
 class CommandAgent(SubmittedAgent):
@@ -456,7 +430,11 @@ class CommandAgent(SubmittedAgent):
         ended = {event.session for event in view.sessions}
         for event in view.begun:
             if event.leg == self._leg and event.session not in ended:
-                usage = self._streamed(event.session, journal)
+                usage = None
+                if self._preset.format != "none":
+                    stream = self._recorded_stream(event.session, journal)
+                    # The cost of a session that was cut off is unknown.
+                    usage = replace(stream.usage, cost=None)
                 journal.record(SessionEnded(event.session, "cut off with the search", usage))
         self._server.__enter__()
 
@@ -489,7 +467,7 @@ class CommandAgent(SubmittedAgent):
         if session is None:
             return
         if reason in ("budget", "hours", "saturated"):
-            session.wait(_LAST_OUTPUT_SECONDS)
+            session.wait(60.0)
         self._finish(session)
 
     def leaving(self) -> None:
@@ -500,7 +478,7 @@ class CommandAgent(SubmittedAgent):
     def _take(self) -> Proposal | None:
         """Return the submitted candidate, unless a cap was reached meanwhile."""
         session = self._session
-        stop = session.stopped if session is not None else self._judge(None)
+        stop = self._judge(None) if session is None else session.stopped
         if stop is not None:
             if session is not None:
                 self._finish(session)
@@ -514,13 +492,11 @@ class CommandAgent(SubmittedAgent):
         session = self._session
         if session is None:
             self._session = self._start()
-        elif session.error is not None:
+            return
+        if session.error is not None:
             raise session.error
-        elif session.ended:
-            self._after(session)
-
-    def _after(self, session: Session) -> None:
-        """The process has ended."""
+        if not session.ended:
+            return
         outcome = self._finish(session)
         view = self._view
         assert view is not None
@@ -529,7 +505,7 @@ class CommandAgent(SubmittedAgent):
             raise AgentStoppedError(stop.reason, f"{stop.detail}; last session: {outcome}")
         brought = len(view.experiments) > session.experiments
         self._idle = 0 if brought else self._idle + 1
-        if self._idle >= _IDLE_SESSIONS:
+        if self._idle >= 2:
             raise AgentStoppedError(
                 "agent", f"it ended {self._idle} times without a new experiment, last: {outcome}"
             )
@@ -564,8 +540,24 @@ class CommandAgent(SubmittedAgent):
         kept = not rules.jail or preset.config in [path.name for path in rules.configs]
         resumes = bool(number > 1 and self._resumable and preset.resume and kept)
         template = preset.resume if resumes else preset.start
-        notes = "".join(f"\n\nNote of the user: {n.text}" for n in view.notes)
-        prompt = self._prompt(number, view) + notes
+        resumed_leg = not self._leg or any(event.leg == self._leg for event in view.begun)
+        if number > 1 and resumed_leg:
+            prompt = (
+                "Continue the search that PROGRAM.md describes: read results.tsv and "
+                "search_journal.md first. There are experiments left."
+            )
+        else:
+            prompt = (
+                "Read PROGRAM.md in this folder and do what it says: find the best model you can, "
+                "with `asia try`."
+            )
+            if self._leg >= 2:
+                prompt += (
+                    f" Another agent made experiments 1 to {len(view.finished)}: read results.tsv, "
+                    "search_journal.md and the best candidate first. Yours are those up to number "
+                    f"{view.leg_end}."
+                )
+        prompt += "".join(f"\n\nNote of the user: {n.text}" for n in view.notes)
         write_file(self._folder, "PROMPT.md", prompt)
         spent = Spent.of(view, None, self._leg)
         left = None if rules.cost is None else rules.cost - spent.cost - spent.unknown
@@ -588,15 +580,6 @@ class CommandAgent(SubmittedAgent):
         process = self._spawn(filled(template, values))
         stream = Stream(preset.format, self._totals)
         return Session(process, stream, number, len(view.experiments), self._keep, self._judge)
-
-    def _prompt(self, session: int, view: SearchView) -> str:
-        """Return the prompt of the process."""
-        own = [event for event in view.begun if event.leg == self._leg]
-        if session > 1 and (own or not self._leg):
-            return _AGAIN
-        before = len(view.finished)
-        others = "" if self._leg < 2 else _FROM_OTHERS.format(before=before, end=view.leg_end)
-        return _FIRST + others
 
     def _spawn(self, arguments: list[str]) -> subprocess.Popen[bytes]:
         rules = self._rules
@@ -644,17 +627,14 @@ class CommandAgent(SubmittedAgent):
         journal.record(SessionEnded(session.number, outcome, stream.usage if known else None))
         return outcome
 
-    def _streamed(self, number: int, journal: Journal) -> Usage | None:
-        """Return the recorded usage of a session that was cut off. Its cost is unknown."""
-        if self._preset.format == "none":
-            return None
+    def _recorded_stream(self, session: int, journal: Journal) -> Stream:
         stream = Stream(self._preset.format)
         for line in read_lines(self._directory / "ledger.jsonl"):
             event = line.event
-            if isinstance(event, Streamed) and event.session == number:
+            if isinstance(event, Streamed) and event.session == session:
                 for text in journal.get(event.lines).decode("utf-8", "replace").splitlines():
                     stream.feed(text)
-        return replace(stream.usage, cost=None)
+        return stream
 
 
 def command_agent(
@@ -677,22 +657,6 @@ def command_agent(
     )  # fmt: skip
     name = started.legs[leg - 1].agent if leg else started.agent
     return CommandAgent(name, preset, rules, prepared, folder, leg)
-
-
-def run_command(
-    prepared: Prepared,
-    preset: Preset,
-    rules: CommandRules,
-    on_event: OnEvent,
-    on_start: Callable[[SearchView], None],
-) -> SearchView:
-    """Run a search with candidates from a coding agent, see `search`.
-
-    Raises:
-        UserError: as `command_agent`, before anything starts.
-    """
-    agent = command_agent(prepared, preset, rules)
-    return search_with_agents(prepared, agent, (agent,), on_event, on_start)
 
 
 def search_with_agents(
@@ -729,9 +693,6 @@ def search_with_agents(
 # that other programs use.
 
 
-_BYTES = 65536
-
-
 def on_terminal() -> bool:
     """Return whether this process has the user's terminal."""
     return sys.stdin.isatty() and sys.stdout.isatty()
@@ -750,8 +711,16 @@ def run_on_terminal(arguments: list[str], environment: Mapping[str, str], folder
             start_new_session=True,
         )  # fmt: skip
         os.close(theirs)
-        with _raw(), _resizing(ours):
+        # Keys reach the program one by one, Ctrl-C as well; its terminal keeps the user's size.
+        keyboard = sys.stdin.fileno()
+        settings = termios.tcgetattr(keyboard)
+        on_resize = signal.signal(signal.SIGWINCH, lambda number, frame: _copy_size(ours))
+        try:
+            tty.setraw(keyboard)
             _relay(ours, process)
+        finally:
+            signal.signal(signal.SIGWINCH, on_resize)
+            termios.tcsetattr(keyboard, termios.TCSADRAIN, settings)
         return process.wait()
     finally:
         os.close(ours)
@@ -761,50 +730,27 @@ def _relay(ours: int, process: subprocess.Popen[bytes]) -> None:
     """Copy both ways until the program has ended and nothing of its output is left."""
     keyboard, screen = sys.stdin.fileno(), sys.stdout.fileno()
     watched = [ours, keyboard]
+
+    def copy(data: bytes, to: int) -> None:
+        while data:
+            data = data[os.write(to, data) :]
+
     while True:
         ready = select.select(watched, [], [], _TICK_SECONDS)[0]
         if keyboard in ready:
-            typed = os.read(keyboard, _BYTES)
-            if typed:
-                _write(ours, typed)
-            else:
+            typed = os.read(keyboard, _READ_BYTES)
+            copy(typed, ours)
+            if not typed:
                 watched.remove(keyboard)
         if ours in ready:
             with contextlib.suppress(OSError):  # Linux answers EIO once the other end is closed
-                shown = os.read(ours, _BYTES)
+                shown = os.read(ours, _READ_BYTES)
                 if shown:
-                    _write(screen, shown)
+                    copy(shown, screen)
                     continue
             return
         if not ready and process.poll() is not None:
             return
-
-
-def _write(fd: int, data: bytes) -> None:
-    while data:
-        data = data[os.write(fd, data) :]
-
-
-@contextmanager
-def _raw() -> Generator[None]:
-    """Keys reach the program one by one, Ctrl-C as well."""
-    keyboard = sys.stdin.fileno()
-    before = termios.tcgetattr(keyboard)
-    try:
-        tty.setraw(keyboard)
-        yield
-    finally:
-        termios.tcsetattr(keyboard, termios.TCSADRAIN, before)
-
-
-@contextmanager
-def _resizing(ours: int) -> Generator[None]:
-    """Keep the size of the program's terminal equal to that of the user's."""
-    before = signal.signal(signal.SIGWINCH, lambda number, frame: _copy_size(ours))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGWINCH, before)
 
 
 def _copy_size(ours: int) -> None:
@@ -814,10 +760,6 @@ def _copy_size(ours: int) -> None:
 
 
 # Any program in the jail of a workspace: `asia agent workspace --jail CMD`.
-
-
-# Variables that terminal programs need.
-_TERMINAL_VARIABLES = ("TERM", "COLORTERM")
 
 
 def check_jail(words: list[str], access: Access, directory: Path, problem: Problem) -> None:
@@ -842,7 +784,7 @@ def run_jailed(place: Workspace, words: list[str], access: Access) -> int:
         socket.mkdir()
         configs = copied_configs(access, home)
         jail = Jail(place.folder, socket, access.mounts, configs, access.network)
-        passed = (*access.variables, *_TERMINAL_VARIABLES)
+        passed = (*access.variables, "TERM", "COLORTERM")
         environment = {
             **jail_environment(access.mounts),
             DESK_VARIABLE: f"{SOCKET_FOLDER}/{SOCKET}",
@@ -868,7 +810,7 @@ class _RenewingDesk(RunDesk):
         self._written = -1
 
     def progress(self) -> SearchProgress:
-        """See `Desk.progress`."""
+        """See `RunDesk.progress`."""
         now = super().progress()
         if now.experiments != self._written:
             opened = open_run(self._run_directory)

@@ -7,11 +7,15 @@ Importing this package is cheap: the MCP SDK, an extra, is loaded when a server 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 
 from asia.errors import UserError
-from asia.interfaces.mcp.answers import AGENT, Opened, open_search
 from asia.interfaces.mcp.config import CLIENTS, client_configuration
+from asia.interfaces.workspace.process import SearchRequest, prepare_request, start_search
+from asia.interfaces.workspace.server import RunDesk
+from asia.problem.problem import Problem
 
 __all__ = [
     "AGENT",
@@ -23,6 +27,25 @@ __all__ = [
     "serve_http",
     "serve_stdio",
 ]
+
+AGENT = "mcp"
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A run that takes submissions, and the problem it is about."""
+
+    desk: RunDesk
+    problem: Problem
+    directory: Path
+
+
+def open_search(request: SearchRequest, runs: Path, name: str | None) -> Opened:
+    """Check the request and write it down; no search is started. Raises UserError."""
+    prepared = prepare_request(request, runs, name)
+    request.save(prepared.directory)
+    desk = RunDesk(prepared.directory, start_search)
+    return Opened(desk, prepared.problem, prepared.directory)
 
 
 def require_sdk() -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+CLIENTS = ("claude", "codex", "gemini")
 START_SECONDS = 60
 CALL_SECONDS = 120
 _TASK = "Call asia_problem, then search as it says until the budget is spent"
-_RUN = "from asia.interfaces.cli import main; main()"
 
 
 @dataclass(frozen=True)
@@ -20,13 +20,6 @@ class ClientConfiguration:
 
     text: str
     notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _Command:
-    executable: str
-    arguments: tuple[str, ...]
-    environment: Mapping[str, str]
 
 
 def client_configuration(
@@ -40,74 +33,50 @@ def client_configuration(
         environment: variables that the server needs, because clients pass on few of their own.
     """
     script = Path(sys.executable).parent / "asia"
-    if script.is_file():
-        command = _Command(str(script), ("agent", "mcp", *arguments), environment)
-    else:
-        command = _Command(sys.executable, ("-c", _RUN, "agent", "mcp", *arguments), environment)
-    return _CLIENTS[client](command)
-
-
-def _claude(command: _Command) -> ClientConfiguration:
-    server = {"type": "stdio", **_server(command), "timeout": CALL_SECONDS * 1000}
-    return ClientConfiguration(
-        _json({"mcpServers": {"asia": server}}),
-        (
+    command, words = str(script), ["agent", "mcp", *arguments]
+    if not script.is_file():
+        command = sys.executable
+        words = ["-c", "from asia.interfaces.cli import main; main()", *words]
+    if client == "codex":
+        lines = [
+            "[mcp_servers.asia]",
+            f"command = {json.dumps(command)}",
+            f"args = {json.dumps(words)}",
+            f"startup_timeout_sec = {START_SECONDS}",
+            f"tool_timeout_sec = {CALL_SECONDS}",
+            "# Without this line codex exec cancels every call.",
+            'default_tools_approval_mode = "approve"',
+        ]
+        if environment:
+            lines += ["", "[mcp_servers.asia.env]"]
+            lines += [f"{k} = {json.dumps(v)}" for k, v in environment.items()]
+        return ClientConfiguration(
+            "\n".join(lines) + "\n",
+            (
+                "Codex: add this to ~/.codex/config.toml",
+                f'headless: codex exec --skip-git-repo-check "{_TASK}"',
+            ),
+        )
+    server: dict[str, object] = {"command": command, "args": words}
+    if environment:
+        server["env"] = dict(environment)
+    server["timeout"] = CALL_SECONDS * 1000
+    if client == "claude":
+        server = {"type": "stdio", **server}
+        notes = (
             "Claude Code: save this as .mcp.json in the folder you start claude in (it asks once "
             "whether to trust it)",
             f'headless: claude -p "{_TASK}" --mcp-config .mcp.json --strict-mcp-config '
             '--allowedTools "mcp__asia__*"',
             "without questions in a session: settings.json, permissions.allow: "
             '["mcp__asia__*"]; start with /mcp__asia__asia_search',
-        ),
-    )
-
-
-def _codex(command: _Command) -> ClientConfiguration:
-    lines = [
-        "[mcp_servers.asia]",
-        f"command = {json.dumps(command.executable)}",
-        f"args = {json.dumps(list(command.arguments))}",
-        f"startup_timeout_sec = {START_SECONDS}",
-        f"tool_timeout_sec = {CALL_SECONDS}",
-        "# Without this line codex exec cancels every call.",
-        'default_tools_approval_mode = "approve"',
-    ]
-    if command.environment:
-        lines += ["", "[mcp_servers.asia.env]"]
-        lines += [f"{k} = {json.dumps(v)}" for k, v in command.environment.items()]
-    return ClientConfiguration(
-        "\n".join(lines) + "\n",
-        (
-            "Codex: add this to ~/.codex/config.toml",
-            f'headless: codex exec --skip-git-repo-check "{_TASK}"',
-        ),
-    )
-
-
-def _gemini(command: _Command) -> ClientConfiguration:
-    server = {**_server(command), "timeout": CALL_SECONDS * 1000, "trust": True}
-    return ClientConfiguration(
-        _json({"mcpServers": {"asia": server}}),
-        (
+        )
+    else:
+        server["trust"] = True
+        notes = (
             "Gemini CLI: merge this into .gemini/settings.json of the folder, or of your home",
             "trust lets it call the tools without asking; headless runs refuse them otherwise",
             f'headless: gemini -p "{_TASK}" --skip-trust --allowed-mcp-server-names asia',
-        ),
-    )
-
-
-def _server(command: _Command) -> dict[str, object]:
-    server: dict[str, object] = {"command": command.executable, "args": list(command.arguments)}
-    return {**server, "env": dict(command.environment)} if command.environment else server
-
-
-def _json(table: Mapping[str, object]) -> str:
-    return json.dumps(table, indent=2, ensure_ascii=False) + "\n"
-
-
-_CLIENTS: dict[str, Callable[[_Command], ClientConfiguration]] = {
-    "claude": _claude,
-    "codex": _codex,
-    "gemini": _gemini,
-}
-CLIENTS = tuple(_CLIENTS)
+        )
+    text = json.dumps({"mcpServers": {"asia": server}}, indent=2, ensure_ascii=False) + "\n"
+    return ClientConfiguration(text, notes)

@@ -14,12 +14,11 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.mcp.answers import Opened
+from asia.interfaces.mcp import Opened
 from asia.interfaces.mcp.server import make_server
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 LEAST_TOKEN = 16
-_END_SECONDS = 2
 
 
 class BearerOnly:
@@ -31,36 +30,18 @@ class BearerOnly:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""
-        if scope["type"] == "http" and not self._admits(scope):
-            body = {"error": "a bearer token is needed: send Authorization: Bearer TOKEN"}
-            refusal = JSONResponse(body, 401, {"WWW-Authenticate": "Bearer"})
-            await refusal(scope, receive, send)
-            return
+        if scope["type"] == "http":
+            given = [value for name, value in scope["headers"] if name == b"authorization"]
+            if len(given) != 1 or not hmac.compare_digest(given[0], self._expected):
+                body = {"error": "a bearer token is needed: send Authorization: Bearer TOKEN"}
+                refusal = JSONResponse(body, 401, {"WWW-Authenticate": "Bearer"})
+                await refusal(scope, receive, send)
+                return
         await self._app(scope, receive, send)
-
-    def _admits(self, scope: Scope) -> bool:
-        given = [value for name, value in scope["headers"] if name == b"authorization"]
-        return len(given) == 1 and hmac.compare_digest(given[0], self._expected)
 
 
 def serve(opened: Opened, address: str, token_variable: str | None) -> None:
     """See `asia.interfaces.mcp.serve_http`."""
-    host, port = _address(address)
-    token = _token(token_variable)
-    with _listening(host, port) as listener:
-        app = BearerOnly(make_server(opened).streamable_http_app(host=host), token)
-        config = uvicorn.Config(
-            app, log_level="warning", ws="none", timeout_graceful_shutdown=_END_SECONDS
-        )
-        shown = f"[{host}]" if ":" in host else host
-        say(f"asia: http://{shown}:{listener.getsockname()[1]}/mcp", file=sys.stderr)
-        if token_variable is None:
-            say(f"asia: token {token}", file=sys.stderr)
-        sys.stderr.flush()
-        uvicorn.Server(config).run(sockets=[listener])
-
-
-def _address(address: str) -> tuple[str, int]:
     host, colon, port = address.rpartition(":")
     host = host.strip("[]")
     if not colon or not port.isdecimal() or int(port) > 65535:
@@ -71,22 +52,25 @@ def _address(address: str) -> tuple[str, int]:
             "since the token is not encrypted; from another machine, forward the port: ssh "
             "-L"
         )
-    return host, int(port)
-
-
-def _token(variable: str | None) -> str:
-    """Return the token from the environment and remove it there: the search that is started does
-    not need it.
-    """
-    if variable is None:
-        return secrets.token_urlsafe(32)
-    token = os.environ.pop(variable, "").strip()
-    if len(token) < LEAST_TOKEN or not token.isascii() or not token.isprintable():
-        raise UserError(
-            f"--token-env {variable}: expected a token of at least {LEAST_TOKEN} ASCII characters "
-            "in that environment variable"
-        )
-    return token
+    if token_variable is None:
+        token = secrets.token_urlsafe(32)
+    else:
+        # Removed from the environment: the search that is started does not need it.
+        token = os.environ.pop(token_variable, "").strip()
+        if len(token) < LEAST_TOKEN or not token.isascii() or not token.isprintable():
+            raise UserError(
+                f"--token-env {token_variable}: expected a token of at least {LEAST_TOKEN} ASCII "
+                "characters in that environment variable"
+            )
+    with _listening(host, int(port)) as listener:
+        app = BearerOnly(make_server(opened).streamable_http_app(host=host), token)
+        config = uvicorn.Config(app, log_level="warning", ws="none", timeout_graceful_shutdown=2)
+        shown = f"[{host}]" if ":" in host else host
+        say(f"asia: http://{shown}:{listener.getsockname()[1]}/mcp", file=sys.stderr)
+        if token_variable is None:
+            say(f"asia: token {token}", file=sys.stderr)
+        sys.stderr.flush()
+        uvicorn.Server(config).run(sockets=[listener])
 
 
 def _listening(host: str, port: int) -> socket.socket:

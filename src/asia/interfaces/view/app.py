@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from importlib import resources
@@ -83,9 +82,7 @@ class _Pages:
     """A method an address. Those that are not coroutines run in threads."""
 
     folder: RunFolder
-    """The runs."""
     streams: Streams
-    """Open event streams."""
     token: str
     """Token that a page sends with a command of the user."""
 
@@ -93,53 +90,43 @@ class _Pages:
         return self.folder.get(request.path_params["run"]).snapshot(with_records=with_records)
 
     def listed(self, request: Request) -> Response:
-        """The list of runs."""
         listed = self.folder.listed()
         digest = digest_of(runs_table(listed))
         return HTMLResponse(runs_page(self.folder.folder, listed, digest, self.token))
 
     def run(self, request: Request) -> Response:
-        """The page of a run."""
         return HTMLResponse(run_page(self._snapshot(request), self.token))
 
     def curve(self, request: Request) -> Response:
-        """V of every experiment, drawn."""
         return HTMLResponse(progress_part(self._snapshot(request).subject))
 
     def rows(self, request: Request) -> Response:
-        """Earlier experiments for the list."""
         before, most = (_number(request, key) for key in ("before", "most"))
         subject = self._snapshot(request).subject
         return HTMLResponse(experiment_rows(subject, before, most or FIRST))
 
     def section(self, request: Request) -> Response:
-        """A section of the report."""
         found = section_part(self._snapshot(request, with_records=True), request.path_params["key"])
         return Response(status_code=204) if found is None else HTMLResponse(found)
 
     def experiment(self, request: Request) -> Response:
-        """The page of an experiment."""
         snapshot = self._snapshot(request, with_records=True)
         return HTMLResponse(experiment_page(snapshot, request.path_params["number"], self.token))
 
     def experiment_part(self, request: Request) -> Response:
-        """Send the content of the experiment's page."""
         number = request.path_params["number"]
         return HTMLResponse(experiment_part(self._snapshot(request, with_records=True), number))
 
     def overlay(self, request: Request) -> Response:
-        """Some samples of a held-out simulation, drawn."""
         number, index = (request.path_params[key] for key in ("number", "index"))
         first, last = (_number(request, key) for key in ("first", "last"))
         snapshot = self._snapshot(request, with_records=True)
         return HTMLResponse(overlay_part(snapshot, number, index, first or 0, last))
 
     def compare(self, request: Request) -> Response:
-        """Two runs side by side."""
         return HTMLResponse(comparison_page(self._pair(request), self.token))
 
     def compare_part(self, request: Request) -> Response:
-        """Send the content of the comparison's page."""
         return HTMLResponse(comparison_part(self._pair(request)))
 
     def _pair(self, request: Request) -> list[Snapshot]:
@@ -149,23 +136,26 @@ class _Pages:
         return [self.folder.get(name).snapshot(with_records=True) for name in names]
 
     async def run_events(self, request: Request) -> Response:
-        """Stream the changes of a run."""
         followed = await run_sync(self.folder.get, request.path_params["run"])
-        return _stream(self.streams.of_run(followed, _mark(request)))
+        messages = self.streams.of_run(followed, _mark(request))
+        return StreamingResponse(messages, media_type="text/event-stream")
 
     async def list_events(self, request: Request) -> Response:
-        """The list of runs, whenever it changes."""
-        return _stream(self.streams.of_list(self.folder, _mark(request)))
+        messages = self.streams.of_list(self.folder, _mark(request))
+        return StreamingResponse(messages, media_type="text/event-stream")
 
     async def steer(self, request: Request) -> Response:
-        """Pass a command of the user to the search."""
-        text = await _body(request)
+        body = b""
+        async for part in request.stream():
+            body += part
+            if len(body) > _LONGEST_BODY:
+                raise UserError(f"a note has at most {_LONGEST_BODY} bytes")
+        text = body.decode("utf-8", "replace")
         snapshot = await run_sync(self._snapshot, request)
         words = await run_sync(tell, snapshot.run, request.path_params["what"], text)
         return JSONResponse({"words": words})
 
     def static(self, request: Request) -> Response:
-        """Styles and scripts."""
         name = request.path_params["name"]
         if name == "page.css":
             return Response(page_style(), media_type=_KINDS[".css"])
@@ -175,7 +165,6 @@ class _Pages:
         return Response(file.read_bytes(), media_type=_KINDS[name[name.rindex(".") :]])
 
     def refuse(self, request: Request, error: Exception) -> Response:
-        """Send the message of an error."""
         words = str(error)
         if request.method == "POST":
             return JSONResponse({"words": words}, 409)
@@ -195,20 +184,6 @@ def _mark(request: Request) -> str:
     was loaded with.
     """
     return request.headers.get("last-event-id") or request.query_params.get("mark", "")
-
-
-def _stream(messages: AsyncIterator[str]) -> Response:
-    return StreamingResponse(messages, media_type="text/event-stream")
-
-
-async def _body(request: Request) -> str:
-    """Raises UserError where it is too long."""
-    found = b""
-    async for part in request.stream():
-        found += part
-        if len(found) > _LONGEST_BODY:
-            raise UserError(f"a note has at most {_LONGEST_BODY} bytes")
-    return found.decode("utf-8", "replace")
 
 
 # Access control: the pages answer only browsers on this machine that hold the token.
@@ -310,8 +285,7 @@ class TokenOnly:
         return answer
 
     def _brought(self, scope: Scope) -> str:
-        found = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
-        return found[0] if found else ""
+        return parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
 
     def _remembered(self, headers: Headers) -> str:
         try:

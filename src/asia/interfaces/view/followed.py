@@ -18,9 +18,6 @@ from asia.problem.problem import Problem
 from asia.report.page.subject import Detail, Subject
 from asia.search.steering import Steering
 
-# Below its list of experiments, a long search is shown in part.
-_DETAIL = Detail(sources=1, stories=1, rows=150)
-
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -84,22 +81,27 @@ class FollowedRun:
                 busy = in_use(ledger_of(self.directory))
             except OSError as error:
                 raise UserError(f"{self.directory} is gone: {error.strerror}") from None
-            self._snapshot = self._as_of_now(self._snapshot if not new else None, busy)
-            return self._snapshot
-
-    def _as_of_now(self, last: Snapshot | None, busy: bool) -> Snapshot:
-        """last: with the same lines; None where there is none."""
-        paused = busy and Steering(self.directory).paused
-        problem, trouble = self._records.found
-        same = last is not None and (busy, trouble) == (last.run.busy, last.trouble)
-        if last is None or not same or problem is not last.problem:
-            run = Run(self.directory, self._follower.view, tuple(self._follower.lines), busy)
+            paused = busy and Steering(self.directory).paused
+            problem, trouble = self._records.found
+            last = None if new else self._snapshot
+            if (
+                last is not None
+                and (busy, trouble) == (last.run.busy, last.trouble)
+                and problem is last.problem
+            ):
+                if last.paused != paused:
+                    last = self._snapshot = replace(last, paused=paused)
+                return last
+            follower = self._follower
+            run = Run(self.directory, follower.view, tuple(follower.lines), busy)
             # A search that has only begun has no artifacts yet.
             if run.store.kept:
                 self._records.begin()
-            subject = Subject(run, problem if run.store.kept else None, _DETAIL)
-            return Snapshot(subject, self._follower.head, problem, trouble, paused)
-        return last if last.paused == paused else replace(last, paused=paused)
+            # Below its list of experiments, a long search is shown in part.
+            detail = Detail(sources=1, stories=1, rows=150)
+            subject = Subject(run, problem if run.store.kept else None, detail)
+            self._snapshot = Snapshot(subject, follower.head, problem, trouble, paused)
+            return self._snapshot
 
     def count_of(self, mark: str) -> int | None:
         """Return the number of lines before a mark; None if the mark is not of this ledger."""
@@ -182,7 +184,11 @@ class RunFolder:
         """Return all runs: those in progress first, then by the time of the last change."""
         with self._lock:
             found = [one for name in self.names() if (one := self._list(name)) is not None]
-        return sorted(found, key=lambda one: (not _runs(one), -one.changed))
+
+        def ended(one: ListedRun) -> bool:
+            return one.brief is None or one.brief.state != "running"
+
+        return sorted(found, key=lambda one: (ended(one), -one.changed))
 
     def _list(self, name: str) -> ListedRun | None:
         """Read again only where something is new; None where it was removed meanwhile."""
@@ -208,7 +214,3 @@ class RunFolder:
         """Return whether a name is a direct subfolder with a ledger in it."""
         plain = name not in ("", ".", "..") and not {"/", "\\", "\0"} & set(name)
         return plain and (self.folder / name / "ledger.jsonl").is_file()
-
-
-def _runs(one: ListedRun) -> bool:
-    return one.brief is not None and one.brief.state == "running"

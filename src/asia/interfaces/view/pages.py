@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import quote, urlencode
@@ -25,13 +26,10 @@ from asia.report.page.html import Html, join, said, table, tag
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.experiments import experiment_story, progress_figure
 from asia.report.page.sections.verdict import draw_overlay, held_out_overlays, overlay_legend, stamp
-from asia.report.page.subject import Detail, Section, Subject
+from asia.report.page.subject import Detail, Subject
 from asia.report.page.svg import NARROW, WIDE, BestSoFar, draw_best
 
 # Frame of all pages: head, link back, state of the connection.
-
-
-_ANCHOR = re.compile(r'href="#e(\d+)"')
 
 
 def run_address(name: str) -> str:
@@ -79,20 +77,10 @@ def section(key: str, title: str, *inner: Html | None) -> Html | None:
 
 def to_pages(html: Html, name: str) -> Html:
     """Links to experiments lead to their pages."""
-    return Html(_ANCHOR.sub(rf'href="{run_address(name)}/experiments/\1"', html))
+    return Html(re.sub(r'href="#e(\d+)"', rf'href="{run_address(name)}/experiments/\1"', html))
 
 
 # The page of one experiment: its story, its simulations, its code.
-
-
-_EVERY = Detail(sources=10**9, stories=10**9, rows=10**9)
-_TOOLS = (
-    ("in", "+", "zoom in"),
-    ("out", "−", "zoom out"),
-    ("left", "◂", "move to earlier samples"),
-    ("right", "▸", "move to later samples"),
-    ("all", "all", "show all samples"),
-)
 
 
 def experiment_page(snapshot: Snapshot, number: int, token: str) -> str:
@@ -117,46 +105,57 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
     Raises:
         UserError: there is no such experiment.
     """
-    subject = replace(snapshot.subject, detail=_EVERY)
-    e = subject.view.experiment(number)
+    # Every source, story and row.
+    detail = Detail(sources=10**9, stories=10**9, rows=10**9)
+    subject = replace(snapshot.subject, detail=detail)
+    run, store = subject.run, subject.run.store
+    e, address = subject.view.experiment(number), run_address(subject.run.name)
     status = e.result.status if e.result else "running"
     label = tag("span", status, class_=f"status {status}")
     title = tag("h1", subject.name(e), " ", said(e.proposed.title, 200))
     value = join(("V ", tag("b", subject.v(e)))) if e.score else None
-    header = tag("header", title, tag("p", label, " ", value))
-    parts = (
-        header,
-        _neighbours(subject, e),
-        section(
-            "story", "What was tried", to_pages(experiment_story(subject, e), snapshot.run.name)
-        ),
-        section("simulations", "Held-out simulations", _overlays(snapshot, subject, e)),
-        section("evidence", "Evidence", _evidence(subject, e)),
-        section("source", "candidate.py", _source(subject, e)),
-    )
-    return join(parts)
-
-
-def _neighbours(subject: Subject, e: Experiment) -> Html:
-    address, last = run_address(subject.run.name), len(subject.view.experiments)
     links = [
-        tag("a", text, href=f"{address}/experiments/{number}", rel=rel)
-        for number, text, rel in (
+        tag("a", text, href=f"{address}/experiments/{other}", rel=rel)
+        for other, text, rel in (
             (e.number - 1, "‹ previous", "prev"),
             (e.number + 1, "next ›", "next"),
         )
-        if 1 <= number <= last
+        if 1 <= other <= len(subject.view.experiments)
     ]
-    return tag("nav", *links, class_="neighbours", aria_label="Other experiments")
 
+    overlays = held_out_overlays(subject, e)
+    simulations = None
+    if subject.problem is not None and overlays:
+        boxes = [
+            zoomable(snapshot, e.number, k, len(one.measured)) for k, one in enumerate(overlays)
+        ]
+        text = tag("p", "Drag across a picture to see a part of it.")
+        simulations = join((text, overlay_legend(), tag("div", *boxes, class_="grid")))
 
-def _overlays(snapshot: Snapshot, subject: Subject, e: Experiment) -> Html | None:
-    problem, overlays = subject.problem, held_out_overlays(subject, e)
-    if problem is None or not overlays:
-        return None
-    text = "Drag across a picture to see a part of it."
-    boxes = [zoomable(snapshot, e.number, k, len(one.measured)) for k, one in enumerate(overlays)]
-    return join((tag("p", text), overlay_legend(), tag("div", *boxes, class_="grid")))
+    # As `asia show` prints it.
+    lines: list[str] = []
+    if e.result is not None and store.kept:
+        settings = settings_of_run(run.directory)
+        found = evidence_of(e, subject.view, store, settings, bounded=False)
+        lines = evidence_lines(found) if found.recorded else []
+        if not lines and e.result.output:
+            lines = store.text(e.result.output).splitlines()[-20:]
+    evidence = None
+    if lines:
+        code = tag("code", "\n".join(lines))
+        evidence = tag("pre", code, tabindex="0", role="region", aria_label="evidence")
+
+    story = to_pages(experiment_story(subject, e), run.name)
+    source = python(store.text(e.proposed.source), "candidate.py") if store.kept else None
+    parts = (
+        tag("header", title, tag("p", label, " ", value)),
+        tag("nav", *links, class_="neighbours", aria_label="Other experiments"),
+        section("story", "What was tried", story),
+        section("simulations", "Held-out simulations", simulations),
+        section("evidence", "Evidence", evidence),
+        section("source", "candidate.py", source),
+    )
+    return join(parts)
 
 
 def zoomable(snapshot: Snapshot, number: int, index: int, count: int) -> Html:
@@ -172,7 +171,13 @@ def zoomable(snapshot: Snapshot, number: int, index: int, count: int) -> Html:
             title=text,
             aria_controls=name,
         )
-        for what, sign, text in _TOOLS
+        for what, sign, text in (
+            ("in", "+", "zoom in"),
+            ("out", "−", "zoom out"),
+            ("left", "◂", "move to earlier samples"),
+            ("right", "▸", "move to later samples"),
+            ("all", "all", "show all samples"),
+        )
     ]
     return tag(
         "div",
@@ -198,42 +203,7 @@ def overlay_part(
     )
 
 
-def _evidence(subject: Subject, e: Experiment) -> Html | None:
-    """Write the evidence as `asia show` prints it."""
-    store, result = subject.run.store, e.result
-    if result is None or not store.kept:
-        return None
-    settings = settings_of_run(subject.run.directory)
-    evidence = evidence_of(e, subject.view, store, settings, bounded=False)
-    lines = evidence_lines(evidence) if evidence.recorded else []
-    if not lines and result.output:
-        lines = store.text(result.output).splitlines()[-20:]
-    return _block("\n".join(lines), "evidence") if lines else None
-
-
-def _source(subject: Subject, e: Experiment) -> Html | None:
-    store = subject.run.store
-    return python(store.text(e.proposed.source), "candidate.py") if store.kept else None
-
-
-def _block(text: str, label: str) -> Html:
-    return tag("pre", tag("code", text), tabindex="0", role="region", aria_label=label)
-
-
 # The list of runs.
-
-
-# Headings of the columns after the first, and their class.
-_HEAD = (
-    ("run", "words"),
-    ("state", "words"),
-    ("V", None),
-    ("experiments", None),
-    ("problem", "words"),
-    ("agent", "words"),
-    ("best candidate", "words"),
-    ("changed", None),
-)
 
 
 def runs_page(folder: Path, listed: Sequence[ListedRun], digest: str, token: str) -> str:
@@ -267,41 +237,43 @@ def runs_table(listed: Sequence[ListedRun]) -> Html:
     if not listed:
         return tag("p", "There is no run yet. Start one with: ", tag("code", "asia run PROBLEM"))
     head = [tag("th", tag("span", "choose", class_="unseen"), scope="col")]
-    head += [tag("th", text, scope="col", class_=kind) for text, kind in _HEAD]
-    body = [tag("tr", *_cells(one)) for one in listed]
+    for text, kind in (
+        ("run", "words"),
+        ("state", "words"),
+        ("V", None),
+        ("experiments", None),
+        ("problem", "words"),
+        ("agent", "words"),
+        ("best candidate", "words"),
+        ("changed", None),
+    ):
+        head.append(tag("th", text, scope="col", class_=kind))
+    body: list[Html] = []
+    for one in listed:
+        choose = tag(
+            "input", type="checkbox", name="run", value=one.name, aria_label=f"choose {one.name}"
+        )
+        link = tag("a", said(one.name), href=run_address(one.name))
+        cells = [tag("td", choose), tag("th", link, scope="row", class_="words")]
+        if one.brief is None:
+            trouble = said(f"cannot be read: {one.trouble}")
+            cells.append(tag("td", trouble, colspan=7, class_="words"))
+        else:
+            view, best = one.brief.view, one.brief.view.best
+            score = best.score if best is not None else None
+            title = best.proposed.title if best is not None else ""
+            cells += [
+                tag("td", state_mark(one.brief.state), class_="words"),
+                tag("td", error_value(score.value) if score is not None else ""),
+                tag("td", f"{one.brief.finished} of {view.budget}"),
+                tag("td", said(view.started.problem), class_="words"),
+                tag("td", said(view.started.agent), class_="words"),
+                tag("td", said(title, 60), class_="words title"),
+                tag("td", datetime.fromtimestamp(one.changed).strftime("%d %b %H:%M")),
+            ]
+        body.append(tag("tr", *cells))
     inner = tag("table", tag("thead", tag("tr", *head)), tag("tbody", *body), class_="runs")
     return tag("div", inner, class_="scroll", tabindex="0", role="region", aria_label="Runs")
-
-
-def _cells(one: ListedRun) -> list[Html]:
-    choose = tag(
-        "td",
-        tag("input", type="checkbox", name="run", value=one.name, aria_label=f"choose {one.name}"),
-    )
-    link = tag(
-        "th", tag("a", said(one.name), href=run_address(one.name)), scope="row", class_="words"
-    )
-    if one.brief is None:
-        return [
-            choose,
-            link,
-            tag("td", said(f"cannot be read: {one.trouble}"), colspan=7, class_="words"),
-        ]
-    view, best = one.brief.view, one.brief.view.best
-    value = error_value(best.score.value) if best is not None and best.score is not None else ""
-    title = best.proposed.title if best is not None else ""
-    changed = datetime.fromtimestamp(one.changed).strftime("%d %b %H:%M")
-    return [
-        choose,
-        link,
-        tag("td", state_mark(one.brief.state), class_="words"),
-        tag("td", value),
-        tag("td", f"{one.brief.finished} of {view.budget}"),
-        tag("td", said(view.started.problem), class_="words"),
-        tag("td", said(view.started.agent), class_="words"),
-        tag("td", said(title, 60), class_="words title"),
-        tag("td", changed),
-    ]
 
 
 def state_mark(state: str, *, paused: bool = False) -> Html:
@@ -334,122 +306,97 @@ def comparison_page(pair: Sequence[Snapshot], token: str) -> str:
 def comparison_part(pair: Sequence[Snapshot]) -> Html:
     """Write the content of the page."""
     subjects = [one.subject for one in pair]
-    columns = tag("div", *(_winner(one) for one in pair), class_="columns")
+    v_names = {one.view.v_name for one in subjects}
+    warning = None
+    if len({(s.view.started.problem, s.view.started.protocol_digest) for s in subjects}) > 1:
+        warning = "The runs have different problems or protocols: do not compare their V."
+    elif len(v_names) > 1:
+        warning = "V was computed under different rules in the two runs: do not compare it."
+    if warning is not None:
+        warning = tag("p", warning, class_="trouble")
+
+    searches = [
+        BestSoFar(
+            one.run.name,
+            tuple((e.number, e.score.value) for e in one.view.bests if e.score is not None),
+            max((e.number for e in one.view.finished), default=0),
+        )
+        for one in subjects
+    ]
+    axis = v_names.pop() if len(v_names) == 1 else "V"
+    alt = "Best V so far of both runs over the experiments."
+    drawings = [
+        tag("div", draw_best(searches, axis, alt, size), class_=name)
+        for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
+    ]
+
+    winners: list[Html] = []
+    for snapshot in pair:
+        subject, name = snapshot.subject, snapshot.run.name
+        best = subject.view.best
+        title = tag("h3", said(name))
+        if best is None:
+            winners.append(tag("div", title, tag("p", "There is no score yet.")))
+            continue
+        address = f"{run_address(name)}/experiments/{best.number}"
+        link = tag("a", subject.name(best), " ", said(best.proposed.title), href=address)
+        boxes = [
+            zoomable(snapshot, best.number, k, len(overlay.measured))
+            for k, overlay in enumerate(held_out_overlays(subject, best))
+        ]
+        winners.append(tag("div", title, tag("p", link, ", V ", subject.v(best)), *boxes))
+
+    columns = tag("div", *winners, class_="columns")
     parts = (
-        section("figures", "Figures", _warning(subjects), _figures(subjects)),
-        section("curves", "Best so far", _curves(subjects)),
+        section("figures", "Figures", warning, _comparison_table(subjects)),
+        section("curves", "Best so far", tag("figure", *drawings)),
         section("winners", "The best candidates", overlay_legend(), columns),
     )
     return join(parts)
 
 
-def _warning(subjects: Sequence[Subject]) -> Html | None:
-    starts = [one.view.started for one in subjects]
-    if len({(s.problem, s.protocol_digest) for s in starts}) == 1:
-        if len({one.view.v_name for one in subjects}) == 1:
-            return None
-        return tag(
-            "p",
-            "V was computed under different rules in the two runs: do not compare it.",
-            class_="trouble",
-        )
-    return tag(
-        "p",
-        "The runs have different problems or protocols: do not compare their V.",
-        class_="trouble",
-    )
+def _comparison_table(subjects: Sequence[Subject]) -> Html:
+    def verdict(subject: Subject) -> Html:
+        text, kind = stamp(subject)
+        return tag("span", text, class_=f"stamp small {kind}")
 
+    def best(subject: Subject) -> Html:
+        found = subject.view.best
+        return subject.v(found) if found is not None else tag("span", "no score")
 
-def _figures(subjects: Sequence[Subject]) -> Html:
-    rows = [
-        ("state", [state_mark(s.run.state) for s in subjects]),
-        ("verdict", [_stamp(s) for s in subjects]),
-        ("problem", [said(s.view.started.problem) for s in subjects]),
-        ("agent", [said(s.view.started.agent) for s in subjects]),
-        ("seed", [s.number(s.view.started, "seed", "text") for s in subjects]),
-        ("isolation", [said(s.view.started.isolation_words) for s in subjects]),
-        ("experiments", [s.over("evaluated", "experiment", "count", "count") for s in subjects]),
-        ("spent on them", [s.over("evaluated", "seconds", "sum", "duration") for s in subjects]),
-        ("V, the best", [_best(s) for s in subjects]),
-        *(
-            (f"V, {name}", [_reference(s, name) for s in subjects])
-            for name in _references(subjects)
-        ),
-        ("error on the sealed test", [_tested(s) for s in subjects]),
+    def reference(subject: Subject, name: str) -> Html:
+        found = subject.rung(name)
+        if found is None:
+            return tag("span", "none")
+        return subject.number(found[0], "outcome.value", "error")
+
+    def tested(subject: Subject) -> Html:
+        """The test score of the model to use, once the test was opened."""
+        opened, named = subject.view.unsealed, model_to_use(subject.view)
+        if opened is None or named is None:
+            return tag("span", "not opened")
+        place = named.model if getattr(opened, named.model) is not None else "ensemble"
+        if not isinstance(tested_model(opened, named.model), TestedModel):
+            return tag("span", "no answer")
+        return subject.number(opened, f"{place}.scores.0.value", "sig4")
+
+    references = dict.fromkeys(one.name for subject in subjects for one in subject.view.rungs)
+    rows: list[tuple[str, Callable[[Subject], Html]]] = [
+        ("state", lambda s: state_mark(s.run.state)),
+        ("verdict", verdict),
+        ("problem", lambda s: said(s.view.started.problem)),
+        ("agent", lambda s: said(s.view.started.agent)),
+        ("seed", lambda s: s.number(s.view.started, "seed", "text")),
+        ("isolation", lambda s: said(s.view.started.isolation_words)),
+        ("experiments", lambda s: s.over("evaluated", "experiment", "count", "count")),
+        ("spent on them", lambda s: s.over("evaluated", "seconds", "sum", "duration")),
+        ("V, the best", best),
+        *((f"V, {name}", partial(reference, name=name)) for name in references),
+        ("error on the sealed test", tested),
     ]
     head = ["", *(tag("a", said(s.run.name), href=run_address(s.run.name)) for s in subjects)]
-    return tag(
-        "div", table(head, [(text, *cells) for text, cells in rows], "Both runs"), class_="both"
-    )
-
-
-def _stamp(subject: Subject) -> Html:
-    text, kind = stamp(subject)
-    return tag("span", text, class_=f"stamp small {kind}")
-
-
-def _best(subject: Subject) -> Html:
-    best = subject.view.best
-    return subject.v(best) if best is not None else tag("span", "no score")
-
-
-def _references(subjects: Sequence[Subject]) -> list[str]:
-    names = {reference.name: None for subject in subjects for reference in subject.view.rungs}
-    return list(names)
-
-
-def _reference(subject: Subject, name: str) -> Html:
-    reference = subject.rung(name)
-    if reference is None:
-        return tag("span", "none")
-    return subject.number(reference[0], "outcome.value", "error")
-
-
-def _tested(subject: Subject) -> Html:
-    """Write the test scores of the models to use, once the test was opened."""
-    opened, named = subject.view.unsealed, model_to_use(subject.view)
-    if opened is None or named is None:
-        return tag("span", "not opened")
-    place = named.model if getattr(opened, named.model) is not None else "ensemble"
-    if not isinstance(tested_model(opened, named.model), TestedModel):
-        return tag("span", "no answer")
-    return subject.number(opened, f"{place}.scores.0.value", "sig4")
-
-
-def _curves(subjects: Sequence[Subject]) -> Html:
-    searches = [_best_so_far(one) for one in subjects]
-    alt = "Best V so far of both runs over the experiments."
-    names = {one.view.v_name for one in subjects}
-    axis = names.pop() if len(names) == 1 else "V"
-    drawings = [
-        tag("div", draw_best(searches, axis, alt, size), class_=name)
-        for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
-    ]
-    return tag("figure", *drawings)
-
-
-def _best_so_far(subject: Subject) -> BestSoFar:
-    finished = subject.view.finished
-    kept = tuple((e.number, e.score.value) for e in subject.view.bests if e.score is not None)
-    return BestSoFar(subject.run.name, kept, max((e.number for e in finished), default=0))
-
-
-def _winner(snapshot: Snapshot) -> Html:
-    subject, name = snapshot.subject, snapshot.run.name
-    best = subject.view.best
-    title = tag("h3", said(name))
-    if best is None:
-        return tag("div", title, tag("p", "There is no score yet."))
-    link = tag(
-        "a",
-        subject.name(best),
-        " ",
-        said(best.proposed.title),
-        href=f"{run_address(name)}/experiments/{best.number}",
-    )
-    overlays = held_out_overlays(subject, best)
-    boxes = [zoomable(snapshot, best.number, k, len(o.measured)) for k, o in enumerate(overlays)]
-    return tag("div", title, tag("p", link, ", V ", subject.v(best)), *boxes)
+    cells = [(text, *map(cell, subjects)) for text, cell in rows]
+    return tag("div", table(head, cells, "Both runs"), class_="both")
 
 
 # The list of experiments: short rows, the last one first.
@@ -517,7 +464,41 @@ def run_page(snapshot: Snapshot, token: str) -> str:
         subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
     )  # fmt: skip
     header = tag("header", tag("h1", said(name)), tag("p", *text))
-    links = [tag("li", tag("a", title, href=f"#{key}")) for key, title in _titles()]
+    own = [one for key in _OWN for one in SECTIONS if one.key == key]
+    others = [one for one in SECTIONS if one.key not in _OWN]
+    links = [tag("li", tag("a", one.title, href=f"#{one.key}")) for one in (*own, *others)]
+    curve = tag(
+        "div",
+        progress_part(subject),
+        id="curve",
+        data_curve=f"{run_address(name)}/curve",
+    )
+    kinds = (("", "all"), ("kept", "kept"), ("other", "not kept"), ("failed", "without a score"))
+    options = [tag("option", words, value=kind) for kind, words in kinds]
+    choose = tag(
+        "p",
+        tag("label", "Show ", tag("select", *options, id="kind")),
+        tag("label", " with the words ", tag("input", id="words", type="search")),
+        class_="choose",
+    )
+    listed = tag(
+        "div",
+        experiment_rows(subject),
+        id="rows",
+        class_="rows",
+        tabindex="0",
+        role="region",
+        aria_label="Experiments, the last one first",
+    )
+    # The page asks for the other sections when it is there.
+    later = [
+        section(
+            one.key,
+            one.title,
+            tag("div", class_="later", data_part=f"{run_address(name)}/sections/{one.key}"),
+        )
+        for one in others
+    ]
     main = (
         header,
         tag("div", now_panel(snapshot), id="now"),
@@ -527,9 +508,9 @@ def run_page(snapshot: Snapshot, token: str) -> str:
             deaf="" if reads_notes(start) else start.agent,
         ),
         tag("nav", tag("ul", *links), aria_label="Sections"),
-        _progress(snapshot),
-        _experiments(snapshot),
-        *(_later(name, one) for one in SECTIONS if one.key not in _OWN),
+        section("progress", "Progress of the search", curve),
+        section("experiments", "Experiments", choose, listed),
+        *later,
     )
     holder = tag(
         "div",
@@ -539,12 +520,6 @@ def run_page(snapshot: Snapshot, token: str) -> str:
         data_run=run_address(name),
     )
     return whole_page(name, (("Searches", "/"),), (holder,), token)
-
-
-def _titles() -> list[tuple[str, str]]:
-    titles = {one.key: one.title for one in SECTIONS}
-    keys = (*_OWN, *(one.key for one in SECTIONS if one.key not in _OWN))
-    return [(key, titles[key]) for key in keys]
 
 
 def now_panel(snapshot: Snapshot) -> Html:
@@ -608,12 +583,6 @@ def steering_panel(name: str, *, running: bool, deaf: str = "") -> Html:
     return tag("details", summary, inner, class_="steering", data_at=run_address(name))
 
 
-def _later(name: str, one: Section) -> Html | None:
-    """A section of the report, which the page asks for when it is there."""
-    address = f"{run_address(name)}/sections/{one.key}"
-    return section(one.key, one.title, tag("div", class_="later", data_part=address))
-
-
 def section_part(snapshot: Snapshot, key: str) -> Html | None:
     """Write the content of a section; None if the run has nothing for it, or there is no such
     section.
@@ -623,41 +592,10 @@ def section_part(snapshot: Snapshot, key: str) -> Html | None:
     return None if inner is None else to_pages(inner, snapshot.run.name)
 
 
-def _progress(snapshot: Snapshot) -> Html | None:
-    figure = tag(
-        "div",
-        progress_part(snapshot.subject),
-        id="curve",
-        data_curve=f"{run_address(snapshot.run.name)}/curve",
-    )
-    return section("progress", "Progress of the search", figure)
-
-
 def progress_part(subject: Subject) -> Html:
     """V of every experiment."""
     finished = subject.view.finished
     return progress_figure(subject, finished) if finished else tag("p", "There is no result yet.")
-
-
-def _experiments(snapshot: Snapshot) -> Html | None:
-    kinds = (("", "all"), ("kept", "kept"), ("other", "not kept"), ("failed", "without a score"))
-    options = [tag("option", words, value=kind) for kind, words in kinds]
-    choose = tag(
-        "p",
-        tag("label", "Show ", tag("select", *options, id="kind")),
-        tag("label", " with the words ", tag("input", id="words", type="search")),
-        class_="choose",
-    )
-    listed = tag(
-        "div",
-        experiment_rows(snapshot.subject),
-        id="rows",
-        class_="rows",
-        tabindex="0",
-        role="region",
-        aria_label="Experiments, the last one first",
-    )
-    return section("experiments", "Experiments", choose, listed)
 
 
 # Messages to an open page when its run has changed.
@@ -687,8 +625,14 @@ def run_news(snapshot: Snapshot, count: int, *, first: bool) -> Changed:
     changed = [view.experiment(number) for number in snapshot.changed_since(count)]
     rows = [{"number": e.number, "html": experiment_row(subject, e)} for e in changed]
     ended = [e for e in changed if e.result is not None]
-    said = "" if first or not ended else _spoken(ended[0])
-    data = {"rows": rows, "parts": {"now": now_panel(snapshot)}, "said": said}
+    spoken = ""
+    if ended and not first:
+        result, score = ended[0].result, ended[0].score
+        assert result is not None
+        value = f"V {error_value(score.value)}" if score is not None else "no score"
+        title = one_line(ended[0].proposed.title, 100)
+        spoken = f"Experiment {ended[0].number}, {result.status}, {value}: {title}"
+    data = {"rows": rows, "parts": {"now": now_panel(snapshot)}, "said": spoken}
     return Changed("news", snapshot.mark, {**data, "running": snapshot.run.state == "running"})
 
 
@@ -704,11 +648,3 @@ def list_news(folder: RunFolder, shown: str) -> Changed | None:
 def digest_of(html: str) -> str:
     """Tells one HTML from another."""
     return hashlib.sha256(html.encode("utf-8", "replace")).hexdigest()[:20]
-
-
-def _spoken(experiment: Experiment) -> str:
-    result, score = experiment.result, experiment.score
-    assert result is not None
-    value = f"V {error_value(score.value)}" if score is not None else "no score"
-    title = one_line(experiment.proposed.title, 100)
-    return f"Experiment {experiment.number}, {result.status}, {value}: {title}"

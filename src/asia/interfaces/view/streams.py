@@ -6,7 +6,6 @@ import asyncio
 import json
 import time
 from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass
 from functools import partial
 
 from anyio.to_thread import run_sync
@@ -39,14 +38,35 @@ class Streams:
 
     def of_run(self, followed: FollowedRun, mark: str) -> AsyncIterator[str]:
         """Stream the changes of a run since a mark of its ledger."""
-        return self._messages(_RunNews(followed, mark).look, _LOOK_SECONDS)
+        # Snapshot and error of the last message; None and "" before the first one.
+        last: Snapshot | None = None
+        trouble = ""
+
+        def look(mark: str) -> Changed | None:
+            nonlocal last, trouble
+            try:
+                snapshot = followed.snapshot()
+            except UserError as error:
+                if str(error) == trouble:
+                    return None
+                trouble = str(error)
+                return Changed("trouble", mark, {"words": trouble})
+            if snapshot is last and not trouble:
+                return None
+            count = followed.count_of(mark)
+            if count is None or len(snapshot.changed_since(count)) > FIRST:
+                return Changed("anew", snapshot.mark, {})
+            first, last, trouble = last is None, snapshot, ""
+            return run_news(snapshot, count, first=first)
+
+        return self._messages(look, _LOOK_SECONDS, mark)
 
     def of_list(self, folder: RunFolder, shown: str) -> AsyncIterator[str]:
         """The list of runs whenever it changes. shown: the digest of the one that is shown."""
         return self._messages(partial(list_news, folder), _LIST_SECONDS, shown)
 
     async def _messages(
-        self, look: Callable[[str], Changed | None], pause: float, mark: str = ""
+        self, look: Callable[[str], Changed | None], pause: float, mark: str
     ) -> AsyncIterator[str]:
         yield _RETRY
         beaten = time.monotonic()
@@ -61,59 +81,20 @@ class Streams:
             await asyncio.sleep(pause)
 
 
-@dataclass
-class _RunNews:
-    """State of one stream."""
-
-    followed: FollowedRun
-    """The run."""
-    mark: str
-    """The line up to which the page shows it."""
-    told: Snapshot | None = None
-    """Snapshot of the last message; None before the first one."""
-    trouble: str = ""
-    """Last error message."""
-
-    def look(self, _: str) -> Changed | None:
-        """Return the next message; None without changes."""
-        try:
-            snapshot = self.followed.snapshot()
-        except UserError as error:
-            if str(error) == self.trouble:
-                return None
-            self.trouble = str(error)
-            return Changed("trouble", self.mark, {"words": self.trouble})
-        if snapshot is self.told and not self.trouble:
-            return None
-        count = self.followed.count_of(self.mark)
-        if count is None or len(snapshot.changed_since(count)) > FIRST:
-            return Changed("anew", snapshot.mark, {})
-        first, self.told, self.trouble = self.told is None, snapshot, ""
-        self.mark = snapshot.mark
-        return run_news(snapshot, count, first=first)
-
-
 # Notes and orders to a search, as `asia steer` gives them.
 
 
 def tell(run: Run, what: str, text: str) -> str:
-    """Execute a command: steer, pause, continue or stop.
-
-    Args:
-        run: the run.
-        what: the command.
-        text: the note of steer.
-
-    Returns:
-        The effect of the command, as a sentence.
-
-    Raises:
-        UserError: the command cannot be executed.
-    """
+    """Execute the command `what` (steer, pause, continue or stop), with `text` as the note of
+    steer. Return its effect as a sentence. Raises UserError if it cannot be executed."""
     steering, running = Steering(run.directory), run.state == "running"
     if what == "steer":
         steering.steer(text)
-        return _noted(run, running=running)
+        agent = run.view.started.agent
+        noted = f"noted: recorded {'at its next step' if running else 'when the search continues'}"
+        if reads_notes(run.view.started):
+            return noted
+        return f"{noted}; the agent '{agent}' does not read notes, so the note is only recorded"
     if what == "continue":
         words = "the search continues" if steering.paused else "the search was not paused"
         steering.go_on()
@@ -127,10 +108,3 @@ def tell(run: Run, what: str, text: str) -> str:
         return "the search pauses after its current experiment"
     steering.stop()
     return "the search stops after its present experiment; repeat its command to resume it"
-
-
-def _noted(run: Run, *, running: bool) -> str:
-    when = "at its next step" if running else "when the search continues"
-    text, started = f"noted: recorded {when}", run.view.started
-    deaf = f"; the agent '{started.agent}' does not read notes, so the note is only recorded"
-    return text if reads_notes(started) else f"{text}{deaf}"

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -33,9 +33,7 @@ from asia.search.run import Prepared, check_same_search, prepare, search, with_e
 # The process behind a desk: what it was asked for, and how it is started.
 
 
-_POLL = 0.05
 _START_SECONDS = 60.0
-_MESSAGE_LENGTH = 300
 _VARIABLES = (
     "PATH", "HOME", "USER", "LOGNAME", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "TMPDIR", "PYTHONPATH",
     "LD_LIBRARY_PATH", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR", "OMP_NUM_THREADS",
@@ -81,13 +79,13 @@ class SearchRequest:
             problem=str(path.resolve()) if found else self.problem,
             records=ledger.read_bytes().count(b"\n") if ledger.is_file() else 0,
         )
-        write_whole(_request_path(directory), json.dumps(asdict(request)).encode())
+        write_whole(directory / "control" / "order.json", json.dumps(asdict(request)).encode())
 
     @classmethod
     def find(cls, directory: Path) -> SearchRequest | None:
         """The last one made; None for a run that no workspace or server began. Raises UserError
         where it cannot be read."""
-        path = _request_path(directory)
+        path = directory / "control" / "order.json"
         try:
             return _requests.validate_json(path.read_bytes(), strict=True)
         except FileNotFoundError:
@@ -116,10 +114,6 @@ class SearchRequest:
 _requests = TypeAdapter(SearchRequest)
 
 
-def _request_path(directory: Path) -> Path:
-    return directory / "control" / "order.json"
-
-
 def log_path(directory: Path) -> Path:
     """Return the log file of the search's process."""
     return directory / "control" / "search.log"
@@ -130,54 +124,48 @@ def start_search(directory: Path) -> None:
     Raises UserError with the last line it wrote when it fails at once; it may also find nothing to
     do."""
     directory = directory.resolve()
-    if _ready(directory):
+
+    def ready() -> bool:
+        return runs(directory) and has_begun(directory)
+
+    if ready():
         return
-    (directory / "control").mkdir(parents=True, exist_ok=True)
-    with (directory / "control" / "start.lock").open("wb") as one_at_a_time:
+    log = log_path(directory)
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with (log.parent / "start.lock").open("wb") as one_at_a_time:
         fcntl.flock(one_at_a_time, fcntl.LOCK_EX)
-        if not _ready(directory):
-            _start(directory, log_path(directory))
-
-
-def _start(directory: Path, log: Path) -> None:
-    with log.open("ab") as stream:
-        before = stream.tell()
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "asia.interfaces.workspace", str(directory)],
-            stdin=subprocess.DEVNULL,
-            stdout=stream,
-            stderr=stream,
-            start_new_session=True,
-            cwd="/",
-            env=_environment(),
-        )
-    # Its end is waited for, so that it does not stay behind as a zombie.
-    threading.Thread(target=process.wait, daemon=True).start()
-    end = time.monotonic() + _START_SECONDS
-    while not _ready(directory):
-        code = process.poll()
-        if code == 0:
+        if ready():
             return
-        if code is not None and not runs(directory):
-            text = log.read_bytes()[before:].decode("utf-8", "replace").strip().splitlines()
-            last = text[-1].removeprefix("asia: ") if text else f"exit code {code}"
-            raise UserError(f"the search did not start: {last[:_MESSAGE_LENGTH]}")
-        if time.monotonic() > end:
-            raise UserError(f"the search did not start in {_START_SECONDS:g} s; see {log}")
-        time.sleep(_POLL)
-
-
-def _environment() -> dict[str, str]:
-    """Return the environment of a search, without the keys that this process may hold and without
-    relative paths, which would mean another place there.
-    """
-    kept = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
-    given = os.environ.get("ASIA_DATA_DIR")
-    return {**kept, **({"ASIA_DATA_DIR": os.path.abspath(given)} if given else {})}
-
-
-def _ready(directory: Path) -> bool:
-    return runs(directory) and has_begun(directory)
+        # Without the keys that this process may hold and without relative paths, which would mean
+        # another place there.
+        environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
+        if data := os.environ.get("ASIA_DATA_DIR"):
+            environment["ASIA_DATA_DIR"] = os.path.abspath(data)
+        with log.open("ab") as stream:
+            before = stream.tell()
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "asia.interfaces.workspace", str(directory)],
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=stream,
+                start_new_session=True,
+                cwd="/",
+                env=environment,
+            )
+        # Its end is waited for, so that it does not stay behind as a zombie.
+        threading.Thread(target=process.wait, daemon=True).start()
+        end = time.monotonic() + _START_SECONDS
+        while not ready():
+            code = process.poll()
+            if code == 0:
+                return
+            if code is not None and not runs(directory):
+                text = log.read_bytes()[before:].decode("utf-8", "replace").strip().splitlines()
+                last = text[-1].removeprefix("asia: ") if text else f"exit code {code}"
+                raise UserError(f"the search did not start: {last[:300]}")
+            if time.monotonic() > end:
+                raise UserError(f"the search did not start in {_START_SECONDS:g} s; see {log}")
+            time.sleep(0.05)
 
 
 def runs(directory: Path) -> bool:
@@ -336,9 +324,6 @@ def _unlinked(path: Path) -> bool:
 
 IDLE_SECONDS = 1800.0
 
-# The submitting user decides when to stop. The value is in the lock file, so it never changes.
-_PATIENCE = 1_000_000
-
 
 class IdleError(Exception):
     """End of the process after a time without submissions; the run can be resumed."""
@@ -357,7 +342,8 @@ def requested_problem(request: SearchRequest) -> Problem:
         experiments=request.experiments or budget.experiments,
         hours=request.hours if request.hours is not None else budget.hours,
         retests=request.retests if request.retests is not None else budget.retests,
-        patience=_PATIENCE,
+        # The submitting user decides when to stop. The lock file has it, so it never changes.
+        patience=1_000_000,
     )
     problem = replace(problem, budget=budget)
     if request.early_stopping is not None:
@@ -397,49 +383,36 @@ def serve(directory: Path, idle_seconds: float = IDLE_SECONDS) -> None:
     """Run to the end of the budget, or leave the run interrupted after `idle_seconds` without a
     submission."""
     directory = directory.resolve()
-    with attending(directory):
-        _serve(directory, idle_seconds)
-
-
-def _serve(directory: Path, idle_seconds: float) -> None:
     queue = Queue(directory)
-    while True:
-        request = SearchRequest.load(directory)
-        prepared = prepare_request(request, directory.parent, directory.name)
-        patience = _patience(directory, request, idle_seconds)
-        agent = SubmittedAgent(prepared.started.agent, queue.take, patience)
-        try:
-            search(
-                prepared,
-                agent,
-                on_event=lambda event, view: clearing(queue, event),
-                on_start=lambda view: clear_known(queue, view),
-            )
-        except IdleError:
-            # Submitted after the last poll, while this search was still visible.
-            if not queue.tickets():
-                return
-        except NewRequestError:
-            pass
-        else:
-            if SearchRequest.load(directory) == request:
-                return
+    with attending(directory):
+        while True:
+            request = SearchRequest.load(directory)
+            prepared = prepare_request(request, directory.parent, directory.name)
 
+            def waiting(seconds: float, request: SearchRequest = request) -> None:
+                now = SearchRequest.load(directory)
+                # The same request given again asks for nothing more.
+                if replace(now, records=request.records) != request:
+                    raise NewRequestError
+                if seconds > idle_seconds:
+                    raise IdleError
 
-def _patience(
-    directory: Path, request: SearchRequest, idle_seconds: float
-) -> Callable[[float], None]:
-    """Return the function that is called while the queue is empty."""
-
-    def waiting(seconds: float) -> None:
-        now = SearchRequest.load(directory)
-        # The same request given again asks for nothing more.
-        if replace(now, records=request.records) != request:
-            raise NewRequestError
-        if seconds > idle_seconds:
-            raise IdleError
-
-    return waiting
+            try:
+                search(
+                    prepared,
+                    SubmittedAgent(prepared.started.agent, queue.take, waiting),
+                    on_event=lambda event, view: clearing(queue, event),
+                    on_start=lambda view: clear_known(queue, view),
+                )
+            except IdleError:
+                # Submitted after the last poll, while this search was still visible.
+                if not queue.tickets():
+                    return
+            except NewRequestError:
+                pass
+            else:
+                if SearchRequest.load(directory) == request:
+                    return
 
 
 def clearing(queue: Queue, event: Event) -> None:

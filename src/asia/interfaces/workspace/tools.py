@@ -45,9 +45,6 @@ from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
 # metric.
 
 
-_SOURCE_NAME = "candidate.py"
-
-
 @dataclass(frozen=True, repr=False)
 class LocalFold:
     """One fold of a candidate that was fitted in this process."""
@@ -104,23 +101,45 @@ def evaluate(
     """
     check_source(source)
     source = executed_source(source)
-    return tuple(_fold(source, fold, context, rule, fit_seconds) for fold in folds)
+    return tuple(_evaluate_fold(source, fold, context, rule, fit_seconds) for fold in folds)
 
 
-def _fold(
+def _evaluate_fold(
     source: str, fold: Fold, context: Context, rule: ProtocolRule, fit_seconds: float
 ) -> LocalFold:
-    fit = _executed(source)
+    def score(blocks: Sequence[Block], y_hat: Sequence[Array]) -> FoldScore:
+        return score_fold([b.y for b in blocks], y_hat, fold.scale, rule.metric)
+
+    calls = 0
+
+    def validation_score(model: Model) -> float:
+        nonlocal calls
+        calls += 1
+        if calls > VALIDATION_SCORES:
+            raise RuntimeError(f"validation_score was called {VALIDATION_SCORES} times")
+        try:
+            y_hat = simulate_held_out(_Simulator(model), fold.validation, rule.horizon)
+            return rounded_score(score(fold.validation, y_hat).value)
+        except CandidateError as error:
+            if error.reason is Reason.NOT_FINITE:
+                return float("inf")
+            raise
+
+    # As module `candidate`, executed anew for each fold as in a worker.
+    name = "candidate.py"
+    module = ModuleType("candidate")
+    module.__file__ = name
+    sys.modules["candidate"] = module
+    linecache.cache[name] = (len(source), None, source.splitlines(keepends=True), name)
+    exec(compile(source, name, "exec", dont_inherit=True), module.__dict__)
     known = replace(
         context,
         seed=derive_seed(context.seed, fold.index, 0),
         deadline=time.monotonic() + fit_seconds,
-        validation_score=_validation_score(fold, rule)
-        if rule.early_stopping == "validation"
-        else None,
+        validation_score=validation_score if rule.early_stopping == "validation" else None,
     )
     begin = time.monotonic()
-    model = fit(list(fold.train), known)
+    model = module.fit(list(fold.train), known)
     seconds = time.monotonic() - begin
     simulator, training = _Simulator(model), whole(fold.train, rule)
     y_hat = simulate_held_out(simulator, fold.validation, rule.horizon)
@@ -129,29 +148,12 @@ def _fold(
         fold=fold,
         model=model,
         seconds=seconds,
-        score=_score(fold.validation, y_hat, fold, rule),
-        training_score=_score(training, training_y_hat, fold, rule),
+        score=score(fold.validation, y_hat),
+        training_score=score(training, training_y_hat),
         training=training,
         y_hat=y_hat,
         training_y_hat=training_y_hat,
     )
-
-
-def _score(
-    blocks: Sequence[Block], y_hat: Sequence[Array], fold: Fold, rule: ProtocolRule
-) -> FoldScore:
-    return score_fold([b.y for b in blocks], y_hat, fold.scale, rule.metric)
-
-
-def _executed(source: str) -> Any:
-    """`fit` of the source, run as module `candidate`, anew for each fold as in a worker."""
-    module = ModuleType("candidate")
-    module.__file__ = _SOURCE_NAME
-    sys.modules["candidate"] = module
-    lines = source.splitlines(keepends=True)
-    linecache.cache[_SOURCE_NAME] = (len(source), None, lines, _SOURCE_NAME)
-    exec(compile(source, _SOURCE_NAME, "exec", dont_inherit=True), module.__dict__)
-    return module.fit
 
 
 @dataclass(frozen=True)
@@ -166,40 +168,24 @@ class _Simulator:
         return y
 
 
-def _validation_score(fold: Fold, rule: ProtocolRule) -> Any:
-    calls = 0
-
-    def score(model: Model) -> float:
-        nonlocal calls
-        calls += 1
-        if calls > VALIDATION_SCORES:
-            raise RuntimeError(f"validation_score was called {VALIDATION_SCORES} times")
-        try:
-            y_hat = simulate_held_out(_Simulator(model), fold.validation, rule.horizon)
-            return rounded_score(_score(fold.validation, y_hat, fold, rule).value)
-        except CandidateError as error:
-            if error.reason is Reason.NOT_FINITE:
-                return float("inf")
-            raise
-
-    return score
-
-
 # The pictures of `tools.py --plot`.
-
-
-_MOST_BLOCKS = 300
 
 
 def draw(
     folder: Path, problem: Problem, title: str, folds: Sequence[LocalFold], *, held_out: bool
 ) -> tuple[str, ...]:
     """Simulation and residuals of each fold, written into `plots/`; the names of the files."""
+
+    def some(blocks: Sequence[Block], y_hat: Sequence[Array]) -> tuple[Any, Any]:
+        """Select at most 300 windows, evenly spaced."""
+        every = -(-len(blocks) // 300)
+        return blocks[::every], y_hat[::every]
+
     cases: list[SimulatedCase] = []
     for one in folds:
-        cases += simulated_cases(one.fold, *_some(one.training, one.training_y_hat), held_out=False)
+        cases += simulated_cases(one.fold, *some(one.training, one.training_y_hat), held_out=False)
         if held_out:
-            held = _some(one.fold.validation, one.y_hat)
+            held = some(one.fold.validation, one.y_hat)
             cases += simulated_cases(one.fold, *held, held_out=True)
     shown = SimulatedCases(
         title=title,
@@ -217,18 +203,7 @@ def draw(
     return tuple(names)
 
 
-def _some(
-    blocks: Sequence[Block], y_hat: Sequence[Array]
-) -> tuple[Sequence[Block], Sequence[Array]]:
-    """Select some of many windows, evenly spaced."""
-    every = -(-len(blocks) // _MOST_BLOCKS)
-    return blocks[::every], y_hat[::every]
-
-
 # Tables of `tools.py`: scores, parameters, residuals, correlations.
-
-
-_MOST_RESIDUALS = 8
 
 
 def tables(
@@ -236,18 +211,10 @@ def tables(
 ) -> Iterator[str]:
     """Lines about a candidate; whole: whether these are all folds of V; held_out: with the
     residuals of the held-out part."""
-    yield from _scores(problem, folds, whole=whole)
-    yield from _parameters(folds)
-    for part in (False, True) if held_out else (False,):
-        yield from _residuals(problem, folds, held_out=part)
-    yield from _correlations(problem, folds, held_out=held_out)
-
-
-def _scores(problem: Problem, folds: Sequence[LocalFold], *, whole: bool) -> Iterator[str]:
+    # V, and the errors of each fold.
     metric = find_metric(problem.protocol.metric)
     name = "V" if whole else f"{metric.v_label}, folds of your own or not all of them"
-    value = combine([one.score for one in folds]).value
-    yield f"{name} = {value:.6f}"
+    yield f"{name} = {combine([one.score for one in folds]).value:.6f}"
     limit = problem.budget.fit_seconds
     for one in folds:
         ratio = one.score.value / one.training_score.value
@@ -258,81 +225,69 @@ def _scores(problem: Problem, folds: Sequence[LocalFold], *, whole: bool) -> Ite
         )
         if len(problem.outputs) > 1:
             errors = zip(problem.outputs, one.score.per_channel(metric.name), strict=True)
-            message = ", ".join(
+            text = ", ".join(
                 f"{s.name} {e:.4g} {metric.unit_of(s.unit)}".rstrip() for s, e in errors
             )
-            yield f"    {metric.label}: {message}"
+            yield f"    {metric.label}: {text}"
 
-
-def _parameters(folds: Sequence[LocalFold]) -> Iterator[str]:
+    # The parameters by fold.
     found = [one.parameters for one in folds]
     names = list(dict.fromkeys(name for one in found for name in one))
-    if not names:
-        return
-    wide = max(len("parameters") - 2, *(len(name) for name in names))
-    yield (
-        f"{'parameters':<{wide + 2}}" + "".join(f"{_name(one):>14}" for one in folds) + "   spread"
-    )
+    wide = max([len("parameters") - 2, *(len(name) for name in names)])
+    if names:
+        heads = "".join(f"{_name(one):>14}" for one in folds)
+        yield f"{'parameters':<{wide + 2}}{heads}   spread"
     for name in names:
         values = [one.get(name, np.nan) for one in found]
         size = float(np.mean(np.abs(values)))
         spread = f"{np.ptp(values) / size:9.0%}" if size > 0 and len(values) > 1 else "        -"
         yield f"  {name:<{wide}}" + "".join(f"{v:14.6g}" for v in values) + spread
 
+    # The most significant signed residuals.
+    for part in (False, True) if held_out else (False,):
+        where = "held-out" if part else "training"
+        yield f"signed residuals, {where} part (mean ± standard error in s.d. of the output)"
+        for one in folds:
+            listed = [r for r in one.residuals(held_out=part) if r.evidence is not Evidence.NONE]
+            listed.sort(key=lambda r: r.evidence is Evidence.CHANCE)
+            for residual in listed[:8]:
+                text = residual.words(problem.inputs, problem.outputs)
+                yield f"  {_name(one)}: {text} ({residual.share:.0%} of the error)"
+            if not listed:
+                yield f"  {_name(one)}: no mean residual exceeds its standard error"
 
-def _residuals(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) -> Iterator[str]:
+    # The correlations as the picture draws them: all folds together, the held-out part if shown.
     where = "held-out" if held_out else "training"
-    yield f"signed residuals, {where} part (mean ± standard error in s.d. of the output)"
-    for one in folds:
-        listed = [r for r in one.residuals(held_out=held_out) if r.evidence is not Evidence.NONE]
-        listed.sort(key=lambda r: r.evidence is Evidence.CHANCE)
-        for residual in listed[:_MOST_RESIDUALS]:
-            yield f"  {_name(one)}: {_words(problem, residual)}"
-        if not listed:
-            yield f"  {_name(one)}: no mean residual exceeds its standard error"
-
-
-def _words(problem: Problem, residual: SignedResidual) -> str:
-    return f"{residual.words(problem.inputs, problem.outputs)} ({residual.share:.0%} of the error)"
-
-
-def _correlations(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) -> Iterator[str]:
-    """Yield the correlations as the picture draws them: all folds together, the held-out part if it
-    is shown.
-    """
-    part = "held-out" if held_out else "training"
-    yield f"correlation of the residuals, {part} part, all folds together, 99 % bands"
+    yield f"correlation of the residuals, {where} part, all folds together, 99 % bands"
     blocks = [b for one in folds for b in (one.fold.validation if held_out else one.training)]
     y_hat = [y for one in folds for y in (one.y_hat if held_out else one.training_y_hat)]
+    errors = [without_gaps(b.y, y) - y for b, y in zip(blocks, y_hat, strict=True)]
     for k, output in enumerate(problem.outputs):
-        yield f"  {output.name}: {_line(problem, blocks, _column(blocks, y_hat, k))}"
+        text = _correlations(problem, blocks, [e[:, k] for e in errors])
+        yield f"  {output.name}: {text}"
 
 
-def _line(problem: Problem, blocks: Sequence[Block], e: Sequence[Array]) -> str:
+def _correlations(problem: Problem, blocks: Sequence[Block], e: Sequence[Array]) -> str:
+    """Describe the correlation of residuals (H,) with their own past and with the inputs."""
     own = with_own_past(e)
-    beyond = np.flatnonzero(np.abs(own.values) < own.band)
-    length = int(beyond[0]) if len(beyond) else own.lags[-1]
-    longer = " or more" if not len(beyond) else ""
-    message = [f"own past {own.values[1]:.2f} at lag 1, above the band for {length}{longer} lags"]
+    within = np.flatnonzero(np.abs(own.values) < own.band)
+    length = int(within[0]) if len(within) else own.lags[-1]
+    longer = "" if len(within) else " or more"
+    parts = [f"own past {own.values[1]:.2f} at lag 1, above the band for {length}{longer} lags"]
     for i, signal in enumerate(problem.inputs):
         found = with_input(e, [b.case.u[:, i] for b in blocks])
         place = int(np.argmax(np.abs(found.values)))
         largest = float(found.values[place])
         side = "above" if abs(largest) > found.band else "within"
-        message.append(
+        parts.append(
             f"{signal.name} {largest:.2f} at lag {found.lags[place]}, {side} the band of "
             f"{found.band:.2f}"
         )
-    return "; ".join(message)
+    return "; ".join(parts)
 
 
 def _name(one: LocalFold) -> str:
     return f"fold {one.fold.index + 1}"
-
-
-def _column(blocks: Sequence[Block], y_hat: Sequence[Array], output: int) -> list[Array]:
-    pairs = zip(blocks, y_hat, strict=True)
-    return [(without_gaps(b.y, found) - found)[:, output] for b, found in pairs]
 
 
 # Workspace of `tools.py`: the problem as the evaluator reads it, and splits of its records.
@@ -403,26 +358,9 @@ class WorkspaceTools:
 # `python tools.py`: what it takes, and what it prints.
 
 
-_BAD = 2
-
-
 def main(tools: WorkspaceTools) -> NoReturn:
     """Read the command line, fit and score, print. The process starts itself again where its
     environment is not that of a worker."""
-    options = _parser().parse_args()
-    if any(os.environ.get(name) != value for name, value in REPEATABLE.items()):
-        sys.stdout.flush()
-        os.execve(sys.executable, sys.orig_argv, {**os.environ, **REPEATABLE})
-    try:
-        _run(tools, options)
-    except UserError as error:
-        sys.exit(_complain(str(error)))
-    except CandidateError as error:
-        sys.exit(_complain(f"{error.reason.advice} ({error.detail})"))
-    sys.exit(0)
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="tools.py", description="Score a candidate on training folds, as the evaluator does."
     )
@@ -435,14 +373,35 @@ def _parser() -> argparse.ArgumentParser:
     add("--hold-out", metavar="NAMES", help="a fold of your own: hold these records out (A,B)")
     add("--held-out", action="store_true", help="residuals of the held-out part as well")
     add("--plot", action="store_true", help="draw simulation and residuals into plots/")
-    return parser
+    options = parser.parse_args()
+    if any(os.environ.get(name) != value for name, value in REPEATABLE.items()):
+        sys.stdout.flush()
+        os.execve(sys.executable, sys.orig_argv, {**os.environ, **REPEATABLE})
+    try:
+        _run(tools, options)
+    except (UserError, CandidateError) as error:
+        text = str(error)
+        if isinstance(error, CandidateError):
+            text = f"{error.reason.advice} ({error.detail})"
+        say(f"tools.py: {text}", file=sys.stderr)
+        sys.exit(2)
+    sys.exit(0)
 
 
 def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
     if options.seed is not None:
         tools = replace(tools, seed=options.seed)
-    folds = _folds(tools, options)
     own = options.blocks is not None or options.hold_out is not None
+    if options.blocks is not None:
+        folds = tools.blocks(options.blocks, options.gap)
+    elif options.hold_out is not None:
+        folds = tools.hold_out(options.hold_out.split(","))
+    else:
+        folds = tools.folds
+    if options.fold is not None:
+        if not 1 <= options.fold <= len(folds):
+            raise UserError(f"there is no fold {options.fold}: expected 1 to {len(folds)}")
+        folds = folds[options.fold - 1 : options.fold]
     found = tools.evaluate(options.candidate, folds)
     whole = not own and len(found) == len(tools.folds)
     held_out = options.held_out or tools.rule.residuals == "held_out"
@@ -452,22 +411,3 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
         title = str(options.candidate)
         for name in draw(tools.folder, tools.problem, title, found, held_out=held_out):
             say(f"picture {name}")
-
-
-def _folds(tools: WorkspaceTools, options: argparse.Namespace) -> Sequence[Fold]:
-    if options.blocks is not None:
-        folds: Sequence[Fold] = tools.blocks(options.blocks, options.gap)
-    elif options.hold_out is not None:
-        folds = tools.hold_out(options.hold_out.split(","))
-    else:
-        folds = tools.folds
-    if options.fold is None:
-        return folds
-    if not 1 <= options.fold <= len(folds):
-        raise UserError(f"there is no fold {options.fold}: expected 1 to {len(folds)}")
-    return folds[options.fold - 1 : options.fold]
-
-
-def _complain(message: str) -> int:
-    say(f"tools.py: {message}", file=sys.stderr)
-    return _BAD

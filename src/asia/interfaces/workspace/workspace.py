@@ -18,7 +18,7 @@ from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.interfaces.workspace.process import SearchRequest, start_search
 from asia.interfaces.workspace.program import Confinement, models_page, program
-from asia.interfaces.workspace.server import Desk, RunDesk, SocketDesk
+from asia.interfaces.workspace.server import RunDesk, SocketDesk
 from asia.judge.evaluation.references import LINEAR
 from asia.ledger.artifacts import Store
 from asia.ledger.exports import journal, results_table
@@ -107,6 +107,8 @@ def write_file(folder: Path, name: str, content: str | bytes, mode: int = 0o644)
         UserError: the file cannot be written.
     """
     *places, last = name.split("/")
+    data = content.encode("utf-8", "replace") if isinstance(content, str) else content
+    temporary = f".{last}.{secrets.token_hex(8)}"
     try:
         here = os.open(folder, _FOLDER)
         try:
@@ -114,8 +116,14 @@ def write_file(folder: Path, name: str, content: str | bytes, mode: int = 0o644)
                 below = _enter(here, place)
                 os.close(here)
                 here = below
-            data = content.encode("utf-8", "replace") if isinstance(content, str) else content
-            _replace(here, last, data, mode)
+            with open(os.open(temporary, _NEW, mode, dir_fd=here), "wb") as stream:
+                os.fchmod(stream.fileno(), mode)
+                stream.write(data)
+            try:
+                os.rename(temporary, last, src_dir_fd=here, dst_dir_fd=here)
+            except IsADirectoryError:
+                _move_away(here, last)
+                os.rename(temporary, last, src_dir_fd=here, dst_dir_fd=here)
         finally:
             os.close(here)
     except OSError as error:
@@ -135,18 +143,6 @@ def _enter(here: int, name: str) -> int:
         _move_away(here, name)
         os.mkdir(name, dir_fd=here)
         return os.open(name, _FOLDER, dir_fd=here)
-
-
-def _replace(here: int, name: str, data: bytes, mode: int) -> None:
-    temporary = f".{name}.{secrets.token_hex(8)}"
-    with open(os.open(temporary, _NEW, mode, dir_fd=here), "wb") as stream:
-        os.fchmod(stream.fileno(), mode)
-        stream.write(data)
-    try:
-        os.rename(temporary, name, src_dir_fd=here, dst_dir_fd=here)
-    except IsADirectoryError:
-        _move_away(here, name)
-        os.rename(temporary, name, src_dir_fd=here, dst_dir_fd=here)
 
 
 def _move_away(here: int, name: str) -> None:
@@ -195,10 +191,17 @@ class Workspace:
         for place in (folder.resolve(), *folder.resolve().parents):
             link = place / _LINK
             if link.is_file():
-                return cls(place, _run_of(link))
+                try:
+                    run = _links.validate_json(link.read_bytes()).get("run")
+                except (OSError, ValueError):
+                    raise UserError(
+                        f"{link} is damaged: make the workspace again, with the command that made "
+                        "it"
+                    ) from None
+                return cls(place, Path(run) if run else None)
         return None
 
-    def desk(self) -> Desk:
+    def desk(self) -> RunDesk | SocketDesk:
         """Return the submission server: the socket that ASIA_DESK names, else the run itself."""
         path = os.environ.get(DESK_VARIABLE)
         if path:
@@ -245,21 +248,6 @@ def is_workspace(folder: Path) -> bool:
     return (folder / _LINK).is_file()
 
 
-def _run_of(link: Path) -> Path | None:
-    """Return the run directory that a workspace names.
-
-    Raises:
-        UserError: the link cannot be read.
-    """
-    try:
-        run = _links.validate_json(link.read_bytes()).get("run")
-    except (OSError, ValueError):
-        raise UserError(
-            f"{link} is damaged: make the workspace again, with the command that made it"
-        ) from None
-    return Path(run) if run else None
-
-
 def make_workspace(
     folder: Path,
     prepared: Prepared,
@@ -285,8 +273,7 @@ def make_workspace(
             "must not show the ledger; choose another folder"
         )
     started = prepared.started
-    problem, experiments = prepared.problem, started.experiments
-    write_folder(folder, problem, experiments, run, started.seed, confinement)
+    write_folder(folder, prepared.problem, started.experiments, run, started.seed, confinement)
     request.save(run)
     return Workspace(folder, run)
 
@@ -309,7 +296,16 @@ def write_folder(
     write_file(folder, "problem.toml", training_text(problem, names))
     write_file(folder, "tools.py", TOOLS.replace("{seed}", str(seed)))
     for name, trajectory in zip(names, problem.train, strict=True):
-        write_file(folder, f"data/{name}.csv", _csv(trajectory, problem))
+        # Time first; empty where an output was not measured.
+        stream = io.StringIO()
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(["time", *(s.name for s in (*problem.inputs, *problem.outputs))])
+        measured = trajectory.measured_y
+        for k in range(len(trajectory)):
+            values = [*trajectory.u[k].tolist(), *measured[k].tolist()]
+            row = ("" if math.isnan(value) else repr(value) for value in values)
+            table.writerow([repr(k * trajectory.sampling_time), *row])
+        write_file(folder, f"data/{name}.csv", stream.getvalue())
     if not os.path.lexists(folder / CANDIDATE):
         write_file(folder, CANDIDATE, problem.baseline or LINEAR)
     write_file(folder, _LINK, json.dumps({"run": str(run) if run else None}) + "\n")
@@ -334,17 +330,3 @@ def trajectory_names(trajectories: tuple[Trajectory, ...]) -> list[str]:
         for i, r in enumerate(trajectories, 1)
     ]
     return [f"{s}-{i}" if stems.count(s) > 1 else s for i, s in enumerate(stems, 1)]
-
-
-def _csv(trajectory: Trajectory, problem: Problem) -> str:
-    """A trajectory as CSV, time first; empty where an output was not measured."""
-    names = [s.name for s in (*problem.inputs, *problem.outputs)]
-    stream = io.StringIO()
-    table = csv.writer(stream, lineterminator="\n")
-    table.writerow(["time", *names])
-    measured = trajectory.measured_y
-    for k in range(len(trajectory)):
-        values = [*trajectory.u[k].tolist(), *measured[k].tolist()]
-        row = ("" if math.isnan(value) else repr(value) for value in values)
-        table.writerow([repr(k * trajectory.sampling_time), *row])
-    return stream.getvalue()

@@ -58,7 +58,7 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     (folder / "candidate.py").write_text("def fit(\n")
     broken = asia("try", "-m", "a typing error", "--dir", folder)
     assert broken.code == 2
-    assert "costs no experiment" in broken.err
+    assert "cost no experiment" in broken.err
     (folder / "candidate.py").write_text(lasting(arx(2)))
     dry = asia("try", "--dry-run", "--dir", folder)
     assert dry.code == 0, dry.err
@@ -182,7 +182,7 @@ def test_a_search_that_dies_is_not_waited_for(tmp_path: Path, asia: Asia, state:
     assert waiting.returncode == 2
     when = "while" if state == "running" else "before"
     assert f"the process of the search ended {when} it evaluated the candidate" in last
-    assert "give the same command again" in last
+    assert "repeat the command" in last
     assert last.count("\n") == 1
     assert not attended(run)
 

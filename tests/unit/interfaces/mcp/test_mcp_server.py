@@ -46,7 +46,7 @@ async def search(client: Client, directory: Path) -> None:
     assert again["next"].startswith("not judged again: comments apart, this is the source of exp")
     tried = await agent.call("dry_run", code=arx(3))
     assert tried["reason"] is None
-    assert tried["lines"][0].startswith("dry run  nothing fails on ")
+    assert tried["lines"][0].startswith("dry run  passed on ")
     assert (await agent.call("dry_run", code=CRASH))["reason"] == "crash"
     assert (await agent.call("status"))["remaining"] == 1
     last = await agent.call("wait", ticket=await agent.submit(arx(4)))

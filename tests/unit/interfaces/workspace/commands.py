@@ -6,13 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from asia.interfaces.coding_agents.presets import PRESETS, Preset, StreamFormat
-from asia.interfaces.coding_agents.session import CommandRules, run_command
+from asia.interfaces.coding_agents.session import (
+    CommandRules,
+    command_agent,
+    search_with_agents,
+)
 from asia.judge.sandbox.availability import probe
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Event
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
-from asia.search.run import prepare
+from asia.search.loop import OnEvent
+from asia.search.run import Prepared, prepare
 
 HERE = Path(__file__).resolve().parent
 TOY = HERE.parents[1] / "search" / "toy.py"
@@ -43,6 +48,16 @@ def with_config(problem: Path) -> CommandRules:
     return replace(RULES, configs=(config,))
 
 
+def run_command(
+    ready: Prepared,
+    preset: Preset,
+    rules: CommandRules,
+    on_event: OnEvent = lambda event, view: None,
+) -> SearchView:
+    agent = command_agent(ready, preset, rules)
+    return search_with_agents(ready, agent, (agent,), on_event, lambda view: None)
+
+
 def go(
     problem: Path,
     preset: Preset,
@@ -52,4 +67,4 @@ def go(
     """A whole sitting."""
     loaded = load_problem(problem)
     ready = prepare(loaded, "claude", seed=0, runs=problem.parent / "runs")
-    return run_command(ready, preset, rules, on_event, lambda view: None)
+    return run_command(ready, preset, rules, on_event)

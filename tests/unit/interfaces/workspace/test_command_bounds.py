@@ -7,6 +7,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.interfaces.cli.options import CommandOptions, ModelOptions
+from asia.interfaces.cli.run import command_driver
 from asia.interfaces.coding_agents.presets import Stream
 from asia.judge.sandbox.jail import Jail
 from asia.ledger.artifacts import Store
@@ -141,7 +142,7 @@ def test_a_mount_does_not_show_the_runs(problem: Path) -> None:
 
 def driver(agent: str, command: str | None, configs: list[Path] | None = None) -> dict[str, str]:
     options = CommandOptions(command=command, network=True, agent_config=configs)
-    return options.driver(agent, ModelOptions()).settings
+    return command_driver(agent, options, ModelOptions()).settings
 
 
 @pytest.mark.parametrize("name", ["expert", "random", "llm", "workspace", "mcp"])

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from asia.errors import UserError
-from asia.interfaces.coding_agents.session import CommandRules, run_command
+from asia.interfaces.coding_agents.session import CommandRules
 from asia.ledger.chain import read_lines
 from asia.ledger.events import Evaluated, Event
 from asia.ledger.view import SearchView
@@ -14,7 +14,7 @@ from asia.problem.load import load_problem
 from asia.search.run import prepare
 from tests.unit.search.toy import write_problem
 
-from .commands import RULES, TOY, fake, go, says, with_config
+from .commands import RULES, TOY, fake, go, run_command, says, with_config
 from .test_socket import ends
 
 PAID = (
@@ -119,7 +119,7 @@ def test_time_is_capped_while_candidates_wait(tmp_path: Path) -> None:
     ready = prepare(loaded, "claude", seed=0, runs=tmp_path / "runs")
     preset = says(code, "none", str(TOY))
     rules = replace(RULES, minutes=0.1)
-    view = run_command(ready, preset, rules, lambda e, v: None, lambda v: None)
+    view = run_command(ready, preset, rules)
     assert view.stopped is not None
     assert view.stopped.reason == "time"
     assert len(view.finished) < 40

@@ -14,7 +14,7 @@ from asia.interfaces.workspace.process import (
     prepare_request,
     serve,
 )
-from asia.interfaces.workspace.server import RunDesk, Submission, wait
+from asia.interfaces.workspace.server import Best, RunDesk, Submission, wait
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import Evaluated, Proposed, Stopped, Unsealing
 from asia.ledger.run import Run, open_run
@@ -54,12 +54,13 @@ def test_a_submission_is_judged_and_found_by_its_ticket(served: tuple[Place, str
     baseline, result = place.desk.results()
     assert (baseline.title, baseline.status) == ("baseline", "keep")
     assert result.status == "keep"
-    assert result.value is not None
-    assert result.value < 0.05
+    assert result.V is not None
+    assert result.V < 0.05
     assert len(result.folds) == 2
     assert place.desk.source(2) == arx(2)
     progress = place.desk.progress()
-    assert (progress.state, progress.best, progress.remaining) == ("interrupted", 2, 2)
+    assert progress.best == Best(2, result.V)
+    assert (progress.state, progress.remaining) == ("interrupted", 2)
 
 
 def test_a_submission_waits_for_a_search_that_is_not_there(place: Place) -> None:
@@ -240,7 +241,7 @@ def test_a_search_that_never_began_is_started_first(tmp_path: Path) -> None:
     submission = desk.submit(Proposal(CRASH, "", "", "it fails", "", None))
     assert (submission.state, submission.experiment) == ("done", 2)
     crash = desk.results()[1]
-    assert (crash.status, crash.value, crash.reason) == ("crash", None, "crash")
+    assert (crash.status, crash.V, crash.reason) == ("crash", None, "crash")
     assert crash.detail == "line 2: ValueError: no such luck"
 
 

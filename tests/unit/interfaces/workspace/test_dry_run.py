@@ -10,7 +10,7 @@ from asia.errors import UserError
 from asia.interfaces.workspace.process import serve
 from asia.interfaces.workspace.server import (
     DeskServer,
-    DryRunSummary,
+    DryRunResult,
     RunDesk,
     SocketDesk,
     printed_lines,
@@ -66,12 +66,12 @@ def test_a_dry_run_names_what_a_try_would_fail_with(place: Place, source: str, r
     assert found.fit_seconds is None or reason == "not_reproducible"
 
 
-def test_a_dry_run_summarys_nothing_that_could_be_a_score() -> None:
+def test_a_dry_run_gives_nothing_that_could_be_a_score() -> None:
     """What it says of a good candidate are times and sizes."""
-    assert set(DryRunSummary.__dataclass_fields__) == {
+    assert set(DryRunResult.__dataclass_fields__) == {
         "reason", "advice", "detail", "printed", "samples", "of_samples", "fit_seconds",
         "compile_seconds", "simulate_seconds", "whole_fit_seconds", "limit_seconds",
-        "allowed_seconds",
+        "allowed_seconds", "lines",
     }  # fmt: skip
 
 

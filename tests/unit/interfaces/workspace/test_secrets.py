@@ -14,7 +14,6 @@ import pytest
 
 from asia.agents import LlmSettings
 from asia.errors import UserError
-from asia.interfaces.coding_agents.session import run_command
 from asia.interfaces.workspace.process import start_search
 from asia.interfaces.workspace.server import RunDesk
 from asia.problem.load import load_problem
@@ -23,7 +22,7 @@ from tests.unit.agents.fake_llm import Told, fake_llm, said
 from tests.unit.interfaces.cli.conftest import command_line
 from tests.unit.search.toy import arx, write_problem
 
-from .commands import JAILED, RULES, says
+from .commands import JAILED, RULES, run_command, says
 from .desks import candidate, end_searches, ordered, searches
 
 PLANTED = "planted-secret-8c1f0e"
@@ -165,7 +164,7 @@ def test_a_coding_agent_and_its_own_key(tmp_path: Path, monkeypatch: pytest.Monk
     preset = type(preset)(**{**vars(preset), "keys": ("ANTHROPIC_API_KEY",)})
     rules = type(RULES)(**{**vars(RULES), "variables": preset.keys, "mounts": ()})
     with watching(PLANTED) as children:
-        view = run_command(ready, preset, rules, lambda e, v: None, lambda v: None)
+        view = run_command(ready, preset, rules)
     assert view.sessions
     assert children.told == []
     run = tmp_path / "runs"

@@ -6,7 +6,7 @@ import pytest
 
 import asia
 from asia.errors import UserError
-from asia.interfaces.cli.text import RESIDUALS_SHOWN
+from asia.interfaces.cli.output import RESIDUALS_SHOWN
 from asia.interfaces.workspace.server import RunDesk
 from asia.ledger.run import open_run
 from asia.problem.load import load_lock, load_problem
@@ -49,7 +49,7 @@ def test_v_carries_both_marks(tmp_path: Path) -> None:
     found = asia.run(
         problem, agent=agent, runs=runs, experiments=1, early_stopping="validation"
     ).view
-    assert found.v_name == "V (validation early stopping, held-out residuals shown)"
+    assert found.metric == "V (validation early stopping, held-out residuals shown)"
 
 
 @pytest.mark.slow

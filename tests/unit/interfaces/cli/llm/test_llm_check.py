@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from asia.interfaces.cli import llm_check
+from asia.interfaces.cli import agent
 from tests.unit.agents.fake_llm import PROMPT_TOKENS, REPLY_TOKENS, FakeServer, Told, fake_llm, said
 from tests.unit.interfaces.cli.conftest import Asia
 from tests.unit.search.toy import CRASH, arx
@@ -20,7 +20,7 @@ REFUSAL = Told("I cannot help with that.")
 
 @pytest.fixture
 def server(problem: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeServer]:
-    monkeypatch.setattr(llm_check, "PROBLEM", str(problem))
+    monkeypatch.setattr(agent, "CHECK_PROBLEM", str(problem))
     monkeypatch.setattr("asia.search.run.LINEAR", arx(1))
     monkeypatch.delenv("OPENAI_API_KEY", raising=False)
     monkeypatch.delenv("OPENAI_BASE_URL", raising=False)

@@ -4,8 +4,8 @@ from dataclasses import replace
 import pytest
 
 from asia._timer import duration
-from asia.interfaces.cli.results import describe
-from asia.interfaces.cli.text import Terminal, experiment_line
+from asia.interfaces.cli.output import Terminal, experiment_line
+from asia.interfaces.cli.show import describe
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Retest, Status
 from asia.ledger.run import open_run

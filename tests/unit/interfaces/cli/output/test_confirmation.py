@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from asia.interfaces.cli.results import confirmation_lines, verdict
+from asia.interfaces.cli.validate import confirmation_lines, verdict
 from asia.judge.scoring.confirmation import ExpectedError, Interval
 from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair
 from tests.unit.interfaces.cli.conftest import Asia, Searched

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import asia
-from asia.interfaces.cli.text import use_lines
+from asia.interfaces.cli.output import use_lines
 from tests.unit.search.toy import Scripted, arx, write_problem
 
 

@@ -5,9 +5,8 @@ from typing import Any
 
 import pytest
 
-from asia.interfaces.cli.display import _where
-from asia.interfaces.cli.status import _state_words
-from asia.interfaces.cli.text import training_lines
+from asia.interfaces.cli.agent import submission_line, training_lines
+from asia.interfaces.cli.status import state_words
 from asia.interfaces.workspace.server import Submission
 from asia.judge.scoring.residuals import Diagnostics
 
@@ -24,10 +23,10 @@ def test_every_figure_of_the_training_side_is_named_in_words() -> None:
 
 def test_the_search_is_not_said_to_begin_with_rungs_that_were_said_already() -> None:
     now: Any = SimpleNamespace(running=None, experiments=0)
-    said = _where(Submission("t", "queued"), now)
+    said = submission_line(Submission("t", "queued"), now)
     assert said == "the search evaluates the rungs, which are simple references, then the baseline"
     now.experiments = 1
-    assert _where(Submission("t", "queued"), now) == "queued, it is next"
+    assert submission_line(Submission("t", "queued"), now) == "queued, it is next"
 
 
 @pytest.mark.parametrize(
@@ -43,4 +42,4 @@ def test_an_idle_workspace_is_not_called_running(agent: str, pending: Any, said:
         started=SimpleNamespace(agent=agent), experiments=("one",), pending=pending, budget=5
     )
     found: Any = SimpleNamespace(view=view, state="running", finished=1)
-    assert _state_words(found) == said
+    assert state_words(found) == said

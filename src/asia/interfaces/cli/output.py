@@ -1,0 +1,225 @@
+"""Text that several commands print."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from statistics import fmean
+from typing import Any
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+
+from asia._text import printable
+from asia._timer import Activity, Seconds, TimeSpent, add_seconds, duration
+from asia.judge.scoring.outcome import Outcome, Score
+from asia.ledger.events import Evaluated, Event, GuardLooked, Refitted, Usage
+from asia.ledger.run import model_to_use
+from asia.ledger.text import error_value, seed_mean_words, stack_words, validation_score_words
+from asia.ledger.view import Experiment, SearchView
+
+NOT_LEAK_FREE = (
+    "validation early stopping: candidates may request their score on the held-out parts, so V "
+    "is not leak-free and only comparable with V of the same setting"
+)
+RESIDUALS_SHOWN = (
+    "held-out residuals are shown to the agent, which can fit a model to them, so V is only "
+    "comparable with V of the same setting"
+)
+# V divided by V of the training mean, above which a model is no better than the mean.
+_BETTER = 0.95
+
+
+class Terminal(Console):
+    """Console that prints text literally and removes its control characters. Only rich itself sets
+    colours and moves the cursor."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **settings)
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """Filter all output, live displays included."""
+        for segment in super().render(renderable, options):
+            if segment.control:
+                yield segment
+            else:
+                yield Segment(printable(segment.text), segment.style)
+
+
+def validation_words(validation_scores: int) -> str:
+    """Return the note on V with validation early stopping, with the number of validation scores."""
+    return (
+        f"with validation early stopping, not leak-free; {validation_scores} validation scores "
+        "were given"
+    )
+
+
+def value_words(outcome: Outcome) -> str:
+    """Return V, or the reason of the failure."""
+    return error_value(outcome.value) if isinstance(outcome, Score) else outcome.reason.value
+
+
+def experiment_line(experiment: Experiment, view: SearchView) -> str:
+    """`#07 keep  V=0.1310  min fit 87.2 % ... | best #07 0.1310`: one greppable line, with the
+    lowest fit index over folds and outputs, that ends with the lowest V at that time. With
+    validation early stopping it says how many validation scores were given.
+
+    V is that of one fit on both sides. A candidate that was fitted from several seeds has a mean as
+    well, which decides what is kept: `... | mean of 3 seeds 0.1422 | best #04 0.0890, lowest mean
+    of seeds #07 0.1422`."""
+    r, proposed = experiment.result, experiment.proposed
+    assert r is not None
+    if isinstance(r.outcome, Score):
+        fits = [f.worst_fit for f in r.outcome.folds if f.worst_fit is not None]
+        worst = min(fits, default=None)
+        fit = "   -  " if worst is None else f"{worst:5.1f} %" if worst > -999 else "<-999 %"
+        found = f"V={error_value(r.outcome.value)}  min fit {fit}"
+    else:
+        found = f"{r.outcome.reason.value:<24}"
+    mean = seed_mean_words(experiment)
+    best = next((e for e in reversed(view.bests) if e.number <= experiment.number), None)
+    tail = "best none"
+    if best and best.score:
+        tail = f"best #{best.number:02d} {error_value(best.score.value)}"
+        kept = [e for e in view.finished if e.kept and e.number <= experiment.number]
+        if kept and (mean or kept[-1].number != best.number):
+            value = error_value(fmean(kept[-1].seed_values))
+            several = "lowest mean of seeds" if len(kept[-1].seed_values) > 1 else "kept"
+            tail += f", {several} #{kept[-1].number:02d} {value}"
+    title = f"{proposed.agent}: {proposed.title}" if proposed.agent else proposed.title
+    asked = "" if view.started.early_stopping == "inner" else f" | {validation_score_words(r):<21}"
+    # As wide as `inconclusive` with its figures.
+    outcome = f"{r.status:<7} {found}"
+    return (
+        f"#{experiment.number:02d} {outcome:<38}  {duration(r.seconds):>6}  "
+        f"{title:<44}{asked}{f' | {mean}' if mean else ''} | {tail}"
+    )
+
+
+def running_words(view: SearchView) -> list[str]:
+    """Return `#05 refine: linear, one state more` for each experiment in flight, and whether its
+    fit has ended."""
+    return [
+        f"#{e.number:02d} {e.proposed.phase}: {e.proposed.title}"
+        + (" (fitted, waits for its turn)" if e.landed is not None else "")
+        for e in view.running
+    ]
+
+
+def guard_words(view: SearchView) -> str:
+    """Return the last look at the guard: `#07 0.2310, #09 0.2280; it picks #09, ...`."""
+    look, best = view.looks[-1], view.best
+    scores = ", ".join(f"#{s.experiment:02d} {value_words(s.outcome)}" for s in look.scores)
+    pick = "none" if look.pick is None else f"#{look.pick:02d}"
+    winner = ""
+    if best is not None and best.number != look.pick:
+        winner = f", the winner is #{best.number:02d}"
+    return f"{scores}; it picks {pick}{winner} (look {look.look})"
+
+
+def again_words(view: SearchView) -> str:
+    """Return the difference that a second fit of one fold of the winner showed; "" if none."""
+    again = view.refitted.again if view.refitted else None
+    if again is None or again.ratio == 1.0:
+        return ""
+    found = f"fails ({again.failed})"
+    if again.ratio is not None:
+        found = f"has {again.ratio:.4g} times its error"
+    return f"fold {again.fold}, fitted a second time, {found}: V varies over repeated fits"
+
+
+def use_lines(view: SearchView) -> list[str]:
+    """Return the model to use of a finished search with its reason, and the other models."""
+    named, refitted = model_to_use(view), view.refitted
+    if named is None or refitted is None:
+        return []
+    lines = [f"use     {named.model}: {named.reason}"]
+    mean = next((r.outcome for r in view.rungs if r.name == "training mean"), None)
+    best = view.best.score if view.best is not None else None
+    if best is not None and isinstance(mean, Score) and best.value >= _BETTER * mean.value:
+        lines.append(
+            f"doubt   nothing is clearly better than the mean of the data, whose {view.v_name} is "
+            f"{error_value(mean.value)}: do the inputs act on the outputs, was the plant in closed "
+            "loop, is it unstable? Read asia check; for an unstable plant use short windows, "
+            'kind = "windows" in [protocol]'
+        )
+    if refitted.model is None and refitted.detail and named.model != "ensemble":
+        lines.append(f"refit   none: {refitted.detail}")
+    if refitted.stack is not None:
+        stack = refitted.stack
+        lines.append(
+            f"stack   nested {view.v_name}={error_value(stack.value)} {stack_words(stack)}"
+        )
+    return lines
+
+
+def stop_words(reason: str, view: SearchView) -> str:
+    """Return the stop reason as text; the agent's own text if it found nothing left to try."""
+    if reason == "saturated" and view.stopped is not None and view.stopped.detail:
+        return f"saturated: {view.stopped.detail}"
+    return {
+        "budget": f"the budget of {view.budget} experiments is spent (extend: --experiments)",
+        "saturated": "saturated: the last experiments found nothing better",
+        "exhausted": "the agent has nothing left to try",
+        "hours": "the wall-clock budget is spent",
+        "user": "on request; the same command continues",
+        "stuck": "the agent was stuck; the same command continues",
+        "tokens": "the token budget is spent; the same command with more tokens continues",
+        "cost": "the money budget is spent; the same command with more continues",
+        "time": "the agent's time is spent; the same command with more continues",
+        "agent": "the agent ended; the same command starts it again",
+    }[reason]
+
+
+def usage_words(usage: Usage) -> str:
+    """`12 replies, 40310 tokens in (1200 cached), 8120 out, 0.0231 USD`."""
+    cost = "cost unknown" if usage.cost is None else f"{usage.cost:.4f} USD"
+    return (
+        f"{usage.turns} replies, {usage.input_tokens} tokens in ({usage.cached_tokens} cached), "
+        f"{usage.output_tokens} out, {cost}"
+    )
+
+
+def time_by_activity(
+    events: Iterable[Event], unrecorded: Sequence[TimeSpent] = ()
+) -> tuple[TimeSpent, ...]:
+    """Sum the seconds of each activity over all events. unrecorded: seconds that the ledger does
+    not record."""
+    spent: Seconds = {}
+    recorded = [e.spent for e in events if isinstance(e, Evaluated | Refitted | GuardLooked)]
+    for one in (one for parts in (*recorded, unrecorded) for one in parts):
+        add_seconds(spent, one.activity, one.wall, one.processor)
+    return tuple(TimeSpent(one, *spent[one]) for one in Activity if one in spent)
+
+
+def profile_lines(events: Sequence[Event], unrecorded: Sequence[TimeSpent] = ()) -> list[str]:
+    """Return the table: one line per activity, the total last."""
+    results = [e for e in events if isinstance(e, Evaluated)]
+    without = sum(not e.spent for e in results)
+    if without == len(results):
+        return ["profile  not recorded: no experiment of this run has a profile"]
+    spent = time_by_activity(events, unrecorded)
+    total = sum(one.wall for one in spent)
+    lines = [f"profile  {'wall s':>22} {'share':>7} {'processor s':>12}"]
+    for one in spent:
+        share = f"{100 * one.wall / total:.1f} %"
+        lines.append(f"  {one.activity:<12} {one.wall:16.2f} {share:>7} {one.processor:12.2f}")
+    known = {one.activity for one in spent}
+    not_in_ledger = (Activity.PREPARE, Activity.PICTURES)
+    lines += [f"  {a:<12} {'not recorded':>16}" for a in not_in_ledger if a not in known]
+    processor = sum(one.processor for one in spent)
+    lines.append(f"  {'total':<12} {total:16.2f} {'':>7} {processor:12.2f}")
+    if without:
+        lines.append(f"  {without} of {len(results)} experiments: not recorded")
+    return lines
+
+
+def profile_object(
+    events: Sequence[Event], unrecorded: Sequence[TimeSpent] = ()
+) -> dict[str, dict[str, float]]:
+    """Return the seconds by activity."""
+    return {
+        one.activity.value: {"wall": one.wall, "processor": one.processor}
+        for one in time_by_activity(events, unrecorded)
+    }
