@@ -34,7 +34,8 @@ from asia.report.files import pictures
 from asia.report.pictures.check import draw_data
 from asia.report.pictures.leaderboard import draw_standing
 from asia.report.pictures.progress import draw_arms
-from asia.report.pictures.simulation import ErrorCurve, Growth, Marks, draw_growth, telling
+from asia.report.pictures.simulation import ErrorCurve, Growth, Marks, draw_growth
+from asia.report.simulated import telling
 
 from .made_up import Shape, make_problem, write_run
 from .test_report_pictures import FIVE, assert_readable, visible_texts

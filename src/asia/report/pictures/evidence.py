@@ -43,11 +43,15 @@ from asia.report.pictures.simulation import (
     Piece,
     Words,
     draw_overlay,
+)
+from asia.report.simulated import (
+    SimulatedCase,
+    SimulatedCases,
+    fold_outputs,
     lowest,
     telling,
     worst_fits,
 )
-from asia.report.simulated import SimulatedCase, SimulatedCases, fold_outputs
 
 # Picture of the ablation: contribution of each change with its interval.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from asia.data.trajectory import Array, Signal, spread_of
-from asia.judge.scoring.outcome import FoldScore, Score, fit_index, mee_table
+from asia.judge.scoring.outcome import FoldScore, fit_index, mee_table
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment
@@ -45,7 +45,7 @@ from asia.report.drawing.style import (
     quiet_grid,
     shown,
 )
-from asia.report.simulated import fold_outputs, opened_windows
+from asia.report.simulated import fold_outputs, lowest, opened_windows, telling, worst_fits
 
 # Measured against simulated outputs, the error in a strip below.
 
@@ -329,33 +329,7 @@ def _panel(axes: Axes, panel: Growth) -> None:
     quiet_grid(axes)
 
 
-# Pictures of simulations in many short windows.
-
-
-def telling(
-    measured: Sequence[Array], simulated: Sequence[Array], scale: Array
-) -> Iterator[tuple[str, int]]:
-    """The windows with the least, the middle and the largest error, by their index. The error is
-    the mean of |error| / scale over samples and outputs; measured, simulated: (H, ny) a window,
-    scale (ny,)."""
-    pairs = zip(measured, simulated, strict=True)
-    errors = np.array([_mean_error(y - y_hat, scale) for y, y_hat in pairs])
-    order = np.argsort(errors, kind="stable")
-    places = {"best": 0, "median": len(order) // 2, "worst": len(order) - 1}
-    seen: set[int] = set()
-    for word, place in places.items():
-        index = int(order[place])
-        if index not in seen:
-            seen.add(index)
-            yield word, index
-
-
-def _mean_error(error: Array, scale: Array) -> float:
-    """Over what was measured; 0 where nothing was."""
-    sizes = (np.abs(error) / scale)[~np.isnan(error)] if np.isnan(error).any() else None
-    if sizes is None:
-        return float(np.mean(np.abs(error) / scale))
-    return float(np.mean(sizes)) if sizes.size else 0.0
+# The error over the horizon, from a run.
 
 
 def draw_horizon(
@@ -462,8 +436,8 @@ def draw_simulation(
     score = experiment.score
     assert score is not None
     outputs = fold_outputs(run.store, experiment, folds)
-    fits = np.array([[_order(fit) for fit in f.fit_index] for f in score.folds])
-    shown_folds = lowest(fits.min(axis=1).tolist(), MOST_PANELS // 2)
+    fits = [min(np.inf if f is None else f for f in fold.fit_index) for fold in score.folds]
+    shown_folds = lowest(fits, MOST_PANELS // 2)
     channels = lowest(worst_fits(score), MOST_PANELS // len(shown_folds))
     panels = tuple(
         Panel(
@@ -487,22 +461,6 @@ def draw_simulation(
     title = f"{head}: {what}, {run.view.v_name} = {number(score.value)}{notes}"
     pieces = "windows" if windows else "records"
     return draw_overlay(panels, problem.sampling_time, Words(title, "simulated", pieces=pieces))
-
-
-def _order(fit: float | None) -> float:
-    """An output that does not move has no fit index and comes last."""
-    return np.inf if fit is None else fit
-
-
-def worst_fits(score: Score) -> list[float]:
-    """The lowest fit index of each output over the folds."""
-    fits = [[_order(fit) for fit in f.fit_index] for f in score.folds]
-    return [min(column) for column in zip(*fits, strict=True)]
-
-
-def lowest(values: Sequence[float], count: int) -> list[int]:
-    """Indices of the `count` lowest values, in their own order."""
-    return sorted(int(i) for i in np.argsort(values, kind="stable")[: max(count, 1)])
 
 
 def _fold_title(problem: Problem, fold: int, channel: int, score: FoldScore) -> Heading:
