@@ -6,7 +6,6 @@ import importlib.util
 import io
 import platform
 import re
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,7 +22,7 @@ from asia.data.trajectory import Array
 from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed, TrainingWindow
 from asia.export.target import Answers
-from asia.export.targets.c import c_compiler, c_source, header
+from asia.export.targets.c import c_compiler, c_source, compile_c, header
 
 # Functions of the FMI standard around the printed C, for each version.
 
@@ -197,7 +196,6 @@ I fmi3GetOutputDerivatives(P m, R r, N n, const int32_t *o, double *v, N k) | re
 I fmi3DoStep(P m, double t, double h, B d, B *ev, B *end, B *early, double *last) | *ev = 0; *end = 0; *early = 0; *last = t + h; return advance(m, t, h);
 I fmi3ActivateModelPartition(P m, uint32_t c, double t) | return ERROR;
 """  # noqa: E501
-_KINDS = "Float32 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Boolean String"
 
 
 def shell(values: Sequence[float], version: int, token: str) -> str:
@@ -228,18 +226,21 @@ def _function(head: str, body: str) -> str:
 
 def _others() -> list[tuple[str, str]]:
     """Getters and setters of the types that the model does not have."""
+    kinds = "Float32 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Boolean String Binary Clock"
+    sizes = {"Binary": "P m, R r, N n, N *s, P v, N k", "Clock": "P m, R r, N n, B *v"}
     rows: list[tuple[str, str]] = []
-    for kind in (*_KINDS.split(), "Binary", "Clock"):
-        sizes = {"Binary": "P m, R r, N n, N *s, P v, N k", "Clock": "P m, R r, N n, B *v"}
+    for kind in kinds.split():
         arguments = sizes.get(kind, "P m, R r, N n, P v, N k")
         for way in ("Get", "Set"):
             rows.append((f"I fmi3{way}{kind}({arguments})", "return n ? ERROR : OK;"))
-    for way in ("GetIntervalDecimal", "GetIntervalFraction", "GetShiftDecimal"):
-        rows.append((f"I fmi3{way}(P m, R r, N n, P a, P b)", "return ERROR;"))
-    for way in ("GetShiftFraction", "SetIntervalFraction", "SetShiftFraction"):
-        rows.append((f"I fmi3{way}(P m, R r, N n, P a, P b)", "return ERROR;"))
-    for way in ("SetIntervalDecimal", "SetShiftDecimal"):
-        rows.append((f"I fmi3{way}(P m, R r, N n, P a)", "return ERROR;"))
+    for way in (
+        "GetIntervalDecimal", "GetIntervalFraction", "GetShiftDecimal", "GetShiftFraction",
+        "SetIntervalFraction", "SetShiftFraction", "SetIntervalDecimal", "SetShiftDecimal",
+    ):  # fmt: skip
+        arguments = "P m, R r, N n, P a"
+        if way not in ("SetIntervalDecimal", "SetShiftDecimal"):
+            arguments += ", P b"
+        rows.append((f"I fmi3{way}({arguments})", "return ERROR;"))
     return rows
 
 
@@ -272,6 +273,7 @@ platform they were made on."""
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
         """Validate the units and simulate them with fmpy."""
+        from fmpy import extract, read_model_description
         from fmpy.validation import validate_fmu
 
         found: list[Answers] = []
@@ -280,20 +282,14 @@ platform they were made on."""
             problems = validate_fmu(str(path))
             if problems:
                 raise InternalError(f"the printed FMU is not valid: {problems[0]}")
-            found.append(_answers(path, version, windows))
+            described: Any = read_model_description(str(path))
+            with tempfile.TemporaryDirectory(prefix="asia-fmu-") as made:
+                extract(str(path), unzipdir=made)
+                begin = time.perf_counter()
+                y_hat = tuple(_simulated(described, made, version, w) for w in windows)
+                seconds = time.perf_counter() - begin
+            found.append(Answers(f"FMI {version}.0", y_hat, seconds))
         return found
-
-
-def _answers(path: Path, version: int, windows: Sequence[TrainingWindow]) -> Answers:
-    from fmpy import extract, read_model_description
-
-    described: Any = read_model_description(str(path))
-    with tempfile.TemporaryDirectory(prefix="asia-fmu-") as made:
-        extract(str(path), unzipdir=made)
-        begin = time.perf_counter()
-        y_hat = tuple(_simulated(described, made, version, w) for w in windows)
-        seconds = time.perf_counter() - begin
-    return Answers(f"FMI {version}.0", y_hat, seconds)
 
 
 def _simulated(described: Any, folder: str, version: int, window: TrainingWindow) -> Array:
@@ -365,23 +361,17 @@ def _binary(files: dict[str, str]) -> bytes:
     with tempfile.TemporaryDirectory(prefix="asia-fmu-") as made:
         for name, text in files.items():
             (Path(made) / name).write_text(text)
-        command = [compiler, "-std=c99", "-O2", "-fPIC", "-shared", "model.c", "fmi.c"]
-        command += ["-o", "unit.so", "-lm"]
-        done = subprocess.run(
-            command, cwd=made, capture_output=True, text=True, check=False, timeout=300
-        )
-        if done.returncode != 0:
-            raise InternalError(f"the printed FMU does not compile: {done.stderr[:1000]}")
+        words = ["-std=c99", "-O2", "-fPIC", "-shared", "model.c", "fmi.c", "-o", "unit.so", "-lm"]
+        compile_c(compiler, words, Path(made), "FMU")
         return (Path(made) / "unit.so").read_bytes()
 
 
 def _platform(version: int) -> tuple[str, str]:
+    system, ending = ("darwin", ".dylib") if sys.platform == "darwin" else ("linux", ".so")
+    if version == 2:
+        return f"{system}64", ending
     arm = platform.machine().lower() in ("arm64", "aarch64")
-    if sys.platform == "darwin":
-        return (
-            "darwin64" if version == 2 else ("aarch64" if arm else "x86_64") + "-darwin"
-        ), ".dylib"
-    return ("linux64" if version == 2 else ("aarch64" if arm else "x86_64") + "-linux"), ".so"
+    return f"{'aarch64' if arm else 'x86_64'}-{system}", ending
 
 
 _BUILD = """<?xml version="1.0" encoding="UTF-8"?>
@@ -424,7 +414,18 @@ def _description(model: ExportModel, version: int, token: str) -> str:
     step = repr(model.sampling_time)
     title = quoteattr(f"{model.use} of run {model.name}")
     names = f'modelName={quoteattr(model.problem)} description={title} generationTool="ASIA"'
-    listed = "\n".join(_variable(i, row, version) for i, row in enumerate(rows, 1))
+    listed = ""
+    for reference, (name, causality, unit, start) in enumerate(rows, 1):
+        varies = "fixed" if causality == "parameter" else "continuous"
+        value = "" if start is None else f' start="{start!r}"'
+        attributes = (
+            f'name={quoteattr(name)} valueReference="{reference}" causality="{causality}" '
+            f'variability="{varies}" description={quoteattr(unit)}'
+        )
+        if version == 3:
+            listed += f"\n<Float64 {attributes}{value}/>"
+        else:
+            listed += f"\n<ScalarVariable {attributes}><Real{value}/></ScalarVariable>"
     experiment = f'<DefaultExperiment startTime="0.0" stepSize="{step}"/>'
     if version == 2:
         ends = "".join(f'<Unknown index="{i}"/>' for i in outputs)
@@ -434,8 +435,7 @@ def _description(model: ExportModel, version: int, token: str) -> str:
 <SourceFiles><File name="model.c"/><File name="fmi.c"/></SourceFiles>
 </CoSimulation>
 {experiment}
-<ModelVariables>
-{listed}
+<ModelVariables>{listed}
 </ModelVariables>
 <ModelStructure><Outputs>{ends}</Outputs><InitialUnknowns>{ends}</InitialUnknowns></ModelStructure>
 </fmiModelDescription>
@@ -448,20 +448,8 @@ def _description(model: ExportModel, version: int, token: str) -> str:
 fixedInternalStepSize="{step}"/>
 {experiment}
 <ModelVariables>
-<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>
-{listed}
+<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>{listed}
 </ModelVariables>
 <ModelStructure>{ends}{starts}</ModelStructure>
 </fmiModelDescription>
 """
-
-
-def _variable(reference: int, row: tuple[str, str, str, float | None], version: int) -> str:
-    name, causality, unit, start = row
-    varies = {"parameter": "fixed"}.get(causality, "continuous")
-    attributes = f'name={quoteattr(name)} valueReference="{reference}" causality="{causality}" '
-    attributes += f'variability="{varies}" description={quoteattr(unit)}'
-    value = "" if start is None else f' start="{start!r}"'
-    if version == 3:
-        return f"<Float64 {attributes}{value}/>"
-    return f"<ScalarVariable {attributes}><Real{value}/></ScalarVariable>"

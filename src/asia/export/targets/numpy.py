@@ -7,6 +7,7 @@ import re
 import runpy
 import textwrap
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -60,27 +61,19 @@ Sample by sample: `x = initial(past_u, past_y, u)`, then `y = output(x, u)` and
 
 
 def _source(model: ExportModel) -> str:
-    low = model.lowered
-    writer = _Constants()
-    states = ", ".join(f"x{i}" for i in range(len(low.states)))
-    taken = f"    {states}{',' if len(low.states) == 1 else ''} = x" if states else ""
+    low, writer = model.lowered, _Constants()
+    states = [f"x{i}" for i in range(len(low.states))]
+    first = [f"    {', '.join(states)}{',' if len(states) == 1 else ''} = x"] if states else []
+    window, inputs = ["past_u", "past_y", "u"], [*states, "u"]
     parts = [
-        _function("initial(past_u, past_y, u)", low.initial, ["past_u", "past_y", "u"], writer, ""),
-        _function("output(x, u)", low.output, _names(low.output, states), writer, taken),
-        _function("update(x, u)", low.update, _names(low.update, states), writer, taken),
-        _function("step(x, u)", low.step, _names(low.step, states), writer, taken),
+        _function("initial(past_u, past_y, u)", low.initial, window, writer, []),
+        _function("output(x, u)", low.output, inputs, writer, first),
+        _function("update(x, u)", low.update, inputs, writer, first),
+        _function("step(x, u)", low.step, inputs, writer, first),
     ]
     return "\n".join([_head(model), *writer.lines, "", *parts, _SIMULATE])
 
 
-def _names(program: Program, states: str) -> list[str]:
-    del program
-    return [*(states.split(", ") if states else []), "u"]
-
-
-_DOC = {
-    "initial": "The state before the first sample: past_u ({nu}), past_y ({ny}), its input u.",
-}
 _SIMULATE = '''
 def simulate(past_u, past_y, u):
     """Open loop, physical units: past_u (n_past_u, nu), past_y (n_past_y, ny), u (H, nu)."""
@@ -147,18 +140,18 @@ def _number(value: float) -> str:
 
 
 def _function(
-    head: str, program: Program, inputs: Sequence[str], constants: _Constants, first: str
+    head: str, program: Program, inputs: Sequence[str], constants: _Constants, first: list[str]
 ) -> str:
     body = _Body(constants)
     results = body.write(program, list(inputs), "    ")
-    what = head.partition("(")[0]
-    if what == "output":
+    name = head.partition("(")[0]
+    if name == "output":
         end = f"    return {results[0]}"
-    elif what == "step":
+    elif name == "step":
         end = f"    return {results[0]}, ({_tuple(results[1:])})"
     else:
         end = f"    return ({_tuple(results)})"
-    lines = [f"def {head}:", *([first] if first else []), *body.lines, end]
+    lines = [f"def {head}:", *first, *body.lines, end]
     return "\n".join(lines) + "\n\n"
 
 
@@ -176,12 +169,8 @@ class _Body:
 
     def write(self, program: Program, inputs: list[str], indent: str) -> list[str]:
         names = [*inputs, *(self._constants.of(c) for c in program.constants)]
-        uses = [0] * (program.first_node + len(program.nodes))
-        for node in program.nodes:
-            for i in node.operands:
-                uses[i] += 1
-        for i in program.outputs:
-            uses[i] += 1
+        uses = Counter(i for node in program.nodes for i in node.operands)
+        uses.update(program.outputs)
         for place, node in enumerate(program.nodes, program.first_node):
             read = [names[i] for i in node.operands]
             if node.op == "loop":
