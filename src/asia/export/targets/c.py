@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -33,161 +34,20 @@ from asia.lowering.program import Node, Program, Shape
 # Files around `model.c`.
 
 
-MAKEFILE = """# make; ./model example.csv
-CFLAGS ?= -std=c99 -Wall -Wextra -pedantic -Werror -O2
+def template(name: str, **values: object) -> str:
+    """A file of `templates` with a value for each `@NAME@`."""
+    text = (
+        resources.files("asia").joinpath("export", "targets", "templates", name).read_text("utf-8")
+    )
+    for key, value in values.items():
+        text = text.replace(f"@{key}@", str(value))
+    return text
 
-model: main.c model.c model.h
-\t$(CC) $(CFLAGS) main.c model.c -o model -lm
-
-clean:
-\trm -f model
-
-.PHONY: clean
-"""
-
-HARNESS = """#include "model.h"
-
-void asia_run(const asia_real *past_u, const asia_real *past_y, const asia_real *u, asia_real *y,
-              long samples);
-
-void asia_run(const asia_real *past_u, const asia_real *past_y, const asia_real *u, asia_real *y,
-              long samples)
-{
-    asia_state x;
-    long k;
-    asia_init(&x, past_u, past_y, u);
-    for (k = 0; k < samples; ++k)
-        asia_step(&x, u + k * ASIA_INPUTS, y + k * ASIA_OUTPUTS);
-}
-"""
 
 FLOAT = "typedef float asia_real;"
 """Line of `model.h` that selects single precision; it is replaced by an error where single
 precision is not good enough."""
 NO_FLOAT = '#error "in float this model differs too much from its simulation in double, see USE.md"'
-
-_HEADER = (
-    """/* {title}
- *
- * Sampling time {sampling_time!r} s; inputs are held between samples.
-{signals}
- */
-#ifndef ASIA_MODEL_H
-#define ASIA_MODEL_H
-
-#ifdef ASIA_FLOAT
-"""
-    + FLOAT
-    + """
-#else
-typedef double asia_real;
-#endif
-
-#define ASIA_INPUTS {nu}
-#define ASIA_OUTPUTS {ny}
-#define ASIA_PAST_INPUTS {past_u}
-#define ASIA_PAST_OUTPUTS {past_y}
-#define ASIA_SAMPLING_TIME {sampling_time!r}
-
-typedef struct {{
-    asia_real x[{states}];
-}} asia_state;
-
-/* past_u[ASIA_PAST_INPUTS][ASIA_INPUTS] and past_y[ASIA_PAST_OUTPUTS][ASIA_OUTPUTS], the oldest
- * sample first; u: the input of the first sample to simulate. */
-void asia_init(asia_state *x, const asia_real *past_u, const asia_real *past_y,
-               const asia_real *u);
-/* y of the sample that u belongs to. */
-void asia_output(const asia_state *x, const asia_real *u, asia_real *y);
-/* From this sample to the next. */
-void asia_update(asia_state *x, const asia_real *u);
-/* asia_output, then asia_update, in one computation. */
-void asia_step(asia_state *x, const asia_real *u, asia_real *y);
-
-#endif
-"""
-)
-
-_MAIN = r"""/* Simulates a CSV file: a row of names, then rows of inputs and outputs. Outputs of the
- * first rows start the model, the others are compared with. */
-#include "model.h"
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
-#define PAST (ASIA_PAST_INPUTS > ASIA_PAST_OUTPUTS ? ASIA_PAST_INPUTS : ASIA_PAST_OUTPUTS)
-#define COLUMNS (ASIA_INPUTS + ASIA_OUTPUTS)
-
-static int next_row(FILE *file, asia_real *row)
-{
-    char line[65536];
-    char *at = line;
-    int i;
-    if (fgets(line, sizeof line, file) == NULL)
-        return 0;
-    for (i = 0; i < COLUMNS; ++i) {
-        char *end;
-        row[i] = (asia_real)strtod(at, &end);
-        if (end == at)
-            return 0;
-        at = *end == ',' ? end + 1 : end;
-    }
-    return 1;
-}
-
-int main(int argc, char **argv)
-{
-    static asia_real past_u[ASIA_PAST_INPUTS * ASIA_INPUTS + 1];
-    static asia_real past_y[ASIA_PAST_OUTPUTS * ASIA_OUTPUTS + 1];
-    asia_real row[COLUMNS], y[ASIA_OUTPUTS], worst = 0;
-    asia_state x;
-    char names[65536], *at;
-    long k, i;
-    FILE *file = argc == 2 ? fopen(argv[1], "r") : NULL;
-    if (file == NULL) {
-        fprintf(stderr, "usage: model record.csv (%d inputs, then %d outputs)\n", ASIA_INPUTS,
-                ASIA_OUTPUTS);
-        return 2;
-    }
-    for (i = 1, at = fgets(names, sizeof names, file); at != NULL && *at != '\0'; ++at)
-        i += *at == ',';
-    if (i != COLUMNS) {
-        fprintf(stderr, "%s: expected the columns {columns}, separated by commas\n", argv[1]);
-        return 2;
-    }
-    printf("{names}\n");
-    for (k = 0; next_row(file, row); ++k) {
-        long from_u = k - (PAST - ASIA_PAST_INPUTS), from_y = k - (PAST - ASIA_PAST_OUTPUTS);
-        if (k < PAST) {
-            if (from_u >= 0)
-                memcpy(past_u + from_u * ASIA_INPUTS, row, ASIA_INPUTS * sizeof *row);
-            if (from_y >= 0)
-                memcpy(past_y + from_y * ASIA_OUTPUTS, row + ASIA_INPUTS,
-                       ASIA_OUTPUTS * sizeof *row);
-            continue;
-        }
-        if (k == PAST)
-            asia_init(&x, past_u, past_y, row);
-        asia_step(&x, row, y);
-        for (i = 0; i < ASIA_OUTPUTS; ++i) {
-            double gap = fabs((double)(y[i] - row[ASIA_INPUTS + i]));
-            printf("%s%.17g", i ? "," : "", (double)y[i]);
-            if (gap > (double)worst)
-                worst = (asia_real)gap;
-        }
-        printf("\n");
-    }
-    fclose(file);
-    if (k <= PAST) {
-        fprintf(stderr, "%s: expected more than %d rows of numbers, found %ld\n", argv[1], PAST, k);
-        return 2;
-    }
-    fprintf(stderr, "%ld samples, largest difference from the file %.3g\n", k - PAST,
-            (double)worst);
-    return 0;
-}
-"""
 
 
 def header(model: ExportModel) -> str:
@@ -201,15 +61,16 @@ def header(model: ExportModel) -> str:
         )
         for i, (s, (a, b)) in enumerate(zip(signals, span.tolist(), strict=True))
     ]
-    return _HEADER.format(
-        title=_plain(f"{model.problem}: {model.use} of run {model.name}"),
-        signals="\n".join(rows),
-        sampling_time=model.sampling_time,
-        nu=low.nu,
-        ny=low.ny,
-        past_u=low.n_past_u,
-        past_y=low.n_past_y,
-        states=max(sum(math.prod(s) for s in low.states), 1),
+    return template(
+        "model.h",
+        TITLE=_plain(f"{model.problem}: {model.use} of run {model.name}"),
+        SIGNALS="\n".join(rows),
+        SAMPLING_TIME=repr(model.sampling_time),
+        NU=low.nu,
+        NY=low.ny,
+        PAST_U=low.n_past_u,
+        PAST_Y=low.n_past_y,
+        STATES=max(sum(math.prod(s) for s in low.states), 1),
     )
 
 
@@ -701,13 +562,12 @@ one."""
     def print(self, model: ExportModel) -> Printed:
         """Print the files; the sizes are those of `double`."""
         source, work = c_source(model)
-        main = _MAIN.replace("{names}", _names(model.outputs))
-        main = main.replace("{columns}", _names((*model.inputs, *model.outputs)))
+        outputs, columns = _names(model.outputs), _names((*model.inputs, *model.outputs))
         files = {
             "model.c": source.encode(),
             "model.h": header(model).encode(),
-            "main.c": main.encode(),
-            "Makefile": MAKEFILE.encode(),
+            "main.c": template("main.c", NAMES=outputs, COLUMNS=columns).encode(),
+            "Makefile": template("Makefile").encode(),
         }
         if model.example is not None:
             files["example.csv"] = example_csv(model, model.example).encode()
@@ -830,7 +690,7 @@ def _simulated(
 def compiled(compiler: str, folder: Path, made: Path, *, single: bool) -> Path:
     """Compile a library of the functions and of one that runs a whole simulation."""
     harness, library = made / "harness.c", made / ("float.so" if single else "double.so")
-    harness.write_text(HARNESS)
+    harness.write_text(template("harness.c"))
     words = [*FLAGS, "-fPIC", "-shared", f"-I{folder}", str(folder / "model.c"), str(harness)]
     words += ["-o", str(library), "-lm", *(["-DASIA_FLOAT"] if single else [])]
     compile_c(compiler, words, made, "C")

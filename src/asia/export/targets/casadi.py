@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from asia.data.trajectory import Array
 from asia.export.model import ExportModel, Printed, TrainingWindow
 from asia.export.target import Answers, missing_package
 from asia.export.targets.indices import (
@@ -20,6 +21,7 @@ from asia.export.targets.indices import (
     reduced_places,
     slices,
     source_places,
+    values_of,
 )
 from asia.lowering.program import Node, Program, Shape
 
@@ -126,18 +128,13 @@ def _run(program: Program, inputs: Sequence[Any], kind: Any) -> list[Any]:
     """Values as columns, row after row of their arrays. kind: SX or MX."""
     import casadi as ca
 
-    constants = [kind(ca.DM(c.reshape(-1))) for c in program.constants]
-    shapes, values = program.shapes, [*inputs, *constants]
-    for node in program.nodes:
-        read = [values[i] for i in node.operands]
-        sizes = [shapes[i] for i in node.operands]
-        if node.op == "loop":
-            values.append(_looped(node, read, kind))
-        elif node.op == "part":
-            values.append(read[0][node.attrs[0]])
-        else:
-            values.append(_value(node, read, sizes))
-    return [values[i] for i in program.outputs]
+    def constant(array: Array) -> Any:
+        return kind(ca.DM(array.reshape(-1)))
+
+    def loop(node: Node, read: list[Any], shapes: list[Shape]) -> list[Any]:
+        return _looped(node, read, kind)
+
+    return values_of(program, inputs, constant, _value, loop)
 
 
 def _looped(node: Node, read: list[Any], kind: Any) -> list[Any]:

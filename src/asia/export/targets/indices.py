@@ -1,16 +1,48 @@
-"""Index arithmetic of array operations on vectors that hold arrays row after row."""
+"""Values of a program node by node, and the index arithmetic of its array operations.
+
+An index counts the numbers of an array row after row.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.lowering.program import Node, Shape
+from asia.data.trajectory import Array
+from asia.lowering.program import Node, Program, Shape
 
 Places = NDArray[np.int64]
+
+
+def values_of(
+    program: Program,
+    inputs: Sequence[Any],
+    constant: Callable[[Array], Any],
+    value: Callable[[Node, list[Any], list[Shape]], Any],
+    loop: Callable[[Node, list[Any], list[Shape]], list[Any]],
+) -> list[Any]:
+    """Return the values of the outputs of a program, in the way that a target represents values.
+
+    Args:
+        program: the program.
+        inputs: values of its inputs.
+        constant: represents a constant.
+        value: represents the result of a node, from the values and shapes of its operands.
+        loop: the same for all results of a loop.
+    """
+    shapes, values = program.shapes, [*inputs, *map(constant, program.constants)]
+    for node in program.nodes:
+        read = [values[i] for i in node.operands]
+        if node.op == "part":
+            values.append(read[0][node.attrs[0]])
+        else:
+            make = loop if node.op == "loop" else value
+            values.append(make(node, read, [shapes[i] for i in node.operands]))
+    return [values[i] for i in program.outputs]
 
 
 def slices(shapes: Sequence[Shape]) -> list[slice]:

@@ -25,6 +25,7 @@ from asia.export.targets.indices import (
     reduced_places,
     slices,
     source_places,
+    values_of,
 )
 from asia.lowering.program import Node, Program, Shape
 
@@ -165,20 +166,11 @@ class _MatlabBody:
 
     def run(self, program: Program, inputs: Sequence[str]) -> list[str]:
         """Print a program and return the names of its outputs."""
-        shapes = program.shapes
-        values: list[Any] = [*inputs, *(self._constant(c) for c in program.constants)]
-        for node in program.nodes:
-            read = [values[i] for i in node.operands]
-            if node.op == "loop":
-                values.append(self._loop(node, read, [shapes[i] for i in node.operands]))
-            elif node.op == "part":
-                values.append(read[0][node.attrs[0]])
-            elif node.op == "reshape":
-                values.append(read[0])
-            else:
-                text = self._text(node, read, [shapes[i] for i in node.operands])
-                values.append(self._named(text))
-        return [values[i] for i in program.outputs]
+
+        def value(node: Node, read: list[str], shapes: list[Shape]) -> str:
+            return read[0] if node.op == "reshape" else self._named(self._text(node, read, shapes))
+
+        return values_of(program, inputs, self._constant, value, self._loop)
 
     def _named(self, text: str) -> str:
         self._count += 1

@@ -12,7 +12,7 @@ import numpy as np
 from asia.errors import UserError
 from asia.export.model import ExportModel, Printed, TrainingWindow
 from asia.export.target import Answers, missing_package
-from asia.export.targets.indices import source_places
+from asia.export.targets.indices import source_places, values_of
 from asia.lowering.program import LoweredModel, Node, Program, Shape
 
 _OPSET, _IR = 17, 9
@@ -113,17 +113,7 @@ class _Graph:
 
     def run(self, program: Program, inputs: Sequence[str]) -> list[str]:
         """Print a program and return the names of its outputs."""
-        shapes = program.shapes
-        values: list[Any] = [*inputs, *(self.constant(c) for c in program.constants)]
-        for node in program.nodes:
-            read = [values[i] for i in node.operands]
-            if node.op == "loop":
-                values.append(self._loop(node, read))
-            elif node.op == "part":
-                values.append(read[0][node.attrs[0]])
-            else:
-                values.append(self._value(node, read, [shapes[i] for i in node.operands]))
-        return [values[i] for i in program.outputs]
+        return values_of(program, inputs, self.constant, self._value, self._loop)
 
     def _integers(self, values: Sequence[int]) -> str:
         return self.constant(np.array(values, np.int64))
@@ -173,7 +163,7 @@ class _Graph:
             truth = self.add("Not", truth)
         return self.add("Cast", truth, to=TensorProto.DOUBLE)
 
-    def _loop(self, node: Node, read: list[str]) -> list[str]:
+    def _loop(self, node: Node, read: list[str], shapes: list[Shape]) -> list[str]:
         assert node.body is not None
         length, same, carried = node.attrs
         carry = read[same : same + carried]
