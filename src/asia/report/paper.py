@@ -15,6 +15,7 @@ from asia.ledger.run import metric_of, model_to_use, open_run, tested_model
 from asia.ledger.text import error_value
 from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric, metric_label
+from asia.report.simulated import final_models
 
 _USES = {
     "ensemble": "the mean of the models of all folds",
@@ -150,11 +151,6 @@ _SPECIAL = {
     "%": r"\%", "_": r"\_", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}",
     "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}",
 }  # fmt: skip
-_MODELS = (
-    ("ensemble", "ensemble of the fold models"),
-    ("refit", "refit on all training records"),
-    ("stack", "stack of several experiments"),
-)
 
 
 def write_tables(run_directory: Path, directory: Path) -> tuple[Path, ...]:
@@ -253,7 +249,7 @@ def _parameters_table(view: SearchView, found: IdentifiedModel) -> str:
 def _test_table(view: SearchView, opened: Unsealed) -> str:
     """A row for each metric and output, a column for each model."""
     named = model_to_use(view)
-    found = [(key, text, getattr(opened, key)) for key, text in _MODELS]
+    found = final_models(opened)
     models = [(key, text, m) for key, text, m in found if isinstance(m, TestedModel)]
     rows: list[list[str]] = []
     for k, score in enumerate(models[0][2].scores if models else ()):

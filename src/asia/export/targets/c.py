@@ -664,7 +664,12 @@ def _simulated(
     compiler: str, folder: Path, windows: Sequence[TrainingWindow], *, single: bool
 ) -> Answers:
     with tempfile.TemporaryDirectory(prefix="asia-c-") as made:
-        library = compiled(compiler, folder, Path(made), single=single)
+        # A library of the functions and of one that runs a whole simulation.
+        harness, library = Path(made) / "harness.c", Path(made) / "model.so"
+        harness.write_text(template("harness.c"))
+        words = [*FLAGS, "-fPIC", "-shared", f"-I{folder}", str(folder / "model.c"), str(harness)]
+        words += ["-o", str(library), "-lm", *(["-DASIA_FLOAT"] if single else [])]
+        compile_c(compiler, words, Path(made), "C")
         kind, real = (np.float32, ctypes.c_float) if single else (np.float64, ctypes.c_double)
         run = ctypes.CDLL(str(library)).asia_run
         run.argtypes = [*[ctypes.POINTER(real)] * 4, ctypes.c_long]
@@ -685,16 +690,6 @@ def _simulated(
         return Answers("double", tuple(y_hat), seconds)
     refused = (folder / "model.h").read_text().replace(FLOAT, NO_FLOAT).encode()
     return Answers("float", tuple(y_hat), seconds, True, {"model.h": refused})
-
-
-def compiled(compiler: str, folder: Path, made: Path, *, single: bool) -> Path:
-    """Compile a library of the functions and of one that runs a whole simulation."""
-    harness, library = made / "harness.c", made / ("float.so" if single else "double.so")
-    harness.write_text(template("harness.c"))
-    words = [*FLAGS, "-fPIC", "-shared", f"-I{folder}", str(folder / "model.c"), str(harness)]
-    words += ["-o", str(library), "-lm", *(["-DASIA_FLOAT"] if single else [])]
-    compile_c(compiler, words, made, "C")
-    return library
 
 
 def compile_c(compiler: str, words: Sequence[str], folder: Path, printed: str) -> None:

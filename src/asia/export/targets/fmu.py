@@ -165,7 +165,17 @@ def _unit(model: ExportModel, version: int) -> bytes:
         "model.h": header(model),
         "fmi.c": shell([v[3] or 0.0 for v in variables(model)], version, token),
     }
-    place, ending = _platform(version)
+    system, ending = ("darwin", ".dylib") if sys.platform == "darwin" else ("linux", ".so")
+    arm = platform.machine().lower() in ("arm64", "aarch64")
+    place = f"{system}64" if version == 2 else f"{'aarch64' if arm else 'x86_64'}-{system}"
+    compiler = c_compiler()
+    assert compiler is not None
+    with tempfile.TemporaryDirectory(prefix="asia-fmu-") as made:
+        for name, text in files.items():
+            (Path(made) / name).write_text(text)
+        words = ["-std=c99", "-O2", "-fPIC", "-shared", "model.c", "fmi.c", "-o", "unit.so", "-lm"]
+        compile_c(compiler, words, Path(made), "FMU")
+        binary = (Path(made) / "unit.so").read_bytes()
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
 
@@ -180,27 +190,8 @@ def _unit(model: ExportModel, version: int) -> bytes:
             put(f"sources/{name}", text.encode())
         if version == 3:
             put("sources/buildDescription.xml", template("buildDescription.xml").encode())
-        put(f"binaries/{place}/asia_model{ending}", _binary(files))
+        put(f"binaries/{place}/asia_model{ending}", binary)
     return packed.getvalue()
-
-
-def _binary(files: dict[str, str]) -> bytes:
-    compiler = c_compiler()
-    assert compiler is not None
-    with tempfile.TemporaryDirectory(prefix="asia-fmu-") as made:
-        for name, text in files.items():
-            (Path(made) / name).write_text(text)
-        words = ["-std=c99", "-O2", "-fPIC", "-shared", "model.c", "fmi.c", "-o", "unit.so", "-lm"]
-        compile_c(compiler, words, Path(made), "FMU")
-        return (Path(made) / "unit.so").read_bytes()
-
-
-def _platform(version: int) -> tuple[str, str]:
-    system, ending = ("darwin", ".dylib") if sys.platform == "darwin" else ("linux", ".so")
-    if version == 2:
-        return f"{system}64", ending
-    arm = platform.machine().lower() in ("arm64", "aarch64")
-    return f"{'aarch64' if arm else 'x86_64'}-{system}", ending
 
 
 def variables(model: ExportModel) -> list[tuple[str, str, str, float | None]]:

@@ -19,7 +19,7 @@ from asia.report.page.html import Html, facts, join, said, table, tag
 from asia.report.page.subject import Section, Subject, result_of
 from asia.report.page.svg import Overlay, draw_overlay, overlay_legend
 from asia.report.published import Board, read_board
-from asia.report.simulated import fold_outputs, lowest, telling, worst_fits
+from asia.report.simulated import final_models, fold_outputs, lowest, telling, worst_fits
 
 # Five lines for someone who has to decide.
 
@@ -297,13 +297,6 @@ def _draw_overlays(problem: Problem, overlays: Sequence[Overlay]) -> Html:
 # The sealed test, once it was opened.
 
 
-_MODELS = (
-    ("ensemble", "ensemble of the fold models"),
-    ("refit", "refit on all training records"),
-    ("stack", "stack of several experiments"),
-)
-
-
 def _write_tested(subject: Subject) -> Html | None:
     opened = subject.view.unsealed
     if opened is None:
@@ -312,8 +305,8 @@ def _write_tested(subject: Subject) -> Html | None:
     if opened.horizon is not None:
         how = join(("windows of ", subject.number(opened, "horizon", "count"), " samples"))
     parts = [tag("p", "The test records were opened once, after the search had ended: ", how, ".")]
-    found = [(key, text, getattr(opened, key)) for key, text in _MODELS]
-    failed = [text for _, text, m in found if m is not None and not isinstance(m, TestedModel)]
+    found = final_models(opened)
+    failed = [text for _, text, model in found if not isinstance(model, TestedModel)]
     models = [(key, text, model) for key, text, model in found if isinstance(model, TestedModel)]
     if models:
         parts.append(_test_table(subject, opened, models))
