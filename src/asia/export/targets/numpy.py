@@ -8,9 +8,8 @@ import runpy
 import textwrap
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from asia.data.trajectory import Array
 from asia.export.model import ExportModel, Printed, TrainingWindow
@@ -213,55 +212,43 @@ class _Body:
 
 
 def _expression(node: Node, read: list[str]) -> str:
-    op, a = node.op, node.attrs
+    op, a, x = node.op, node.attrs, read[0]
     if op in _SYMBOLS:
-        return f"({read[0]} {_SYMBOLS[op]} {read[1]})"
+        return f"({x} {_SYMBOLS[op]} {read[1]})"
     if op in _COMPARED:
-        return f"(({read[0]} {_COMPARED[op]} {read[1]}) * 1.0)"
-    if op in _OWN:
-        return _OWN[op](a, read)
+        return f"(({x} {_COMPARED[op]} {read[1]}) * 1.0)"
     if op in _REDUCED:
-        return f"{read[0]}.{_REDUCED[op]}(axis={tuple(a)})"
-    if op == "isfinite":
-        return f"(np.isfinite({read[0]}) * 1.0)"
-    return f"np.{_NAMES.get(op, op)}({', '.join(read)})"
-
-
-def _broadcast(a: Sequence[int], read: list[str]) -> str:
-    wide, axes = tuple(a[1 : 1 + a[0]]), a[1 + a[0] :]
-    if not axes:
-        return f"np.full({wide}, {read[0]})"
-    places = ", ".join(":" if axis in axes else "None" for axis in range(len(wide)))
-    return f"np.broadcast_to({read[0]}[{places}], {wide})"
-
-
-def _slice(a: Sequence[int], read: list[str]) -> str:
-    rank = len(a) // 3
-    indices: list[str] = []
-    for start, end, step in zip(a[:rank], a[rank : 2 * rank], a[2 * rank :], strict=True):
-        indices.append(f"{start}:{end}" + (f":{step}" if step != 1 else ""))
-    return f"{read[0]}[{', '.join(indices)}]"
-
-
-def _pick(a: Sequence[int], read: list[str]) -> str:
-    wide, places = tuple(a[1 : 1 + a[0]]), list(a[1 + a[0] :])
-    return f"{read[0]}.reshape(-1)[{places}].reshape({wide})"
-
-
-def _pad(a: Sequence[int], read: list[str]) -> str:
-    rank = len(a) // 2
-    counts = [(a[i], a[rank + i]) for i in range(rank)]
-    return f"np.pad({read[0]}, {counts}, constant_values={read[1]})"
-
-
-_OWN: dict[str, Callable[[Any, list[str]], str]] = {
-    "neg": lambda a, r: f"(-{r[0]})",
-    "select": lambda a, r: f"np.where({r[0]}, {r[1]}, {r[2]})",
-    "reshape": lambda a, r: f"np.reshape({r[0]}, {tuple(a)})",
-    "transpose": lambda a, r: f"{r[0]}.transpose({tuple(a)})",
-    "concat": lambda a, r: f"np.concatenate([{', '.join(r)}], axis={a[0]})",
-    "broadcast": _broadcast,
-    "slice": _slice,
-    "pick": _pick,
-    "pad": _pad,
-}
+        return f"{x}.{_REDUCED[op]}(axis={tuple(a)})"
+    match op:
+        case "neg":
+            return f"(-{x})"
+        case "isfinite":
+            return f"(np.isfinite({x}) * 1.0)"
+        case "select":
+            return f"np.where({x}, {read[1]}, {read[2]})"
+        case "reshape":
+            return f"np.reshape({x}, {tuple(a)})"
+        case "transpose":
+            return f"{x}.transpose({tuple(a)})"
+        case "concat":
+            return f"np.concatenate([{', '.join(read)}], axis={a[0]})"
+        case "broadcast":
+            wide, axes = tuple(a[1 : 1 + a[0]]), a[1 + a[0] :]
+            if not axes:
+                return f"np.full({wide}, {x})"
+            places = ", ".join(":" if axis in axes else "None" for axis in range(len(wide)))
+            return f"np.broadcast_to({x}[{places}], {wide})"
+        case "slice":
+            rank = len(a) // 3
+            cuts = zip(a[:rank], a[rank : 2 * rank], a[2 * rank :], strict=True)
+            indices = [f"{i}:{j}" + (f":{step}" if step != 1 else "") for i, j, step in cuts]
+            return f"{x}[{', '.join(indices)}]"
+        case "pick":
+            wide, picked = tuple(a[1 : 1 + a[0]]), list(a[1 + a[0] :])
+            return f"{x}.reshape(-1)[{picked}].reshape({wide})"
+        case "pad":
+            rank = len(a) // 2
+            counts = list(zip(a[:rank], a[rank:], strict=True))
+            return f"np.pad({x}, {counts}, constant_values={read[1]})"
+        case _:
+            return f"np.{_NAMES.get(op, op)}({', '.join(read)})"

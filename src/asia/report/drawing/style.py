@@ -221,16 +221,14 @@ def arrange(
             top -= _PLOT + _BETWEEN + _STRIP + _TICKS
         figure.draw_without_rendering()
         for column in range(columns):
-            axes = [a for c in cells[column::columns] for a in (c.plot, c.strip)]
-            margins[column] = _align(axes, figure.dpi, share - margins[column] - _EDGE)
+            # The y labels stand in line, left of the widest tick label.
+            every = [a for c in cells[column::columns] for a in (c.plot, c.strip)]
+            wide = [t.get_window_extent().width for a in every for t in a.get_yticklabels()]
+            ticks = max(wide) / figure.dpi
+            names = max(a.yaxis.label.get_window_extent().width for a in every) / figure.dpi
+            size = share - margins[column] - _EDGE
+            for axes in every:
+                axes.yaxis.set_label_coords(-(ticks + _TICK_GAP) / size, 0.5)
+            margins[column] = _EDGE + names + ticks + _TICK_GAP
     x, y = _EDGE / width, 1.0 - _ABOVE / height
     figure.suptitle(title, x=x, y=y, ha="left", va="top", fontweight="bold")
-
-
-def _align(axes: Sequence[Axes], dpi: float, width: float) -> float:
-    """Put the y labels in line, left of the widest tick label; the margin in inches they need."""
-    ticks = max(t.get_window_extent().width for a in axes for t in a.get_yticklabels()) / dpi
-    names = max(a.yaxis.label.get_window_extent().width for a in axes) / dpi
-    for a in axes:
-        a.yaxis.set_label_coords(-(ticks + _TICK_GAP) / width, 0.5)
-    return _EDGE + names + ticks + _TICK_GAP
