@@ -120,7 +120,7 @@ def lowest(values: Sequence[float], count: int) -> list[int]:
     return sorted(int(i) for i in np.argsort(values, kind="stable")[: max(count, 1)])
 
 
-def telling(
+def representative_windows(
     measured: Sequence[Array], simulated: Sequence[Array], scale: Array
 ) -> Iterator[tuple[str, int]]:
     """The windows with the least, the middle and the largest error, by their index. The error is

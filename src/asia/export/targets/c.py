@@ -344,16 +344,11 @@ class Statements:
 
     def _settled(self, value: Value, uses: int) -> Value:
         """Keep a value as an expression if it is short and read once, else store it."""
-        if value.plain or (uses <= 1 and len(value.at("i")) < _MOST_TEXT):
-            return value
-        return self._placed(value)
+        short = uses <= 1 and len(value.at("i")) < _MOST_TEXT
+        return value if short else self._placed(value)
 
     def _placed(self, value: Value) -> Value:
-        if value.plain:
-            return value
-        target = self.region(value.shape)
-        self.copy(target.at, value.at, math.prod(value.shape))
-        return target
+        return value if value.plain else self._kept(value)
 
     def own(self, value: Value) -> Value:
         """Store a value in `w`, in a region that nothing else writes."""
@@ -403,8 +398,7 @@ class Statements:
         out = dict(zip(kept_axes(source.shape, node.attrs), strides(node.shape), strict=True))
         order = sorted(range(len(source.shape)), key=lambda a: (a in node.attrs, a))
         names = [self.counter(d) for d in range(len(order))]
-        for depth, axis in enumerate(order):
-            i = names[depth]
+        for i, axis in zip(names, order, strict=True):
             self.line(f"for ({i} = 0; {i} < {source.shape[axis]}; ++{i})")
             self._indent += 1
         read = " + ".join(f"{names[d]} * {steps[a]}" for d, a in enumerate(order)) or "0"
@@ -464,9 +458,7 @@ class Statements:
         assert node.body is not None
         length, same, carried = node.attrs
         body = node.body
-        carry = [self.region(o.shape) for o in operands[same : same + carried]]
-        for place, value in zip(carry, operands[same : same + carried], strict=True):
-            self.copy(place.at, value.at, math.prod(value.shape))
+        carry = [self._kept(o) for o in operands[same : same + carried]]
         stacked = [self.region((length, *s)) for s in body.output_shapes[carried:]]
         rows = [self._placed(o) for o in operands[same + carried :]]
         fixed = [self._placed(o) for o in operands[:same]]

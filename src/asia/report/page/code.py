@@ -8,7 +8,7 @@ from pygments.lexers.python import PythonLexer
 from pygments.token import Comment, Keyword, Number, Operator, String
 
 from asia._text import printable
-from asia.report.page.html import Html, join, tag
+from asia.report.page.html import Html, join, region, tag
 
 _LONGEST = 40_000
 _CLASSES = (
@@ -29,7 +29,7 @@ def python(source: str, label: str) -> Html:
     for token, text in PythonLexer(stripnl=False, ensurenl=False).get_tokens(clean):
         name = next((name for kind, name in _CLASSES if token in kind), None)
         parts.append(text if name is None else tag("span", text, class_=name))
-    return _block(join(parts), label)
+    return region("pre", tag("code", join(parts)), label=label)
 
 
 def change(old: str, new: str, names: tuple[str, str], label: str) -> Html | None:
@@ -40,8 +40,4 @@ def change(old: str, new: str, names: tuple[str, str], label: str) -> Html | Non
         return None
     kinds = {"+": "ins", "-": "del"}
     text = join((tag(kinds.get(line[:1], "span"), line) for line in lines), "\n")
-    return None if len(text) > _LONGEST else _block(text, label)
-
-
-def _block(text: Html, label: str) -> Html:
-    return tag("pre", tag("code", text), tabindex="0", role="region", aria_label=label)
+    return None if len(text) > _LONGEST else region("pre", tag("code", text), label=label)

@@ -73,6 +73,11 @@ def fixed(words: str) -> Html:
     return tag("span", words, class_="fixed")
 
 
+def region(element: str, *children: str | None, label: str, class_: str | None = None) -> Html:
+    """An element that scrolls by itself, with a name for screen readers."""
+    return tag(element, *children, class_=class_, tabindex="0", role="region", aria_label=label)
+
+
 def table(head: Iterable[str], rows: Iterable[Iterable[str | None]], caption: str) -> Html:
     """A table that scrolls sideways where the page is narrow. The first column names the rows."""
     headings = [tag("th", cell, scope="col") for cell in head]
@@ -87,7 +92,7 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str | None]], caption: st
         tag("thead", tag("tr", *headings)),
         tag("tbody", *body),
     )
-    return tag("div", inner, class_="scroll", tabindex="0", role="region", aria_label=caption)
+    return region("div", inner, class_="scroll", label=caption)
 
 
 def facts(pairs: Iterable[tuple[str, str | None]]) -> Html:
@@ -119,13 +124,12 @@ def equations(physics: Physics) -> tuple[tuple[str, Html], ...]:
         slope = tag("mfrac", tag("mi", "d"), tag("mrow", tag("mi", "d"), tag("mi", "t")))
         rows.append(("dynamics", join((slope, symbol(name))), physics.dynamics[name]))
     rows += [("output", symbol(name), text) for name, text in physics.observation.items()]
-    return tuple((kind, equation(left, text)) for kind, left, text in rows)
-
-
-def equation(left: Html, text: str) -> Html:
-    """`left = text`, where `text` is an expression of a problem file."""
-    right = formula(parse_expression(text, "physics"))
-    return tag("math", tag("mrow", left, tag("mo", "="), right), display="block")
+    found: list[tuple[str, Html]] = []
+    for kind, left, text in rows:
+        right = formula(parse_expression(text, "physics"))
+        line = tag("mrow", left, tag("mo", "="), right)
+        found.append((kind, tag("math", line, display="block")))
+    return tuple(found)
 
 
 def formula(expression: Expression) -> Html:

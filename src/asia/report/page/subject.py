@@ -65,7 +65,7 @@ class Subject:
         return tuple(reversed(found))
 
     @cached_property
-    def told(self) -> tuple[Experiment, ...]:
+    def listed(self) -> tuple[Experiment, ...]:
         """The experiments on the page: all; in a long search those that were kept, the winner's
         lineage and the last ones."""
         return self._chosen(self.detail.rows)

@@ -42,7 +42,7 @@ from asia.report.simulated import (
     SimulatedCases,
     fold_outputs,
     lowest,
-    telling,
+    representative_windows,
     worst_fits,
 )
 
@@ -305,7 +305,9 @@ def _panel(
     chosen = [(case.record, k) for k, case in enumerate(cases)][:_MOST_SEGMENTS]
     if tried.windows:
         scale = np.maximum(np.concatenate([y for _, y, _ in arrays]).std(axis=0), 1e-300)
-        found = telling([y for _, y, _ in arrays], [y_hat for _, _, y_hat in arrays], scale)
+        found = representative_windows(
+            [y for _, y, _ in arrays], [y_hat for _, _, y_hat in arrays], scale
+        )
         step = tried.sampling_time
         chosen = [(f"{word}: {cases[k].start * step:.3g} s", k) for word, k in found]
     segments = [

@@ -45,7 +45,13 @@ from asia.report.drawing.style import (
     quiet_grid,
     shown,
 )
-from asia.report.simulated import fold_outputs, lowest, opened_windows, telling, worst_fits
+from asia.report.simulated import (
+    fold_outputs,
+    lowest,
+    opened_windows,
+    representative_windows,
+    worst_fits,
+)
 
 # Measured against simulated outputs, the error in a strip below.
 
@@ -254,7 +260,7 @@ def _fold_segments(
     chosen = [(block.case.name, k) for k, block in enumerate(blocks[:_MOST_SEGMENTS])]
     if problem.protocol.kind == "windows":
         chosen = []
-        for word, k in telling([block.y for block in blocks], outputs, fold.scale):
+        for word, k in representative_windows([block.y for block in blocks], outputs, fold.scale):
             record = f"record {blocks[k].record + 1}, " if len(problem.train) > 1 else ""
             start = blocks[k].start * problem.sampling_time
             chosen.append((f"{word}: {record}{start:.3g} s", k))
@@ -322,7 +328,7 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble: TestedMode
         fits = fit_index(y, np.concatenate(simulated))
         channels = lowest([float(f) if np.isfinite(f) else np.inf for f in fits], MOST_PANELS)
         scale = spread_of(y)
-        windows = list(telling(measured, simulated, np.where(scale > 0, scale, 1.0)))
+        windows = list(representative_windows(measured, simulated, np.where(scale > 0, scale, 1.0)))
         panels = [
             panel(c, "", tuple(segment(f"{w}: window {i + 1}", 0, i, c, 0) for w, i in windows))
             for c in channels

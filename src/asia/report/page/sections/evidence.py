@@ -16,7 +16,18 @@ from asia.ledger.evidence import (
     identified,
 )
 from asia.ledger.run import Run
-from asia.report.page.html import ONE, Html, facts, fixed, join, said, table, tag, write_number
+from asia.report.page.html import (
+    ONE,
+    Html,
+    facts,
+    fixed,
+    join,
+    region,
+    said,
+    table,
+    tag,
+    write_number,
+)
 from asia.report.page.subject import Section, Subject, used_no_test
 from asia.report.page.svg import draw_check
 
@@ -329,8 +340,7 @@ def _validation(subject: Subject, found: Validated) -> Html:
     caption = tag("caption", "Validation checks")
     inner = tag("table", caption, tag("thead", tag("tr", *head)), tag("tbody", *rows))
     label = f"Validation checks, {found.record or 'held-out parts'}"
-    region = {"tabindex": "0", "role": "region", "aria_label": label}
-    checks = tag("div", inner, class_="scroll dossier", **region)
+    checks = region("div", inner, class_="scroll dossier", label=label)
     pictures = None
     if subject.run.store.kept:
         drawn = get_curves(subject.run.store, found.curves)

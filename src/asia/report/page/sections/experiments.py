@@ -8,7 +8,7 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.text import error_line, phase_text
 from asia.ledger.view import Experiment
 from asia.report.page.code import change, python
-from asia.report.page.html import Html, equations, facts, join, said, table, tag
+from asia.report.page.html import Html, equations, facts, join, region, said, table, tag
 from asia.report.page.subject import Section, Subject, result_of
 from asia.report.page.svg import (
     NARROW,
@@ -28,13 +28,13 @@ def _status(e: Experiment) -> str:
 
 
 def _write(subject: Subject) -> Html | None:
-    if not subject.told:
+    if not subject.listed:
         return None
     note = None
-    if len(subject.told) < len(subject.view.experiments):
+    if len(subject.listed) < len(subject.view.experiments):
         text = "Listed are the kept experiments, the lineage of the winner and the last ones."
         note = tag("p", text)
-    return join((note, tag("div", *(_experiment(subject, e) for e in subject.told),
+    return join((note, tag("div", *(_experiment(subject, e) for e in subject.listed),
                            class_="experiments")))  # fmt: skip
 
 
@@ -86,8 +86,7 @@ def experiment_story(subject: Subject, e: Experiment) -> Html:
     if e.failure is not None:
         parts.append(tag("p", said(e.failure.advice)))
         if line := error_line(e.failure.detail):
-            block = tag("code", line)
-            parts.append(tag("pre", block, tabindex="0", role="region", aria_label="error"))
+            parts.append(region("pre", tag("code", line), label="error"))
     return join((*parts, _change(subject, e)))
 
 
@@ -131,7 +130,7 @@ SECTION = Section("experiments", "Experiments", _write)
 
 
 def _write_lineage(subject: Subject) -> Html | None:
-    shown = subject.told
+    shown = subject.listed
     if len(shown) < 2 or all(e.proposed.parent is None for e in shown):
         return None
     rows: list[LineageRow] = []
@@ -175,9 +174,8 @@ def _write_model(subject: Subject) -> Html | None:
             for kind, formula in equations(subject.problem.physics)
         ]
         text = "The equations that the problem gives. The code of the winner shows its additions."
-        region = {"tabindex": "0", "role": "region", "aria_label": "equations"}
         parts += [tag("h3", "Equations"), tag("p", text)]
-        parts.append(tag("div", *rows, class_="equations", **region))
+        parts.append(region("div", *rows, class_="equations", label="equations"))
     if not store.kept:
         return join((*parts, tag("p", "The code is missing, because the run has no artifacts.")))
     source = store.text(p.source)
@@ -197,11 +195,11 @@ def _write_progress(subject: Subject) -> Html | None:
     view = subject.view
     if not view.finished:
         return None
-    told = {e.number for e in subject.told}
+    listed = {e.number for e in subject.listed}
     rows: list[list[str | None]] = []
     before: Experiment | None = None
     for e in view.bests:
-        if e.number not in told:
+        if e.number not in listed:
             continue
         change = None
         if before is not None and before.score is not None and before.score.value:
@@ -219,7 +217,7 @@ def _write_progress(subject: Subject) -> Html | None:
     return join(
         (
             tag("p", text),
-            progress_figure(subject, [e for e in view.finished if e.number in told]),
+            progress_figure(subject, [e for e in view.finished if e.number in listed]),
             table(["reference", view.v_name], references, "Reference models")
             if references
             else None,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from asia._text import one_line
 from asia.judge.scoring.outcome import Score
 from asia.ledger.text import hand_over_text
-from asia.report.page.html import Html, facts, join, said, table, tag
+from asia.report.page.html import Html, facts, join, region, said, table, tag
 from asia.report.page.subject import Section, Subject
 
 # The integrity of the search and its cost.
@@ -109,7 +109,7 @@ def _write_reproduce(subject: Subject) -> Html:
         f"asia run {one_line(start.problem, 120)} --agent {one_line(start.agent, 60)} "
         f"--experiments {subject.view.budget} --seed {start.seed}\n"
     )
-    block = tag("pre", tag("code", commands), tabindex="0", role="region", aria_label="commands")
+    block = region("pre", tag("code", commands), label="commands")
     # As the next line would name it.
     written = (subject.run.directory / "ledger.jsonl").read_bytes().split(b"\n")
     head = hashlib.sha256(written[len(lines) - 1]).hexdigest()

@@ -19,7 +19,13 @@ from asia.report.page.html import Html, facts, join, said, table, tag
 from asia.report.page.subject import Section, Subject, result_of
 from asia.report.page.svg import Overlay, draw_overlay, overlay_legend
 from asia.report.published import Board, read_board
-from asia.report.simulated import final_models, fold_outputs, lowest, telling, worst_fits
+from asia.report.simulated import (
+    final_models,
+    fold_outputs,
+    lowest,
+    representative_windows,
+    worst_fits,
+)
 
 # Five lines for someone who has to decide.
 
@@ -479,7 +485,9 @@ def held_out_overlays(subject: Subject, experiment: Experiment) -> list[Overlay]
         for fold, y_hat in zip(folds, outputs, strict=True):
             chosen = [("held-out part", 0)]
             if problem.protocol.kind == "windows":
-                found = telling([block.y for block in fold.validation], y_hat, fold.scale)
+                found = representative_windows(
+                    [block.y for block in fold.validation], y_hat, fold.scale
+                )
                 chosen = [(f"{word} window", index) for word, index in found if word != "median"]
             for what, index in chosen:
                 block = fold.validation[index]
