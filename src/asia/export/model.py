@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -60,7 +61,7 @@ class ExportModel:
             "outputs": _facts(self.outputs, self.output_range),
             "past_inputs": self.lowered.n_past_u,
             "past_outputs": self.lowered.n_past_y,
-            "states": sum(_size(s) for s in self.lowered.states),
+            "states": sum(map(math.prod, self.lowered.states)),
             "single_precision": self.lowered.single,
             "bands": [{"level": b.level, "half_width": b.half_width.tolist()} for b in self.bands],
             "notes": list(self.notes),
@@ -106,10 +107,3 @@ class Printed:
 def _facts(signals: tuple[Signal, ...], span: Array) -> list[dict[str, Any]]:
     rows = zip(signals, span.tolist(), strict=True)
     return [{"name": s.name, "unit": s.unit, "min": low, "max": high} for s, (low, high) in rows]
-
-
-def _size(shape: tuple[int, ...]) -> int:
-    total = 1
-    for n in shape:
-        total *= n
-    return total

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from asia.data.preprocess import Preprocess
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
-from asia.export.model import Band, ExportModel, Printed, TrainingWindow
+from asia.export.model import Band, ExportModel, TrainingWindow
 from asia.export.parity import ParityRow, parity_row
 from asia.export.registry import find_target
 from asia.export.target import Target
@@ -34,11 +34,8 @@ from asia.search.simulation import (
     simulate_members,
 )
 
-# Weighted mean of lowered models, as one program.
-#
-# This is also the place for what happens to signals outside the candidate: maps of inputs and of
-# the past window before a model reads them, and of outputs after it, are composed here, once for
-# all targets.
+# What happens outside the candidate is composed here, once for all targets: the weighted mean of
+# lowered models, and maps of the signals before a model reads them and of outputs after it.
 
 
 def weighted_mean(parts: Sequence[tuple[float, LoweredModel]]) -> LoweredModel:
@@ -51,14 +48,18 @@ def weighted_mean(parts: Sequence[tuple[float, LoweredModel]]) -> LoweredModel:
     starts = [x for _, model in parts for x in inlined(initial, model.initial, window)]
     states = [shape for _, model in parts for shape in model.states]
     step = Builder((*states, (first.nu,)))
-    place, outputs, after = 0, list[tuple[float, int]](), list[int]()
-    for weight, model in parts:
-        own = list(range(place, place + len(model.states)))
-        place += len(own)
+    outputs, after = list[int](), list[int]()
+    for _, model in parts:
+        own = range(len(after), len(after) + len(model.states))
         y, *found = inlined(step, model.step, [*own, len(states)])
-        outputs.append((weight, y))
+        outputs.append(y)
         after += found
-    total = _sum(step, outputs)
+    total, *others = [
+        step.add("mul", (step.constant(np.float64(weight)), y))
+        for (weight, _), y in zip(parts, outputs, strict=True)
+    ]
+    for one in others:
+        total = step.add("add", (total, one))
     single = any(model.single for _, model in parts)
     return LoweredModel(
         first.n_past_u,
@@ -80,24 +81,25 @@ def inlined(build: Builder, program: Program, inputs: Sequence[int]) -> list[int
     return [values[i] for i in program.outputs]
 
 
-def _sum(build: Builder, terms: Sequence[tuple[float, int]]) -> int:
-    scaled = [build.add("mul", (build.constant(np.float64(w)), y)) for w, y in terms]
-    total = scaled[0]
-    for one in scaled[1:]:
-        total = build.add("add", (total, one))
-    return total
-
-
 # Page USE.md, which is written next to every target.
 
 
 def usage_page(target: Target, model: ExportModel, rows: Sequence[ParityRow]) -> str:
     """Describe the model, the use of the files and the comparison with ASIA."""
     low = model.lowered
+    inputs, outputs = (
+        ", ".join(signal.label for signal in side) for side in (model.inputs, model.outputs)
+    )
+    compared: list[str] = []
+    for row in rows:
+        gap = "" if row.difference is None else f"{row.difference:.1e}"
+        gap = ", ".join(part for part in (gap, row.note) if part)
+        time = "" if row.microseconds is None else f"{row.microseconds:.2f}"
+        compared.append(f"| {row.target} | {gap} | {time} | {row.bytes} |")
     lines = [
         f"# {model.problem}: {model.use} of run {model.name}",
         "",
-        f"Inputs {_signals(model.inputs)}; outputs {_signals(model.outputs)}; sampling time "
+        f"Inputs {inputs}; outputs {outputs}; sampling time "
         f"{model.sampling_time:g} s. Inputs are held between samples. The model starts from a "
         f"past window of {low.n_past_u} inputs and {low.n_past_y} outputs, the oldest first, and "
         "the input of the first sample. Output k belongs to input k.",
@@ -106,7 +108,7 @@ def usage_page(target: Target, model: ExportModel, rows: Sequence[ParityRow]) ->
         "",
         "| compared on the training windows | largest difference | microseconds a sample | bytes |",
         "|---|---|---|---|",
-        *(_row(row) for row in rows),
+        *compared,
         "",
         "The difference is relative to the spread of the measured output.",
     ]
@@ -132,17 +134,6 @@ def table(rows: Sequence[ParityRow]) -> list[str]:
     return found
 
 
-def _row(row: ParityRow) -> str:
-    gap = "" if row.difference is None else f"{row.difference:.1e}"
-    gap = ", ".join(part for part in (gap, row.note) if part)
-    time = "" if row.microseconds is None else f"{row.microseconds:.2f}"
-    return f"| {row.target} | {gap} | {time} | {row.bytes} |"
-
-
-def _signals(signals: Sequence[Signal]) -> str:
-    return ", ".join(f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals)
-
-
 # `[preprocess]` composed into a model, so that exported files read and return measured signals.
 #
 # The files step at the rate of the samples that were kept. Their state holds the inputs that a
@@ -155,7 +146,7 @@ def kept_delays(done: Preprocess, inputs: Sequence[Signal]) -> list[int]:
     Raises:
         UserError: if one is no whole number.
     """
-    every = done.decimate
+    every, kept = done.decimate, list[int]()
     for signal in inputs:
         delay = done.delay.get(signal.name, 0)
         if delay % every:
@@ -164,7 +155,8 @@ def kept_delays(done: Preprocess, inputs: Sequence[Signal]) -> list[int]:
                 f"{every}: exported files step at the rate of the samples that are kept; simulate "
                 "with asia.simulate, or make a run with a multiple"
             )
-    return [done.delay.get(s.name, 0) // every for s in inputs]
+        kept.append(delay // every)
+    return kept
 
 
 def measured(
@@ -178,51 +170,45 @@ def measured(
     if not done:
         return low
     late = np.array(kept_delays(done, inputs))
-    longest, nu = int(late.max()), low.nu
-    initial = _begins(low, done, (inputs, outputs), late)
+    longest, n, nu = int(late.max()), low.n_past_u, low.nu
+    channels = np.arange(nu)
+
+    def latest(build: Builder, known: int, first: int) -> list[int]:
+        """Inputs that delays keep back: the rows of `known` from `first` on, if there are any."""
+        rows = np.arange(first, first + longest)[:, None] * nu + channels
+        return [_picked(build, known, rows)] if longest else []
+
+    # The states begin from the measured past window.
+    build = Builder(((n + longest, nu), (low.n_past_y, low.ny), (nu,)))
+    known = _stacked(build, 0, 2)
+    rows = np.arange(n)[:, None] + longest - late
+    past_u = _standard(build, _picked(build, known, rows * nu + channels), done, inputs)
+    past_y = _standard(build, 1, done, outputs)
+    acting = _picked(build, known, (n + longest - late) * nu + channels)
+    u = _standard(build, acting, done, inputs)
+    held_back = latest(build, known, n)
+    initial = build.program([*held_back, *inlined(build, low.initial, [past_u, past_y, u])])
+
+    # A step reads the inputs that act now, and keeps the newest back.
     held = [(longest, nu)] if longest else []
     step = Builder((*held, *low.states, (nu,)))
     u = len(step.inputs) - 1
     known = _stacked(step, 0, u) if longest else step.add("reshape", (u,), (1, nu))
-    acting = _picked(step, known, (longest - late) * nu + np.arange(nu))
+    acting = _picked(step, known, (longest - late) * nu + channels)
     states = range(len(held), len(held) + len(low.states))
     y, *after = inlined(step, low.step, [*states, _standard(step, acting, done, inputs)])
     offset, scale = (step.constant(a) for a in _numbers(done, outputs))
     y = step.add("add", (step.add("mul", (y, scale)), offset))
-    line = [_picked(step, known, _rows(1, longest, nu))] if longest else []
+    held_back = latest(step, known, 1)
     return LoweredModel(
-        low.n_past_u + longest,
+        n + longest,
         low.n_past_y,
         nu,
         low.ny,
         low.single,
         initial,
-        step.program([y, *line, *after]),
+        step.program([y, *held_back, *after]),
     )
-
-
-def _begins(
-    low: LoweredModel,
-    done: Preprocess,
-    signals: tuple[Sequence[Signal], Sequence[Signal]],
-    late: NDArray[np.int64],
-) -> Program:
-    """Program for the states from the measured past window, before them the inputs that delays keep
-    back."""
-    longest, n, nu = int(late.max()), low.n_past_u, low.nu
-    build = Builder(((n + longest, nu), (low.n_past_y, low.ny), (nu,)))
-    known, channels = _stacked(build, 0, 2), np.arange(nu)
-    rows = np.arange(n)[:, None] + longest - late
-    past_u = _standard(build, _picked(build, known, rows * nu + channels), done, signals[0])
-    past_y = _standard(build, 1, done, signals[1])
-    first = _picked(build, known, (n + longest - late) * nu + channels)
-    u = _standard(build, first, done, signals[0])
-    line = [_picked(build, known, _rows(n, longest, nu))] if longest else []
-    return build.program([*line, *inlined(build, low.initial, [past_u, past_y, u])])
-
-
-def _rows(first: int, count: int, width: int) -> NDArray[np.int64]:
-    return np.arange(first * width, (first + count) * width).reshape(count, width)
 
 
 def measured_window(
@@ -282,7 +268,6 @@ def _picked(build: Builder, value: int, places: NDArray[np.int64]) -> int:
 
 _MOST_SAMPLES, _MOST_WINDOWS = 6000, 64
 _LEVEL, _EXAMPLE = 0.9, 100
-_REFUSED = "differs too much: the files refuse it"
 
 
 @dataclass(frozen=True)
@@ -340,9 +325,19 @@ def write(one: Target, ready: Ready, folder: Path) -> Exported:
     """
     printed = one.print(ready.model)
     with tempfile.TemporaryDirectory(prefix="asia-export-") as made:
-        trial = Path(made)
-        _put(trial, printed.files)
-        rows = _compared(one, trial, printed, ready)
+        _put(Path(made), printed.files)
+        answers = one.run(Path(made), ready.windows)
+    if not answers:
+        raise UserError(f"--to {one.name}: the files gave no simulation to compare")
+    # Each row has the files that disable its variant.
+    rows: list[tuple[ParityRow, Mapping[str, bytes]]] = []
+    if isinstance(answers, str):
+        rows.append((ParityRow(one.name, None, 0.0, None, printed.bytes, answers), {}))
+    else:
+        single = ready.model.lowered.single
+        for a in answers:
+            row = parity_row(one.name, a, ready.windows, single, printed.bytes)
+            rows.append((row, a.without))
     wrong = next((r for r, without in rows if not r.holds and not without), None)
     if wrong is not None:
         raise UserError(
@@ -353,31 +348,15 @@ def write(one: Target, ready: Ready, folder: Path) -> Exported:
     files = dict(printed.files)
     for row, without in rows:
         files.update({} if row.holds else without)
-    rows = [row if row.holds else replace(row, note=_REFUSED) for row, _ in rows]
-    files["USE.md"] = usage_page(one, ready.model, rows).encode()
+    note = "differs too much: the files refuse it"
+    parity = [row if row.holds else replace(row, note=note) for row, _ in rows]
+    files["USE.md"] = usage_page(one, ready.model, parity).encode()
     facts = ready.model.facts()
     if printed.sizes:
         facts["sizes"] = printed.sizes
-    text = json.dumps(facts, indent=2, allow_nan=False) + "\n"
-    files["model.json"] = text.encode()
+    files["model.json"] = (json.dumps(facts, indent=2, allow_nan=False) + "\n").encode()
     _put(folder, files)
-    paths = tuple(folder / name for name in files)
-    return Exported(one.name, folder, paths, tuple(rows))
-
-
-def _compared(
-    one: Target, folder: Path, printed: Printed, ready: Ready
-) -> list[tuple[ParityRow, Mapping[str, bytes]]]:
-    """Parity rows, each with the files that disable its variant."""
-    found = one.run(folder, ready.windows)
-    if isinstance(found, str):
-        return [(ParityRow(one.name, None, 0.0, None, printed.bytes, found), {})]
-    if not found:
-        raise UserError(f"--to {one.name}: the files gave no simulation to compare")
-    single = ready.model.lowered.single
-    return [
-        (parity_row(one.name, a, ready.windows, single, printed.bytes), a.without) for a in found
-    ]
+    return Exported(one.name, folder, tuple(folder / name for name in files), tuple(parity))
 
 
 def lowered_run(run: Run, model: str | None) -> Ready:
@@ -391,11 +370,25 @@ def lowered_run(run: Run, model: str | None) -> Ready:
     done, inputs, outputs = problem.preprocess, problem.channels.inputs, problem.channels.outputs
     kept_delays(done, inputs)
     evaluator = make_evaluator(problem, run.view)
-    lowered = measured(weighted_mean(_lowered(evaluator, run, members)), done, inputs, outputs)
+    parts: list[tuple[float, LoweredModel]] = []
+    for member in members:
+        models = [run.store.get(one) for one in member.models]
+        for one in evaluator.lowered(run.store.text(member.source), models):
+            if isinstance(one, str):
+                raise UserError(f"run '{run.name}': the model cannot be exported: {one}")
+            parts.append((member.weight / len(models), one))
+    lowered = measured(weighted_mean(parts), done, inputs, outputs)
     each = _windows(evaluator, run, members)
     windows = [measured_window(window, done, inputs, outputs) for window in each]
     named = next((known for known in get_args(Use) if known == use), None)
     u, y = (np.concatenate([getattr(r, side) for r in evaluator.records]) for side in ("u", "y"))
+    notes: tuple[str, ...] = ()
+    if done.decimate > 1:
+        notes = (
+            f"The model steps every {problem.sampling_time:g} s: of the records one sample in "
+            f"{done.decimate} was kept. An input is the mean over {done.decimate} samples, from "
+            "the kept one on; an output belongs to the kept one.",
+        )
     return Ready(
         ExportModel(
             name=run.name,
@@ -409,44 +402,32 @@ def lowered_run(run: Run, model: str | None) -> Ready:
             output_range=_range(physical(y, done, outputs)),
             example=windows[0].first(_EXAMPLE),
             bands=() if named is None else _bands(run, named, windows[0], done.decimate),
-            notes=_notes(done, problem.sampling_time),
+            notes=notes,
         ),
         tuple(windows),
     )
 
 
 def _members(run: Run, model: str | None) -> tuple[str, tuple[FinalMember, ...]]:
-    known: tuple[str, ...] = get_args(Use)
+    """Name of the model and its members."""
+    known: tuple[Use, ...] = get_args(Use)
     if model is not None and model.isdigit():
         number = int(model)
         scored = {e.number: e for e in run.view.experiments if e.result is not None}
         if number not in scored:
             raise UserError(f"run '{run.name}' has no scored experiment {number}")
         return f"experiment {number}", (fold_models(scored[number]),)
-    chosen = model_to_use(run.view)
     if model is None:
+        chosen = model_to_use(run.view)
         if chosen is None:
             raise UserError(f"run '{run.name}' has no scored model")
         model = chosen.model
-    for use in get_args(Use):
+    for use in known:
         if use == model:
             return use, final_members(run.view, use)
     raise UserError(
         f"--model is '{model}', expected {', '.join(known)} or the number of an experiment"
     )
-
-
-def _lowered(
-    evaluator: Evaluator, run: Run, members: Sequence[FinalMember]
-) -> list[tuple[float, LoweredModel]]:
-    found: list[tuple[float, LoweredModel]] = []
-    for member in members:
-        models = [run.store.get(one) for one in member.models]
-        for one in evaluator.lowered(run.store.text(member.source), models):
-            if isinstance(one, str):
-                raise UserError(f"run '{run.name}': the model cannot be exported: {one}")
-            found.append((member.weight / len(models), one))
-    return found
 
 
 def _windows(
@@ -467,16 +448,6 @@ def _windows(
         TrainingWindow(b.case.past_u, b.case.past_y, b.case.u, y.mean(axis=0), b.y)
         for b, y in zip(blocks, each, strict=True)
     ]
-
-
-def _notes(done: Preprocess, sampling_time: float) -> tuple[str, ...]:
-    if done.decimate == 1:
-        return ()
-    return (
-        f"The model steps every {sampling_time:g} s: of the records one sample in {done.decimate} "
-        f"was kept. An input is the mean over {done.decimate} samples, from the kept one on; an "
-        "output belongs to the kept one.",
-    )
 
 
 def _bands(run: Run, use: Use, first: TrainingWindow, every: int) -> tuple[Band, ...]:

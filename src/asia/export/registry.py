@@ -43,7 +43,7 @@ def find_target(name: str) -> Target:
     if name in TARGETS:
         found = TARGETS[name]
     elif name in plugged:
-        found = _made(plugged[name])
+        found = _load(plugged[name])
     else:
         raise UserError(
             f"export target '{name}' is unknown{suggestion(name, target_names())} (installed are "
@@ -55,7 +55,7 @@ def find_target(name: str) -> Target:
     return found
 
 
-def _made(part: Part) -> Target:
+def _load(part: Part) -> Target:
     make = part.load()
     found = make() if isinstance(make, type) else make
     methods = ("missing", "print", "run")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +10,12 @@ from typing import Protocol
 
 from asia.data.trajectory import Array
 from asia.export.model import ExportModel, Printed, TrainingWindow
+
+
+def missing_package(*names: str) -> str | None:
+    """Instruction for `Target.missing` if one of these packages is not installed."""
+    found = all(importlib.util.find_spec(name) for name in names)
+    return None if found else "pip install '.[export]' in a clone of ASIA"
 
 
 @dataclass(frozen=True)

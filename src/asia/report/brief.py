@@ -7,47 +7,35 @@ from pathlib import Path
 
 from asia.ledger.run import model_to_use, open_run
 from asia.ledger.text import error_value
-from asia.ledger.view import Experiment
 from asia.problem.load import load_lock
-from asia.problem.problem import Problem
 from asia.report.files import png_of
-from asia.report.page.html import Html, equations, join, said, tag
-
-_DPI = 80
+from asia.report.page.html import equations, join, said, tag
 
 
 def brief_html(directory: Path) -> str:
-    """See `asia.report.brief_html`."""
+    """The run in `directory` for a notebook: V, the model to use, the problem's equations and the
+    simulation of held-out parts as a picture. Raises UserError when `directory` is not a run."""
     run = open_run(directory)
     problem = load_lock(directory / "problem.lock.toml")
     best, named = run.view.best, model_to_use(run.view)
-    if best is None or named is None:
+    if best is None or best.score is None or named is None:
         return str(tag("p", f"Run {said(run.name)}: no candidate has a score."))
+    fits = [fold.worst_fit for fold in best.score.folds if fold.worst_fit is not None]
+    least = f", lowest fit index {min(fits):.1f} %" if fits else ""
     rows = (
         ("run", said(run.name)),
         ("best", join((f"#{best.number:02d} ", said(best.proposed.title)))),
-        (run.view.v_name, _value(best)),
+        (run.view.v_name, f"{error_value(best.score.value)}{least}"),
         ("model to use", join((f"{named.model}. ", said(named.reason, 300)))),
     )
-    lines = (tag("div", tag("b", name), ": ", text) for name, text in rows)
-    picture = png_of(run, problem, "simulation", _DPI)
+    lines = [tag("div", tag("b", name), ": ", text) for name, text in rows]
+    if problem.physics is not None:
+        lines.append(tag("div", *(formula for _, formula in equations(problem.physics))))
+    picture = png_of(run, problem, "simulation", 80)
     image = tag(
         "img",
         src=f"data:image/png;base64,{b64encode(picture).decode()}",
         alt="Simulation of held-out parts by the best candidate",
         style="max-width:100%",
     )
-    return str(tag("div", *lines, _equations(problem), image))
-
-
-def _value(best: Experiment) -> str:
-    assert best.score is not None
-    fits = [fold.worst_fit for fold in best.score.folds if fold.worst_fit is not None]
-    least = f", lowest fit index {min(fits):.1f} %" if fits else ""
-    return f"{error_value(best.score.value)}{least}"
-
-
-def _equations(problem: Problem) -> Html | None:
-    if problem.physics is None:
-        return None
-    return tag("div", *(formula for _, formula in equations(problem.physics)))
+    return str(tag("div", *lines, image))

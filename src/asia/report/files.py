@@ -1,23 +1,30 @@
-"""Picture files of a run directory."""
+"""Picture files of runs, problems and comparisons."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from textwrap import fill
+from typing import Any, Final
 
+import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from asia._diagnostic import diagnostic
 from asia.data.trajectory import Signal
-from asia.judge.scoring.checks.check import Check
+from asia.judge.scoring.checks.check import Check, CheckCurve
+from asia.ledger.chain import write_whole
 from asia.ledger.events import TestedModel
+from asia.ledger.evidence import get_curves
 from asia.ledger.run import Run, control, metric_of, open_run
 from asia.problem.check import input_delays, responses
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.problem.protocol import make_folds
+from asia.report.comparison import BenchPictures
 from asia.report.drawing.style import DPI, drawing
 from asia.report.pictures.check import draw_data, draw_delays, draw_responses
 from asia.report.pictures.equations import draw_equations
@@ -29,48 +36,76 @@ from asia.report.pictures.evidence import (
     draw_validation,
 )
 from asia.report.pictures.leaderboard import draw_boards, draw_standing
-from asia.report.pictures.progress import draw_progress
+from asia.report.pictures.progress import draw_arms, draw_progress
 from asia.report.pictures.simulation import (
     draw_horizon,
     draw_simulation,
     draw_test,
     draw_test_horizon,
 )
-from asia.report.published import read_board
+from asia.report.published import Board, read_board
 from asia.report.simulated import SimulatedCases
 
 Picture = tuple[str, Callable[[], Figure]]
+"""Name of the files and the function that draws."""
 
-# Metadata of a PNG and of a PDF, so that equal pictures have equal bytes.
-_METADATA = ({"Software": None}, {"CreationDate": None})
+COLUMN: Final = 3.5
+"""Width of a column, in inches: 88.9 mm, as IEEE and Elsevier have it."""
+PAGE: Final = 7.16
+"""Width of a page with two columns, in inches: 181.9 mm."""
+
+# Without date and version: equal pictures have equal bytes.
+_METADATA: Final[dict[str, dict[str, Any]]] = {
+    "pdf": {"CreationDate": None},
+    "svg": {"Date": None},
+    "png": {"Software": None},
+}
 
 
-def write(
+def write_report(
     directory: Path, *, missing_only: bool = False, failed: list[str] | None = None
 ) -> tuple[Path, ...]:
-    """See `asia.report.write_report`."""
+    """Draw the run in `directory` into `<directory>/report`, each picture as PNG and PDF;
+    missing_only: only those that are not there; failed: receives a line for each picture that
+    cannot be drawn, whose file shows that line.
+
+    progress: V against experiments. simulation and residuals: the best experiment on its held-out
+    folds, once there is one. test and, for a benchmark with published results, leaderboard: once
+    the test was opened. Returns the paths written. Raises UserError when `directory` is not a run,
+    or its records, artifacts or training data are not what they were.
+    """
     run, report = open_run(directory), directory / "report"
     if not run.store.kept:
-        return save(iter([progress_picture(run, metric_of(directory))]), report, failed)
-    problem = load_lock(directory / "problem.lock.toml")
-    drawn = pictures(run, problem)
+        return save([_progress(run, metric_of(directory))], report, failed)
+    drawn = pictures(run, load_lock(directory / "problem.lock.toml"))
     if missing_only:
-        drawn = (one for one in drawn if not all(path.exists() for path in _files(report, one[0])))
+        drawn = (
+            (name, draw)
+            for name, draw in drawn
+            if not all((report / f"{name}.{kind}").exists() for kind in ("png", "pdf"))
+        )
     return save(drawn, report, failed)
 
 
 def write_validation(
     directory: Path, checks: Sequence[Check], title: str, failed: list[str] | None = None
 ) -> tuple[Path, ...]:
-    """See `asia.report.write_dossier`."""
+    """Draw the checks of a dossier into `<directory>/report` as validation.png and validation.pdf.
+    failed: as in `write_report`. Returns the paths written."""
     drawn: Picture = ("validation", lambda: draw_validation(checks, title))
-    return save(iter([drawn]), directory / "report", failed)
+    return save([drawn], directory / "report", failed)
 
 
-def write_problem(
+def draw_problem(
     problem: Problem, directory: Path, failed: list[str] | None = None
 ) -> tuple[Path, ...]:
-    """See `asia.report.draw_problem`."""
+    """Draw the training records, folds and past windows into `directory/data.png` and `.pdf`,
+    levels by frequency into `response`, correlations of inputs with outputs into `delays`, and the
+    problem's equations, if it has any, into `equations`.
+
+    failed: as in `write_report`. Returns the paths written. Raises UserError when the records do
+    not make folds.
+    """
     drawn: list[Picture] = [("data", lambda: draw_data(problem))]
     found = responses(problem)
     if any(one is not None for one in found):
@@ -81,21 +116,117 @@ def write_problem(
     physics = problem.physics
     if physics is not None:
         drawn.append(("equations", lambda: draw_equations(physics)))
-    return save(iter(drawn), directory, failed)
+    return save(drawn, directory, failed)
+
+
+def draw_all_boards(boards: Sequence[Board], title: str, directory: Path) -> tuple[Path, ...]:
+    """Published results of benchmarks with ours among them, `directory/boards.png` and `.pdf`; none
+    where no board has a published result. Returns the paths written."""
+    shown = [board for board in boards if board.entries]
+    return save([("boards", lambda: draw_boards(shown, title))], directory) if shown else ()
+
+
+def draw_bench(compared: BenchPictures, directory: Path) -> tuple[Path, ...]:
+    """Draw a comparison of searches into `directory`, each picture as PNG and PDF.
+
+    Returns the paths written. Raises UserError when a run named in `compared` is not what it was.
+    """
+    drawn: list[Picture] = []
+    for name, place in compared.progress:
+        metric = load_lock(place / "problem.lock.toml").protocol.metric
+        drawn.append((name, partial(draw_progress, open_run(place).view, metric)))
+    drawn += [(sides.name, partial(draw_arms, sides)) for sides in compared.sides]
+    run = None if compared.opened is None else open_run(compared.opened)
+    opened = None if run is None else run.view.unsealed
+    if run is not None and opened is not None and isinstance(opened.ensemble, TestedModel):
+        problem, ensemble = load_lock(run.directory / "problem.lock.toml"), opened.ensemble
+        drawn += _standing(run, problem, compared.test_mark)
+        if opened.horizon is not None:
+            published, caption = compared.mee, compared.caption
+            given = (run, problem, opened, ensemble, published, caption)
+            drawn.append(("mee", partial(draw_test_horizon, *given)))
+    return save(drawn, directory)
+
+
+def draw_cases(cases: SimulatedCases) -> dict[str, bytes]:
+    """Two pictures as PNG: `simulation`, each fold's model on the cases, and `residuals`, along the
+    output, with their own past and with the inputs."""
+    with drawing():
+        return {
+            "simulation": _encoded(draw_tried(cases), "png"),
+            "residuals": _encoded(draw_tried_residuals(cases), "png"),
+        }
+
+
+def write_figures(run_directory: Path, directory: Path) -> tuple[Path, ...]:
+    """The pictures of a run for a paper, into `directory`, each as PDF, SVG and PNG: as wide as a
+    column (3.5 inches) where the picture has one column of panels, else as a page with two columns
+    (7.16 inches). Returns the paths written. Raises UserError as `write_report`."""
+    run = open_run(run_directory)
+    drawn = [_progress(run, metric_of(run_directory))]
+    if run.store.kept:
+        drawn = [*pictures(run, load_lock(run_directory / "problem.lock.toml")), *_validations(run)]
+    directory.mkdir(parents=True, exist_ok=True)
+    paths: list[Path] = []
+    for name, draw in drawn:
+        # The ids of an SVG come from a fixed salt.
+        salted = rc_context({"svg.hashsalt": "asia", "svg.fonttype": "none"})
+        with drawing(_paper_width(draw)), salted:
+            figure = draw()
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")
+            for kind in _METADATA:
+                path = directory / f"{name}.{kind}"
+                write_whole(path, _encoded(figure, kind, 300), durable=False)
+                paths.append(path)
+    return tuple(paths)
+
+
+def _paper_width(draw: Callable[[], Figure]) -> float:
+    """The width of one column of panels with which the picture is as wide as a column, else as a
+    page."""
+    wide = COLUMN
+    for width in (COLUMN, PAGE):
+        with drawing(width):
+            wide = draw().get_figwidth()
+        if abs(wide - width) < 0.01:
+            return width
+    return PAGE * PAGE / wide
+
+
+def _validations(run: Run) -> Iterator[Picture]:
+    """Yield the pictures of the validation of the folds and of each new record in the ledger."""
+    for place, found in enumerate(run.view.validated):
+        recorded = {one.name: one for one in found.checks}
+        checks = [
+            Check(
+                drawn.name,
+                recorded[drawn.name].verdict,
+                recorded[drawn.name].sentence,
+                curves=tuple(
+                    CheckCurve(one.name, np.array(one.x), np.array(one.y), one.band)
+                    for one in drawn.curves
+                ),
+                axes=drawn.axes,
+            )
+            for drawn in get_curves(run.store, found.curves)
+        ]
+        counts = f"pass {found.passed}, doubt {found.doubtful}, fail {found.failed}"
+        name = "validation" if place == 0 else f"validation-{place + 1}"
+        yield name, partial(draw_validation, checks, counts)
 
 
 def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
     """Name and drawing of each picture the run has matter for."""
     view, metric = run.view, problem.protocol.metric
-    yield progress_picture(run, metric)
-    best, opened = view.best, view.unsealed
+    yield _progress(run, metric)
+    best, opened, ablated = view.best, view.unsealed, view.ablated
     if best is not None:
         folds = make_folds(problem.train, problem.protocol)
         yield "simulation", lambda: draw_simulation(run, problem, best, folds)
         if problem.protocol.kind == "windows":
             yield "horizon", lambda: draw_horizon(run, problem, best, folds)
         yield "residuals", lambda: draw_residuals(run, problem, best, folds)
-    ablated = view.ablated
     if ablated is not None:
         yield "ablation", lambda: draw_ablation(ablated, view.started.run, view.v_name)
     if opened is None or not isinstance(opened.ensemble, TestedModel):
@@ -104,17 +235,17 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
     yield "test", lambda: draw_test(run, problem, opened, ensemble)
     if opened.horizon is not None:
         yield "test_horizon", lambda: draw_test_horizon(run, problem, opened, ensemble)
-    yield from standing(run, problem)
+    yield from _standing(run, problem)
 
 
-def progress_picture(run: Run, metric: str) -> Picture:
-    """Return the picture of the progress, which needs no artifacts."""
+def _progress(run: Run, metric: str) -> Picture:
+    """Picture of the progress, which needs no artifacts."""
     view = run.view
     beside = control(run.directory, view.started, len(view.finished))
     return "progress", lambda: draw_progress(view, metric, beside)
 
 
-def standing(
+def _standing(
     run: Run, problem: Problem, mark: tuple[str, float] | None = None
 ) -> Iterator[Picture]:
     """The model to use among the published ones, for a benchmark that has some."""
@@ -123,15 +254,15 @@ def standing(
         return
     name = run.view.started.run
     values = [standing.figure.value for standing in board.standings]
+    output = Signal(problem.outputs[0].name, board.unit)
     if len(values) > 1:
         yield "leaderboard", lambda: draw_boards((board,), name)
-        return
-    output = Signal(problem.outputs[0].name, board.unit)
-    yield "leaderboard", lambda: draw_standing(board.entries, values[0], output, name, mark)
+    else:
+        yield "leaderboard", lambda: draw_standing(board.entries, values[0], output, name, mark)
 
 
 def save(
-    drawn: Iterator[Picture], directory: Path, failed: list[str] | None = None
+    drawn: Iterable[Picture], directory: Path, failed: list[str] | None = None
 ) -> tuple[Path, ...]:
     """Each picture as PNG and PDF, the same bytes for the same run. A picture that cannot be drawn
     becomes a sheet with the reason, which `failed` receives too."""
@@ -140,46 +271,30 @@ def save(
     paths: list[Path] = []
     for name, draw in drawn:
         with drawing():
-            figure = _drawn(name, draw, failed)
-            for path, metadata in zip(_files(directory, name), _METADATA, strict=True):
-                stream = BytesIO()
-                figure.savefig(stream, format=path.suffix[1:], dpi=DPI, metadata=metadata)
-                path.write_bytes(stream.getvalue())
+            figure, before = Figure(figsize=(6.0, 1.5)), len(failed)
+            with diagnostic(f"picture {name}", failed):
+                figure = draw()
+                figure.draw_without_rendering()
+                figure.set_layout_engine("none")
+            if len(failed) > before:
+                figure = Figure(figsize=(6.0, 1.5))
+                text = fill(failed[-1], 80).replace("$", r"\$")
+                figure.text(0.02, 0.5, text, va="center")
+            for kind in ("png", "pdf"):
+                path = directory / f"{name}.{kind}"
+                path.write_bytes(_encoded(figure, kind))
                 paths.append(path)
     return tuple(paths)
-
-
-def _drawn(name: str, draw: Callable[[], Figure], failed: list[str]) -> Figure:
-    """The picture, or a sheet that says why there is none."""
-    with diagnostic(f"picture {name}", failed):
-        figure = draw()
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")
-        return figure
-    sheet = Figure(figsize=(6.0, 1.5))
-    sheet.text(0.02, 0.5, fill(failed[-1], 80).replace("$", r"\$"), va="center")
-    return sheet
 
 
 def png_of(run: Run, problem: Problem, name: str, dpi: int) -> bytes:
     """Return one of the `pictures` as PNG."""
     draw = dict(pictures(run, problem))[name]
     with drawing():
-        stream = BytesIO()
-        draw().savefig(stream, format="png", dpi=dpi, metadata=_METADATA[0])
-        return stream.getvalue()
+        return _encoded(draw(), "png", dpi)
 
 
-def as_png(cases: SimulatedCases) -> dict[str, bytes]:
-    """See `asia.report.draw_cases`."""
-    drawn: dict[str, bytes] = {}
-    for name, draw in (("simulation", draw_tried), ("residuals", draw_tried_residuals)):
-        with drawing():
-            figure, stream = draw(cases), BytesIO()
-            figure.savefig(stream, format="png", dpi=DPI, metadata=_METADATA[0])
-            drawn[name] = stream.getvalue()
-    return drawn
-
-
-def _files(directory: Path, name: str) -> tuple[Path, Path]:
-    return directory / f"{name}.png", directory / f"{name}.pdf"
+def _encoded(figure: Figure, kind: str, dpi: int = DPI) -> bytes:
+    stream = BytesIO()
+    figure.savefig(stream, format=kind, dpi=dpi, metadata=_METADATA[kind])
+    return stream.getvalue()

@@ -9,27 +9,11 @@ from fnmatch import fnmatchcase
 from functools import cache
 from importlib import resources
 
-from asia.errors import InternalError
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import model_to_use, tested_model
 from asia.ledger.view import SearchView
 from asia.problem.problem import Problem
-
-# Published results of the benchmarks.
-
-
-_COLUMNS = [
-    "benchmark",
-    "year",
-    "method",
-    "authors",
-    "test_rmse",
-    "training_time",
-    "white_to_black_box",
-    "source",
-]
-_NONE = "-"
 
 
 @dataclass(frozen=True)
@@ -69,14 +53,12 @@ def leaderboard(problem_name: str) -> tuple[Entry, ...]:
     file = resources.files("asia").joinpath("problems", "leaderboards.csv")
     lines = [x for x in file.read_text("utf-8").splitlines() if x and not x.startswith("#")]
     reader = csv.DictReader(lines, strict=True)
-    if reader.fieldnames != _COLUMNS:
-        raise InternalError(f"leaderboards.csv has columns {reader.fieldnames}")
     return tuple(
         Entry(
             int(row["year"]),
             row["method"],
             row["authors"],
-            tuple(None if v == _NONE else float(v) for v in row["test_rmse"].split()),
+            tuple(None if v == "-" else float(v) for v in row["test_rmse"].split()),
             row["source"],
             row["training_time"],
         )
@@ -164,34 +146,26 @@ def read_board(problem: Problem, view: SearchView | None) -> Board:
     # A user's own data may have a benchmark's name; their error does not belong on that list.
     entries = leaderboard(problem.name) if problem.data.public else ()
     unit = problem.protocol.test.unit or problem.outputs[0].unit
-    figures = _figures_of_search(problem, view)
-    names = tuple(figure.name for figure in figures) or _names(problem, entries)
+    figures: tuple[OfficialFigure, ...] = ()
+    if view is not None and view.unsealed is not None:
+        named = model_to_use(view)
+        model = tested_model(view.unsealed, named.model if named else "ensemble")
+        if not isinstance(model, Failure):
+            figures = official_figures(problem, view.unsealed, model)
+    names = tuple(figure.name for figure in figures or problem.protocol.test.figures)
+    count = max((len(entry.figures) for entry in entries), default=0)
+    if not names and count == 1:
+        names = ("test",)
+    elif not names:
+        names = tuple(f"figure {k + 1}" for k in range(count))
     line = ""
     if entries and figures and view is not None and view.best is not None:
         result = view.best.result
         seconds = sum(fold.fit_seconds for fold in result.folds) if result else 0.0
         line = submission_line(figures, unit, seconds)
+    own_unit = problem.protocol.test.unit is None
     places = standings(entries, figures)
-    official = problem.protocol.test.unit
-    return Board(problem.name, unit, entries, names, places, official is None, line)
-
-
-def _names(problem: Problem, entries: Sequence[Entry]) -> tuple[str, ...]:
-    named = tuple(figure.name for figure in problem.protocol.test.figures)
-    count = max((len(entry.figures) for entry in entries), default=0)
-    if named or count == 0:
-        return named
-    if count == 1:
-        return ("test",)
-    return tuple(f"figure {k + 1}" for k in range(count))
-
-
-def _figures_of_search(problem: Problem, view: SearchView | None) -> tuple[OfficialFigure, ...]:
-    if view is None or view.unsealed is None:
-        return ()
-    named = model_to_use(view)
-    model = tested_model(view.unsealed, named.model if named else "ensemble")
-    return () if isinstance(model, Failure) else official_figures(problem, view.unsealed, model)
+    return Board(problem.name, unit, entries, names, places, own_unit, line)
 
 
 def official_figures(
@@ -224,15 +198,12 @@ def standings(entries: Sequence[Entry], figures: Sequence[OfficialFigure]) -> tu
     """The place of each figure. entries: the board, with a value for each figure or none at all."""
     found: list[Standing] = []
     for index, figure in enumerate(figures):
-        there = [(v, e) for e in entries if (v := _figure(e, index)) is not None]
+        given = [(e.figures[index], e) for e in entries if index < len(e.figures)]
+        there = [(v, e) for v, e in given if v is not None]
         lower = sorted(((v, e) for v, e in there if v < figure.value), key=lambda pair: pair[0])
         value, above = lower[-1] if lower else (None, None)
         found.append(Standing(figure, len(lower) + 1, len(there) + 1, above, value))
     return tuple(found)
-
-
-def _figure(entry: Entry, index: int) -> float | None:
-    return entry.figures[index] if index < len(entry.figures) else None
 
 
 def submission_line(figures: Sequence[OfficialFigure], unit: str, seconds: float) -> str:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from asia.data.trajectory import Array, Signal
+from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.artifacts import Store
-from asia.ledger.events import Unsealed
+from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment
 from asia.problem.protocol import Block, Fold
-
-# Simulated cases of one experiment, as input of the pictures.
 
 
 @dataclass(frozen=True)
@@ -70,19 +69,13 @@ def simulated_cases(
             held_out,
             b.case.name,
             b.start + (offsets[b.record] if offsets else 0),
-            _rows(b.case.u),
-            _rows(b.y),
-            _rows(simulated),
+            *(tuple(map(tuple, values.tolist())) for values in (b.case.u, b.y, simulated)),
         )
         for b, simulated in zip(blocks, y_hat, strict=True)
     )
 
 
-def _rows(values: Array) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in values.tolist())
-
-
-# Simulated outputs as a run recorded them.
+# Simulated outputs as a run recorded them, and the most informative of them.
 
 
 def fold_outputs(
@@ -103,3 +96,52 @@ def opened_windows(run: Run, opened: Unsealed, artifact: str) -> tuple[Array, ..
     shapes = [(length, len(opened.channels)) for length in opened.lengths]
     rows = np.concatenate(run.store.get_arrays(artifact, shapes))
     return tuple(rows.reshape(-1, opened.horizon, len(opened.channels)))
+
+
+def final_models(opened: Unsealed) -> list[tuple[str, str, TestedModel | Failure]]:
+    """Key, description and test result of each final model."""
+    found = (
+        ("ensemble", "ensemble of the fold models", opened.ensemble),
+        ("refit", "refit on all training records", opened.refit),
+        ("stack", "stack of several experiments", opened.stack),
+    )
+    return [(key, text, model) for key, text, model in found if model is not None]
+
+
+def worst_fits(score: Score) -> list[float]:
+    """The lowest fit index of each output over the folds; infinite for an output that does not
+    move, which has none."""
+    fits = [[np.inf if fit is None else fit for fit in f.fit_index] for f in score.folds]
+    return [min(column) for column in zip(*fits, strict=True)]
+
+
+def lowest(values: Sequence[float], count: int) -> list[int]:
+    """Indices of the `count` lowest values, in their own order."""
+    return sorted(int(i) for i in np.argsort(values, kind="stable")[: max(count, 1)])
+
+
+def representative_windows(
+    measured: Sequence[Array], simulated: Sequence[Array], scale: Array
+) -> Iterator[tuple[str, int]]:
+    """The windows with the least, the middle and the largest error, by their index. The error is
+    the mean of |error| / scale over samples and outputs; measured, simulated: (H, ny) a window,
+    scale (ny,)."""
+
+    def mean_error(error: Array) -> float:
+        """Over what was measured; 0 where nothing was."""
+        sizes = np.abs(error) / scale
+        if np.isnan(error).any():
+            sizes = sizes[~np.isnan(error)]
+        return float(np.mean(sizes)) if sizes.size else 0.0
+
+    pairs = zip(measured, simulated, strict=True)
+    order = np.argsort([mean_error(y - y_hat) for y, y_hat in pairs], kind="stable").tolist()
+    seen: set[int] = set()
+    for word, index in (
+        ("best", order[0]),
+        ("median", order[len(order) // 2]),
+        ("worst", order[-1]),
+    ):
+        if index not in seen:
+            seen.add(index)
+            yield word, index

@@ -18,8 +18,8 @@ from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import Seal
 from asia.report import methods_paragraph, write_figures, write_tables
-from asia.report.paper.figures import COLUMN, PAGE
-from asia.report.paper.text import latex
+from asia.report.files import COLUMN, PAGE
+from asia.report.paper import latex
 
 from .made_up import write_run
 

@@ -34,7 +34,8 @@ from asia.report.files import pictures
 from asia.report.pictures.check import draw_data
 from asia.report.pictures.leaderboard import draw_standing
 from asia.report.pictures.progress import draw_arms
-from asia.report.pictures.simulation import ErrorCurve, Growth, Marks, draw_growth, telling
+from asia.report.pictures.simulation import ErrorCurve, Growth, Marks, draw_growth
+from asia.report.simulated import representative_windows
 
 from .made_up import Shape, make_problem, write_run
 from .test_report_pictures import FIVE, assert_readable, visible_texts
@@ -131,13 +132,13 @@ def test_the_horizon_is_drawn_from_the_recorded_simulations(tmp_path: Path) -> N
 def test_the_telling_windows() -> None:
     measured = [np.zeros((4, 2)) for _ in range(5)]
     simulated = [np.full((4, 2), size) for size in (3.0, 1.0, 5.0, 2.0, 4.0)]
-    assert list(telling(measured, simulated, np.ones(2))) == [
+    assert list(representative_windows(measured, simulated, np.ones(2))) == [
         ("best", 1), ("median", 0), ("worst", 2),
     ]  # fmt: skip
-    assert list(telling(measured[:1], simulated[:1], np.ones(2))) == [("best", 0)]
+    assert list(representative_windows(measured[:1], simulated[:1], np.ones(2))) == [("best", 0)]
     scale = np.array([1.0, 100.0])
     mixed = [np.tile([1.0, 0.0], (4, 1)), np.tile([0.0, 10.0], (4, 1))]
-    assert dict(telling(measured[:2], mixed, scale)) == {"best": 1, "median": 0}
+    assert dict(representative_windows(measured[:2], mixed, scale)) == {"best": 1, "median": 0}
 
 
 def test_windows_of_one_length_correlate_as_one_by_one() -> None:

@@ -9,208 +9,73 @@ import shutil
 import subprocess
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asia.data.trajectory import Array
+from asia.data.trajectory import Array, Signal
 from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed, TrainingWindow
 from asia.export.target import Answers
+from asia.export.targets.indices import (
+    Places,
+    inside_places,
+    kept_axes,
+    slices,
+    source_places,
+)
 from asia.lowering.program import Node, Program, Shape
 
 # Files around `model.c`.
 
 
-MAKEFILE = """# make; ./model example.csv
-CFLAGS ?= -std=c99 -Wall -Wextra -pedantic -Werror -O2
+def template(name: str, **values: object) -> str:
+    """A file of `templates` with a value for each `@NAME@`."""
+    text = (
+        resources.files("asia").joinpath("export", "targets", "templates", name).read_text("utf-8")
+    )
+    for key, value in values.items():
+        text = text.replace(f"@{key}@", str(value))
+    return text
 
-model: main.c model.c model.h
-\t$(CC) $(CFLAGS) main.c model.c -o model -lm
-
-clean:
-\trm -f model
-
-.PHONY: clean
-"""
-
-HARNESS = """#include "model.h"
-
-void asia_run(const asia_real *past_u, const asia_real *past_y, const asia_real *u, asia_real *y,
-              long samples);
-
-void asia_run(const asia_real *past_u, const asia_real *past_y, const asia_real *u, asia_real *y,
-              long samples)
-{
-    asia_state x;
-    long k;
-    asia_init(&x, past_u, past_y, u);
-    for (k = 0; k < samples; ++k)
-        asia_step(&x, u + k * ASIA_INPUTS, y + k * ASIA_OUTPUTS);
-}
-"""
 
 FLOAT = "typedef float asia_real;"
 """Line of `model.h` that selects single precision; it is replaced by an error where single
 precision is not good enough."""
 NO_FLOAT = '#error "in float this model differs too much from its simulation in double, see USE.md"'
 
-_HEADER = (
-    """/* {title}
- *
- * Sampling time {sampling_time!r} s; inputs are held between samples.
-{signals}
- */
-#ifndef ASIA_MODEL_H
-#define ASIA_MODEL_H
-
-#ifdef ASIA_FLOAT
-"""
-    + FLOAT
-    + """
-#else
-typedef double asia_real;
-#endif
-
-#define ASIA_INPUTS {nu}
-#define ASIA_OUTPUTS {ny}
-#define ASIA_PAST_INPUTS {past_u}
-#define ASIA_PAST_OUTPUTS {past_y}
-#define ASIA_SAMPLING_TIME {sampling_time!r}
-
-typedef struct {{
-    asia_real x[{states}];
-}} asia_state;
-
-/* past_u[ASIA_PAST_INPUTS][ASIA_INPUTS] and past_y[ASIA_PAST_OUTPUTS][ASIA_OUTPUTS], the oldest
- * sample first; u: the input of the first sample to simulate. */
-void asia_init(asia_state *x, const asia_real *past_u, const asia_real *past_y,
-               const asia_real *u);
-/* y of the sample that u belongs to. */
-void asia_output(const asia_state *x, const asia_real *u, asia_real *y);
-/* From this sample to the next. */
-void asia_update(asia_state *x, const asia_real *u);
-/* asia_output, then asia_update, in one computation. */
-void asia_step(asia_state *x, const asia_real *u, asia_real *y);
-
-#endif
-"""
-)
-
-_MAIN = r"""/* Simulates a CSV file: a row of names, then rows of inputs and outputs. Outputs of the
- * first rows start the model, the others are compared with. */
-#include "model.h"
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
-#define PAST (ASIA_PAST_INPUTS > ASIA_PAST_OUTPUTS ? ASIA_PAST_INPUTS : ASIA_PAST_OUTPUTS)
-#define COLUMNS (ASIA_INPUTS + ASIA_OUTPUTS)
-
-static int next_row(FILE *file, asia_real *row)
-{
-    char line[65536];
-    char *at = line;
-    int i;
-    if (fgets(line, sizeof line, file) == NULL)
-        return 0;
-    for (i = 0; i < COLUMNS; ++i) {
-        char *end;
-        row[i] = (asia_real)strtod(at, &end);
-        if (end == at)
-            return 0;
-        at = *end == ',' ? end + 1 : end;
-    }
-    return 1;
-}
-
-int main(int argc, char **argv)
-{
-    static asia_real past_u[ASIA_PAST_INPUTS * ASIA_INPUTS + 1];
-    static asia_real past_y[ASIA_PAST_OUTPUTS * ASIA_OUTPUTS + 1];
-    asia_real row[COLUMNS], y[ASIA_OUTPUTS], worst = 0;
-    asia_state x;
-    char names[65536], *at;
-    long k, i;
-    FILE *file = argc == 2 ? fopen(argv[1], "r") : NULL;
-    if (file == NULL) {
-        fprintf(stderr, "usage: model record.csv (%d inputs, then %d outputs)\n", ASIA_INPUTS,
-                ASIA_OUTPUTS);
-        return 2;
-    }
-    for (i = 1, at = fgets(names, sizeof names, file); at != NULL && *at != '\0'; ++at)
-        i += *at == ',';
-    if (i != COLUMNS) {
-        fprintf(stderr, "%s: expected the columns {columns}, separated by commas\n", argv[1]);
-        return 2;
-    }
-    printf("{names}\n");
-    for (k = 0; next_row(file, row); ++k) {
-        long from_u = k - (PAST - ASIA_PAST_INPUTS), from_y = k - (PAST - ASIA_PAST_OUTPUTS);
-        if (k < PAST) {
-            if (from_u >= 0)
-                memcpy(past_u + from_u * ASIA_INPUTS, row, ASIA_INPUTS * sizeof *row);
-            if (from_y >= 0)
-                memcpy(past_y + from_y * ASIA_OUTPUTS, row + ASIA_INPUTS,
-                       ASIA_OUTPUTS * sizeof *row);
-            continue;
-        }
-        if (k == PAST)
-            asia_init(&x, past_u, past_y, row);
-        asia_step(&x, row, y);
-        for (i = 0; i < ASIA_OUTPUTS; ++i) {
-            double gap = fabs((double)(y[i] - row[ASIA_INPUTS + i]));
-            printf("%s%.17g", i ? "," : "", (double)y[i]);
-            if (gap > (double)worst)
-                worst = (asia_real)gap;
-        }
-        printf("\n");
-    }
-    fclose(file);
-    if (k <= PAST) {
-        fprintf(stderr, "%s: expected more than %d rows of numbers, found %ld\n", argv[1], PAST, k);
-        return 2;
-    }
-    fprintf(stderr, "%ld samples, largest difference from the file %.3g\n", k - PAST,
-            (double)worst);
-    return 0;
-}
-"""
-
 
 def header(model: ExportModel) -> str:
     """Text of `model.h`."""
     low = model.lowered
     rows = [
-        f" * {side} {i}: {_plain_files(s.name)} {_plain_files(s.unit)}, trained from {a:g} to {b:g}"
+        f" * {side} {i}: {_plain(s.name)} {_plain(s.unit)}, trained from {a:g} to {b:g}"
         for side, signals, span in (
             ("input", model.inputs, model.input_range),
             ("output", model.outputs, model.output_range),
         )
         for i, (s, (a, b)) in enumerate(zip(signals, span.tolist(), strict=True))
     ]
-    return _HEADER.format(
-        title=_plain_files(f"{model.problem}: {model.use} of run {model.name}"),
-        signals="\n".join(rows),
-        sampling_time=model.sampling_time,
-        nu=low.nu,
-        ny=low.ny,
-        past_u=low.n_past_u,
-        past_y=low.n_past_y,
-        states=max(sum(math.prod(s) for s in low.states), 1),
+    return template(
+        "model.h",
+        TITLE=_plain(f"{model.problem}: {model.use} of run {model.name}"),
+        SIGNALS="\n".join(rows),
+        SAMPLING_TIME=repr(model.sampling_time),
+        NU=low.nu,
+        NY=low.ny,
+        PAST_U=low.n_past_u,
+        PAST_Y=low.n_past_y,
+        STATES=max(sum(math.prod(s) for s in low.states), 1),
     )
 
 
-def main_file(model: ExportModel) -> str:
-    """Text of `main.c`."""
-    columns = ",".join(_plain_files(s.name) for s in (*model.inputs, *model.outputs))
-    names = ",".join(_plain_files(s.name) for s in model.outputs)
-    return _MAIN.replace("{names}", names).replace("{columns}", columns)
+def _names(signals: Sequence[Signal]) -> str:
+    return ",".join(_plain(s.name) for s in signals)
 
 
 def example_csv(model: ExportModel, window: TrainingWindow) -> str:
@@ -222,24 +87,12 @@ def example_csv(model: ExportModel, window: TrainingWindow) -> str:
     rows = np.concatenate(
         [np.concatenate([u, window.u]), np.concatenate([y, window.y_hat])], axis=1
     )
-    names = ",".join(_plain_files(s.name) for s in (*model.inputs, *model.outputs))
+    names = _names((*model.inputs, *model.outputs))
     return "\n".join([names, *(",".join(repr(float(v)) for v in row) for row in rows), ""])
 
 
-def _plain_files(text: str) -> str:
+def _plain(text: str) -> str:
     return re.sub(r"[^A-Za-z0-9 _.:/^-]", "_", text)
-
-
-# Index arithmetic of array operations in printed C.
-
-
-def last_uses(program: Program) -> dict[int, int]:
-    """Number of the last node that reads each value."""
-    found: dict[int, int] = {}
-    for place, node in enumerate(program.nodes, program.first_node):
-        for i in node.operands:
-            found[i] = place
-    return found
 
 
 def strides(shape: Shape) -> list[int]:
@@ -247,30 +100,7 @@ def strides(shape: Shape) -> list[int]:
     return [math.prod(shape[a + 1 :]) for a in range(len(shape))]
 
 
-def kept_axes(shape: Shape, axes: Sequence[int]) -> list[int]:
-    """Axes that are not among these."""
-    return [a for a in range(len(shape)) if a not in axes]
-
-
-def source_places(node: Node, shape: Shape) -> NDArray[np.int64]:
-    """Index in the operand of each number of the result."""
-    places, a = np.arange(math.prod(shape)).reshape(shape), node.attrs
-    if node.op == "pick":
-        return np.array(a[1 + a[0] :], np.int64)
-    if node.op == "transpose":
-        return places.transpose(a).reshape(-1)
-    if node.op == "slice":
-        rank = len(shape)
-        cut = tuple(slice(a[i], a[rank + i], a[2 * rank + i]) for i in range(rank))
-        return places[cut].reshape(-1)
-    wide, axes = a[1 : 1 + a[0]], a[1 + a[0] :]
-    narrow = [1] * len(wide)
-    for axis, size in zip(axes, shape, strict=True):
-        narrow[axis] = size
-    return np.broadcast_to(places.reshape(narrow), wide).reshape(-1)
-
-
-def runs(places: NDArray[np.int64]) -> list[tuple[int, int, int]]:
+def runs(places: Places) -> list[tuple[int, int, int]]:
     """Split indices into segments (first, step, count) of constant step."""
     found: list[tuple[int, int, int]] = []
     rest = places.tolist()
@@ -316,7 +146,7 @@ class Constants:
         numbers = [number(float(v)) for v in array.reshape(-1)]
         return self._named(array.tobytes(), "k", "asia_real", numbers)
 
-    def places(self, array: NDArray[np.int64]) -> str:
+    def places(self, array: Places) -> str:
         """Name of an array of whole numbers."""
         literals = [str(v) for v in array.tolist()]
         return self._named(b"p" + array.tobytes(), "p", "long", literals)
@@ -403,6 +233,7 @@ _REDUCED = {
     "rmax": ("asia_max", "-(asia_real)HUGE_VAL"),
     "rmin": ("asia_min", "(asia_real)HUGE_VAL"),
 }
+_ELEMENTWISE = {*_INFIX, *_COMPARED, *_OWN, "neg", "select"}
 _MOST_TEXT, _MOST_RUNS = 300, 6
 
 
@@ -422,45 +253,40 @@ class Statements:
     def run(self, program: Program, inputs: Sequence[Value]) -> list[Value]:
         """Print a program and return the values of its outputs."""
         values = [*inputs, *(self._constant(c) for c in program.constants)]
-        nodes, first = program.nodes, program.first_node
-        last = last_uses(program)
-        count = [0] * (first + len(nodes))
-        for node in nodes:
-            for i in node.operands:
-                count[i] += 1
-        for i in program.outputs:
-            count[i] += 2
+        nodes = list(enumerate(program.nodes, program.first_node))
+        outputs = set(program.outputs)
+        last = {i: place for place, node in nodes for i in node.operands}
+        # Outputs count as read twice, so that they are stored.
+        count = Counter([i for _, node in nodes for i in node.operands])
+        count.update([*program.outputs, *program.outputs])
         loops: dict[int, list[Value]] = {}
-        for place, node in enumerate(nodes):
+        for place, node in nodes:
             operands = [values[i] for i in node.operands]
             if node.op == "loop":
-                loops[first + place] = self._loop(node, operands)
-                parts = loops[first + place]
-                held = frozenset[int]().union(*(part.places for part in parts))
+                loops[place] = self._loop(node, operands)
+                held = frozenset[int]().union(*(part.places for part in loops[place]))
                 values.append(Value(str, (), places=held))
             elif node.op == "part":
                 values.append(loops[node.operands[0]][node.attrs[0]])
             else:
-                values.append(self._value(node, operands, count[first + place]))
-            self._release(place, values, last, program)
+                values.append(self._value(node, operands, count[place]))
+            # Free the regions of `w` that nothing reads any more.
+            live = {
+                region
+                for i, value in enumerate(values)
+                if i in outputs or last.get(i, -1) > place
+                for region in value.places
+            }
+            unread = [
+                r for r, depth in self._mine.items() if r not in live and depth == self._indent
+            ]
+            self._release(unread)
         return [values[i] for i in program.outputs]
 
-    def _release(
-        self, place: int, values: list[Value], last: dict[int, int], program: Program
-    ) -> None:
-        """Free the regions of `w` that nothing reads any more."""
-        now = program.first_node + place
-        outputs = set(program.outputs)
-        live = {
-            region
-            for i, value in enumerate(values)
-            if i in outputs or last.get(i, -1) > now
-            for region in value.places
-        }
-        for region in list(self._mine):
-            if region not in live and self._mine[region] == self._indent:
-                self.memory.give(region)
-                del self._mine[region]
+    def _release(self, regions: Sequence[int]) -> None:
+        for region in regions:
+            self.memory.give(region)
+            del self._mine[region]
 
     def line(self, text: str) -> None:
         """Append one statement."""
@@ -482,14 +308,16 @@ class Statements:
             return Value(lambda i: "R(0.0)", shape)
         start = self.memory.take(size)
         self._mine[start] = self._indent
-        return Value(_offset("w", start), shape, places=frozenset((start,)))
+        return _place("w", start, shape, frozenset((start,)))
 
     def _value(self, node: Node, operands: list[Value], uses: int) -> Value:
         if node.op == "reshape":
             return Value(operands[0].at, node.shape, operands[0].plain, operands[0].places)
         if node.op == "broadcast" and not operands[0].shape:
-            return self._settled(_spread(operands[0], node.shape), uses)
-        if _is_elementwise(node.op):
+            one = operands[0]
+            spread = Value(lambda i: one.at("0"), node.shape, one.plain, one.places)
+            return self._settled(spread, uses)
+        if node.op in _ELEMENTWISE:
             return self._settled(_elementwise(node, operands), uses)
         if node.op == "matmul":
             return self._matmul(node, [self._placed(o) for o in operands])
@@ -498,22 +326,29 @@ class Statements:
         if node.op == "concat":
             return self._concat(node, operands)
         if node.op == "pad":
-            return self._padded(node, operands)
+            target = self.region(node.shape)
+            self.copy(target.at, operands[1].at, math.prod(node.shape))
+            source = self._placed(operands[0])
+            self._assign(target.at, source.at, inside_places(node, source.shape), put=True)
+            return target
         source = self._placed(operands[0])
-        return self._moved(node, source)
+        at, places = source.at, source_places(node, source.shape)
+        if len(places) and (places == places[0] + np.arange(len(places))).all():
+            # A contiguous part is read in place.
+            start = int(places[0])
+            moved = at if start == 0 else lambda i: at(f"{start} + {i}")
+            return Value(moved, node.shape, True, source.places)
+        target = self.region(node.shape)
+        self._assign(target.at, at, places, put=False)
+        return target
 
     def _settled(self, value: Value, uses: int) -> Value:
         """Keep a value as an expression if it is short and read once, else store it."""
-        if value.plain or (uses <= 1 and len(value.at("i")) < _MOST_TEXT):
-            return value
-        return self._placed(value)
+        short = uses <= 1 and len(value.at("i")) < _MOST_TEXT
+        return value if short else self._placed(value)
 
     def _placed(self, value: Value) -> Value:
-        if value.plain:
-            return value
-        target = self.region(value.shape)
-        self.copy(target.at, value.at, math.prod(value.shape))
-        return target
+        return value if value.plain else self._kept(value)
 
     def own(self, value: Value) -> Value:
         """Store a value in `w`, in a region that nothing else writes."""
@@ -563,8 +398,7 @@ class Statements:
         out = dict(zip(kept_axes(source.shape, node.attrs), strides(node.shape), strict=True))
         order = sorted(range(len(source.shape)), key=lambda a: (a in node.attrs, a))
         names = [self.counter(d) for d in range(len(order))]
-        for depth, axis in enumerate(order):
-            i = names[depth]
+        for i, axis in zip(names, order, strict=True):
             self.line(f"for ({i} = 0; {i} < {source.shape[axis]}; ++{i})")
             self._indent += 1
         read = " + ".join(f"{names[d]} * {steps[a]}" for d, a in enumerate(order)) or "0"
@@ -579,66 +413,31 @@ class Statements:
 
     def _concat(self, node: Node, operands: list[Value]) -> Value:
         target, axis = self.region(node.shape), node.attrs[0]
-        outer = math.prod(node.shape[:axis])
-        wide, start = math.prod(node.shape[axis:]), 0
+        outer, wide = math.prod(node.shape[:axis]), math.prod(node.shape[axis:])
+        start = 0
         for value in operands:
+            # Rows of `size` numbers go, from `start` on, into rows of `wide` ones.
             size = math.prod(value.shape[axis:])
-            self._block(target, value, (outer, wide, start, size))
+            if outer == 1:
+                self.copy(
+                    _through(target.at, lambda i, start=start: f"{start} + {i}"), value.at, size
+                )
+            elif outer * size:
+                i, j = self.counter(0), self.counter(1)
+                put = target.at(f"{i} * {wide} + {start} + {j}")
+                read = value.at(f"({i} * {size} + {j})")
+                inner = f"for ({j} = 0; {j} < {size}; ++{j})"
+                self.line(f"for ({i} = 0; {i} < {outer}; ++{i}) {inner} {put} = {read};")
             start += size
         return target
 
-    def _block(self, target: Value, value: Value, sizes: tuple[int, int, int, int]) -> None:
-        """Copy rows of `size` numbers, from `start` on, into rows of `wide` ones."""
-        outer, wide, start, size = sizes
-        if outer * size == 0:
-            return
-        if outer == 1:
-            self.copy(lambda i: target.at(f"{start} + {i}"), value.at, size)
-            return
-        i, j = self.counter(0), self.counter(1)
-        put, read = target.at(f"{i} * {wide} + {start} + {j}"), value.at(f"({i} * {size} + {j})")
-        inner = f"for ({j} = 0; {j} < {size}; ++{j})"
-        self.line(f"for ({i} = 0; {i} < {outer}; ++{i}) {inner} {put} = {read};")
-
-    def _padded(self, node: Node, operands: list[Value]) -> Value:
-        target, rank = self.region(node.shape), len(node.shape)
-        self.copy(target.at, operands[1].at, math.prod(node.shape))
-        places = np.arange(math.prod(node.shape)).reshape(node.shape)
-        inside = tuple(
-            slice(node.attrs[a], node.attrs[a] + operands[0].shape[a]) for a in range(rank)
-        )
-        source = self._placed(operands[0])
-        self._assign(target.at, source.at, places[inside].reshape(-1), None)
-        return target
-
-    def _moved(self, node: Node, source: Value) -> Value:
-        places = source_places(node, source.shape)
-        size = len(places)
-        if size and (places == places[0] + np.arange(size)).all():
-            # A contiguous part is read in place.
-            start = int(places[0])
-            at = source.at
-            moved = at if start == 0 else lambda i: at(f"{start} + {i}")
-            return Value(moved, node.shape, True, source.places)
-        target = self.region(node.shape)
-        self._assign(target.at, source.at, None, places)
-        return target
-
-    def _assign(
-        self,
-        target: Element,
-        source: Element,
-        put: NDArray[np.int64] | None,
-        read: NDArray[np.int64] | None,
-    ) -> None:
-        """Print target[put] = source[read]; None counts up from 0."""
-        places = put if put is not None else read
-        assert places is not None
+    def _assign(self, target: Element, source: Element, places: Places, *, put: bool) -> None:
+        """Print target[places] = source, or target = source[places]."""
         segments = runs(places)
         i = self.counter(0)
         if len(segments) > _MOST_RUNS and len(places) > 2 * _MOST_RUNS:
             name = self.constants.places(places)
-            there = (f"{name}[{i}]", i) if put is not None else (i, f"{name}[{i}]")
+            there = (f"{name}[{i}]", i) if put else (i, f"{name}[{i}]")
             loop = f"for ({i} = 0; {i} < {len(places)}; ++{i})"
             self.line(f"{loop} {target(there[0])} = {source(there[1])};")
             return
@@ -651,7 +450,7 @@ class Statements:
             def counting(j: str, done: int = done) -> str:
                 return f"{done} + {j}"
 
-            here, there = (moving, counting) if put is not None else (counting, moving)
+            here, there = (moving, counting) if put else (counting, moving)
             self.copy(_through(target, here), _through(source, there), count)
             done += count
 
@@ -659,9 +458,7 @@ class Statements:
         assert node.body is not None
         length, same, carried = node.attrs
         body = node.body
-        carry = [self.region(o.shape) for o in operands[same : same + carried]]
-        for place, value in zip(carry, operands[same : same + carried], strict=True):
-            self.copy(place.at, value.at, math.prod(value.shape))
+        carry = [self._kept(o) for o in operands[same : same + carried]]
         stacked = [self.region((length, *s)) for s in body.output_shapes[carried:]]
         rows = [self._placed(o) for o in operands[same + carried :]]
         fixed = [self._placed(o) for o in operands[:same]]
@@ -677,9 +474,7 @@ class Statements:
         for place, value in zip(carry, after, strict=True):
             self.copy(place.at, value.at, math.prod(value.shape))
         self._indent -= 1
-        for region in [r for r, depth in self._mine.items() if depth > self._indent]:
-            self.memory.give(region)
-            del self._mine[region]
+        self._release([r for r, depth in self._mine.items() if depth > self._indent])
         self.line("} }")
         return [*carry, *stacked]
 
@@ -690,8 +485,9 @@ class Statements:
         return target
 
 
-def _offset(name: str, start: int) -> Element:
-    return lambda i: f"{name}[{start} + {i}]" if start else f"{name}[{i}]"
+def _place(name: str, start: int, shape: Shape, places: frozenset[int] = frozenset()) -> Value:
+    prefix = f"{start} + " if start else ""
+    return Value(lambda i: f"{name}[{prefix}{i}]", shape, places=places)
 
 
 def _row(value: Value, index: str) -> Element:
@@ -701,14 +497,6 @@ def _row(value: Value, index: str) -> Element:
 
 def _through(element: Element, place: Callable[[str], str]) -> Element:
     return lambda i: element(place(i))
-
-
-def _spread(value: Value, shape: Shape) -> Value:
-    return Value(lambda i: value.at("0"), shape, value.plain, value.places)
-
-
-def _is_elementwise(op: str) -> bool:
-    return op in _INFIX or op in _COMPARED or op in _OWN or op in ("neg", "select")
 
 
 def _elementwise(node: Node, operands: list[Value]) -> Value:
@@ -766,11 +554,12 @@ one."""
     def print(self, model: ExportModel) -> Printed:
         """Print the files; the sizes are those of `double`."""
         source, work = c_source(model)
+        outputs, columns = _names(model.outputs), _names((*model.inputs, *model.outputs))
         files = {
             "model.c": source.encode(),
             "model.h": header(model).encode(),
-            "main.c": main_file(model).encode(),
-            "Makefile": MAKEFILE.encode(),
+            "main.c": template("main.c", NAMES=outputs, COLUMNS=columns).encode(),
+            "Makefile": template("Makefile").encode(),
         }
         if model.example is not None:
             files["example.csv"] = example_csv(model, model.example).encode()
@@ -796,23 +585,25 @@ def c_source(model: ExportModel) -> tuple[str, int]:
     """Print `model.c`; return it with the most numbers that one of its functions keeps on the
     stack."""
     low, constants = model.lowered, Constants()
-    states = [_place("x->x", start, s) for start, s in _starts(low.states)]
+    parts = zip(slices(low.states), low.states, strict=True)
+    states = [_place("x->x", part.start, shape) for part, shape in parts]
     u, y = _place("u", 0, (low.nu,)), _place("y", 0, (low.ny,))
     window = [
         _place("past_u", 0, (low.n_past_u, low.nu)),
         _place("past_y", 0, (low.n_past_y, low.ny)),
         u,
     ]
-    parts = [
+    functions = [
         _function("init", low.initial, window, states, constants),
         _function("output", low.output, [*states, u], [y], constants),
         _function("update", low.update, [*states, u], states, constants),
         _function("step", low.step, [*states, u], [y, *states], constants),
     ]
-    body = "\n".join(text for text, _ in parts)
+    body = "\n".join(text for text, _ in functions)
     helpers = "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in body)
+    title = re.sub(r"[^A-Za-z0-9 _.,:-]", "_", f"{model.problem}: {model.use} of run {model.name}")
     top = [
-        f"/* {_plain(model.problem)}: {_plain(model.use)} of run {_plain(model.name)}. */",
+        f"/* {title}. */",
         '#include "model.h"',
         "#include <math.h>",
         "",
@@ -827,7 +618,7 @@ def c_source(model: ExportModel) -> tuple[str, int]:
         "",
         helpers,
     ]
-    return "\n".join([*top, body]), max(size for _, size in parts)
+    return "\n".join([*top, body]), max(size for _, size in functions)
 
 
 _HEADS = {
@@ -861,30 +652,16 @@ def _function(
     return "\n".join(lines), code.memory.size
 
 
-def _place(name: str, start: int, shape: tuple[int, ...]) -> Value:
-    if start == 0:
-        return Value(lambda i: f"{name}[{i}]", shape)
-    return Value(lambda i: f"{name}[{start} + {i}]", shape)
-
-
-def _starts(shapes: Sequence[tuple[int, ...]]) -> list[tuple[int, tuple[int, ...]]]:
-    found: list[tuple[int, tuple[int, ...]]] = []
-    start = 0
-    for shape in shapes:
-        found.append((start, shape))
-        start += math.prod(shape)
-    return found
-
-
-def _plain(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9 _.,:-]", "_", text)
-
-
 def _simulated(
     compiler: str, folder: Path, windows: Sequence[TrainingWindow], *, single: bool
 ) -> Answers:
     with tempfile.TemporaryDirectory(prefix="asia-c-") as made:
-        library = compiled(compiler, folder, Path(made), single=single)
+        # A library of the functions and of one that runs a whole simulation.
+        harness, library = Path(made) / "harness.c", Path(made) / "model.so"
+        harness.write_text(template("harness.c"))
+        words = [*FLAGS, "-fPIC", "-shared", f"-I{folder}", str(folder / "model.c"), str(harness)]
+        words += ["-o", str(library), "-lm", *(["-DASIA_FLOAT"] if single else [])]
+        compile_c(compiler, words, Path(made), "C")
         kind, real = (np.float32, ctypes.c_float) if single else (np.float64, ctypes.c_double)
         run = ctypes.CDLL(str(library)).asia_run
         run.argtypes = [*[ctypes.POINTER(real)] * 4, ctypes.c_long]
@@ -907,18 +684,13 @@ def _simulated(
     return Answers("float", tuple(y_hat), seconds, True, {"model.h": refused})
 
 
-def compiled(compiler: str, folder: Path, made: Path, *, single: bool) -> Path:
-    """Compile a library of the functions and of one that runs a whole simulation."""
-    harness, library = made / "harness.c", made / ("float.so" if single else "double.so")
-    harness.write_text(HARNESS)
-    command = [compiler, *FLAGS, "-fPIC", "-shared", f"-I{folder}", str(folder / "model.c")]
-    command += [str(harness), "-o", str(library), "-lm"]
-    if single:
-        command.append("-DASIA_FLOAT")
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+def compile_c(compiler: str, words: Sequence[str], folder: Path, printed: str) -> None:
+    """Run a C compiler in a folder. printed: name of the code, for the error."""
+    done = subprocess.run(
+        [compiler, *words], cwd=folder, capture_output=True, text=True, check=False, timeout=300
+    )
     if done.returncode != 0:
-        raise InternalError(f"the printed C does not compile: {done.stderr[:1000]}")
-    return library
+        raise InternalError(f"the printed {printed} does not compile: {done.stderr[:1000]}")
 
 
 def _code_bytes(files: dict[str, bytes]) -> int | None:
@@ -929,9 +701,10 @@ def _code_bytes(files: dict[str, bytes]) -> int | None:
     with tempfile.TemporaryDirectory(prefix="asia-c-") as made:
         for name in ("model.c", "model.h"):
             (Path(made) / name).write_bytes(files[name])
-        command = [compiler, "-std=c99", "-Os", "-c", "model.c", "-o", "model.o"]
-        done = subprocess.run(command, cwd=made, capture_output=True, check=False, timeout=300)
-        if done.returncode != 0:
+        words = ["-std=c99", "-Os", "-c", "model.c", "-o", "model.o"]
+        try:
+            compile_c(compiler, words, Path(made), "C")
+        except InternalError:
             return None
         completed = subprocess.run(
             [size, "model.o"], cwd=made, capture_output=True, text=True, check=False, timeout=60

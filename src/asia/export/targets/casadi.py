@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import tempfile
 import time
@@ -12,9 +11,18 @@ from typing import Any
 
 import numpy as np
 
+from asia.data.trajectory import Array
 from asia.export.model import ExportModel, Printed, TrainingWindow
-from asia.export.target import Answers
-from asia.export.targets.c import kept_axes, source_places
+from asia.export.target import Answers, missing_package
+from asia.export.targets.indices import (
+    Places,
+    inside_places,
+    joined_places,
+    reduced_places,
+    slices,
+    source_places,
+    values_of,
+)
 from asia.lowering.program import Node, Program, Shape
 
 _SCRIPT = '''"""initial(past_u, past_y, u) -> x, step(x, u) -> (x at the next sample, y), CasADi:
@@ -50,11 +58,7 @@ and absolute values have no second derivative where they switch."""
 
     def missing(self) -> str | None:
         """Return a sentence if CasADi is not installed."""
-        return (
-            None
-            if importlib.util.find_spec("casadi")
-            else "pip install '.[export]' in a clone of ASIA"
-        )
+        return missing_package("casadi")
 
     def print(self, model: ExportModel) -> Printed:
         """Print the files."""
@@ -99,12 +103,7 @@ def _functions(model: ExportModel) -> list[Any]:
     kind = _symbols(low.step)
     u = kind.sym("u", low.nu)
     x = kind.sym("x", sum(math.prod(s) for s in low.states))
-    parts: list[Any] = []
-    place = 0
-    for shape in low.states:
-        parts.append(x[place : place + math.prod(shape)])
-        place += math.prod(shape)
-    y, *after = _run(low.step, [*parts, u], kind)
+    y, *after = _run(low.step, [*(x[part] for part in slices(low.states)), u], kind)
     step = ca.Function("step", [x, u], [ca.vertcat(*after), y], ["x", "u"], ["x_next", "y"])
     return [initial, step]
 
@@ -118,32 +117,24 @@ def _symbols(program: Program) -> Any:
 
 def _numbers(program: Program) -> int:
     """How many numbers a program computes."""
-    total = 0
-    for node in program.nodes:
-        if node.op == "loop":
-            assert node.body is not None
-            total += node.attrs[0] * _numbers(node.body)
-        elif node.op != "part":
-            total += math.prod(node.shape)
-    return total
+    return sum(
+        math.prod(node.shape) if node.body is None else node.attrs[0] * _numbers(node.body)
+        for node in program.nodes
+        if node.op != "part"
+    )
 
 
 def _run(program: Program, inputs: Sequence[Any], kind: Any) -> list[Any]:
     """Values as columns, row after row of their arrays. kind: SX or MX."""
     import casadi as ca
 
-    constants = [kind(ca.DM(c.reshape(-1))) for c in program.constants]
-    shapes, values = program.shapes, [*inputs, *constants]
-    for node in program.nodes:
-        read = [values[i] for i in node.operands]
-        sizes = [shapes[i] for i in node.operands]
-        if node.op == "loop":
-            values.append(_looped(node, read, kind))
-        elif node.op == "part":
-            values.append(read[0][node.attrs[0]])
-        else:
-            values.append(_value(node, read, sizes))
-    return [values[i] for i in program.outputs]
+    def constant(array: Array) -> Any:
+        return kind(ca.DM(array.reshape(-1)))
+
+    def loop(node: Node, read: list[Any], shapes: list[Shape]) -> list[Any]:
+        return _looped(node, read, kind)
+
+    return values_of(program, inputs, constant, _value, loop)
 
 
 def _looped(node: Node, read: list[Any], kind: Any) -> list[Any]:
@@ -179,80 +170,49 @@ def _value(node: Node, read: list[Any], shapes: list[Shape]) -> Any:
     if op == "reshape":
         return x
     if op == "matmul":
-        return _product(read, shapes, node.shape)
+        (*_, m, k), n = shapes[0], node.shape[-1]
+        products: list[Any] = []
+        for b in range(math.prod(node.shape[:-2])):
+            left = ca.reshape(read[0][b * m * k : (b + 1) * m * k], k, m)
+            right = ca.reshape(read[1][b * k * n : (b + 1) * k * n], n, k)
+            products.append(ca.vec(right @ left))
+        return ca.vertcat(*products)
     if op == "broadcast" and not shapes[0]:
         return ca.repmat(x, math.prod(node.shape), 1)
     if op == "concat":
-        return _joined(read, shapes, node)
+        return _picked(ca.vertcat(*read), joined_places(node, shapes))
     if op == "pad":
-        count = math.prod(node.shape)
-        target = ca.repmat(read[1], count, 1)
-        inside = tuple(slice(node.attrs[a], node.attrs[a] + n) for a, n in enumerate(shapes[0]))
-        places = np.arange(count).reshape(node.shape)[inside].reshape(-1)
-        target[places.tolist()] = x
+        target = ca.repmat(read[1], math.prod(node.shape), 1)
+        target[inside_places(node, shapes[0]).tolist()] = x
         return target
     if op in ("slice", "transpose", "pick", "broadcast"):
         return _picked(x, source_places(node, shapes[0]))
     if op in _REDUCED:
-        return _reduced(node, x, shapes[0])
-    return _FUNCTIONS[op](ca, *read)
+        first, *others = reduced_places(node, shapes[0]).T
+        total = _picked(x, first)
+        for places in others:
+            total = _REDUCED[op](ca, total, _picked(x, places))
+        return total
+    if op in _FUNCTIONS:
+        return _FUNCTIONS[op](ca, *read)
+    return getattr(ca, _RENAMED.get(op, op))(*read)
 
 
-def _picked(x: Any, places: Any) -> Any:
+def _picked(x: Any, places: Places) -> Any:
     """Column of the picked numbers, of a single one too, for which CasADi returns a row."""
     import casadi as ca
 
-    return ca.vec(x[np.asarray(places).reshape(-1).tolist()])
+    return ca.vec(x[places.tolist()])
 
 
-def _product(read: list[Any], shapes: list[Shape], shape: Shape) -> Any:
-    import casadi as ca
-
-    (*_, m, k), n = shapes[0], shape[-1]
-    found: list[Any] = []
-    for b in range(math.prod(shape[:-2])):
-        left = ca.reshape(read[0][b * m * k : (b + 1) * m * k], k, m)
-        right = ca.reshape(read[1][b * k * n : (b + 1) * k * n], n, k)
-        found.append(ca.vec(right @ left))
-    return ca.vertcat(*found)
-
-
-def _joined(read: list[Any], shapes: list[Shape], node: Node) -> Any:
-    import casadi as ca
-
-    axis = node.attrs[0]
-    together, start, places = ca.vertcat(*read), 0, list[Any]()
-    for shape in shapes:
-        size = math.prod(shape)
-        places.append(start + np.arange(size).reshape(shape))
-        start += size
-    return _picked(together, np.concatenate(places, axis=axis))
-
-
-def _reduced(node: Node, x: Any, shape: Shape) -> Any:
-    import casadi as ca
-
-    order = [*kept_axes(shape, node.attrs), *node.attrs]
-    places = np.arange(math.prod(shape)).reshape(shape).transpose(order)
-    columns = places.reshape(max(math.prod(node.shape), 1), -1).T
-    total = _picked(x, columns[0])
-    for column in columns[1:]:
-        total = _FUNCTIONS[_REDUCED[node.op]](ca, total, _picked(x, column))
-    return total
-
-
-_REDUCED = {"rsum": "add", "rprod": "mul", "rmax": "max", "rmin": "min"}
-_CALLED = {"abs": "fabs", "max": "fmax", "min": "fmin", "atan2": "atan2", "pow": "power"}
-_SAME = "sign floor sqrt exp log log1p expm1 tanh sin cos tan asin acos atan sinh cosh"
-
-
-def _called(name: str) -> Callable[..., Any]:
-    return lambda ca, *x: getattr(ca, name)(*x)
-
-
+_REDUCED: dict[str, Callable[..., Any]] = {
+    "rsum": lambda ca, a, b: a + b,
+    "rprod": lambda ca, a, b: a * b,
+    "rmax": lambda ca, a, b: ca.fmax(a, b),
+    "rmin": lambda ca, a, b: ca.fmin(a, b),
+}
+_RENAMED = {"abs": "fabs", "max": "fmax", "min": "fmin", "pow": "power"}
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
-    **{op: _called(name) for op, name in _CALLED.items()},
-    **{op: _called(op) for op in _SAME.split()},
     "neg": lambda ca, a: -a,
     "add": lambda ca, a, b: a + b,
     "sub": lambda ca, a, b: a - b,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import runpy
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +13,8 @@ import numpy as np
 
 from asia.data.trajectory import Array
 from asia.export.model import ExportModel, Printed, TrainingWindow
-from asia.export.target import Answers
+from asia.export.target import Answers, missing_package
+from asia.export.targets.indices import slices
 from asia.export.targets.numpy import NumpyTarget
 from asia.lowering.evaluation import evaluate
 from asia.lowering.program import LoweredModel
@@ -87,30 +88,28 @@ response = control.input_output_response(system, t, u.T, x0)
 
     def missing(self) -> str | None:
         """Return a sentence if python-control is not installed."""
-        return (
-            None
-            if importlib.util.find_spec("control")
-            else "pip install '.[export]' in a clone of ASIA"
-        )
+        return missing_package("control")
 
     def print(self, model: ExportModel) -> Printed:
         """Print the files."""
         low = model.lowered
-        names = _names(model)
-        text = _SCRIPT.format(shapes=list(low.states), inputs=names[0], outputs=names[1])
+        # Python-control refuses dots in names, and an output with the name of an input.
+        inputs, outputs = (
+            [s.name.replace(".", "_") for s in side] for side in (model.inputs, model.outputs)
+        )
+        outputs = [f"{name}_out" if name in inputs else name for name in outputs]
+        text = _SCRIPT.format(shapes=list(low.states), inputs=inputs, outputs=outputs)
         found = matrices(low)
         if found is not None:
             a, b, c, d = (m.tolist() for m in found)
             text += _LINEAR.format(
                 a=a, b=b, c=c, d=d, n=len(found[0]), nu=low.nu, ny=low.ny,
-                inputs=names[0], outputs=names[1],
+                inputs=inputs, outputs=outputs,
             )  # fmt: skip
         return Printed({**NumpyTarget().print(model).files, "system.py": text.encode()})
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
         """Simulate with the system's own functions, sample by sample."""
-        import sys
-
         sys.path.insert(0, str(folder))
         before = sys.modules.pop("model", None)
         try:
@@ -138,12 +137,9 @@ def matrices(low: LoweredModel) -> tuple[Array, Array, Array, Array] | None:
         return None
 
     def step(z: Array) -> Array:
-        parts: list[Array] = []
-        place = 0
-        for shape in low.states:
-            parts.append(z[place : place + math.prod(shape)].reshape(shape))
-            place += math.prod(shape)
-        y, *after = evaluate(low.step, [*parts, z[n:]])
+        parts = zip(slices(low.states), low.states, strict=True)
+        states = [z[part].reshape(shape) for part, shape in parts]
+        y, *after = evaluate(low.step, [*states, z[n:]])
         return np.concatenate([*(p.reshape(-1) for p in after), y])
 
     zero = step(np.zeros(n + low.nu))
@@ -154,11 +150,3 @@ def matrices(low: LoweredModel) -> tuple[Array, Array, Array, Array] | None:
         if not np.allclose(step(z), zero + slopes @ z, rtol=1e-9, atol=1e-9):
             return None
     return slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
-
-
-def _names(model: ExportModel) -> tuple[list[str], list[str]]:
-    """Signal names without dots, as python-control requires."""
-    inputs, outputs = (
-        [s.name.replace(".", "_") for s in side] for side in (model.inputs, model.outputs)
-    )
-    return inputs, [f"{n}_out" if n in inputs else n for n in outputs]

@@ -6,7 +6,6 @@ import importlib.util
 import io
 import platform
 import re
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,181 +22,10 @@ from asia.data.trajectory import Array
 from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed, TrainingWindow
 from asia.export.target import Answers
-from asia.export.targets.c import c_compiler, c_source, header
+from asia.export.targets.c import c_compiler, c_source, compile_c, header, template
 
-# Functions of the FMI standard around the printed C, for each version.
-
-
-_COMMON = r"""/* FMI @VERSION@.0 co-simulation around model.c. */
-#include "model.h"
-#include <math.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
-
-#if defined _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
-
-#define PAST_U (ASIA_PAST_INPUTS * ASIA_INPUTS)
-#define PAST_Y (ASIA_PAST_OUTPUTS * ASIA_OUTPUTS)
-#define VALUES (ASIA_INPUTS + ASIA_OUTPUTS + PAST_U + PAST_Y)
-
-enum { OK = 0, ERROR = 3 };
-
-/* References count from 1: inputs, outputs, past inputs, past outputs. */
-typedef struct {
-    asia_state x;
-    asia_real v[VALUES];
-    double time;
-    int started;
-} unit;
-
-static void reset(unit *m)
-{
-    static const double start[VALUES] = {
-        @STARTS@
-    };
-    int i;
-    memset(m, 0, sizeof *m);
-    for (i = 0; i < VALUES; ++i)
-        m->v[i] = (asia_real)start[i];
-}
-
-static int get(const unit *m, const uint32_t *refs, size_t n, double *values)
-{
-    size_t i;
-    for (i = 0; i < n; ++i) {
-        if (refs[i] > VALUES)
-            return ERROR;
-        values[i] = refs[i] == 0 ? m->time : (double)m->v[refs[i] - 1];
-    }
-    return OK;
-}
-
-static int set(unit *m, const uint32_t *refs, size_t n, const double *values)
-{
-    size_t i;
-    for (i = 0; i < n; ++i) {
-        if (refs[i] == 0 || refs[i] > VALUES)
-            return ERROR;
-        m->v[refs[i] - 1] = (asia_real)values[i];
-    }
-    return OK;
-}
-
-static int advance(unit *m, double now, double step)
-{
-    const asia_real *past = m->v + ASIA_INPUTS + ASIA_OUTPUTS;
-    if (!(fabs(step - ASIA_SAMPLING_TIME) <= 1e-6 * ASIA_SAMPLING_TIME))
-        return ERROR;
-    if (!m->started) {
-        asia_init(&m->x, past, past + PAST_U, m->v);
-        m->started = 1;
-    }
-    /* The output of this sample, before the states move. */
-    asia_step(&m->x, m->v, m->v + ASIA_INPUTS);
-    m->time = now + step;
-    return OK;
-}
-
-static unit *created(const char *token)
-{
-    unit *m = NULL;
-    if (token == NULL || strcmp(token, "@TOKEN@") == 0)
-        m = malloc(sizeof *m);
-    if (m != NULL)
-        reset(m);
-    return m;
-}
-"""
-
-# Functions as "name(arguments) | body"; m is the unit.
-_TWO = """
-typedef void *P; typedef const char *S; typedef int I; typedef const uint32_t *R; typedef size_t N;
-S fmi2GetTypesPlatform(void) | return "default";
-S fmi2GetVersion(void) | return "2.0";
-I fmi2SetDebugLogging(P m, I on, N n, const S *c) | return OK;
-P fmi2Instantiate(S name, I kind, S token, S place, const P calls, I shown, I on) | return kind == 1 ? created(token) : NULL;
-void fmi2FreeInstance(P m) | free(m);
-I fmi2SetupExperiment(P m, I d, double tol, double t, I e, double end) | ((unit *)m)->time = t; return OK;
-I fmi2EnterInitializationMode(P m) | return OK;
-I fmi2ExitInitializationMode(P m) | return OK;
-I fmi2Terminate(P m) | return OK;
-I fmi2Reset(P m) | reset(m); return OK;
-I fmi2GetReal(P m, R r, N n, double *v) | return get(m, r, n, v);
-I fmi2SetReal(P m, R r, N n, const double *v) | return set(m, r, n, v);
-I fmi2GetInteger(P m, R r, N n, int *v) | return n ? ERROR : OK;
-I fmi2GetBoolean(P m, R r, N n, int *v) | return n ? ERROR : OK;
-I fmi2GetString(P m, R r, N n, S *v) | return n ? ERROR : OK;
-I fmi2SetInteger(P m, R r, N n, const int *v) | return n ? ERROR : OK;
-I fmi2SetBoolean(P m, R r, N n, const int *v) | return n ? ERROR : OK;
-I fmi2SetString(P m, R r, N n, const S *v) | return n ? ERROR : OK;
-I fmi2GetFMUstate(P m, P *s) | return ERROR;
-I fmi2SetFMUstate(P m, P s) | return ERROR;
-I fmi2FreeFMUstate(P m, P *s) | return ERROR;
-I fmi2SerializedFMUstateSize(P m, P s, N *n) | return ERROR;
-I fmi2SerializeFMUstate(P m, P s, char *b, N n) | return ERROR;
-I fmi2DeSerializeFMUstate(P m, const char *b, N n, P *s) | return ERROR;
-I fmi2GetDirectionalDerivative(P m, R a, N n, R b, N k, const double *d, double *v) | return ERROR;
-I fmi2SetRealInputDerivatives(P m, R r, N n, const int *o, const double *v) | return ERROR;
-I fmi2GetRealOutputDerivatives(P m, R r, N n, const int *o, double *v) | return ERROR;
-I fmi2DoStep(P m, double t, double h, I d) | return advance(m, t, h);
-I fmi2CancelStep(P m) | return ERROR;
-I fmi2GetStatus(P m, I k, I *v) | return ERROR;
-I fmi2GetRealStatus(P m, I k, double *v) | return ERROR;
-I fmi2GetIntegerStatus(P m, I k, int *v) | return ERROR;
-I fmi2GetBooleanStatus(P m, I k, int *v) | return ERROR;
-I fmi2GetStringStatus(P m, I k, S *v) | return ERROR;
-"""  # noqa: E501
-_THREE = """
-typedef void *P; typedef const char *S; typedef int I; typedef const uint32_t *R; typedef size_t N; typedef _Bool B;
-S fmi3GetVersion(void) | return "3.0";
-I fmi3SetDebugLogging(P m, B on, N n, const S *c) | return OK;
-P fmi3InstantiateModelExchange(S name, S token, S place, B shown, B on, P env, P log) | return NULL;
-P fmi3InstantiateCoSimulation(S name, S token, S place, B shown, B on, B ev, B early, R r, N n, P env, P log, P mid) | return created(token);
-P fmi3InstantiateScheduledExecution(S name, S token, S place, B shown, B on, P env, P log, P a, P b, P c) | return NULL;
-void fmi3FreeInstance(P m) | free(m);
-I fmi3EnterInitializationMode(P m, B d, double tol, double t, B e, double end) | ((unit *)m)->time = t; return OK;
-I fmi3ExitInitializationMode(P m) | return OK;
-I fmi3EnterEventMode(P m) | return ERROR;
-I fmi3Terminate(P m) | return OK;
-I fmi3Reset(P m) | reset(m); return OK;
-I fmi3GetFloat64(P m, R r, N n, double *v, N k) | return k == n ? get(m, r, n, v) : ERROR;
-I fmi3SetFloat64(P m, R r, N n, const double *v, N k) | return k == n ? set(m, r, n, v) : ERROR;
-I fmi3EnterStepMode(P m) | return OK;
-I fmi3EnterConfigurationMode(P m) | return ERROR;
-I fmi3ExitConfigurationMode(P m) | return ERROR;
-I fmi3GetFMUState(P m, P *s) | return ERROR;
-I fmi3SetFMUState(P m, P s) | return ERROR;
-I fmi3FreeFMUState(P m, P *s) | return ERROR;
-I fmi3SerializedFMUStateSize(P m, P s, N *n) | return ERROR;
-I fmi3SerializeFMUState(P m, P s, uint8_t *b, N n) | return ERROR;
-I fmi3DeserializeFMUState(P m, const uint8_t *b, N n, P *s) | return ERROR;
-I fmi3GetNumberOfVariableDependencies(P m, uint32_t r, N *n) | return ERROR;
-I fmi3GetVariableDependencies(P m, uint32_t r, N *a, uint32_t *b, N *c, I *d, N n) | return ERROR;
-I fmi3GetDirectionalDerivative(P m, R a, N n, R b, N k, const double *s, N ns, double *v, N nv) | return ERROR;
-I fmi3GetAdjointDerivative(P m, R a, N n, R b, N k, const double *s, N ns, double *v, N nv) | return ERROR;
-I fmi3EvaluateDiscreteStates(P m) | return OK;
-I fmi3UpdateDiscreteStates(P m, B *a, B *b, B *c, B *d, B *e, double *f) | return ERROR;
-I fmi3EnterContinuousTimeMode(P m) | return ERROR;
-I fmi3CompletedIntegratorStep(P m, B a, B *b, B *c) | return ERROR;
-I fmi3SetTime(P m, double t) | return ERROR;
-I fmi3SetContinuousStates(P m, const double *v, N n) | return ERROR;
-I fmi3GetContinuousStateDerivatives(P m, double *v, N n) | return ERROR;
-I fmi3GetEventIndicators(P m, double *v, N n) | return ERROR;
-I fmi3GetContinuousStates(P m, double *v, N n) | return ERROR;
-I fmi3GetNominalsOfContinuousStates(P m, double *v, N n) | return ERROR;
-I fmi3GetNumberOfEventIndicators(P m, N *n) | return ERROR;
-I fmi3GetNumberOfContinuousStates(P m, N *n) | return ERROR;
-I fmi3GetOutputDerivatives(P m, R r, N n, const int32_t *o, double *v, N k) | return ERROR;
-I fmi3DoStep(P m, double t, double h, B d, B *ev, B *end, B *early, double *last) | *ev = 0; *end = 0; *early = 0; *last = t + h; return advance(m, t, h);
-I fmi3ActivateModelPartition(P m, uint32_t c, double t) | return ERROR;
-"""  # noqa: E501
-_KINDS = "Float32 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Boolean String"
+# Functions of the FMI standard around the printed C, for each version. The tables `fmi2.txt` and
+# `fmi3.txt` have a row "name(arguments) | body" for each; m is the unit.
 
 
 def shell(values: Sequence[float], version: int, token: str) -> str:
@@ -208,10 +36,9 @@ def shell(values: Sequence[float], version: int, token: str) -> str:
         version: FMI version, 2 or 3.
         token: instantiation token of the unit.
     """
-    starts = [repr(value) for value in values]
-    text = _COMMON.replace("@STARTS@", ",\n        ".join(starts)).replace("@TOKEN@", token)
-    lines = [text.replace("@VERSION@", str(version))]
-    for line in (_TWO if version == 2 else _THREE).strip().splitlines():
+    starts = ",\n        ".join(map(repr, values))
+    lines = [template("fmi.c", STARTS=starts, TOKEN=token, VERSION=version)]
+    for line in template(f"fmi{version}.txt").splitlines():
         head, _, body = line.partition(" | ")
         lines.append(_function(head, body) if body else line)
     if version == 3:
@@ -228,18 +55,21 @@ def _function(head: str, body: str) -> str:
 
 def _others() -> list[tuple[str, str]]:
     """Getters and setters of the types that the model does not have."""
+    kinds = "Float32 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Boolean String Binary Clock"
+    sizes = {"Binary": "P m, R r, N n, N *s, P v, N k", "Clock": "P m, R r, N n, B *v"}
     rows: list[tuple[str, str]] = []
-    for kind in (*_KINDS.split(), "Binary", "Clock"):
-        sizes = {"Binary": "P m, R r, N n, N *s, P v, N k", "Clock": "P m, R r, N n, B *v"}
+    for kind in kinds.split():
         arguments = sizes.get(kind, "P m, R r, N n, P v, N k")
         for way in ("Get", "Set"):
             rows.append((f"I fmi3{way}{kind}({arguments})", "return n ? ERROR : OK;"))
-    for way in ("GetIntervalDecimal", "GetIntervalFraction", "GetShiftDecimal"):
-        rows.append((f"I fmi3{way}(P m, R r, N n, P a, P b)", "return ERROR;"))
-    for way in ("GetShiftFraction", "SetIntervalFraction", "SetShiftFraction"):
-        rows.append((f"I fmi3{way}(P m, R r, N n, P a, P b)", "return ERROR;"))
-    for way in ("SetIntervalDecimal", "SetShiftDecimal"):
-        rows.append((f"I fmi3{way}(P m, R r, N n, P a)", "return ERROR;"))
+    for way in (
+        "GetIntervalDecimal", "GetIntervalFraction", "GetShiftDecimal", "GetShiftFraction",
+        "SetIntervalFraction", "SetShiftFraction", "SetIntervalDecimal", "SetShiftDecimal",
+    ):  # fmt: skip
+        arguments = "P m, R r, N n, P a"
+        if way not in ("SetIntervalDecimal", "SetShiftDecimal"):
+            arguments += ", P b"
+        rows.append((f"I fmi3{way}({arguments})", "return ERROR;"))
     return rows
 
 
@@ -272,6 +102,7 @@ platform they were made on."""
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
         """Validate the units and simulate them with fmpy."""
+        from fmpy import extract, read_model_description
         from fmpy.validation import validate_fmu
 
         found: list[Answers] = []
@@ -280,20 +111,14 @@ platform they were made on."""
             problems = validate_fmu(str(path))
             if problems:
                 raise InternalError(f"the printed FMU is not valid: {problems[0]}")
-            found.append(_answers(path, version, windows))
+            described: Any = read_model_description(str(path))
+            with tempfile.TemporaryDirectory(prefix="asia-fmu-") as made:
+                extract(str(path), unzipdir=made)
+                begin = time.perf_counter()
+                y_hat = tuple(_simulated(described, made, version, w) for w in windows)
+                seconds = time.perf_counter() - begin
+            found.append(Answers(f"FMI {version}.0", y_hat, seconds))
         return found
-
-
-def _answers(path: Path, version: int, windows: Sequence[TrainingWindow]) -> Answers:
-    from fmpy import extract, read_model_description
-
-    described: Any = read_model_description(str(path))
-    with tempfile.TemporaryDirectory(prefix="asia-fmu-") as made:
-        extract(str(path), unzipdir=made)
-        begin = time.perf_counter()
-        y_hat = tuple(_simulated(described, made, version, w) for w in windows)
-        seconds = time.perf_counter() - begin
-    return Answers(f"FMI {version}.0", y_hat, seconds)
 
 
 def _simulated(described: Any, folder: str, version: int, window: TrainingWindow) -> Array:
@@ -340,7 +165,17 @@ def _unit(model: ExportModel, version: int) -> bytes:
         "model.h": header(model),
         "fmi.c": shell([v[3] or 0.0 for v in variables(model)], version, token),
     }
-    place, ending = _platform(version)
+    system, ending = ("darwin", ".dylib") if sys.platform == "darwin" else ("linux", ".so")
+    arm = platform.machine().lower() in ("arm64", "aarch64")
+    place = f"{system}64" if version == 2 else f"{'aarch64' if arm else 'x86_64'}-{system}"
+    compiler = c_compiler()
+    assert compiler is not None
+    with tempfile.TemporaryDirectory(prefix="asia-fmu-") as made:
+        for name, text in files.items():
+            (Path(made) / name).write_text(text)
+        words = ["-std=c99", "-O2", "-fPIC", "-shared", "model.c", "fmi.c", "-o", "unit.so", "-lm"]
+        compile_c(compiler, words, Path(made), "FMU")
+        binary = (Path(made) / "unit.so").read_bytes()
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
 
@@ -354,46 +189,9 @@ def _unit(model: ExportModel, version: int) -> bytes:
         for name, text in files.items():
             put(f"sources/{name}", text.encode())
         if version == 3:
-            put("sources/buildDescription.xml", _BUILD.encode())
-        put(f"binaries/{place}/asia_model{ending}", _binary(files))
+            put("sources/buildDescription.xml", template("buildDescription.xml").encode())
+        put(f"binaries/{place}/asia_model{ending}", binary)
     return packed.getvalue()
-
-
-def _binary(files: dict[str, str]) -> bytes:
-    compiler = c_compiler()
-    assert compiler is not None
-    with tempfile.TemporaryDirectory(prefix="asia-fmu-") as made:
-        for name, text in files.items():
-            (Path(made) / name).write_text(text)
-        command = [compiler, "-std=c99", "-O2", "-fPIC", "-shared", "model.c", "fmi.c"]
-        command += ["-o", "unit.so", "-lm"]
-        done = subprocess.run(
-            command, cwd=made, capture_output=True, text=True, check=False, timeout=300
-        )
-        if done.returncode != 0:
-            raise InternalError(f"the printed FMU does not compile: {done.stderr[:1000]}")
-        return (Path(made) / "unit.so").read_bytes()
-
-
-def _platform(version: int) -> tuple[str, str]:
-    arm = platform.machine().lower() in ("arm64", "aarch64")
-    if sys.platform == "darwin":
-        return (
-            "darwin64" if version == 2 else ("aarch64" if arm else "x86_64") + "-darwin"
-        ), ".dylib"
-    return ("linux64" if version == 2 else ("aarch64" if arm else "x86_64") + "-linux"), ".so"
-
-
-_BUILD = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiBuildDescription fmiVersion="3.0">
-  <BuildConfiguration modelIdentifier="asia_model">
-    <SourceFileSet language="C99">
-      <SourceFile name="model.c"/>
-      <SourceFile name="fmi.c"/>
-    </SourceFileSet>
-  </BuildConfiguration>
-</fmiBuildDescription>
-"""
 
 
 def variables(model: ExportModel) -> list[tuple[str, str, str, float | None]]:
@@ -424,7 +222,18 @@ def _description(model: ExportModel, version: int, token: str) -> str:
     step = repr(model.sampling_time)
     title = quoteattr(f"{model.use} of run {model.name}")
     names = f'modelName={quoteattr(model.problem)} description={title} generationTool="ASIA"'
-    listed = "\n".join(_variable(i, row, version) for i, row in enumerate(rows, 1))
+    listed = ""
+    for reference, (name, causality, unit, start) in enumerate(rows, 1):
+        varies = "fixed" if causality == "parameter" else "continuous"
+        value = "" if start is None else f' start="{start!r}"'
+        attributes = (
+            f'name={quoteattr(name)} valueReference="{reference}" causality="{causality}" '
+            f'variability="{varies}" description={quoteattr(unit)}'
+        )
+        if version == 3:
+            listed += f"\n<Float64 {attributes}{value}/>"
+        else:
+            listed += f"\n<ScalarVariable {attributes}><Real{value}/></ScalarVariable>"
     experiment = f'<DefaultExperiment startTime="0.0" stepSize="{step}"/>'
     if version == 2:
         ends = "".join(f'<Unknown index="{i}"/>' for i in outputs)
@@ -434,8 +243,7 @@ def _description(model: ExportModel, version: int, token: str) -> str:
 <SourceFiles><File name="model.c"/><File name="fmi.c"/></SourceFiles>
 </CoSimulation>
 {experiment}
-<ModelVariables>
-{listed}
+<ModelVariables>{listed}
 </ModelVariables>
 <ModelStructure><Outputs>{ends}</Outputs><InitialUnknowns>{ends}</InitialUnknowns></ModelStructure>
 </fmiModelDescription>
@@ -448,20 +256,8 @@ def _description(model: ExportModel, version: int, token: str) -> str:
 fixedInternalStepSize="{step}"/>
 {experiment}
 <ModelVariables>
-<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>
-{listed}
+<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>{listed}
 </ModelVariables>
 <ModelStructure>{ends}{starts}</ModelStructure>
 </fmiModelDescription>
 """
-
-
-def _variable(reference: int, row: tuple[str, str, str, float | None], version: int) -> str:
-    name, causality, unit, start = row
-    varies = {"parameter": "fixed"}.get(causality, "continuous")
-    attributes = f'name={quoteattr(name)} valueReference="{reference}" causality="{causality}" '
-    attributes += f'variability="{varies}" description={quoteattr(unit)}'
-    value = "" if start is None else f' start="{start!r}"'
-    if version == 3:
-        return f"<Float64 {attributes}{value}/>"
-    return f"<ScalarVariable {attributes}><Real{value}/></ScalarVariable>"

@@ -19,7 +19,14 @@ import numpy as np
 from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed, TrainingWindow
 from asia.export.target import Answers
-from asia.export.targets.c import kept_axes, source_places
+from asia.export.targets.indices import (
+    inside_places,
+    joined_places,
+    reduced_places,
+    slices,
+    source_places,
+    values_of,
+)
 from asia.lowering.program import Node, Program, Shape
 
 _INFIX = {"add": "+", "sub": "-", "mul": ".*", "div": "./", "pow": ".^"}
@@ -75,7 +82,7 @@ block or import the target fmu."""
         """Print the files."""
         low, numbers = model.lowered, dict[str, Any]()
         window = ["reshape(past_u.', [], 1)", "reshape(past_y.', [], 1)", "u(:)"]
-        states = _states(low.states)
+        states = [f"x({part.start + 1}:{part.stop})" for part in slices(low.states)]
         files = {
             "asia_initial": ("x", "past_u, past_y, u", low.initial, window),
             "asia_output": ("y", "x, u", low.output, [*states, "u(:)"]),
@@ -100,7 +107,11 @@ block or import the target fmu."""
         with tempfile.TemporaryDirectory(prefix="asia-octave-") as made:
             given, found, trial = (Path(made) / n for n in ("given.mat", "found.mat", "trial.m"))
             sides = ("past_u", "past_y", "u")
-            given.write_bytes(_mat({s: _cells([getattr(w, s) for w in windows]) for s in sides}))
+            cells = {side: np.empty(len(windows), object) for side in sides}
+            for side, cell in cells.items():
+                for k, window in enumerate(windows):
+                    cell[k] = getattr(window, side)
+            given.write_bytes(_mat(cells))
             trial.write_text(_TRIAL.format(folder=folder, given=given, found=found))
             done = subprocess.run(
                 [octave, "--no-gui", "--norc", str(trial)],
@@ -113,13 +124,6 @@ block or import the target fmu."""
         return [Answers("double", y_hat, float(np.squeeze(kept["seconds"])))]
 
 
-def _cells(arrays: Sequence[Any]) -> Any:
-    cells = np.empty(len(arrays), object)
-    for i, array in enumerate(arrays):
-        cells[i] = array
-    return cells
-
-
 def _mat(values: dict[str, Any]) -> bytes:
     from scipy.io import savemat
 
@@ -129,16 +133,6 @@ def _mat(values: dict[str, Any]) -> bytes:
     data = bytearray(written.getvalue())
     data[:116] = b"MATLAB 5.0 MAT-file".ljust(116)
     return bytes(data)
-
-
-def _states(shapes: Sequence[Shape]) -> list[str]:
-    found: list[str] = []
-    start = 0
-    for shape in shapes:
-        size = math.prod(shape)
-        found.append(f"x({start + 1}:{start + size})")
-        start += size
-    return found
 
 
 def _function(
@@ -172,25 +166,19 @@ class _MatlabBody:
 
     def run(self, program: Program, inputs: Sequence[str]) -> list[str]:
         """Print a program and return the names of its outputs."""
-        shapes = program.shapes
-        values: list[Any] = [*inputs, *(self._constant(c) for c in program.constants)]
-        for node in program.nodes:
-            read = [values[i] for i in node.operands]
-            if node.op == "loop":
-                values.append(self._loop(node, read, [shapes[i] for i in node.operands]))
-            elif node.op == "part":
-                values.append(read[0][node.attrs[0]])
-            elif node.op == "reshape":
-                values.append(read[0])
-            else:
-                text = self._text(node, read, [shapes[i] for i in node.operands])
-                values.append(self._named(text))
-        return [values[i] for i in program.outputs]
+
+        def value(node: Node, read: list[str], shapes: list[Shape]) -> str:
+            return read[0] if node.op == "reshape" else self._named(self._text(node, read, shapes))
+
+        return values_of(program, inputs, self._constant, value, self._loop)
 
     def _named(self, text: str) -> str:
         self._count += 1
-        self.lines.append(f"{self._indent}v{self._count} = {text};")
+        self._line(f"v{self._count} = {text};")
         return f"v{self._count}"
+
+    def _line(self, text: str) -> None:
+        self.lines.append(self._indent + text)
 
     def _constant(self, array: Any) -> str:
         if array.size == 1:
@@ -228,66 +216,46 @@ class _MatlabBody:
         if op == "isfinite":
             return f"double(isfinite({read[0]}))"
         if op == "select":
-            return self._chosen(read, shapes, math.prod(node.shape))
+            count = math.prod(node.shape)
+            which, yes, no = (
+                text if shape else f"repmat({text}, {count}, 1)"
+                for text, shape in zip(read, shapes, strict=True)
+            )
+            name, which, other = self._named(no), self._named(which), self._named(yes)
+            self._line(f"{name}({which} ~= 0) = {other}({which} ~= 0);")
+            return name
         if op == "broadcast" and not shapes[0]:
             return f"repmat({read[0]}, {math.prod(node.shape)}, 1)"
         if op == "matmul":
-            return self._product(read, shapes, node.shape)
+            (*_, m, k), n = shapes[0], node.shape[-1]
+            left, right = (self._value(r) for r in read)
+            parts: list[str] = []
+            for b in range(math.prod(node.shape[:-2])):
+                one = f"reshape({left}({b * m * k + 1}:{(b + 1) * m * k}), {k}, {m})"
+                two = f"reshape({right}({b * k * n + 1}:{(b + 1) * k * n}), {n}, {k})"
+                parts.append(f"reshape({two} * {one}, [], 1)")
+            return parts[0] if len(parts) == 1 else f"[{'; '.join(parts)}]"
         if op == "concat":
-            return self._joined(read, shapes, node)
+            order, together = joined_places(node, shapes), f"[{'; '.join(read)}]"
+            if (order == np.arange(len(order))).all():
+                return together
+            return f"{self._named(together)}({self._places(order)}, 1)"
         if op == "pad":
-            count = math.prod(node.shape)
-            inside = tuple(slice(node.attrs[a], node.attrs[a] + n) for a, n in enumerate(shapes[0]))
-            places = np.arange(count).reshape(node.shape)[inside]
-            name = self._named(f"repmat({read[1]}, {count}, 1)")
-            self.lines.append(f"{self._indent}{name}({self._places(places)}) = {read[0]};")
+            name = self._named(f"repmat({read[1]}, {math.prod(node.shape)}, 1)")
+            places = self._places(inside_places(node, shapes[0]))
+            self._line(f"{name}({places}) = {read[0]};")
             return name
         if op in ("slice", "transpose", "pick", "broadcast"):
             return f"{self._value(read[0])}({self._places(source_places(node, shapes[0]))}, 1)"
         if op in _REDUCED:
-            order = [*kept_axes(shapes[0], node.attrs), *node.attrs]
-            places = np.arange(math.prod(shapes[0])).reshape(shapes[0]).transpose(order)
-            rows = max(math.prod(node.shape), 1)
+            places = reduced_places(node, shapes[0])
             picked = f"{self._value(read[0])}({self._places(places)})"
-            return _REDUCED[op].format(f"reshape({picked}, [], {rows}).'")
+            return _REDUCED[op].format(f"reshape({picked}, [], {len(places)}).'")
         return f"{op}({', '.join(read)})"
 
     def _value(self, text: str) -> str:
         """Name of a value, so that it can be indexed."""
         return text if text.isidentifier() else self._named(text)
-
-    def _chosen(self, read: list[str], shapes: list[Shape], count: int) -> str:
-        yes, no = (
-            text if shape else f"repmat({text}, {count}, 1)"
-            for text, shape in zip(read[1:], shapes[1:], strict=True)
-        )
-        name = self._named(no)
-        which = self._named(f"repmat({read[0]}, {count}, 1)" if not shapes[0] else read[0])
-        other = self._named(yes)
-        self.lines.append(f"{self._indent}{name}({which} ~= 0) = {other}({which} ~= 0);")
-        return name
-
-    def _product(self, read: list[str], shapes: list[Shape], shape: Shape) -> str:
-        (*_, m, k), n = shapes[0], shape[-1]
-        left, right = (self._value(r) for r in read)
-        parts: list[str] = []
-        for b in range(math.prod(shape[:-2])):
-            one = f"reshape({left}({b * m * k + 1}:{(b + 1) * m * k}), {k}, {m})"
-            two = f"reshape({right}({b * k * n + 1}:{(b + 1) * k * n}), {n}, {k})"
-            parts.append(f"reshape({two} * {one}, [], 1)")
-        return parts[0] if len(parts) == 1 else f"[{'; '.join(parts)}]"
-
-    def _joined(self, read: list[str], shapes: list[Shape], node: Node) -> str:
-        start, places = 0, list[Any]()
-        for shape in shapes:
-            size = math.prod(shape)
-            places.append(start + np.arange(size).reshape(shape))
-            start += size
-        order = np.concatenate(places, axis=node.attrs[0]).reshape(-1)
-        together = f"[{'; '.join(read)}]"
-        if (order == np.arange(start)).all():
-            return together
-        return f"{self._named(together)}({self._places(order)}, 1)"
 
     def _loop(self, node: Node, read: list[str], shapes: list[Shape]) -> list[str]:
         assert node.body is not None
@@ -298,20 +266,20 @@ class _MatlabBody:
         rows = [self._value(r) for r in read[same + carried :]]
         self._count += 1
         index = f"n{self._count}"
-        self.lines.append(f"{self._indent}for {index} = 1:{length}")
+        self._line(f"for {index} = 1:{length}")
         self._indent += "    "
         sizes = [math.prod(s[1:]) for s in shapes[same + carried :]]
         now = [
             self._named(f"{r}(({index} - 1) * {n} + (1:{n}), 1)")
             for r, n in zip(rows, sizes, strict=True)
         ]
-        found = node.body and self.run(node.body, [*read[:same], *carry, *now])
+        found = self.run(node.body, [*read[:same], *carry, *now])
         for place, value, shape in zip(stacked, found[carried:], ends, strict=True):
             n = math.prod(shape)
-            self.lines.append(f"{self._indent}{place}(({index} - 1) * {n} + (1:{n}), 1) = {value};")
+            self._line(f"{place}(({index} - 1) * {n} + (1:{n}), 1) = {value};")
         after = [self._named(value) for value in found[:carried]]
         for place, value in zip(carry, after, strict=True):
-            self.lines.append(f"{self._indent}{place} = {value};")
+            self._line(f"{place} = {value};")
         self._indent = self._indent[:-4]
-        self.lines.append(f"{self._indent}end")
+        self._line("end")
         return [*carry, *stacked]

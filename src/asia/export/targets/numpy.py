@@ -7,9 +7,9 @@ import re
 import runpy
 import textwrap
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from asia.data.trajectory import Array
 from asia.export.model import ExportModel, Printed, TrainingWindow
@@ -60,27 +60,19 @@ Sample by sample: `x = initial(past_u, past_y, u)`, then `y = output(x, u)` and
 
 
 def _source(model: ExportModel) -> str:
-    low = model.lowered
-    writer = _Constants()
-    states = ", ".join(f"x{i}" for i in range(len(low.states)))
-    taken = f"    {states}{',' if len(low.states) == 1 else ''} = x" if states else ""
+    low, writer = model.lowered, _Constants()
+    states = [f"x{i}" for i in range(len(low.states))]
+    first = [f"    {', '.join(states)}{',' if len(states) == 1 else ''} = x"] if states else []
+    window, inputs = ["past_u", "past_y", "u"], [*states, "u"]
     parts = [
-        _function("initial(past_u, past_y, u)", low.initial, ["past_u", "past_y", "u"], writer, ""),
-        _function("output(x, u)", low.output, _names(low.output, states), writer, taken),
-        _function("update(x, u)", low.update, _names(low.update, states), writer, taken),
-        _function("step(x, u)", low.step, _names(low.step, states), writer, taken),
+        _function("initial(past_u, past_y, u)", low.initial, window, writer, []),
+        _function("output(x, u)", low.output, inputs, writer, first),
+        _function("update(x, u)", low.update, inputs, writer, first),
+        _function("step(x, u)", low.step, inputs, writer, first),
     ]
     return "\n".join([_head(model), *writer.lines, "", *parts, _SIMULATE])
 
 
-def _names(program: Program, states: str) -> list[str]:
-    del program
-    return [*(states.split(", ") if states else []), "u"]
-
-
-_DOC = {
-    "initial": "The state before the first sample: past_u ({nu}), past_y ({ny}), its input u.",
-}
 _SIMULATE = '''
 def simulate(past_u, past_y, u):
     """Open loop, physical units: past_u (n_past_u, nu), past_y (n_past_y, ny), u (H, nu)."""
@@ -147,18 +139,18 @@ def _number(value: float) -> str:
 
 
 def _function(
-    head: str, program: Program, inputs: Sequence[str], constants: _Constants, first: str
+    head: str, program: Program, inputs: Sequence[str], constants: _Constants, first: list[str]
 ) -> str:
     body = _Body(constants)
     results = body.write(program, list(inputs), "    ")
-    what = head.partition("(")[0]
-    if what == "output":
+    name = head.partition("(")[0]
+    if name == "output":
         end = f"    return {results[0]}"
-    elif what == "step":
+    elif name == "step":
         end = f"    return {results[0]}, ({_tuple(results[1:])})"
     else:
         end = f"    return ({_tuple(results)})"
-    lines = [f"def {head}:", *([first] if first else []), *body.lines, end]
+    lines = [f"def {head}:", *first, *body.lines, end]
     return "\n".join(lines) + "\n\n"
 
 
@@ -176,12 +168,8 @@ class _Body:
 
     def write(self, program: Program, inputs: list[str], indent: str) -> list[str]:
         names = [*inputs, *(self._constants.of(c) for c in program.constants)]
-        uses = [0] * (program.first_node + len(program.nodes))
-        for node in program.nodes:
-            for i in node.operands:
-                uses[i] += 1
-        for i in program.outputs:
-            uses[i] += 1
+        uses = Counter(i for node in program.nodes for i in node.operands)
+        uses.update(program.outputs)
         for place, node in enumerate(program.nodes, program.first_node):
             read = [names[i] for i in node.operands]
             if node.op == "loop":
@@ -224,55 +212,43 @@ class _Body:
 
 
 def _expression(node: Node, read: list[str]) -> str:
-    op, a = node.op, node.attrs
+    op, a, x = node.op, node.attrs, read[0]
     if op in _SYMBOLS:
-        return f"({read[0]} {_SYMBOLS[op]} {read[1]})"
+        return f"({x} {_SYMBOLS[op]} {read[1]})"
     if op in _COMPARED:
-        return f"(({read[0]} {_COMPARED[op]} {read[1]}) * 1.0)"
-    if op in _OWN:
-        return _OWN[op](a, read)
+        return f"(({x} {_COMPARED[op]} {read[1]}) * 1.0)"
     if op in _REDUCED:
-        return f"{read[0]}.{_REDUCED[op]}(axis={tuple(a)})"
-    if op == "isfinite":
-        return f"(np.isfinite({read[0]}) * 1.0)"
-    return f"np.{_NAMES.get(op, op)}({', '.join(read)})"
-
-
-def _broadcast(a: Sequence[int], read: list[str]) -> str:
-    wide, axes = tuple(a[1 : 1 + a[0]]), a[1 + a[0] :]
-    if not axes:
-        return f"np.full({wide}, {read[0]})"
-    places = ", ".join(":" if axis in axes else "None" for axis in range(len(wide)))
-    return f"np.broadcast_to({read[0]}[{places}], {wide})"
-
-
-def _slice(a: Sequence[int], read: list[str]) -> str:
-    rank = len(a) // 3
-    indices: list[str] = []
-    for start, end, step in zip(a[:rank], a[rank : 2 * rank], a[2 * rank :], strict=True):
-        indices.append(f"{start}:{end}" + (f":{step}" if step != 1 else ""))
-    return f"{read[0]}[{', '.join(indices)}]"
-
-
-def _pick(a: Sequence[int], read: list[str]) -> str:
-    wide, places = tuple(a[1 : 1 + a[0]]), list(a[1 + a[0] :])
-    return f"{read[0]}.reshape(-1)[{places}].reshape({wide})"
-
-
-def _pad(a: Sequence[int], read: list[str]) -> str:
-    rank = len(a) // 2
-    counts = [(a[i], a[rank + i]) for i in range(rank)]
-    return f"np.pad({read[0]}, {counts}, constant_values={read[1]})"
-
-
-_OWN: dict[str, Callable[[Any, list[str]], str]] = {
-    "neg": lambda a, r: f"(-{r[0]})",
-    "select": lambda a, r: f"np.where({r[0]}, {r[1]}, {r[2]})",
-    "reshape": lambda a, r: f"np.reshape({r[0]}, {tuple(a)})",
-    "transpose": lambda a, r: f"{r[0]}.transpose({tuple(a)})",
-    "concat": lambda a, r: f"np.concatenate([{', '.join(r)}], axis={a[0]})",
-    "broadcast": _broadcast,
-    "slice": _slice,
-    "pick": _pick,
-    "pad": _pad,
-}
+        return f"{x}.{_REDUCED[op]}(axis={tuple(a)})"
+    match op:
+        case "neg":
+            return f"(-{x})"
+        case "isfinite":
+            return f"(np.isfinite({x}) * 1.0)"
+        case "select":
+            return f"np.where({x}, {read[1]}, {read[2]})"
+        case "reshape":
+            return f"np.reshape({x}, {tuple(a)})"
+        case "transpose":
+            return f"{x}.transpose({tuple(a)})"
+        case "concat":
+            return f"np.concatenate([{', '.join(read)}], axis={a[0]})"
+        case "broadcast":
+            wide, axes = tuple(a[1 : 1 + a[0]]), a[1 + a[0] :]
+            if not axes:
+                return f"np.full({wide}, {x})"
+            places = ", ".join(":" if axis in axes else "None" for axis in range(len(wide)))
+            return f"np.broadcast_to({x}[{places}], {wide})"
+        case "slice":
+            rank = len(a) // 3
+            cuts = zip(a[:rank], a[rank : 2 * rank], a[2 * rank :], strict=True)
+            indices = [f"{i}:{j}" + (f":{step}" if step != 1 else "") for i, j, step in cuts]
+            return f"{x}[{', '.join(indices)}]"
+        case "pick":
+            wide, picked = tuple(a[1 : 1 + a[0]]), list(a[1 + a[0] :])
+            return f"{x}.reshape(-1)[{picked}].reshape({wide})"
+        case "pad":
+            rank = len(a) // 2
+            counts = list(zip(a[:rank], a[rank:], strict=True))
+            return f"np.pad({x}, {counts}, constant_values={read[1]})"
+        case _:
+            return f"np.{_NAMES.get(op, op)}({', '.join(read)})"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,8 +11,8 @@ import numpy as np
 
 from asia.errors import UserError
 from asia.export.model import ExportModel, Printed, TrainingWindow
-from asia.export.target import Answers
-from asia.export.targets.c import source_places
+from asia.export.target import Answers, missing_package
+from asia.export.targets.indices import source_places, values_of
 from asia.lowering.program import LoweredModel, Node, Program, Shape
 
 _OPSET, _IR = 17, 9
@@ -31,7 +29,7 @@ _COMPARED = {
     "ge": "GreaterOrEqual",
     "eq": "Equal",
 }
-_REDUCED = {"rsum": "ReduceSum", "rmax": "ReduceMax", "rmin": "ReduceMin", "rprod": "ReduceProd"}
+_REDUCED = {"rmax": "ReduceMax", "rmin": "ReduceMin", "rprod": "ReduceProd"}
 
 
 class OnnxTarget:
@@ -48,8 +46,7 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
 
     def missing(self) -> str | None:
         """Return a sentence if onnx or onnxruntime is not installed."""
-        found = all(importlib.util.find_spec(n) for n in ("onnx", "onnxruntime"))
-        return None if found else "pip install '.[export]' in a clone of ASIA"
+        return missing_package("onnx", "onnxruntime")
 
     def print(self, model: ExportModel) -> Printed:
         """Print the files.
@@ -61,13 +58,13 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
         states = [f"x{i}" for i in range(len(low.states))]
         after = [f"{x}_next" for x in states]
         window = ["past_u", "past_y", "u"]
-        step = _model("step", low.step, [*states, "u"], ["y", *after], model)
-        files = {
-            "initial.onnx": _model("initial", low.initial, window, states, model),
-            "step.onnx": step,
-            "simulate.onnx": _simulation(low, model),
-        }
-        return Printed(files)
+        return Printed(
+            {
+                "initial.onnx": _model("initial", low.initial, window, states, model),
+                "step.onnx": _model("step", low.step, [*states, "u"], ["y", *after], model),
+                "simulate.onnx": _simulation(low, model),
+            }
+        )
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:
         """Simulate with onnxruntime, a window at a time."""
@@ -116,20 +113,10 @@ class _Graph:
 
     def run(self, program: Program, inputs: Sequence[str]) -> list[str]:
         """Print a program and return the names of its outputs."""
-        shapes = program.shapes
-        values: list[Any] = [*inputs, *(self.constant(c) for c in program.constants)]
-        for node in program.nodes:
-            read = [values[i] for i in node.operands]
-            if node.op == "loop":
-                values.append(self._loop(node, read))
-            elif node.op == "part":
-                values.append(read[0][node.attrs[0]])
-            else:
-                values.append(self._value(node, read, [shapes[i] for i in node.operands]))
-        return [values[i] for i in program.outputs]
+        return values_of(program, inputs, self.constant, self._value, self._loop)
 
-    def reshaped(self, value: str, shape: Shape) -> str:
-        return self.add("Reshape", value, self.constant(np.array(shape, np.int64)))
+    def _integers(self, values: Sequence[int]) -> str:
+        return self.constant(np.array(values, np.int64))
 
     def _value(self, node: Node, read: list[str], shapes: list[Shape]) -> str:
         op, a = node.op, node.attrs
@@ -144,21 +131,27 @@ class _Graph:
             zero = self.add("Equal", read[0], self.constant(np.float64(0.0)))
             return self.add("Where", zero, read[2], read[1])
         if op in ("log1p", "expm1", "sinh", "cosh"):
-            return self._composed(op, read[0])
+            one, half = self.constant(np.float64(1.0)), self.constant(np.float64(0.5))
+            if op == "log1p":
+                return self.add("Log", self.add("Add", one, read[0]))
+            if op == "expm1":
+                return self.add("Sub", self.add("Exp", read[0]), one)
+            up, down = self.add("Exp", read[0]), self.add("Exp", self.add("Neg", read[0]))
+            return self.add("Mul", half, self.add("Sub" if op == "sinh" else "Add", up, down))
         if op == "reshape":
-            return self.reshaped(read[0], node.shape)
+            return self.add("Reshape", read[0], self._integers(node.shape))
         if op == "concat":
             return self.add("Concat", *read, axis=a[0])
         if op == "pad":
-            return self.add("Pad", read[0], self.constant(np.array(a, np.int64)), read[1])
+            return self.add("Pad", read[0], self._integers(a), read[1])
         if op == "rsum":
-            return self.add("ReduceSum", read[0], self.constant(np.array(a, np.int64)), keepdims=0)
+            return self.add("ReduceSum", read[0], self._integers(a), keepdims=0)
         if op in _REDUCED:
             return self.add(_REDUCED[op], read[0], axes=list(a), keepdims=0)
         if op == "broadcast" and not shapes[0]:
-            return self.add("Expand", read[0], self.constant(np.array(node.shape, np.int64)))
+            return self.add("Expand", read[0], self._integers(node.shape))
         if op in ("broadcast", "slice", "transpose", "pick"):
-            flat = self.reshaped(read[0], (-1,))
+            flat = self.add("Reshape", read[0], self._integers((-1,)))
             places = self.constant(source_places(node, shapes[0]).reshape(node.shape))
             return self.add("Gather", flat, places, axis=0)
         raise UserError(f"--to onnx: ONNX has no {op}; use another target, such as c")
@@ -170,41 +163,25 @@ class _Graph:
             truth = self.add("Not", truth)
         return self.add("Cast", truth, to=TensorProto.DOUBLE)
 
-    def _composed(self, op: str, x: str) -> str:
-        one, half = self.constant(np.float64(1.0)), self.constant(np.float64(0.5))
-        if op == "log1p":
-            return self.add("Log", self.add("Add", one, x))
-        if op == "expm1":
-            return self.add("Sub", self.add("Exp", x), one)
-        up, down = self.add("Exp", x), self.add("Exp", self.add("Neg", x))
-        both = self.add("Sub" if op == "sinh" else "Add", up, down)
-        return self.add("Mul", half, both)
-
-    def _loop(self, node: Node, read: list[str]) -> list[str]:
+    def _loop(self, node: Node, read: list[str], shapes: list[Shape]) -> list[str]:
         assert node.body is not None
         length, same, carried = node.attrs
-        shapes = node.body.output_shapes
         carry = read[same : same + carried]
         inner = _Graph(f"{self.name()}_")
         iteration, going = inner.name(), inner.name()
         given = [inner.name() for _ in carry]
         rows = [inner.add("Gather", r, iteration, axis=0) for r in read[same + carried :]]
         found = inner.run(node.body, [*read[:same], *given, *rows])
-        graph = inner.loop_body(iteration, going, given, found, shapes, carried)
+        graph = inner.loop_body(iteration, going, given, found, node.body.output_shapes)
         names = [self.name() for _ in found]
         count, true = self.constant(np.int64(length)), self.constant(np.bool_(True))
         self.add("Loop", count, true, *carry, outputs=names, body=graph)
         return names
 
     def loop_body(
-        self,
-        iteration: str,
-        going: str,
-        given: list[str],
-        found: list[str],
+        self, iteration: str, going: str, given: list[str], found: list[str],
         shapes: Sequence[Shape],
-        carried: int,
-    ) -> Any:
+    ) -> Any:  # fmt: skip
         """Body of a Loop: (iteration, condition, carried) -> (condition, carried, stacked)."""
         from onnx import TensorProto, helper
 
@@ -213,8 +190,8 @@ class _Graph:
         ends = [self.add("Identity", name) for name in found]
         still = self.add("Identity", going)
         inputs = [info(iteration, TensorProto.INT64, []), info(going, TensorProto.BOOL, [])]
-        kinds = list(zip(given, shapes[:carried], strict=True))
-        inputs += [info(n, TensorProto.DOUBLE, list(s)) for n, s in kinds]
+        carried = zip(given, shapes, strict=False)
+        inputs += [info(n, TensorProto.DOUBLE, list(s)) for n, s in carried]
         outputs = [info(still, TensorProto.BOOL, [])]
         outputs += [info(n, TensorProto.DOUBLE, list(s)) for n, s in zip(ends, shapes, strict=True)]
         return helper.make_graph(self.nodes, f"{going}_body", inputs, outputs, self.constants)
@@ -242,9 +219,8 @@ def _simulation(low: LoweredModel, model: ExportModel) -> bytes:
     given = [inner.name() for _ in states]
     now = inner.add("Gather", "u", iteration, axis=0)
     y, *after = inner.run(low.step, [*given, now])
-    body = inner.loop_body(
-        iteration, going, given, [*after, y], [*low.states, (low.ny,)], len(given)
-    )
+    shapes = [*low.states, (low.ny,)]
+    body = inner.loop_body(iteration, going, given, [*after, y], shapes)
     length = graph.add("Gather", graph.add("Shape", "u"), zero, axis=0)
     names = [*(graph.name() for _ in states), "y_hat"]
     true = graph.constant(np.bool_(True))
@@ -282,5 +258,4 @@ def _bytes(
         },
     )
     onnx.checker.check_model(whole, full_check=True)
-    assert math.isfinite(model.sampling_time)
     return whole.SerializeToString()

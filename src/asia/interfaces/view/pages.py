@@ -25,9 +25,16 @@ from asia.report.page.code import python
 from asia.report.page.html import Html, join, said, table, tag
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.experiments import experiment_story, progress_figure
-from asia.report.page.sections.verdict import draw_overlay, held_out_overlays, overlay_legend, stamp
+from asia.report.page.sections.verdict import held_out_overlays, stamp
 from asia.report.page.subject import Detail, Subject
-from asia.report.page.svg import NARROW, WIDE, BestSoFar, draw_best
+from asia.report.page.svg import (
+    NARROW,
+    WIDE,
+    BestSoFar,
+    draw_best,
+    draw_overlay,
+    overlay_legend,
+)
 
 # Frame of all pages: head, link back, state of the connection.
 

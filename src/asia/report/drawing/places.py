@@ -1,16 +1,20 @@
-"""Time axes, and free places for text."""
+"""Time axes, and free places for text, for SVG and matplotlib."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from asia.data.trajectory import Array
 
-# Placement of labels near their points, for SVG and matplotlib: no two overlap, none covers a
-# point, none leaves the frame. x points right, y down.
+LOGARITHMIC_CHECKS: Final = frozenset({"frequency response", "error spectrum"})
+"""Validation checks whose curves have two logarithmic axes."""
+
+# Placement of labels near their points: no two overlap, none covers a point, none leaves the frame.
+# x points right, y down.
 
 
 LINE = 15.0
@@ -74,9 +78,6 @@ def _candidates(tag: Tag) -> list[Box]:
     return found
 
 
-# Time axes.
-
-
 @dataclass(frozen=True)
 class TimeUnit:
     """Unit of a time axis: its name and its length in seconds."""
@@ -85,13 +86,17 @@ class TimeUnit:
     seconds: float
 
 
-_UNITS = (TimeUnit("ms", 1e-3), TimeUnit("s", 1.0), TimeUnit("min", 60.0), TimeUnit("h", 3600.0))
-_LONGEST = (1.0, 600.0, 36000.0, float("inf"))
+_UNITS = (
+    (1.0, TimeUnit("ms", 1e-3)),
+    (600.0, TimeUnit("s", 1.0)),
+    (36000.0, TimeUnit("min", 60.0)),
+    (float("inf"), TimeUnit("h", 3600.0)),
+)
 
 
 def time_unit(span: float) -> TimeUnit:
     """The unit that keeps the numbers of an axis of `span` seconds short."""
-    return next(u for u, longest in zip(_UNITS, _LONGEST, strict=True) if span < longest)
+    return next(unit for longest, unit in _UNITS if span < longest)
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,6 @@ from matplotlib.transforms import Bbox, offset_copy
 from asia.data.trajectory import Signal
 from asia.problem.metrics import find_metric
 
-# Style of all pictures. It is applied during a drawing; the caller's matplotlib settings are
-# restored.
-
-
 # Okabe and Ito's colours: distinguishable with colour blindness, and different in grey print.
 INK: Final = "#222222"
 QUIET: Final = "#6b6b6b"
@@ -216,34 +212,23 @@ def arrange(
         for row, head in zip(rows, heads, strict=True):
             top -= head
             for column, cell in enumerate(row):
-                left = share * column + margins[column]
-                size = share - margins[column] - _EDGE
-                _put(cell.plot, (left, top - _PLOT, size, _PLOT), (width, height))
-                low = top - _PLOT - _BETWEEN - _STRIP
-                _put(cell.strip, (left, low, size, _STRIP), (width, height))
+                left, size = share * column + margins[column], share - margins[column] - _EDGE
+                low = top - _PLOT
+                for axes, tall in ((cell.plot, _PLOT), (cell.strip, _STRIP)):
+                    box = (left / width, low / height, size / width, tall / height)
+                    axes.set_position(box)
+                    low = low - _BETWEEN - _STRIP
             top -= _PLOT + _BETWEEN + _STRIP + _TICKS
         figure.draw_without_rendering()
         for column in range(columns):
-            axes = [a for c in cells[column::columns] for a in (c.plot, c.strip)]
-            margins[column] = _align(axes, figure.dpi, share - margins[column] - _EDGE)
-
-    _entitle(figure, title, width, height)
-
-
-def _entitle(figure: Figure, title: str, width: float, height: float) -> None:
-    place = {"x": _EDGE / width, "y": 1.0 - _ABOVE / height}
-    figure.suptitle(title, ha="left", va="top", fontweight="bold", **place)
-
-
-def _put(axes: Axes, box: tuple[float, float, float, float], figure: tuple[float, float]) -> None:
-    left, low, width, height = box
-    axes.set_position((left / figure[0], low / figure[1], width / figure[0], height / figure[1]))
-
-
-def _align(axes: Sequence[Axes], dpi: float, width: float) -> float:
-    """Put the y labels in line, left of the widest tick label; the margin in inches they need."""
-    ticks = max(t.get_window_extent().width for a in axes for t in a.get_yticklabels()) / dpi
-    names = max(a.yaxis.label.get_window_extent().width for a in axes) / dpi
-    for a in axes:
-        a.yaxis.set_label_coords(-(ticks + _TICK_GAP) / width, 0.5)
-    return _EDGE + names + ticks + _TICK_GAP
+            # The y labels stand in line, left of the widest tick label.
+            every = [a for c in cells[column::columns] for a in (c.plot, c.strip)]
+            wide = [t.get_window_extent().width for a in every for t in a.get_yticklabels()]
+            ticks = max(wide) / figure.dpi
+            names = max(a.yaxis.label.get_window_extent().width for a in every) / figure.dpi
+            size = share - margins[column] - _EDGE
+            for axes in every:
+                axes.yaxis.set_label_coords(-(ticks + _TICK_GAP) / size, 0.5)
+            margins[column] = _EDGE + names + ticks + _TICK_GAP
+    x, y = _EDGE / width, 1.0 - _ABOVE / height
+    figure.suptitle(title, x=x, y=y, ha="left", va="top", fontweight="bold")

@@ -25,9 +25,6 @@ from asia.problem.physics import (
     parse_expression,
 )
 
-# HTML as values: what is not HTML already is escaped.
-
-
 _VOID = frozenset({"meta", "br", "line", "path", "circle", "rect"})
 
 
@@ -76,6 +73,11 @@ def fixed(words: str) -> Html:
     return tag("span", words, class_="fixed")
 
 
+def region(element: str, *children: str | None, label: str, class_: str | None = None) -> Html:
+    """An element that scrolls by itself, with a name for screen readers."""
+    return tag(element, *children, class_=class_, tabindex="0", role="region", aria_label=label)
+
+
 def table(head: Iterable[str], rows: Iterable[Iterable[str | None]], caption: str) -> Html:
     """A table that scrolls sideways where the page is narrow. The first column names the rows."""
     headings = [tag("th", cell, scope="col") for cell in head]
@@ -90,7 +92,7 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str | None]], caption: st
         tag("thead", tag("tr", *headings)),
         tag("tbody", *body),
     )
-    return tag("div", inner, class_="scroll", tabindex="0", role="region", aria_label=caption)
+    return region("div", inner, class_="scroll", label=caption)
 
 
 def facts(pairs: Iterable[tuple[str, str | None]]) -> Html:
@@ -122,13 +124,12 @@ def equations(physics: Physics) -> tuple[tuple[str, Html], ...]:
         slope = tag("mfrac", tag("mi", "d"), tag("mrow", tag("mi", "d"), tag("mi", "t")))
         rows.append(("dynamics", join((slope, symbol(name))), physics.dynamics[name]))
     rows += [("output", symbol(name), text) for name, text in physics.observation.items()]
-    return tuple((kind, equation(left, text)) for kind, left, text in rows)
-
-
-def equation(left: Html, text: str) -> Html:
-    """`left = text`, where `text` is an expression of a problem file."""
-    right = formula(parse_expression(text, "physics"))
-    return tag("math", tag("mrow", left, tag("mo", "="), right), display="block")
+    found: list[tuple[str, Html]] = []
+    for kind, left, text in rows:
+        right = formula(parse_expression(text, "physics"))
+        line = tag("mrow", left, tag("mo", "="), right)
+        found.append((kind, tag("math", line, display="block")))
+    return tuple(found)
 
 
 def formula(expression: Expression) -> Html:
@@ -162,9 +163,10 @@ def _node(node: Node) -> Html:
         case Negative(operand):
             return tag("mrow", tag("mo", "−"), _inside(operand, _UNARY))
         case Binary("/", left, right):
-            return tag("mfrac", _row(_node(left)), _row(_node(right)))
+            return tag("mfrac", tag("mrow", _node(left)), tag("mrow", _node(right)))
         case Binary("**", left, right):
-            return tag("msup", _row(_inside(left, _STRENGTH["**"] + 1)), _row(_node(right)))
+            base = _inside(left, _STRENGTH["**"] + 1)
+            return tag("msup", tag("mrow", base), tag("mrow", _node(right)))
         case Binary(sign, left, right):
             strength = _STRENGTH[sign]
             shown = {"*": "\N{INVISIBLE TIMES}", "-": "−"}.get(sign, sign)
@@ -174,8 +176,14 @@ def _node(node: Node) -> Html:
             room = {"·": "0.25em", "\N{INVISIBLE TIMES}": "0.12em"}.get(shown)
             mark = tag("mo", shown, lspace=room, rspace=room)
             return join((_inside(left, strength), mark, other))
+        case Call("sqrt", (argument, *_)):
+            return tag("msqrt", _node(argument))
+        case Call("abs", (argument, *_)):
+            return tag("mrow", tag("mo", "|"), _node(argument), tag("mo", "|"))
         case Call(function, arguments):
-            return _call(function, [_node(argument) for argument in arguments])
+            name = tag("mi", function, mathvariant="normal")
+            inner = join(map(_node, arguments), tag("mo", ","))
+            return tag("mrow", name, tag("mo", "("), inner, tag("mo", ")"))
 
 
 def _is_word(*factors: Node) -> bool:
@@ -190,34 +198,15 @@ def _is_word(*factors: Node) -> bool:
     return calls or any(n not in _GREEK and not _SHORT.fullmatch(n) for n in names)
 
 
-def _call(function: str, arguments: list[Html]) -> Html:
-    if function == "sqrt":
-        return tag("msqrt", arguments[0])
-    if function == "abs":
-        return tag("mrow", tag("mo", "|"), arguments[0], tag("mo", "|"))
-    return tag(
-        "mrow",
-        tag("mi", function, mathvariant="normal"),
-        tag("mo", "("),
-        join(arguments, tag("mo", ",")),
-        tag("mo", ")"),
-    )
-
-
 def _inside(node: Node, strength: int) -> Html:
-    own = _UNARY
-    if isinstance(node, Binary):
-        own = 5 if node.symbol == "/" else _STRENGTH[node.symbol]
-    elif not isinstance(node, Negative):
-        own = 5
+    """The node, in parentheses if it binds less than `strength`."""
+    own = 5
+    if isinstance(node, Negative):
+        own = _UNARY
+    elif isinstance(node, Binary) and node.symbol != "/":
+        own = _STRENGTH[node.symbol]
     inner = _node(node)
-    if own >= strength:
-        return inner
-    return tag("mrow", tag("mo", "("), inner, tag("mo", ")"))
-
-
-def _row(inner: Html) -> Html:
-    return tag("mrow", inner)
+    return inner if own >= strength else tag("mrow", tag("mo", "("), inner, tag("mo", ")"))
 
 
 # Numbers that name where they stand in the ledger, and how they are made from it.
@@ -230,17 +219,11 @@ def _row(inner: Html) -> Html:
 # 21:outcome.value" data-rule="ratio" data-as="sig3">7.3</data>
 #
 # SOURCE is the sequence number of an event; the name of a kind of event, for all of them in order;
-# `lock` for the problem's lock file; or the sha256 of a JSON artifact. PATH has a dot before each
-# name or index, and may end in `name=value`, which holds where the two are equal, or in `*` for
-# all of a sequence.
+# or the sha256 of a JSON artifact. PATH has a dot before each name or index, and may end in
+# `name=value`, which holds where the two are equal, or in `*` for all of a sequence.
 
 
 ONE: Final = "one"
-
-
-def _text(value: Any) -> str:
-    return str(value)
-
 
 FORMS: Final[dict[str, Callable[[Any], str]]] = {
     "error": error_value,
@@ -259,32 +242,9 @@ FORMS: Final[dict[str, Callable[[Any], str]]] = {
     "count": lambda v: f"{v:d}",
     "duration": duration,
     "dollars": lambda v: f"{v:.4f} USD",
-    "text": _text,
-    "short": lambda v: str(v)[:12],
+    "text": str,
 }
 """Formats of values."""
-
-RULES: Final[dict[str, Callable[[Sequence[Any]], Any]]] = {
-    ONE: lambda values: values[0] if len(values) == 1 else _not_one(values),
-    "count": len,
-    "sum": lambda values: math.fsum(values) if _floats(values) else sum(values),
-    "mean": lambda values: math.fsum(values) / len(values),
-    "least": min,
-    "most": max,
-    "ratio": lambda values: values[0] / values[1],
-    "difference": lambda values: values[0] - values[1],
-    "jackknife": lambda values: jackknife_error(values[0], values[1:]),
-    "folds_low": lambda values: _by_folds(values)[0],
-    "folds_high": lambda values: _by_folds(values)[1],
-    "effect_low": lambda values: interval_ends(*values)[0],
-    "effect_high": lambda values: interval_ends(*values)[1],
-    "change": lambda values: (values[0] - values[1]) / values[1],
-}
-"""Functions that combine the values of the sources."""
-
-
-def _floats(values: Sequence[Any]) -> bool:
-    return any(isinstance(value, float) for value in values)
 
 
 def _by_folds(values: Sequence[Any]) -> tuple[float, float]:
@@ -294,8 +254,26 @@ def _by_folds(values: Sequence[Any]) -> tuple[float, float]:
     return interval_ends(value, low, high, lower, wide)
 
 
-def _not_one(values: Sequence[Any]) -> Any:
-    raise ValueError(f"{len(values)} values where one is expected")
+def _single(values: Sequence[Any]) -> Any:
+    if len(values) != 1:
+        raise ValueError(f"{len(values)} values where one is expected")
+    return values[0]
+
+
+RULES: Final[dict[str, Callable[[Sequence[Any]], Any]]] = {
+    ONE: _single,
+    "count": len,
+    "sum": lambda v: math.fsum(v) if any(isinstance(x, float) for x in v) else sum(v),
+    "least": min,
+    "ratio": lambda values: values[0] / values[1],
+    "jackknife": lambda values: jackknife_error(values[0], values[1:]),
+    "folds_low": lambda values: _by_folds(values)[0],
+    "folds_high": lambda values: _by_folds(values)[1],
+    "effect_low": lambda values: interval_ends(*values)[0],
+    "effect_high": lambda values: interval_ends(*values)[1],
+    "change": lambda values: (values[0] - values[1]) / values[1],
+}
+"""Functions that combine the values of the sources."""
 
 
 def follow(value: Any, path: str) -> list[Any]:

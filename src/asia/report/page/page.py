@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html.parser import HTMLParser
@@ -22,13 +21,9 @@ from asia.ledger.run import Run, open_run
 from asia.problem.load import load_lock
 from asia.report.page.html import FORMS, ONE, RULES, Html, follow, join, said, table, tag
 from asia.report.page.sections import SECTIONS
-from asia.report.page.sections.verdict import (
-    stamp,
-)
+from asia.report.page.sections.verdict import stamp
 from asia.report.page.subject import Detail, Section, Subject
 
-# The check of a page against its ledger, before it is written.
-#
 # The audit shares nothing with the sections: it reads the finished page and the bytes of the
 # ledger.
 
@@ -36,8 +31,6 @@ from asia.report.page.subject import Detail, Section, Subject
 _FREE = frozenset({"code", "pre", "svg", "math", "style", "title", "kbd"})
 _FREE_CLASSES = frozenset({"said", "fixed", "scale"})
 _VOID = frozenset({"meta", "br", "hr", "img", "input", "link", "wbr"})
-_DIGIT = re.compile(r"\d")
-_SHA = re.compile(r"[0-9a-f]{64}")
 
 
 def audit(page: str, directory: Path, events: int) -> int:
@@ -55,47 +48,11 @@ def audit(page: str, directory: Path, events: int) -> int:
         InternalError: a number differs from the ledger or names no source; the message names the
             first one.
     """
-    reader = _Reader(_Sources(directory, events))
+    lines = (directory / "ledger.jsonl").read_bytes().split(b"\n")
+    reader = _Reader([json.loads(line) for line in lines[:events]], directory / "artifacts")
     reader.feed(page)
     reader.close()
     return reader.checked
-
-
-class _Sources:
-    """The values that a page may name."""
-
-    def __init__(self, directory: Path, events: int) -> None:
-        lines = (directory / "ledger.jsonl").read_bytes().split(b"\n")
-        self._events: list[dict[str, Any]] = [json.loads(line) for line in lines[:events]]
-        self._directory = directory
-        self._named = "\n".join(map(str, self._events))
-        self._lock: dict[str, Any] | None = None
-
-    def values(self, sources: str) -> list[Any]:
-        """Return the values of all sources, in order."""
-        found: list[Any] = []
-        for one in sources.split(" "):
-            name, _, path = one.partition(":")
-            for document in self._documents(name):
-                found += follow(document, path)
-        return found
-
-    def _documents(self, name: str) -> list[Any]:
-        if name.isdecimal():
-            return [self._events[int(name)]]
-        if name == "lock":
-            return [self._read_lock()]
-        if _SHA.fullmatch(name):
-            if name not in self._named:
-                raise KeyError(f"no event names the artifact {name}")
-            return [json.loads(Store(self._directory / "artifacts").get(name))]
-        return [event for event in self._events if event["event"] == name]
-
-    def _read_lock(self) -> dict[str, Any]:
-        if self._lock is None:
-            text = (self._directory / "problem.lock.toml").read_text("utf-8")
-            self._lock = tomllib.loads(text)
-        return self._lock
 
 
 class _Reader(HTMLParser):
@@ -103,10 +60,12 @@ class _Reader(HTMLParser):
     quoted, code, or drawn.
     """
 
-    def __init__(self, sources: _Sources) -> None:
+    def __init__(self, events: list[dict[str, Any]], artifacts: Path) -> None:
         super().__init__(convert_charrefs=True)
         self.checked = 0
-        self._sources = sources
+        self._events = events
+        self._named = "\n".join(map(str, events))
+        self._artifacts = artifacts
         self._open: list[tuple[str, bool]] = []
         self._number: dict[str, str] | None = None
         self._shown = ""
@@ -128,7 +87,7 @@ class _Reader(HTMLParser):
     def handle_data(self, data: str) -> None:
         if self._number is not None:
             self._shown += data
-        elif _DIGIT.search(data) and not self._free:
+        elif re.search(r"\d", data) and not self._free:
             line = " ".join(data.split())[:80]
             raise InternalError(f"report: a number without a source in '{line}'")
 
@@ -147,7 +106,7 @@ class _Reader(HTMLParser):
     def _check(self, number: dict[str, str], shown: str) -> None:
         sources, rule = number["data-from"], number.get("data-rule", ONE)
         try:
-            result = RULES[rule](self._sources.values(sources))
+            result = RULES[rule](self._values(sources))
             expected = FORMS[number["data-as"]](result)
         except (KeyError, TypeError, ValueError, IndexError, ArithmeticError, UserError) as error:
             raise InternalError(
@@ -159,6 +118,23 @@ class _Reader(HTMLParser):
                 f"{expected}"
             )
         self.checked += 1
+
+    def _values(self, sources: str) -> list[Any]:
+        """Return the values of all sources, in order."""
+        found: list[Any] = []
+        for one in sources.split(" "):
+            name, _, path = one.partition(":")
+            if name.isdecimal():
+                documents: list[Any] = [self._events[int(name)]]
+            elif re.fullmatch(r"[0-9a-f]{64}", name):
+                if name not in self._named:
+                    raise KeyError(f"no event names the artifact {name}")
+                documents = [json.loads(Store(self._artifacts).get(name))]
+            else:
+                documents = [event for event in self._events if event["event"] == name]
+            for document in documents:
+                found += follow(document, path)
+        return found
 
 
 # Report page of a run, assembled from its sections.
@@ -179,11 +155,14 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-ur
 
 
 def write_page(directory: Path) -> Path:
-    """Write `<directory>/report/report.html`. Raises UserError as `open_run` and `load_lock`,
-    InternalError where a number of the page is not what the ledger says; nothing is written
-    then."""
-    run = open_run(directory)
-    page = page_of(run)
+    """Write all about the run in `directory` on one page, `<directory>/report/report.html`, which
+    opens offline; the same ledger gives the same bytes.
+
+    Raises UserError when `directory` is not a run, or its records, artifacts or training data are
+    not what they were, and InternalError, before anything is written, where a number of the page is
+    not what the ledger says.
+    """
+    page = page_of(open_run(directory))
     path = directory / "report" / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, page.encode("utf-8", "replace"), durable=False)
@@ -202,25 +181,44 @@ def page_of(run: Run, sections: Sequence[Section] = SECTIONS) -> str:
 
 
 def _whole(subject: Subject, sections: Sequence[Section]) -> str:
-    written = [(section, _written(section, subject)) for section in sections]
-    shown = [(section, inner) for section, inner in written if inner is not None]
-    name = subject.view.started.run
-    links = [tag("li", tag("a", one.title, href=f"#{one.key}")) for one, _ in shown]
-    parts = (
-        tag("a", "Skip to the verdict", href="#verdict", class_="skiplink"),
-        _header(subject),
-        tag("nav", tag("ul", *links), aria_label="Sections"),
-        tag("main", *(_section(section, inner) for section, inner in shown)),
-        _footer(subject),
+    start = subject.view.started
+    links: list[Html] = []
+    parts: list[Html] = []
+    for section in sections:
+        failed: list[str] = []
+        inner: Html | None = None
+        with diagnostic(f"section '{section.title}'", failed):
+            inner = section.write(subject)
+        if failed:
+            inner = tag("p", said(failed[0], 600))
+        if inner is not None:
+            links.append(tag("li", tag("a", section.title, href=f"#{section.key}")))
+            label = f"h-{section.key}"
+            title = tag("h2", section.title, id=label)
+            parts.append(tag("section", title, inner, id=section.key, aria_labelledby=label))
+    text = (
+        "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
+        subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
+    )  # fmt: skip
+    note = (
+        "Every number on this page comes from an event of the ledger, and was checked against it "
+        "when the page was written. Hold the pointer over a number to see its event."
     )
-    return document(f"{name}: report of a search", parts)
+    kind = tag("p", "ASIA, report of a search", class_="kind")
+    version = said(start.environment.get("asia-sysid", ""))
+    body = (
+        tag("a", "Skip to the verdict", href="#verdict", class_="skiplink"),
+        tag("header", kind, tag("h1", said(start.run)), tag("p", *text)),
+        tag("nav", tag("ul", *links), aria_label="Sections"),
+        tag("main", *parts),
+        tag("footer", tag("p", note), tag("p", "ASIA ", version)),
+    )
+    return document(f"{start.run}: report of a search", body)
 
 
-def _written(section: Section, subject: Subject) -> Html | None:
-    failed: list[str] = []
-    with diagnostic(f"section '{section.title}'", failed):
-        return section.write(subject)
-    return tag("p", said(failed[0], 600))
+def page_style() -> str:
+    """The style sheet of the page."""
+    return resources.files("asia").joinpath("report", "page", "page.css").read_text("utf-8")
 
 
 def document(title: str, parts: Sequence[Html]) -> str:
@@ -232,39 +230,9 @@ def document(title: str, parts: Sequence[Html]) -> str:
         tag("meta", http_equiv="Content-Security-Policy", content=_POLICY),
         tag("meta", name="color-scheme", content="light dark"),
         tag("title", title),
-        tag("style", Html(_style())),
+        tag("style", Html(page_style())),
     )
     return f"<!doctype html>\n{tag('html', head, tag('body', *parts), lang='en')}\n"
-
-
-def _section(section: Section, inner: Html) -> Html:
-    heading = f"h-{section.key}"
-    title = tag("h2", section.title, id=heading)
-    return tag("section", title, inner, id=section.key, aria_labelledby=heading)
-
-
-def _header(subject: Subject) -> Html:
-    start = subject.view.started
-    text = (
-        "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
-        subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
-    )  # fmt: skip
-    kind = tag("p", "ASIA, report of a search", class_="kind")
-    return tag("header", kind, tag("h1", said(start.run)), tag("p", *text))
-
-
-def _footer(subject: Subject) -> Html:
-    version = subject.view.started.environment.get("asia-sysid", "")
-    text = (
-        "Every number on this page comes from an event of the ledger, and was checked against it "
-        "when the page was written. Hold the pointer over a number to see its event."
-    )
-    return tag("footer", tag("p", text), tag("p", "ASIA ", said(version)))
-
-
-def _style() -> str:
-    file = resources.files("asia").joinpath("report", "page", "page.css")
-    return join([Html(file.read_text("utf-8"))])
 
 
 # A static site of many runs: a list, and the page of each.
@@ -283,7 +251,9 @@ class PublishedRuns:
 
 
 def write_bundle(runs: Path, directory: Path) -> PublishedRuns:
-    """See `asia.report.write_bundle`."""
+    """A static site of the runs below `runs` into `directory`, to publish: `index.html` and a page
+    for each run. Runs whose data or artifacts are not what they were are left out, and named.
+    Raises UserError where there is no run."""
     found = sorted(path.parent for path in runs.glob("*/ledger.jsonl"))
     if not found:
         raise UserError(f"no runs under {runs}; start one with: asia run PROBLEM")
@@ -310,38 +280,32 @@ def write_bundle(runs: Path, directory: Path) -> PublishedRuns:
 def _index(runs: Sequence[Run]) -> str:
     """Runs of one problem, protocol and setting stand in one table, the best V first: V of others
     does not compare with it."""
-    ordered = sorted(runs, key=lambda run: (*_compared(run), _value(run), run.name))
-    tables = [_table(list(group)) for _, group in groupby(ordered, key=_compared)]
+
+    def compared(run: Run) -> tuple[str, str, str]:
+        return run.view.started.problem, run.view.started.protocol_digest, run.view.v_name
+
+    def value(run: Run) -> float:
+        best = run.view.best
+        return best.score.value if best is not None and best.score is not None else float("inf")
+
+    ordered = sorted(runs, key=lambda run: (*compared(run), value(run), run.name))
+    tables: list[Html] = []
+    for (name, _, v_name), group in groupby(ordered, key=compared):
+        head = ["run", "verdict", v_name, "best candidate", "experiments", "agent", "seed"]
+        inner = table(head, [_row(run) for run in group], f"Searches on {name}")
+        tables.append(tag("section", tag("h2", said(name)), inner))
     header = tag("header", tag("p", "ASIA", class_="kind"), tag("h1", "Searches"))
     text = tag("p", "Runs stand in one table where their V can be compared.")
     return document("Searches", (header, tag("main", text, *tables)))
 
 
-def _compared(run: Run) -> tuple[str, str, str]:
-    start = run.view.started
-    return start.problem, start.protocol_digest, run.view.v_name
-
-
-def _value(run: Run) -> float:
-    best = run.view.best
-    return best.score.value if best is not None and best.score is not None else float("inf")
-
-
-def _table(runs: Sequence[Run]) -> Html:
-    name = runs[0].view.started.problem
-    head = ["run", "verdict", runs[0].view.v_name, "best candidate", "experiments", "agent", "seed"]
-    inner = table(head, [_row(run) for run in runs], f"Searches on {name}")
-    return tag("section", tag("h2", said(name)), inner)
-
-
-def _row(run: Run) -> list[str | None]:
-    """Checked against the ledger of its own run."""
+def _row(run: Run) -> list[Html]:
+    """Cells of the list, checked against the ledger of their own run."""
     subject = Subject(run, None, DETAILS[-1])
     best, start = run.view.best, run.view.started
-    link = tag("a", said(run.name), href=quote(f"{run.name}.html"))
     text, kind = stamp(subject)
-    cells: list[Html] = [
-        link,
+    cells = [
+        tag("a", said(run.name), href=quote(f"{run.name}.html")),
         tag("span", text, class_=f"stamp small {kind}"),
         subject.v(best) if best is not None else tag("span", "no score"),
         said(best.proposed.title, 60) if best is not None else tag("span"),
@@ -350,13 +314,4 @@ def _row(run: Run) -> list[str | None]:
         subject.number(start, "seed", "text"),
     ]
     audit(join(cells), run.directory, len(run.lines))
-    return list(cells)
-
-
-# Parts of the report page of a run, for other presentations than one file.
-
-
-def page_style() -> str:
-    """The style sheet of the page."""
-    file = resources.files("asia").joinpath("report", "page", "page.css")
-    return file.read_text("utf-8")
+    return cells

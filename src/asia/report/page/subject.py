@@ -14,9 +14,7 @@ from asia.ledger.run import Run
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.problem import Problem
 from asia.problem.protocol import Fold, make_folds
-from asia.report.page.html import ONE, Html, follow, tag, write_number
-
-# Subject of a report page: one run, with numbers that carry their sources.
+from asia.report.page.html import ONE, Html, follow, join, tag, write_number
 
 
 @dataclass(frozen=True)
@@ -36,11 +34,9 @@ class Subject:
     """The run of a page."""
 
     run: Run
-    """The run."""
     problem: Problem | None
     """Its problem with the training data; None where the ledger came without its artifacts."""
     detail: Detail
-    """Level of detail."""
 
     @property
     def view(self) -> SearchView:
@@ -69,7 +65,7 @@ class Subject:
         return tuple(reversed(found))
 
     @cached_property
-    def told(self) -> tuple[Experiment, ...]:
+    def listed(self) -> tuple[Experiment, ...]:
         """The experiments on the page: all; in a long search those that were kept, the winner's
         lineage and the last ones."""
         return self._chosen(self.detail.rows)
@@ -105,8 +101,15 @@ class Subject:
         """A number as an event has it, such as `outcome.value`."""
         return self.made(ONE, form, (event, path))
 
+    def interval(self, event: Event, path: str, form: str) -> Html:
+        """A value with the ends of its interval: 0.3 (0.1 to 0.5)."""
+        value, low, high = (
+            self.number(event, f"{path}.{end}", form) for end in ("value", "low", "high")
+        )
+        return join((value, " (", low, " to ", high, ")"))
+
     def made(self, rule: str, form: str, *parts: tuple[Event, str]) -> Html:
-        """A number made of several, by one of `numbers.RULES`."""
+        """A number made of several, by one of `html.RULES`."""
         values: list[Any] = []
         names: list[str] = []
         for event, path in parts:
@@ -119,26 +122,9 @@ class Subject:
 
     def over(self, kind: str, path: str, rule: str, form: str) -> Html:
         """A number made of all events of a kind, such as the sum of `seconds` of `evaluated`."""
-        values: list[Any] = []
-        for line in self.run.lines:
-            if line.event.event == kind:
-                values += follow(line.event, path)
+        events = (line.event for line in self.run.lines if line.event.event == kind)
+        values = [value for event in events for value in follow(event, path)]
         return write_number(values, f"{kind}:{path}", rule, form)
-
-    def setting(self, path: str, form: str) -> Html | None:
-        """A number of the problem's lock file; None where it names none."""
-        try:
-            values = follow(self._lock, path)
-        except (KeyError, IndexError):
-            return None
-        return write_number(values, f"lock:{path}", ONE, form)
-
-    @cached_property
-    def _lock(self) -> dict[str, Any]:
-        import tomllib
-
-        path = self.run.directory / "problem.lock.toml"
-        return tomllib.loads(path.read_text("utf-8")) if path.exists() else {}
 
     def v(self, experiment: Experiment) -> Html:
         """V of an experiment that has a score."""
@@ -160,9 +146,6 @@ def result_of(experiment: Experiment) -> Evaluated:
     """The result of an experiment that has one."""
     assert experiment.result is not None
     return experiment.result
-
-
-# The one contract of the page's sections.
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,6 @@ from asia.report.drawing.style import (
     shown,
 )
 
-# Pictures of `asia check`: the training records and their use in the protocol.
-
-
 _MOST_INPUTS = 6
 _MOST_OUTPUTS = 12
 _ONE_COLUMN = 8
@@ -49,7 +46,8 @@ def draw_data(problem: Problem) -> Figure:
     Raises UserError when the records do not make folds."""
     folds = make_folds(problem.train, problem.protocol)
     chosen = _records(problem)
-    segments = [Stretch(0, len(problem.train[i])) for i in chosen]
+    records = [problem.train[i] for i in chosen]
+    segments = [Stretch(0, len(record)) for record in records]
     unit = time_unit(problem.sampling_time * last_sample(segments))
     axis = lay_out(segments, problem.sampling_time, unit)
     inputs, outputs = problem.inputs[:_MOST_INPUTS], problem.outputs[:_MOST_OUTPUTS]
@@ -60,12 +58,17 @@ def draw_data(problem: Problem) -> Figure:
     figure = Figure(figsize=(width, 0.9 + 1.25 * rows), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
     panels: list[Axes] = list(grid.T.ravel())
+    raster = sum(map(len, records)) > _MANY_SAMPLES
     for axes, (signal, held, channel) in zip(panels, signals, strict=False):
-        records = [problem.train[i] for i in chosen]
-        values = [(r.u if held else r.measured_y)[:, channel] for r in records]
-        _channel(axes, values, axis, held)
+        style, color = ("steps-post", INK) if held else ("default", BLUE)
+        for record, time in zip(records, axis.times, strict=True):
+            values = (record.u if held else record.measured_y)[:, channel]
+            axes.plot(time, values, color=color, lw=1.0, ds=style, rasterized=raster)
+        quiet_grid(axes)
         axes.set_ylabel(axis_label(signal))
-        _folds(axes, folds, dict(zip(chosen, axis.times, strict=True)), axis, problem)
+        _tint_folds(axes, folds, dict(zip(chosen, axis.times, strict=True)), problem)
+        for seam in axis.seams:
+            axes.axvline(seam, color=QUIET, lw=0.8, dashes=(2, 2))
     for axes in panels[len(signals) :]:
         axes.set_axis_off()
     for column in range(columns):
@@ -75,7 +78,15 @@ def draw_data(problem: Problem) -> Figure:
         last.tick_params(labelbottom=True)
         figure.align_ylabels(list(grid[:, column]))
     panels[0].set_xlim(*axis.limits)
-    entitle(figure, _title(problem, len(inputs), len(outputs), len(chosen)))
+    samples, many = sum(len(r) for r in problem.train), len(problem.train)
+    title = f"{plain(problem.name, 30)}: {samples} training samples"
+    title += f" in {many} records" if many > 1 else ""
+    title += shown(
+        (len(inputs), len(problem.inputs), "inputs"),
+        (len(outputs), len(problem.outputs), "outputs"),
+        (len(chosen), many, "records"),
+    )
+    entitle(figure, title)
     _legend(figure, panels[0], problem)
     return figure
 
@@ -92,35 +103,19 @@ def _records(problem: Problem) -> list[int]:
     return sorted(ordered[:_MOST_RECORDS])
 
 
-def _channel(axes: Axes, values: Sequence[Array], axis: TimeAxis, held: bool) -> None:
-    raster = sum(len(v) for v in values) > _MANY_SAMPLES
-    for y, time in zip(values, axis.times, strict=True):
-        style = "steps-post" if held else "default"
-        axes.plot(time, y, color=INK if held else BLUE, lw=1.0, ds=style, rasterized=raster)
-    quiet_grid(axes)
-
-
-def _folds(
-    axes: Axes,
-    folds: Sequence[Fold],
-    times: Mapping[int, Array],
-    axis: TimeAxis,
-    problem: Problem,
+def _tint_folds(
+    axes: Axes, folds: Sequence[Fold], times: Mapping[int, Array], problem: Problem
 ) -> None:
     past = problem.protocol.past if problem.protocol.kind == "simulation" else 0
     for fold in folds:
         for record, block in _spans(fold).items():
-            if record not in times:
-                continue
-            time = times[record]
-            start, last = time[block.start], time[min(block.stop, len(time) - 1)]
-            shade = _SHADES[fold.index % 2]
-            axes.axvspan(start, last, color=shade, lw=0, zorder=0)
-            if past:
-                before = time[block.start - past]
-                axes.axvspan(before, start, color=ORANGE, alpha=0.55, lw=0, zorder=1)
-    for seam in axis.seams:
-        axes.axvline(seam, color=QUIET, lw=0.8, dashes=(2, 2))
+            if record in times:
+                time = times[record]
+                start, last = time[block.start], time[min(block.stop, len(time) - 1)]
+                axes.axvspan(start, last, color=_SHADES[fold.index % 2], lw=0, zorder=0)
+                if past:
+                    before = time[block.start - past]
+                    axes.axvspan(before, start, color=ORANGE, alpha=0.55, lw=0, zorder=1)
 
 
 def _spans(fold: Fold) -> dict[int, range]:
@@ -172,35 +167,17 @@ def _names(
         )
 
 
-def _title(problem: Problem, inputs: int, outputs: int, records: int) -> str:
-    samples = sum(len(r) for r in problem.train)
-    many = len(problem.train)
-    text = f"{plain(problem.name, 30)}: {samples} training samples"
-    text += f" in {many} records" if many > 1 else ""
-    return text + shown(
-        (inputs, len(problem.inputs), "inputs"),
-        (outputs, len(problem.outputs), "outputs"),
-        (records, many, "records"),
-    )
-
-
-def _every_second(first: int, folds: int) -> str:
-    """Names of the folds of one tint."""
-    names = [str(k) for k in range(first, folds + 1, 2)]
-    text = ", ".join(names if len(names) <= 3 else [*names[:2], "…"])
-    return f"fold {text}" if len(names) == 1 else f"folds {text}"
-
-
 def _legend(figure: Figure, axes: Axes, problem: Problem) -> None:
     rule = problem.protocol
     handles = axes.plot([], [], color=INK, lw=1.0, label="input")
     handles += axes.plot([], [], color=BLUE, lw=1.0, label="output")
     for first, shade in enumerate(_SHADES, 1):
-        label = f"held out: {_every_second(first, rule.folds.count)}"
+        names = [str(k) for k in range(first, rule.folds.count + 1, 2)]
+        text = ", ".join(names if len(names) <= 3 else [*names[:2], "…"])
+        label = f"held out: fold{'' if len(names) == 1 else 's'} {text}"
         handles += axes.plot([], [], color=shade, lw=7.0, label=label)
     if rule.kind == "windows":
-        axes.plot([], [], alpha=0, label=f"windows of {rule.horizon} samples")
-        handles.append(axes.lines[-1])
+        handles += axes.plot([], [], alpha=0, label=f"windows of {rule.horizon} samples")
     elif rule.past:
         label = f"past window, {rule.past} samples"
         handles += axes.plot([], [], color=ORANGE, alpha=0.55, lw=7.0, label=label)
@@ -243,8 +220,7 @@ def draw_delays(problem: Problem, found: Sequence[InputDelay]) -> Figure:
     return figure
 
 
-# Pictures of `asia check` in the frequency domain: output, noise and the residual of a linear
-# model.
+# Levels by frequency: output, noise and the residual of a linear model.
 
 
 _RESPONSE_MOST_OUTPUTS = 4
@@ -266,9 +242,8 @@ def draw_responses(problem: Problem, found: tuple[FrequencyResponse | None, ...]
             (one.noise, INK, "noise"),
         ):
             if np.isfinite(values).any():
-                axes.plot(
-                    one.frequency, _decibels(values / size), ".", ms=2.0, color=color, label=label
-                )
+                levels = 20.0 * np.log10(np.maximum(values / size, _DEEPEST))
+                axes.plot(one.frequency, levels, ".", ms=2.0, color=color, label=label)
         axes.set_ylabel(f"{plain(signal.name, 20)} [dB]")
         quiet_grid(axes)
     grid[-1].set_xlabel("frequency [Hz]")
@@ -280,7 +255,3 @@ def draw_responses(problem: Problem, found: tuple[FrequencyResponse | None, ...]
     entitle(figure, f"{plain(problem.name, 30)}: levels by frequency, {how}")
     figure_legend(figure, grid[0].get_legend_handles_labels()[0], 3, markerscale=4)
     return figure
-
-
-def _decibels(values: Array) -> Array:
-    return 20.0 * np.log10(np.maximum(values, _DEEPEST))

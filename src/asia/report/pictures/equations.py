@@ -18,27 +18,27 @@ _WHOLE_FLOAT = re.compile(r"(?<![\d.])(\d+)\.0(?!\d)")
 _ROW = 0.42
 _TOP = 0.35
 
+_RENAMED = {"arcsin": "asin", "arccos": "acos", "arctan": "atan", "arctan2": "atan2", "abs": "Abs"}
+_KNOWN = [
+    "sqrt",
+    "exp",
+    "log",
+    "sin",
+    "cos",
+    "tan",
+    "arcsin",
+    "arccos",
+    "arctan",
+    "arctan2",
+    "sinh",
+    "cosh",
+    "tanh",
+    "abs",
+    "sign",
+]
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "sqrt": sympy.sqrt,
-    "exp": sympy.exp,
-    "log": sympy.log,
-    "sin": sympy.sin,
-    "cos": sympy.cos,
-    "tan": sympy.tan,
-    "arcsin": sympy.asin,
-    "arccos": sympy.acos,
-    "arctan": sympy.atan,
-    "arctan2": sympy.atan2,
-    "sinh": sympy.sinh,
-    "cosh": sympy.cosh,
-    "tanh": sympy.tanh,
-    "sigmoid": sympy.Function("sigmoid"),
-    "softplus": sympy.Function("softplus"),
-    "abs": sympy.Abs,
-    "sign": sympy.sign,
-    "min": sympy.Function("min"),
-    "max": sympy.Function("max"),
-    "clip": sympy.Function("clip"),
+    **{name: getattr(sympy, _RENAMED.get(name, name)) for name in _KNOWN},
+    **{name: sympy.Function(name) for name in ("sigmoid", "softplus", "min", "max", "clip")},
 }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,72 +35,55 @@ _MARGINS = 1.1
 _WORST = 1_000.0
 
 
-@dataclass(frozen=True)
-class _Row:
-    label: str
-    published: tuple[float, ...]
-    ours: float | None
-    words: str
-
-
 def draw_boards(boards: Sequence[Board], title: str) -> Figure:
     """A row for each official figure: published test RMSE over the lowest of them, and ours where
     the test was opened. boards: with one published result or more each."""
-    rows = [row for board in boards for row in _rows(board)]
+    rows = [
+        (board, index, published)
+        for board in boards
+        for index in range(len(board.names))
+        if (published := _published(board, index))
+    ]
     figure = Figure(figsize=(picture_width(), _MARGINS + _ROW * len(rows)), layout="constrained")
     axes = figure.subplots()
-    _draw(axes, rows)
-    entitle(figure, title if len(title) < 70 else plain(title, 70))
-    figure.supxlabel(
-        "Published: nonlinearbenchmark.org; red: the model to use, where the test was opened",
-        x=0.01,
-        ha="left",
-        fontsize=7.0,
-        color=QUIET,
-    )
-    return figure
-
-
-def _rows(board: Board) -> list[_Row]:
-    found: list[_Row] = []
-    for index, name in enumerate(board.names):
-        values = [e.figures[index] for e in board.entries if index < len(e.figures)]
-        published = tuple(sorted(v for v in values if v is not None))
-        if not published:
-            continue
+    labels: list[str] = []
+    for y, (board, index, published) in enumerate(rows):
+        best = published[0]
         ours = board.standings[index] if index < len(board.standings) else None
-        label = board.problem if len(board.names) == 1 else f"{board.problem}: {name}"
-        text = f"best {published[0]:g} {board.unit}"
+        one = len(board.names) == 1
+        labels.append(board.problem if one else f"{board.problem}: {board.names[index]}")
+        text, color = f"best {best:g} {board.unit}", QUIET
+        ratios = [min(v / best, _WORST) for v in published]
+        axes.plot(ratios, [y] * len(ratios), "o", mfc="white", mec=BLUE, ms=4.0, mew=0.9)
         if ours is not None:
             text += f", ours {ours.figure.value:.3g}: {ours.rank} of {ours.among}"
-        found.append(_Row(label, published, ours.figure.value if ours else None, text))
-    return found
-
-
-def _draw(axes: Axes, rows: Sequence[_Row]) -> None:
-    for y, row in enumerate(rows):
-        best = row.published[0]
-        ratios = [min(v / best, _WORST) for v in row.published]
-        axes.plot(ratios, [y] * len(ratios), "o", mfc="white", mec=BLUE, ms=4.0, mew=0.9)
-        if row.ours is not None:
-            ratio = min(max(row.ours / best, 1 / _WORST), _WORST)
-            axes.plot([ratio], [y], "D", color=RED, ms=6.0, zorder=5)
+            color, ratio = RED, ours.figure.value / best
+            axes.plot([min(max(ratio, 1 / _WORST), _WORST)], [y], "D", color=RED, ms=6.0, zorder=5)
         axes.annotate(
-            row.words,
+            text,
             xy=(1.01, y),
             xycoords=("axes fraction", "data"),
             va="center",
             fontsize=7.0,
-            color=QUIET if row.ours is None else RED,
+            color=color,
             annotation_clip=False,
         )
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.set_yticks(range(len(rows)), [plain(row.label, 44) for row in rows], fontsize=7.0)
+    axes.set_yticks(range(len(rows)), [plain(label, 44) for label in labels], fontsize=7.0)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.axvline(1.0, color=QUIET, lw=0.8, dashes=(3, 2), zorder=0)
     axes.set_xlabel("Test RMSE / lowest published one")
     quiet_grid(axes)
+    entitle(figure, title if len(title) < 70 else plain(title, 70))
+    sources = "Published: nonlinearbenchmark.org; red: the model to use, where the test was opened"
+    figure.supxlabel(sources, x=0.01, ha="left", fontsize=7.0, color=QUIET)
+    return figure
+
+
+def _published(board: Board, index: int) -> list[float]:
+    values = [e.figures[index] for e in board.entries if index < len(e.figures)]
+    return sorted(v for v in values if v is not None)
 
 
 # Our test error among the published ones: box plot and histogram.
@@ -132,12 +114,11 @@ def draw_standing(
     bars.set_xlabel(label)
     if mark is not None:
         panel_legend(bars, 4.0)
-    lower = int((values < ours).sum())
-    entitle(
-        figure,
-        f"{plain(run, 40)}: {lower} of {len(values)} published results have a lower test RMSE",
-    )
-    figure.supxlabel(_sources(entries), x=0.01, ha="left", fontsize=7.0, color=QUIET)
+    lower, many = int((values < ours).sum()), len(values)
+    entitle(figure, f"{plain(run, 40)}: {lower} of {many} published results have a lower test RMSE")
+    first, last = min(e.year for e in entries), max(e.year for e in entries)
+    sources = f"Published: {many} results from {first} to {last}, nonlinearbenchmark.org"
+    figure.supxlabel(sources, x=0.01, ha="left", fontsize=7.0, color=QUIET)
     return figure
 
 
@@ -208,10 +189,3 @@ def _bin_width(values: Array) -> float:
     width = 2.0 * spread / len(values) ** (1 / 3)
     power = 10.0 ** np.floor(np.log10(width))
     return float(min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(m * power - width)) * power)
-
-
-def _sources(entries: Sequence[Entry]) -> str:
-    years = sorted({e.year for e in entries})
-    return (
-        f"Published: {len(entries)} results from {years[0]} to {years[-1]}, nonlinearbenchmark.org"
-    )

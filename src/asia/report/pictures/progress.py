@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,8 +19,8 @@ from scipy.optimize import isotonic_regression
 
 from asia.judge.scoring.outcome import Score
 from asia.ledger.run import Control
-from asia.ledger.view import Experiment, SearchView
-from asia.report.comparison import ArmCurves, ArmsPicture, ComparedValue
+from asia.ledger.view import SearchView
+from asia.report.comparison import ArmCurves, ArmsPicture
 from asia.report.drawing.places import Box, Tag, place
 from asia.report.drawing.style import (
     BLUE,
@@ -58,30 +58,6 @@ class _Point:
     title: str
 
 
-@dataclass(frozen=True)
-class _Points:
-    """Points to draw: kept, discarded and off-scale experiments, those on the guard records,
-    numbers of the failed ones, reference models as (name, V), and the number of experiments.
-    """
-
-    kept: tuple[_Point, ...]
-    discarded: tuple[_Point, ...]
-    beyond: tuple[_Point, ...]
-    guard: tuple[_Point, ...]
-    failed: tuple[int, ...]
-    rungs: tuple[tuple[str, float], ...]
-    count: int
-
-    @property
-    def values(self) -> tuple[float, ...]:
-        points = (*self.kept, *self.discarded, *self.guard)
-        return (*(p.value for p in points), *(v for _, v in self.rungs))
-
-    @property
-    def log(self) -> bool:
-        return bool(self.values) and max(self.values) > _LOG_FROM * min(self.values) > 0
-
-
 def draw_progress(view: SearchView, metric: str, beside: Control | None = None) -> Figure:
     """Draw the progress of a search.
 
@@ -94,71 +70,80 @@ def draw_progress(view: SearchView, metric: str, beside: Control | None = None) 
         metric: name of the metric.
         beside: the control run.
     """
-    search = _gather(view, beside)
+    references = [
+        (_REFERENCE_NAMES.get(r.name, plain(r.name, 24)), r.outcome.value)
+        for r in view.rungs
+        if isinstance(r.outcome, Score)
+    ]
+    if beside is not None and beside.value is not None:
+        references.append(("expert, same budget", beside.value))
+    scored = [_Point(e.number, e.score.value, e.proposed.title) for e in view.finished if e.score]
+    bests = {e.number for e in view.bests}
+    kept = [p for p in scored if p.number in bests]
+    others = [p for p in scored if p.number not in bests]
+    guard = [
+        _Point(s.experiment, s.outcome.value, "guard")
+        for s in (view.looks[-1].scores if view.looks else ())
+        if isinstance(s.outcome, Score)
+    ]
+    usual = [*(value for _, value in references), *(p.value for p in kept)]
+    ceiling = _OFF_SCALE * max(usual, default=float("inf"))
+    beyond = [p.number for p in (*others, *guard) if p.value > ceiling]
+    discarded = [p for p in others if p.value <= ceiling]
+    guard = [p for p in guard if p.value <= ceiling]
+    failed = [e.number for e in view.finished if e.failure]
+    points = (*kept, *discarded, *guard)
+    count = max((e.number for e in view.finished), default=0)
+
     width = picture_width()
     figure = Figure(figsize=(width, min(_HEIGHT, width)), layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    _scale(axes, search, metric)
-    _entitle(axes, _title(view))
-    _mark(axes, search)
+    values = [*(p.value for p in points), *(value for _, value in references)]
+    low, high = min(values, default=0.0), max(values, default=1.0)
+    scale_experiments(axes, count, metric)
+    if high > _LOG_FROM * low > 0:
+        log_values(axes, low, high)
+    else:
+        axes.set_ylim(0.0, high * 1.12 if high > 0 else 1.0)
+    quiet_grid(axes)
+    title = _title(view)
+    if width < _HEIGHT:
+        title = "\n".join(textwrap.fill(line, int(11 * width)) for line in title.splitlines())
+        axes.set_title(title, fontweight="bold", fontsize=8.0, pad=8.0)
+    else:
+        axes.set_title(title, fontweight="bold", fontsize=9.5, pad=11.0)
+    if kept:
+        x, y = [p.number for p in kept], [p.value for p in kept]
+        marks: dict[str, Any] = {"marker": "o", "ms": 6.0, "markevery": list(range(len(x)))}
+        ends = [*x, count], [*y, y[-1]]
+        axes.step(*ends, where="post", color=BLUE, lw=1.6, zorder=5, label="best so far", **marks)
+    if discarded:
+        x, y = [p.number for p in discarded], [p.value for p in discarded]
+        axes.plot(x, y, "o", mfc="white", mec=QUIET, ms=5.0, zorder=4, label="not kept")
+    if guard:
+        x, y = [p.number for p in guard], [p.value for p in guard]
+        marks = {"mfc": "white", "mec": GREEN, "mew": 1.4, "ms": 5.0}
+        axes.plot(x, y, "D", zorder=6, label="guard records", **marks)
+    edge = blended_transform_factory(axes.transData, axes.transAxes)
+    for numbers, marker, colour, label in (
+        (beyond, "^", QUIET, "off scale"),
+        (failed, "x", RED, "failed, no score"),
+    ):
+        if numbers:
+            marks = {"mfc": "white", "mec": colour, "mew": 1.6, "ms": 6.0, "clip_on": False}
+            y = [1.0] * len(numbers)
+            axes.plot(numbers, y, marker, transform=edge, zorder=6, label=label, **marks)
     _hand_overs(axes, view)
-    labels = [_reference(axes, i, name, value) for i, (name, value) in enumerate(search.rungs)]
+    labels = [_reference(axes, i, name, value) for i, (name, value) in enumerate(references)]
     handles = axes.get_legend_handles_labels()[0]
     figure_legend(figure, handles, 4, handletextpad=0.5, columnspacing=2.2)
     canvas.draw()
     figure.set_layout_engine("none")
     _spread(labels, figure.dpi)
-    if search.kept:
-        _tag(axes, canvas, search)
+    if kept:
+        _tag(axes, canvas, kept, points)
     return figure
-
-
-def _gather(view: SearchView, beside: Control | None) -> _Points:
-    references = tuple(
-        (_REFERENCE_NAMES.get(r.name, plain(r.name, 24)), r.outcome.value)
-        for r in view.rungs
-        if isinstance(r.outcome, Score)
-    )
-    if beside is not None and beside.value is not None:
-        references = (*references, ("expert, same budget", beside.value))
-    scored = [(e, e.score.value) for e in view.finished if e.score]
-    bests = {e.number for e in view.bests}
-    kept = tuple(_point(e, v) for e, v in scored if e.number in bests)
-    others = [_point(e, v) for e, v in scored if e.number not in bests]
-    guard = _guarded(view)
-    usual = [v for _, v in references] + [p.value for p in kept]
-    ceiling = _OFF_SCALE * max(usual, default=float("inf"))
-    return _Points(
-        kept,
-        tuple(p for p in others if p.value <= ceiling),
-        tuple(p for p in (*others, *guard) if p.value > ceiling),
-        tuple(p for p in guard if p.value <= ceiling),
-        tuple(e.number for e in view.finished if e.failure),
-        references,
-        max((e.number for e in view.finished), default=0),
-    )
-
-
-def _guarded(view: SearchView) -> list[_Point]:
-    scores = view.looks[-1].scores if view.looks else ()
-    return [
-        _Point(s.experiment, s.outcome.value, "guard")
-        for s in scores
-        if isinstance(s.outcome, Score)
-    ]
-
-
-def _point(e: Experiment, value: float) -> _Point:
-    return _Point(e.number, value, e.proposed.title)
-
-
-def _entitle(axes: Axes, title: str) -> None:
-    if (width := picture_width()) < _HEIGHT:
-        title = "\n".join(textwrap.fill(line, int(11 * width)) for line in title.splitlines())
-        axes.set_title(title, fontweight="bold", fontsize=8.0, pad=8.0)
-    else:
-        axes.set_title(title, fontweight="bold", fontsize=9.5, pad=11.0)
 
 
 def _title(view: SearchView) -> str:
@@ -166,25 +151,20 @@ def _title(view: SearchView) -> str:
     head = f"{plain(start.problem, 28)}, agent {plain(start.agent, 28)}, seed {start.seed}"
     if best is None or best.score is None:
         return f"{head}: no model yet"
-    total = len(view.finished)
     link = ": " if view.v_name == "V" else "\n"
     value = f"{view.v_name} = {number(best.score.value)}"
     use = view.refitted.use if view.refitted else None
     named = f"\nmodel to use: {use}" if use else ""
+    total = len(view.finished)
     return f"{head}{link}best {value} (experiment {best.number} of {total}){named}"
 
 
-def _scale(axes: Axes, search: _Points, metric: str) -> None:
+def scale_experiments(axes: Axes, count: int, metric: str) -> None:
+    """The numbers of experiments, and the names of both axes."""
     axes.set_xlabel("Experiment")
     axes.set_ylabel(v_axis_label(metric))
-    axes.set_xlim(0.4, max(search.count, 1) + 0.6)
+    axes.set_xlim(0.4, max(count, 1) + 0.6)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=16, min_n_ticks=1))
-    low, high = min(search.values, default=0.0), max(search.values, default=1.0)
-    if search.log:
-        log_values(axes, low, high)
-    else:
-        axes.set_ylim(0.0, high * 1.12 if high > 0 else 1.0)
-    quiet_grid(axes)
 
 
 def log_values(axes: Axes, low: float, high: float) -> None:
@@ -195,51 +175,6 @@ def log_values(axes: Axes, low: float, high: float) -> None:
     axes.yaxis.set_major_locator(LogLocator(subs=steps))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
     axes.yaxis.set_minor_locator(NullLocator())
-
-
-def _mark(axes: Axes, search: _Points) -> None:
-    edge = blended_transform_factory(axes.transData, axes.transAxes)
-    if search.kept:
-        x, y = [p.number for p in search.kept], [p.value for p in search.kept]
-        ends = [*x, search.count], [*y, y[-1]]
-        axes.step(
-            *ends,
-            where="post",
-            color=BLUE,
-            lw=1.6,
-            marker="o",
-            ms=6.0,
-            zorder=5,
-            markevery=list(range(len(x))),
-            label="best so far",
-        )
-    if search.discarded:
-        x, y = [p.number for p in search.discarded], [p.value for p in search.discarded]
-        axes.plot(x, y, "o", mfc="white", mec=QUIET, ms=5.0, zorder=4, label="not kept")
-    if search.guard:
-        x, y = [p.number for p in search.guard], [p.value for p in search.guard]
-        axes.plot(
-            x, y, "D", mfc="white", mec=GREEN, mew=1.4, ms=5.0, zorder=6, label="guard records"
-        )
-    for numbers, marker, colour, label in (
-        ([p.number for p in search.beyond], "^", QUIET, "off scale"),
-        (search.failed, "x", RED, "failed, no score"),
-    ):
-        if numbers:
-            axes.plot(
-                numbers,
-                [1.0] * len(numbers),
-                marker=marker,
-                mfc="white",
-                mec=colour,
-                mew=1.6,
-                ms=6.0,
-                ls="",
-                transform=edge,
-                clip_on=False,
-                zorder=6,
-                label=label,
-            )
 
 
 def _hand_overs(axes: Axes, view: SearchView) -> None:
@@ -298,10 +233,18 @@ def _spread(labels: Sequence[Text], dpi: float) -> None:
         labels[index].set_position((9.0, float(y - middle[index]) * points))
 
 
-def _tag(axes: Axes, canvas: FigureCanvasAgg, search: _Points) -> None:
-    chosen = _most_telling(search.kept)
+def _tag(
+    axes: Axes, canvas: FigureCanvasAgg, kept: Sequence[_Point], points: Sequence[_Point]
+) -> None:
+    """Name the improvements, where there is room and no point is covered."""
+    # The best model, the first one, then by how much each improved on the one before.
+    chosen = list(kept)
+    if len(kept) > 1:
+        gains = {b.number: a.value - b.value for a, b in pairwise(kept)}
+        middle = sorted(kept[1:-1], key=lambda p: -gains[p.number])
+        chosen = [kept[-1], kept[0], *middle][:_MOST_TAGS]
     texts = [_balanced(plain(p.title, 66), 26) for p in chosen]
-    weights = ["bold" if p is search.kept[-1] else "normal" for p in chosen]
+    weights = ["bold" if p is kept[-1] else "normal" for p in chosen]
     # Places are found in units of a page's picture, whose letters are 11 high, and y goes down.
     unit = canvas.figure.dpi / 72.0 * _TAG_FONT / 11.0
 
@@ -314,20 +257,18 @@ def _tag(axes: Axes, canvas: FigureCanvasAgg, search: _Points) -> None:
         box = Text(0, 0, text, fontsize=_TAG_FONT, fontweight=weight, figure=canvas.figure)
         extent = box.get_window_extent(canvas.get_renderer())
         tags.append(Tag(position(point), (extent.width / unit + 4.0, extent.height / unit + 4.0)))
-    shown = [position(p) for p in (*search.kept, *search.discarded, *search.guard)]
     edge = axes.get_window_extent()
     frame = Box(edge.x0 / unit, -edge.y1 / unit, edge.x1 / unit, -edge.y0 / unit)
-    points = _TAG_FONT / 11.0
-    for point, text, weight, tag, found in zip(
-        chosen, texts, weights, tags, place(tags, shown, frame), strict=True
-    ):
+    places = place(tags, [position(p) for p in points], frame)
+    scale = _TAG_FONT / 11.0
+    for point, text, weight, tag, found in zip(chosen, texts, weights, tags, places, strict=True):
         if found is None:
             continue
         x, y = tag.anchor
         axes.annotate(
             text,
             xy=(point.number, point.value),
-            xytext=((found.left + 2.0 - x) * points, (y - found.bottom + 2.0) * points),
+            xytext=((found.left + 2.0 - x) * scale, (y - found.bottom + 2.0) * scale),
             textcoords="offset points",
             ha="left",
             va="bottom",
@@ -345,19 +286,9 @@ def _balanced(text: str, width: int) -> str:
     return "\n".join(next(lines for lines in wrapped if len(lines) <= len(wrapped[-1])))
 
 
-def _most_telling(kept: Sequence[_Point]) -> list[_Point]:
-    """The best model, the first one, then by how much each improved on the one before."""
-    if len(kept) < 2:
-        return list(kept)
-    gains = {b.number: a.value - b.value for a, b in pairwise(kept)}
-    middle = sorted(kept[1:-1], key=lambda p: -gains[p.number])
-    return [kept[-1], kept[0], *middle][:_MOST_TAGS]
-
-
 # Several searches on one problem: V against experiments, each side of the comparison a colour.
 
 
-_COMPARISON_HEIGHT = 4.2
 _COLOURS: Final = (BLUE, ORANGE, GREEN, QUIET)
 
 
@@ -365,38 +296,31 @@ def draw_arms(picture: ArmsPicture) -> Figure:
     """A point each experiment, best so far as a step line: thin for each seed, thick for their
     median, between the lowest and the highest. Points far above are clipped to triangles on the
     edge."""
-    sides, levels = picture.sides, picture.levels
-    figure = Figure(figsize=(picture_width(), _COMPARISON_HEIGHT), layout="constrained")
+    sides = picture.sides
+    figure = Figure(figsize=(picture_width(), 4.2), layout="constrained")
     axes = figure.add_subplot()
     length = max((len(c.values) for s in sides for c in s.curves), default=1)
-    _comparison_scale(axes, sides, levels, length)
-    for index, side in enumerate(sides):
-        shift = 0.12 * (index - (len(sides) - 1) / 2)
-        _side(axes, side, _COLOURS[index % len(_COLOURS)], length, shift)
-    for index, level in enumerate(levels):
-        _level(axes, level, _DASHES[index % len(_DASHES)])
-    axes.set_xlabel("Experiment")
-    axes.set_ylabel(v_axis_label(picture.metric))
-    entitle(figure, picture.title)
-    handles = axes.get_legend_handles_labels()[0]
-    figure_legend(figure, handles, 2, fontsize=7.5, handletextpad=0.6)
-    return figure
-
-
-def _comparison_scale(
-    axes: Axes, sides: Sequence[ArmCurves], levels: Sequence[ComparedValue], length: int
-) -> None:
     steps = [c.best_so_far(length) for s in sides for c in s.curves]
-    values = np.concatenate([*steps, np.array([level.value for level in levels])])
+    values = np.concatenate([*steps, np.array([level.value for level in picture.levels])])
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
-    axes.set_xlim(0.4, length + 0.6)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=16, min_n_ticks=1))
+    scale_experiments(axes, length, picture.metric)
     if high > _LOG_FROM * low > 0:
         log_values(axes, low, high)
     else:
         axes.set_ylim(0.0, high * 1.15)
     quiet_grid(axes)
+    for index, side in enumerate(sides):
+        shift = 0.12 * (index - (len(sides) - 1) / 2)
+        _side(axes, side, _COLOURS[index % len(_COLOURS)], length, shift)
+    for index, level in enumerate(picture.levels):
+        label = f"{plain(level.label, 44)}: {number(level.value)}"
+        dashes = _DASHES[index % len(_DASHES)]
+        axes.axhline(level.value, color=INK, lw=0.9, dashes=dashes, zorder=2, label=label)
+    entitle(figure, picture.title)
+    handles = axes.get_legend_handles_labels()[0]
+    figure_legend(figure, handles, 2, fontsize=7.5, handletextpad=0.6)
+    return figure
 
 
 def _side(axes: Axes, side: ArmCurves, colour: str, length: int, shift: float) -> None:
@@ -435,8 +359,3 @@ def _side(axes: Axes, side: ArmCurves, colour: str, length: int, shift: float) -
     label += f", median of {len(best)} seeds" if several else ""
     ends = np.append(at[shown], length + 0.4), np.append(middle, middle[-1])
     axes.step(*ends, where="post", color=colour, lw=2.0, zorder=5, label=label)
-
-
-def _level(axes: Axes, level: ComparedValue, dashes: tuple[float, ...]) -> None:
-    label = f"{plain(level.label, 44)}: {number(level.value)}"
-    axes.axhline(level.value, color=INK, lw=0.9, dashes=dashes, zorder=2, label=label)

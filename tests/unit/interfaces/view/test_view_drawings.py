@@ -14,7 +14,7 @@ def points(count: int) -> list[Point]:
         kept = n % 10 == 1
         value = None if not kept and n % 7 == 0 else (1.0 if kept else 1.2) / n**0.2
         status = "keep" if kept else "discard" if value else "invalid"
-        found.append(Point(n, value, status, f"title {n}", "", "", status == "keep"))
+        found.append(Point(n, value, status, f"title {n}", status == "keep"))
     return found
 
 

@@ -7,11 +7,8 @@ from typing import Final
 
 from asia._text import one_line
 from asia.judge.scoring.checks.check import Verdict
-from asia.ledger.events import Ablated, Confirmed, Validated
+from asia.ledger.events import Confirmed, Validated
 from asia.ledger.evidence import (
-    DrawnCheck,
-    EstimatedParameter,
-    IdentifiedModel,
     IdentifiedParameter,
     get_curves,
     get_findings,
@@ -19,11 +16,22 @@ from asia.ledger.evidence import (
 )
 from asia.ledger.run import Run
 from asia.ledger.text import disagreement_lines
-from asia.report.page.html import ONE, Html, facts, fixed, join, said, table, tag, write_number
+from asia.report.page.html import (
+    ONE,
+    Html,
+    facts,
+    fixed,
+    join,
+    region,
+    said,
+    table,
+    tag,
+    write_number,
+)
 from asia.report.page.subject import Section, Subject, used_no_test
-from asia.report.page.svg import draw_panel
+from asia.report.page.svg import draw_check
 
-# Section of the ablation: contributions of the changes to the gain of the winner.
+# The ablation: contributions of the changes to the gain of the winner.
 
 
 _PARTS = (
@@ -35,7 +43,7 @@ _PARTS = (
 
 
 def _write(subject: Subject) -> Html | None:
-    found = subject.view.ablated
+    found, name = subject.view.ablated, subject.view.v_name
     if found is None:
         return None
     text = tag(
@@ -44,55 +52,42 @@ def _write(subject: Subject) -> Html | None:
         subject.number(found, "seeds", "count"),
         " seeds chosen by the evaluator.",
     )
-    return join((text, _crossing(subject, found), _left_out(subject, found)))
-
-
-def _crossing(subject: Subject, found: Ablated) -> Html:
-    if found.crossing is None:
-        return tag("p", "Model and training cannot be crossed: ", said(found.detail), ".")
-    rows: list[list[str | None]] = [[text, _interval(subject, found, at)] for text, at in _PARTS]
-    head = ["part of the winner", f"{subject.view.v_name} is lower by"]
-    return table(head, rows, "Contributions to the gain over the baseline")
-
-
-def _left_out(subject: Subject, found: Ablated) -> Html | None:
-    if not found.left_out:
-        return None
-    rows: list[list[str | None]] = []
-    for k, one in enumerate(found.left_out):
-        at = f"left_out.{k}"
-        loss = said(one.detail) if one.loss is None else _interval(subject, found, f"{at}.loss")
-        rows.append([subject.number(found, f"{at}.experiment", "number"), loss])
-    head = ["without the change of", f"{subject.view.v_name} is higher by"]
-    return table(head, rows, "Each change of the lineage left out")
-
-
-def _interval(subject: Subject, found: Ablated, at: str) -> Html:
-    value, low, high = (
-        subject.number(found, f"{at}.{end}", "signed_error") for end in ("value", "low", "high")
-    )
-    return join((value, " (", low, " to ", high, ")"))
+    crossing = tag("p", "Model and training cannot be crossed: ", said(found.detail), ".")
+    if found.crossing is not None:
+        rows = [[part, subject.interval(found, at, "signed_error")] for part, at in _PARTS]
+        head = ["part of the winner", f"{name} is lower by"]
+        crossing = table(head, rows, "Contributions to the gain over the baseline")
+    changes = None
+    if found.left_out:
+        rows: list[list[str]] = []
+        for k, one in enumerate(found.left_out):
+            loss = said(one.detail)
+            if one.loss is not None:
+                loss = subject.interval(found, f"left_out.{k}.loss", "signed_error")
+            rows.append([subject.number(found, f"left_out.{k}.experiment", "number"), loss])
+        head = ["without the change of", f"{name} is higher by"]
+        changes = table(head, rows, "Each change of the lineage left out")
+    return join((text, crossing, changes))
 
 
 SECTION = Section("ablation", "Ablation", _write)
 
 
-# Section of the output bands: their coverage on the sealed test.
+# The output bands: their coverage on the sealed test.
 
 
 def _write_bands(subject: Subject) -> Html | None:
     opened = subject.view.unsealed
     if opened is None or opened.bands is None:
         return None
-    bands = opened.bands
     pairs = (
-        ("model", bands.model),
+        ("model", opened.bands.model),
         ("nominal coverage", subject.number(opened, "bands.level", "share")),
         ("outside the region of validity", subject.number(opened, "bands.outside", "share")),
     )
     rows = [
         [said(name), subject.number(opened, f"bands.covered.{c}", "share")]
-        for c, name in enumerate(opened.channels[: len(bands.covered)])
+        for c, name in enumerate(opened.channels[: len(opened.bands.covered)])
     ]
     head = ["output", "coverage of the test samples"]
     return join((facts(pairs), table(head, rows, "The bands on the sealed test")))
@@ -101,7 +96,7 @@ def _write_bands(subject: Subject) -> Html | None:
 BANDS = Section("bands", "Output bands", _write_bands)
 
 
-# Section of the confirmation: significance of the winner over repeated fits.
+# The confirmation: significance of the winner over repeated fits.
 
 
 def _write_confirmation(subject: Subject) -> Html | None:
@@ -119,7 +114,7 @@ def _write_confirmation(subject: Subject) -> Html | None:
                  _expected(subject, found), after))  # fmt: skip
 
 
-def _candidates(subject: Subject, found: Confirmed) -> Html | None:
+def _candidates(subject: Subject, found: Confirmed) -> Html:
     if not found.candidates:
         return tag("p", "None of them has a score with another seed.")
     rows: list[list[str | None]] = []
@@ -132,7 +127,7 @@ def _candidates(subject: Subject, found: Confirmed) -> Html | None:
         rows.append([
             subject.number(found, f"{at}.experiment", "number"),
             join(ranks),
-            _confirmation_interval(subject, found, f"{at}.value", "error"),
+            subject.interval(found, f"{at}.value", "error"),
             subject.number(found, f"{at}.first", "error"),
             "fits do not depend on the seed" if one.deterministic else spread,
             subject.number(found, f"{at}.failed", "count"),
@@ -146,12 +141,12 @@ def _candidates(subject: Subject, found: Confirmed) -> Html | None:
 def _pairs(subject: Subject, found: Confirmed) -> Html | None:
     if not found.pairs:
         return None
-    rows: list[list[str | None]] = []
+    rows: list[list[str]] = []
     for k, pair in enumerate(found.pairs):
         at = f"pairs.{k}"
         names = [subject.number(found, f"{at}.{side}", "number") for side in ("first", "second")]
         text = "is better" if pair.apart else "statistically equal"
-        gap = _confirmation_interval(subject, found, f"{at}.difference", "signed_error")
+        gap = subject.interval(found, f"{at}.difference", "signed_error")
         rows.append([join(names, " and "), gap, text])
     note = tag(
         "p",
@@ -165,45 +160,28 @@ def _pairs(subject: Subject, found: Confirmed) -> Html | None:
 
 
 def _expected(subject: Subject, found: Confirmed) -> Html:
-    noise = None
+    noise: tuple[str, ...] = ()
     if found.noise is not None:
-        noise = join(
-            (
-                "The noise floor, the standard deviation of V from seed to seed, is ",
-                subject.number(found, "noise", "sig2"),
-                ". ",
-            )
-        )
+        text = "The noise floor, the standard deviation of V from seed to seed, is "
+        noise = (text, subject.number(found, "noise", "sig2"), ". ")
     if found.expected is None:
-        return tag("p", noise, "The expected error of the winner is unknown: its repeats failed.")
-    ensemble = None
+        return tag("p", *noise, "The expected error of the winner is unknown: its repeats failed.")
+    ensemble: tuple[str, ...] = ()
     if found.ensemble is not None:
-        ensemble = join(
-            (
-                "; their ensemble one of ",
-                _confirmation_interval(subject, found, "ensemble", "error"),
-            )
-        )
+        ensemble = ("; their ensemble one of ", subject.interval(found, "ensemble", "error"))
     return tag(
         "p",
-        noise,
+        *noise,
         "On a new record of the same kind, as long as a fold, one of its fold models is expected "
         "to have an error of ",
-        _confirmation_interval(subject, found, "expected", "error"),
+        subject.interval(found, "expected", "error"),
         ", at a level of ",
         subject.number(found, "expected_level", "share"),
-        ensemble,
+        *ensemble,
         "; of this ",
         subject.number(found, "expected.optimism", "sig2"),
         " corrects for the selection of the best.",
     )
-
-
-def _confirmation_interval(subject: Subject, found: Confirmed, at: str, form: str) -> Html:
-    value, low, high = (
-        subject.number(found, f"{at}.{end}", form) for end in ("value", "low", "high")
-    )
-    return join((value, " (", low, " to ", high, ")"))
 
 
 CONFIRMATION = Section("confirmation", "Significance", _write_confirmation)
@@ -212,68 +190,72 @@ CONFIRMATION = Section("confirmation", "Significance", _write_confirmation)
 # The equations and parameters of the winner, fitted to all training records.
 
 
-_MOST_PAIRS = 5
-_LONGEST = 600
-
-
 def _write_identified(subject: Subject) -> Html | None:
-    found = identified(subject.run)
+    run, found = subject.run, identified(subject.run)
     if found is None or not (found.equations or found.parameters):
         return None
-    return join(
-        (_equations(found), _parameters(subject.run, found), _entangled(subject.run, found))
-    )
+    parts: list[Html] = []
+    if found.equations:
+        lines = "\n".join(one_line(line, 600) for line in found.equations)
+        parts.append(tag("p", "The equations of the winner, with the fitted numbers:"))
+        parts.append(tag("pre", tag("code", lines), tabindex="0"))
+    if found.parameters:
+        head = ["parameter", "value", "unit", "standard error", "standard error by folds",
+                "interval", "decided by", "remark"]  # fmt: skip
+        rows = [_parameter(run, f"parameters.{k}", one) for k, one in enumerate(found.parameters)]
+        parts.append(table(head, rows, "Parameters, fitted to all training records"))
+        parts += [tag("p", tag("b", said(line), ".")) for line in disagreement_lines(found)]
+        text = (
+            ": the widest of what noise, the spread of the fold models, and a missing effect that "
+            "the residuals show would give."
+        )
+        parts.append(tag("p", "The intervals are those of ", fixed("95 %"), text))
+    if found.entangled:
+        names = [one.fitted.name for one in found.parameters]
+        pairs = [
+            [
+                join((said(a), " and ", said(b))),
+                _number(
+                    run, f"correlation.{names.index(a)}.{names.index(b)}", rho, "signed_fixed3"
+                ),
+            ]
+            for a, b, rho in found.entangled[:5]
+        ]
+        head = ["pair", "correlation of the errors"]
+        parts.append(table(head, pairs, "Poorly distinguished by the records"))
+    return join(parts)
 
 
-def _equations(found: IdentifiedModel) -> Html | None:
-    if not found.equations:
-        return None
-    lines = "\n".join(one_line(line, _LONGEST) for line in found.equations)
-    return join((tag("p", "The equations of the winner, with the fitted numbers:"),
-                 tag("pre", tag("code", lines), tabindex="0")))  # fmt: skip
-
-
-def _parameters(run: Run, found: IdentifiedModel) -> Html | None:
-    if not found.parameters:
-        return None
-    rows = [_row(run, k, one) for k, one in enumerate(found.parameters)]
-    head = ["parameter", "value", "unit", "standard error", "standard error by folds", "interval",
-            "decided by", "remark"]  # fmt: skip
-    text = tag(
-        "p",
-        "The intervals are those of ",
-        fixed("95 %"),
-        ": the widest of what noise, the spread of the fold models, and a missing effect that the "
-        "residuals show would give.",
-    )
-    apart = [tag("p", tag("b", said(line), ".")) for line in disagreement_lines(found)]
-    return join((table(head, rows, "Parameters, fitted to all training records"), *apart, text))
-
-
-def _row(run: Run, place: int, one: IdentifiedParameter) -> list[str | None]:
-    at, fitted, error = f"parameters.{place}", one.fitted, one.fitted.standard_error
+def _parameter(run: Run, at: str, one: IdentifiedParameter) -> list[str | None]:
+    fitted = one.fitted
+    error = by_folds = None
+    if fitted.standard_error is not None:
+        error = _number(run, f"{at}.standard_error", fitted.standard_error, "sig2")
+    if one.fold_error is not None:
+        by_folds = _of_folds(run, one, [f"{at}.value"], [fitted.value], "jackknife", "sig2")
+    remarks = [] if fitted.identifiable else ["not identifiable from these records"]
+    if fitted.at_bound:
+        remarks.append(f"at the {fitted.at_bound} end of its range")
     return [
         said(fitted.name),
         _number(run, f"{at}.value", fitted.value, "sig5"),
         said(fitted.unit),
-        None if error is None else _number(run, f"{at}.standard_error", error, "sig2"),
-        None
-        if one.fold_error is None
-        else _of_folds(run, one, [f"{at}.value"], [fitted.value], "jackknife", "sig2"),
-        _identified_interval(run, at, one),
+        error,
+        by_folds,
+        _interval(run, at, one),
         None if one.interval is None else one.decided_by,
-        _remark(fitted),
+        "; ".join(remarks),
     ]
 
 
-def _identified_interval(run: Run, at: str, one: IdentifiedParameter) -> Html | None:
+def _interval(run: Run, at: str, one: IdentifiedParameter) -> Html | None:
     fitted = one.fitted
     if one.interval is None or fitted.low is None or fitted.high is None:
         return None
     paths = [f"{at}.{name}" for name in ("value", "low", "high", "lower")]
     values = [fitted.value, fitted.low, fitted.high, fitted.lower]
     ends: list[Html] = []
-    for place, end in enumerate(("low", "high"), 1):
+    for end, value in (("low", fitted.low), ("high", fitted.high)):
         if one.decided_by == "folds":
             ends.append(_of_folds(run, one, paths, values, f"folds_{end}", "sig4"))
         elif one.decided_by == "missing effect":
@@ -281,7 +263,7 @@ def _identified_interval(run: Run, at: str, one: IdentifiedParameter) -> Html | 
             every = [*values, fitted.misfit_error]
             ends.append(write_number(every, sources, f"effect_{end}", "sig4"))
         else:
-            ends.append(write_number([values[place]], _sources(run, [paths[place]]), ONE, "sig4"))
+            ends.append(_number(run, f"{at}.{end}", value, "sig4"))
     return join(ends, " to ")
 
 
@@ -308,27 +290,6 @@ def _sources(run: Run, paths: Sequence[str]) -> str:
     return " ".join(f"{run.view.refitted.estimates}:{path}" for path in paths)
 
 
-def _remark(one: EstimatedParameter) -> str:
-    remarks = [] if one.identifiable else ["not identifiable from these records"]
-    if one.at_bound:
-        remarks.append(f"at the {one.at_bound} end of its range")
-    return "; ".join(remarks)
-
-
-def _entangled(run: Run, found: IdentifiedModel) -> Html | None:
-    names = [one.fitted.name for one in found.parameters]
-    rows = [
-        [
-            join((said(a), " and ", said(b))),
-            _number(run, f"correlation.{names.index(a)}.{names.index(b)}", rho, "signed_fixed3"),
-        ]
-        for a, b, rho in found.entangled[:_MOST_PAIRS]
-    ]
-    if not rows:
-        return None
-    return table(["pair", "correlation of the errors"], rows, "Poorly distinguished by the records")
-
-
 def _number(run: Run, path: str, value: float, form: str) -> Html:
     return write_number([value], _sources(run, [path]), ONE, form)
 
@@ -336,19 +297,18 @@ def _number(run: Run, path: str, value: float, form: str) -> Html:
 IDENTIFIED = Section("identified", "Identified parameters", _write_identified)
 
 
-# Section of the validation: objections against the use of the model.
+# The validation: objections against the use of the model.
 
 
 _KINDS: Final = {Verdict.PASS: "good", Verdict.DOUBT: "doubt", Verdict.FAIL: "none"}
-_LOGARITHMIC: Final = frozenset({"frequency response", "error spectrum"})
 
 
 def _write_validation(subject: Subject) -> Html | None:
     found = subject.view.validated
-    return join([_report(subject, one) for one in found]) if found else None
+    return join([_validation(subject, one) for one in found]) if found else None
 
 
-def _report(subject: Subject, found: Validated) -> Html:
+def _validation(subject: Subject, found: Validated) -> Html:
     title = "On the held-out data"
     if found.record:
         title = join(("On the new record ", said(found.record)))
@@ -366,52 +326,28 @@ def _report(subject: Subject, found: Validated) -> Html:
         subject.number(found, "experiment", "number"),
         ".",
     )
-    after = used_no_test(found.after_unsealing)
-    return join(
-        (tag("h3", title), counts, _worst(subject, found), after, _table(subject, found),
-         _pictures(subject, found))
-    )  # fmt: skip
-
-
-def _worst(subject: Subject, found: Validated) -> Html | None:
+    worst: Html | None = None
+    rows: list[Html] = []
     for k, one in enumerate(found.checks):
-        if one.name == found.worst:
-            text = subject.number(found, f"checks.{k}.sentence", "text")
-            return tag("p", tag("b", "Most important: "), text, ".", class_="sentence")
-    return None
-
-
-def _table(subject: Subject, found: Validated) -> Html:
-    rows = [
-        tag(
-            "tr",
-            tag("th", one.name, scope="row"),
-            tag("td", tag("span", str(one.verdict), class_=f"stamp small {_kind(one.verdict)}")),
-            tag("td", subject.number(found, f"checks.{k}.sentence", "text")),
-        )
-        for k, one in enumerate(found.checks)
-    ]
+        sentence = subject.number(found, f"checks.{k}.sentence", "text")
+        kind = _KINDS.get(one.verdict, "shown")
+        stamp = tag("span", str(one.verdict), class_=f"stamp small {kind}")
+        name = tag("th", one.name, scope="row")
+        rows.append(tag("tr", name, tag("td", stamp), tag("td", sentence)))
+        if one.name == found.worst and worst is None:
+            worst = tag("p", tag("b", "Most important: "), sentence, ".", class_="sentence")
     head = [tag("th", text, scope="col") for text in ("check", "verdict", "finding")]
-    inner = tag(
-        "table",
-        tag("caption", "Validation checks"),
-        tag("thead", tag("tr", *head)),
-        tag("tbody", *rows),
-    )
+    caption = tag("caption", "Validation checks")
+    inner = tag("table", caption, tag("thead", tag("tr", *head)), tag("tbody", *rows))
     label = f"Validation checks, {found.record or 'held-out parts'}"
-    return tag("div", inner, class_="scroll dossier", tabindex="0", role="region", aria_label=label)
-
-
-def _kind(verdict: Verdict) -> str:
-    return _KINDS.get(verdict, "shown")
-
-
-def _pictures(subject: Subject, found: Validated) -> Html | None:
-    if not subject.run.store.kept:
-        return None
-    drawn: tuple[DrawnCheck, ...] = get_curves(subject.run.store, found.curves)
-    panels = [draw_panel(one, log=one.name in _LOGARITHMIC) for one in drawn]
-    return tag("div", *panels, class_="grid") if panels else None
+    checks = region("div", inner, class_="scroll dossier", label=label)
+    pictures = None
+    if subject.run.store.kept:
+        drawn = get_curves(subject.run.store, found.curves)
+        panels = [draw_check(one) for one in drawn]
+        pictures = tag("div", *panels, class_="grid") if panels else None
+    after = used_no_test(found.after_unsealing)
+    return join((tag("h3", title), counts, worst, after, checks, pictures))
 
 
 VALIDATION = Section("validation", "Validation", _write_validation)

@@ -11,15 +11,13 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.chain import write_whole
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.evidence import IdentifiedModel, identified
-from asia.ledger.run import Run, metric_of, model_to_use, open_run, tested_model
+from asia.ledger.run import metric_of, model_to_use, open_run, tested_model
 from asia.ledger.text import error_value
-from asia.ledger.view import Experiment, SearchView
+from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric, metric_label
+from asia.report.simulated import final_models
 
-# The paragraph on methods that a paper needs, from the ledger alone.
-
-
-_MODELS = {
+_USES = {
     "ensemble": "the mean of the models of all folds",
     "refit": "the winner fitted to all training records",
     "stack": "a weighted mean of several candidates",
@@ -27,30 +25,31 @@ _MODELS = {
 
 
 def methods_paragraph(directory: Path) -> str:
-    """See `asia.report.methods_paragraph`."""
+    """Write the methods paragraph of a paper from the ledger of a run.
+
+    Args:
+        directory: run directory.
+
+    Raises:
+        UserError: the directory is not a run.
+    """
     run = open_run(directory)
-    return " ".join(_sentences(run, metric_of(directory)))
-
-
-def _sentences(run: Run, metric: str) -> Iterator[str]:
-    view = run.view
-    start = view.started
+    view, start = run.view, run.view.started
     version = start.environment.get("asia-sysid", "of an unknown version")
-    yield (
-        f"The model of {_words(start.problem)} was searched for with ASIA {version}, agent "
-        f"{_words(start.agent)}, seed {start.seed}."
-    )
-    yield from _judged(view, metric)
-    yield from _kept_apart(view)
-    yield from _found(view)
-    yield from _tested(view)
-    yield (
+    sentences = [
+        f"The model of {_quoted(start.problem)} was searched for with ASIA {version}, agent "
+        f"{_quoted(start.agent)}, seed {start.seed}.",
+        *_search(view, metric_of(directory)),
+        *_isolation(view),
+        *_winner(view),
+        *_sealed_test(view),
         f"The ledger of the search holds {len(run.lines)} events, each with the hash of the one "
-        f"before; the problem, as it was, has the SHA-256 {start.lock_digest[:16]}."
-    )
+        f"before; the problem, as it was, has the SHA-256 {start.lock_digest[:16]}.",
+    ]
+    return " ".join(sentences)
 
 
-def _judged(view: SearchView, metric: str) -> Iterator[str]:
+def _search(view: SearchView, metric: str) -> Iterator[str]:
     best = view.best
     folds = len(best.score.folds) if best is not None and best.score is not None else 0
     failed = sum(e.score is None for e in view.finished)
@@ -62,7 +61,7 @@ def _judged(view: SearchView, metric: str) -> Iterator[str]:
         "the standard deviation of the output in the training part, mean over outputs and folds."
     )
     references = [
-        f"{_words(r.name)} {error_value(r.outcome.value)}"
+        f"{_quoted(r.name)} {error_value(r.outcome.value)}"
         for r in view.rungs
         if isinstance(r.outcome, Score)
     ]
@@ -70,7 +69,7 @@ def _judged(view: SearchView, metric: str) -> Iterator[str]:
         yield f"Trivial references have V: {', '.join(references)}."
 
 
-def _kept_apart(view: SearchView) -> Iterator[str]:
+def _isolation(view: SearchView) -> Iterator[str]:
     start = view.started
     layers = f" ({', '.join(start.layers)})" if start.layers else ""
     yield (
@@ -92,35 +91,30 @@ def _kept_apart(view: SearchView) -> Iterator[str]:
         yield f"The user gave the agent {len(view.notes)} notes."
 
 
-def _found(view: SearchView) -> Iterator[str]:
-    best, named = view.best, model_to_use(view)
+def _winner(view: SearchView) -> Iterator[str]:
+    best, named, confirmed = view.best, model_to_use(view), view.confirmed
     if best is None or best.score is None or named is None:
         yield "No candidate has a score."
         return
     folds = ", ".join(error_value(f.value) for f in best.score.folds)
     yield (
-        f"The best candidate, number {best.number} ({_words(best.proposed.title)}), has "
+        f"The best candidate, number {best.number} ({_quoted(best.proposed.title)}), has "
         f"{view.v_name} = {error_value(best.score.value)} (folds {folds})."
     )
-    yield from _confirmed(view)
+    if confirmed is not None and confirmed.expected is not None:
+        expected = confirmed.expected
+        ends = f"{error_value(expected.low)} to {error_value(expected.high)}"
+        yield (
+            f"After the search the {len(confirmed.candidates)} candidates with the lowest V were "
+            f"fitted again, from {confirmed.seeds} seeds; on a new record of the same kind a fold "
+            f"model of the best of the {confirmed.tried} tried is expected to have "
+            f"{error_value(expected.value)} ({100 * confirmed.expected_level:g} % interval {ends})."
+        )
     if view.refitted is not None:
-        yield f"The model handed over is {_MODELS[named.model]}, chosen without test data."
+        yield f"The model handed over is {_USES[named.model]}, chosen without test data."
 
 
-def _confirmed(view: SearchView) -> Iterator[str]:
-    found = view.confirmed
-    if found is None or found.expected is None:
-        return
-    ends = f"{error_value(found.expected.low)} to {error_value(found.expected.high)}"
-    yield (
-        f"After the search the {len(found.candidates)} candidates with the lowest V were fitted "
-        f"again, from {found.seeds} seeds; on a new record of the same kind a fold model of the "
-        f"best of the {found.tried} tried is expected to have {error_value(found.expected.value)} "
-        f"({100 * found.expected_level:g} % interval {ends})."
-    )
-
-
-def _tested(view: SearchView) -> Iterator[str]:
+def _sealed_test(view: SearchView) -> Iterator[str]:
     opened, named = view.unsealed, model_to_use(view)
     if view.started.test_digest is None:
         yield "There was no sealed test."
@@ -141,11 +135,11 @@ def _tested(view: SearchView) -> Iterator[str]:
     yield f"On them its error is {errors} ({how})."
     if opened.bands is not None and opened.bands.model == named.model:
         names = zip(opened.channels, opened.bands.covered, strict=True)
-        held = ", ".join(f"{100 * share:.1f} % of {_words(name)}" for name, share in names)
+        held = ", ".join(f"{100 * share:.1f} % of {_quoted(name)}" for name, share in names)
         yield f"Output bands of {100 * opened.bands.level:g} % held {held}."
 
 
-def _words(text: str) -> str:
+def _quoted(text: str) -> str:
     return one_line(text, 120)
 
 
@@ -157,69 +151,63 @@ _SPECIAL = {
     "%": r"\%", "_": r"\_", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}",
     "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}",
 }  # fmt: skip
-_MARKED = re.compile("[" + re.escape("".join(_SPECIAL)) + "]")
-_TABLES_MODELS = (
-    ("ensemble", "ensemble of the fold models"),
-    ("refit", "refit on all training records"),
-    ("stack", "stack of several experiments"),
-)
 
 
 def write_tables(run_directory: Path, directory: Path) -> tuple[Path, ...]:
-    """See `asia.report.write_tables`."""
+    """LaTeX tables of a run into `directory`: `experiments.tex`, `winner.tex`, and `test.tex` once
+    the test was opened. Returns the paths written. Raises UserError when `run_directory` is not a
+    run."""
     run = open_run(run_directory)
-    view = run.view
-    tables = {"experiments": _experiments(view), "winner": _winner(view, metric_of(run_directory))}
-    found = identified(run)
+    view, found = run.view, identified(run)
+    tables = {
+        "experiments": _experiments_table(view),
+        "winner": _winner_table(view, metric_of(run_directory)),
+    }
     if found is not None and found.parameters:
-        tables["parameters"] = _parameters(view, found)
+        tables["parameters"] = _parameters_table(view, found)
     if view.unsealed is not None:
-        tables["test"] = _test(view, view.unsealed)
+        tables["test"] = _test_table(view, view.unsealed)
     directory.mkdir(parents=True, exist_ok=True)
-    paths: list[Path] = []
-    for name, text in tables.items():
-        path = directory / f"{name}.tex"
+    paths = [directory / f"{name}.tex" for name in tables]
+    for path, text in zip(paths, tables.values(), strict=True):
         write_whole(path, text.encode("utf-8", "replace"), durable=False)
-        paths.append(path)
     return tuple(paths)
 
 
 def latex(text: str) -> str:
-    """Words from elsewhere on one line, as LaTeX prints them."""
-    return _MARKED.sub(lambda found: _SPECIAL[found[0]], one_line(text))
+    """Text from elsewhere on one line, as LaTeX prints it."""
+    special = "[" + re.escape("".join(_SPECIAL)) + "]"
+    return re.sub(special, lambda found: _SPECIAL[found[0]], one_line(text))
 
 
-def _table(columns: str, head: Sequence[str], rows: Iterable[Sequence[str]], note: str) -> str:
+def _table(
+    view: SearchView, content: str, columns: str, head: Sequence[str], rows: Iterable[Sequence[str]]
+) -> str:
+    note = one_line(f"{content}, run {view.started.run}; needs booktabs")
     lines = [f"% {note}", rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
     lines += [" & ".join(head) + r" \\", r"\midrule"]
     lines += [" & ".join(row) + r" \\" for row in rows]
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
-def _note(view: SearchView, what: str) -> str:
-    return one_line(f"{what}, run {view.started.run}; needs booktabs")
-
-
-def _experiments(view: SearchView) -> str:
+def _experiments_table(view: SearchView) -> str:
+    rows: list[list[str]] = []
+    for e in view.finished:
+        before = [o.score.value for o in view.bests if o.number < e.number and o.score]
+        value, change = "--", "--"
+        if e.score is not None:
+            value = error_value(e.score.value)
+            if before and before[-1]:
+                gap = 100 * (e.score.value - before[-1]) / before[-1]
+                change = rf"${gap:+.1f}\,\%$"
+        status = e.result.status if e.result else ""
+        rows.append([str(e.number), latex(e.proposed.title), value, change, status])
     head = ["No.", "Candidate", latex(view.v_name).replace("V", "$V$", 1), "Change", "Decision"]
-    rows = [_experiment(view, e) for e in view.finished]
-    return _table("rlrrl", head, rows, _note(view, "Every experiment; change to the best before"))
+    return _table(view, "Every experiment; change to the best before", "rlrrl", head, rows)
 
 
-def _experiment(view: SearchView, e: Experiment) -> list[str]:
-    before = [o.score.value for o in view.bests if o.number < e.number and o.score]
-    value, change = "--", "--"
-    if e.score is not None:
-        value = error_value(e.score.value)
-        if before and before[-1]:
-            change = rf"{100 * (e.score.value - before[-1]) / before[-1]:+.1f}\,\%"
-            change = f"${change}$"
-    status = e.result.status if e.result else ""
-    return [str(e.number), latex(e.proposed.title), value, change, status]
-
-
-def _winner(view: SearchView, metric: str) -> str:
-    """Write V of the winner on each fold, with the reference models."""
+def _winner_table(view: SearchView, metric: str) -> str:
+    """V of the winner on each fold, with the reference models."""
     best = view.best
     scores = [(r.name, r.outcome) for r in view.rungs if isinstance(r.outcome, Score)]
     if best is not None and best.score is not None:
@@ -230,35 +218,38 @@ def _winner(view: SearchView, metric: str) -> str:
         [latex(name), error_value(score.value), *(error_value(f.value) for f in score.folds)]
         for name, score in scores
     ]
-    what = (
+    content = (
         f"The winner and the reference models, {metric_label(metric)} over the standard deviation "
         "of the output"
     )
-    return _table("l" + "r" * (folds + 1), head, rows, _note(view, what))
+    return _table(view, content, "l" + "r" * (folds + 1), head, rows)
 
 
-def _parameters(view: SearchView, found: IdentifiedModel) -> str:
-    """Write the parameters of the refit with their uncertainty."""
+def _parameters_table(view: SearchView, found: IdentifiedModel) -> str:
+    """The parameters of the refit with their uncertainty."""
     rows: list[list[str]] = []
     for row in found.parameters:
         one, ends = row.fitted, row.interval
-        interval = "--" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}"
-        source = "--" if ends is None else row.decided_by
-        spread = "--" if row.fold_error is None else f"{row.fold_error:.2g}"
-        error = "--" if one.standard_error is None else f"{one.standard_error:.2g}"
-        remark = "" if one.identifiable else "not identifiable"
-        rows.append([latex(one.name), f"{one.value:.5g}", latex(one.unit), error, spread, interval,
-                     source, remark])  # fmt: skip
+        rows.append([
+            latex(one.name),
+            f"{one.value:.5g}",
+            latex(one.unit),
+            "--" if one.standard_error is None else f"{one.standard_error:.2g}",
+            "--" if row.fold_error is None else f"{row.fold_error:.2g}",
+            "--" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}",
+            "--" if ends is None else row.decided_by,
+            "" if one.identifiable else "not identifiable",
+        ])  # fmt: skip
     head = ["Parameter", "Value", "Unit", "Standard error", "by folds", r"95\,\% interval",
             "decided by", ""]  # fmt: skip
-    what = "Parameters of the winner, fitted to all training records"
-    return _table("lrlrrrll", head, rows, _note(view, what))
+    content = "Parameters of the winner, fitted to all training records"
+    return _table(view, content, "lrlrrrll", head, rows)
 
 
-def _test(view: SearchView, opened: Unsealed) -> str:
+def _test_table(view: SearchView, opened: Unsealed) -> str:
     """A row for each metric and output, a column for each model."""
     named = model_to_use(view)
-    found = [(key, text, getattr(opened, key)) for key, text in _TABLES_MODELS]
+    found = final_models(opened)
     models = [(key, text, m) for key, text, m in found if isinstance(m, TestedModel)]
     rows: list[list[str]] = []
     for k, score in enumerate(models[0][2].scores if models else ()):
@@ -272,5 +263,5 @@ def _test(view: SearchView, opened: Unsealed) -> str:
             rows.append([f"{label} {latex(name)}", *values])
     use = named.model if named is not None else ""
     head = ["Error", *(f"{text} (to use)" if key == use else text for key, text, _ in models)]
-    what = "The sealed test, in the units of the outputs"
-    return _table("l" + "r" * len(models), head, rows, _note(view, what))
+    content = "The sealed test, in the units of the outputs"
+    return _table(view, content, "l" + "r" * len(models), head, rows)

@@ -1,1 +1,0 @@
-"""Figures, tables and methods paragraph of a run for a paper."""
