@@ -68,12 +68,9 @@ def discover(
 class _Selection:
     """Model with some of the terms."""
 
-    chosen: tuple[int, ...]
-    """Numbers of its terms."""
-    theta: Array
-    """Coordinates at the end of its fit (n,)."""
-    cost: float
-    """Cost at `theta`."""
+    chosen: tuple[int, ...]  # Numbers of its terms
+    theta: Array  # Coordinates at the end of its fit (n,)
+    cost: float  # Cost at `theta`
 
 
 @dataclass(frozen=True)
@@ -81,8 +78,7 @@ class _TermSearch:
     """Greedy search with all terms in the equations; a coordinate held at zero is no term."""
 
     terms: list[Term]
-    first: int
-    """Coordinate of the first term."""
+    first: int  # Coordinate of the first term
     structure: GreyBoxStructure
     segments: RecordSegments
     starts: Starts

@@ -32,7 +32,6 @@ from asia.problem.physics import Binary, Expression, Name, Node, Number, parse_e
 # IEEE Trans. Automatic Control 40(3), 1995 (LuGre); Wen, J. Engineering Mechanics 102(2), 1976
 # (Bouc-Wen).
 
-
 # Prior deviations: of levels, in the usual rate of the velocity; of the excess of sticking over
 # sliding friction; of a bristle's damping.
 _LEVEL_DEVIATION, _STRIBECK_DEVIATION, _DAMPING_DEVIATION = 2.0, 0.5, 1.0
@@ -50,10 +49,8 @@ BOUND = 3.0
 class Force:
     """Force that is subtracted from the derivative of a velocity."""
 
-    node: Node
-    """Force per unit of inertia."""
-    states: tuple[tuple[str, Node], ...] = ()
-    """States of the force, each with its derivative."""
+    node: Node  # Force per unit of inertia
+    states: tuple[tuple[str, Node], ...] = ()  # States of the force, each with its derivative
 
 
 def stribeck(extension: Extension, velocity: str, step: float) -> Force:
@@ -167,7 +164,6 @@ def _displacement(
 
 
 # Equations from the problem file, extended by the additions of a config.
-
 
 Range = tuple[float, float]
 
@@ -381,7 +377,6 @@ def _rising(weights: Sequence[Node], place: Node) -> Node:
 
 # Candidate terms of the equations: products of signals, each with a number of its own.
 
-
 # Greatest size of a library; a larger one is built without cubes, and then without products of two
 # signals.
 _MOST_TERMS = 120
@@ -396,12 +391,9 @@ _ALIKE = 0.9999
 class Term:
     """Number times an expression, in the derivative of a state."""
 
-    state: str
-    """State whose derivative gets the term."""
-    text: str
-    """Expression in states and inputs."""
-    deviation: float
-    """Prior standard deviation of the number, whose prior mean is 0."""
+    state: str  # State whose derivative gets the term
+    text: str  # Expression in states and inputs
+    deviation: float  # Prior standard deviation of the number, whose prior mean is 0
 
     @property
     def name(self) -> str:

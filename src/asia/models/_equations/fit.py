@@ -97,19 +97,14 @@ class NoiseRounds:
 class FittedEquations:
     """Result of training a grey-box."""
 
-    z: Array
-    """Coordinates (size,)."""
-    scales: Scales
-    """Sizes of the signals."""
-    prior: WindowPrior
-    """Map from a past window to the state, with its error."""
-    history: Array
-    """Cost after each iteration."""
+    z: Array  # Coordinates (size,)
+    scales: Scales  # Sizes of the signals
+    prior: WindowPrior  # Map from a past window to the state, with its error
+    history: Array  # Cost after each iteration
     noise: ResidualNoise | None = None
     """The noise under which it was fitted, in units of `y_scale`; None is least squares, and in
     older models."""
-    huber: float | None = None
-    """Threshold on the innovations of that noise."""
+    huber: float | None = None  # Threshold on the innovations of that noise
     x0: Array | None = None
     """Initial states (S, nx) of the records as the fit cut them; None in older models."""
 
@@ -184,8 +179,7 @@ class _Stages:
     method: LevenbergMarquardt
     simulate: CompiledSimulator
     noise: NoiseRounds
-    curve: list[Array]
-    """Cost after each iteration, of the best start, one array a fit."""
+    curve: list[Array]  # Cost after each iteration, of the best start, one array a fit
 
     def best_fits(self, starts: Starts, active: Array) -> Minimum:
         """Fit from the starting points; `active` (size,) is 1 where a coordinate is free."""

@@ -32,14 +32,10 @@ if TYPE_CHECKING:
 class Around:
     """Trained grey-box with the records that it was fitted to."""
 
-    structure: GreyBoxStructure
-    """Structure of the fit."""
-    fitted: FittedEquations
-    """Result of the fit."""
-    segments: RecordSegments
-    """Records as the fit cut them."""
-    values: Callable[[Array], dict[str, float]]
-    """Named parameters at coordinates (size,)."""
+    structure: GreyBoxStructure  # Structure of the fit
+    fitted: FittedEquations  # Result of the fit
+    segments: RecordSegments  # Records as the fit cut them
+    values: Callable[[Array], dict[str, float]]  # Named parameters at coordinates (size,)
 
     def estimates(self, equations: Sequence[str]) -> ParameterEstimates:
         """Estimate the uncertainty of the parameters.
@@ -105,7 +101,6 @@ class Around:
 
 
 # Text of the equations of a trained grey-box, with the numbers put in.
-
 
 _LONGEST = 600
 _STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "**": 4}

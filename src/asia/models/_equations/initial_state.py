@@ -62,11 +62,9 @@ class CaseSteps:
     structure: GreyBoxStructure
     scales: Scales
     prior: WindowPrior
-    z: AnyArray
-    """Coordinates (size, 1)."""
+    z: AnyArray  # Coordinates (size, 1)
     effect: Effects
-    late: Array
-    """Delays of the inputs (nu,), in samples."""
+    late: Array  # Delays of the inputs (nu,), in samples
 
     @classmethod
     def of(

@@ -33,7 +33,6 @@ from asia.problem.symmetry import group
 # read; d, bounded, is a disturbance that opposes the acceleration at the start and then the mean
 # acceleration; net is a network. Everything learned is without effect at zero.
 
-
 NetworkKind = Literal["mlp", "rnn", "gru", "lstm"]
 
 # Number of zero samples assumed before the first one in running means, and units of changes and
@@ -47,16 +46,11 @@ _DELAY_SAMPLES = 5.0
 class MeasuredState(NamedTuple):
     """State of the model before one sample, batch first."""
 
-    x: AnyArray
-    """States (B, nx)."""
-    m: AnyArray
-    """Inputs behind their lag (B, nu)."""
-    d: AnyArray
-    """Disturbance (B, nd)."""
-    h: Any
-    """State of the network."""
-    first: AnyArray
-    """No sample has been simulated yet (B, 1)."""
+    x: AnyArray  # States (B, nx)
+    m: AnyArray  # Inputs behind their lag (B, nu)
+    d: AnyArray  # Disturbance (B, nd)
+    h: Any  # State of the network
+    first: AnyArray  # No sample has been simulated yet (B, 1)
     turn: Any = ()
     """Number of the transformation under which the network sees each row (B,); () is all of them,
     averaged."""
@@ -70,12 +64,9 @@ class MeasuredEquations:
 
     system: Equations
     """The equations, with corrections as further parameters and priors as further definitions."""
-    ranges: tuple[Range, ...]
-    """Ranges of the parameters."""
-    order: tuple[int, ...]
-    """Number of the output that shows each state."""
-    dynamic: tuple[int, ...]
-    """Equations with free parameters."""
+    ranges: tuple[Range, ...]  # Ranges of the parameters
+    order: tuple[int, ...]  # Number of the output that shows each state
+    dynamic: tuple[int, ...]  # Equations with free parameters
     corrections: tuple[str, ...] = ()
     """Places in the equations where the learned terms enter; none: on the rates."""
     priors: tuple[tuple[str, float, float], ...] = ()
@@ -134,10 +125,8 @@ class MeasuredEquations:
 class InputLag:
     """First-order lag of the inputs."""
 
-    sampling_time: float
-    """In s."""
-    past_inputs: bool
-    """Whether a past window shows inputs, from which the lag starts."""
+    sampling_time: float  # In s
+    past_inputs: bool  # Whether a past window shows inputs, from which the lag starts
 
     def step(self, params: Any, state: MeasuredState, u: AnyArray) -> AnyArray:
         """Inputs behind the lag (B, nu)."""
@@ -157,8 +146,7 @@ class InputLag:
 class Disturbance:
     """Bounded disturbance that opposes the acceleration at the start, then the mean one."""
 
-    sampling_time: float
-    """In s."""
+    sampling_time: float  # In s
 
     def step(
         self, params: Any, state: MeasuredState, total: AnyArray, extra: AnyArray
@@ -177,10 +165,8 @@ class Disturbance:
 class TermNetwork:
     """Network whose outputs are learned terms; it can read signals under symmetries."""
 
-    kind: NetworkKind
-    """Kind of the layers."""
-    recurrent: recurrent.Config | None
-    """Layers of a recurrent network."""
+    kind: NetworkKind  # Kind of the layers
+    recurrent: recurrent.Config | None  # Layers of a recurrent network
     size: float
     """Its largest effect, as a share of the rates measured, or of the scale of a correction."""
     reach: float = 3.0
@@ -188,8 +174,7 @@ class TermNetwork:
     driving: tuple[int, ...] = ()
     """Places, among its inputs, of signals that the inputs of the system alone make; it reads their
     change and running mean too."""
-    symmetric: bool = False
-    """Whether it sees its signals under the symmetries of the problem."""
+    symmetric: bool = False  # Whether it sees its signals under the symmetries of the problem
 
     def initial(self, params: Any, x: AnyArray) -> tuple[Any, Any]:
         """State of the layers, and of the signals that the inputs make, before the first sample."""
@@ -266,30 +251,18 @@ class TermNetwork:
 class MeasuredCell:
     """Structure of the model: see `asia.models._networks.structure.Cell`. Hashable."""
 
-    physics: MeasuredEquations
-    """Equations from the problem file."""
-    read: tuple[str, ...]
-    """States and definitions that the learned terms may read."""
-    sampling_time: float
-    """In s."""
-    past_inputs: bool
-    """Whether a past window shows inputs."""
-    lag: InputLag | None
-    """Lag through which the inputs act."""
-    gain: bool
-    """Whether known kinematics get a learned factor."""
-    linear: bool
-    """Whether there are linear terms."""
-    disturbance: Disturbance | None
-    """Disturbance of the rates."""
-    network: TermNetwork | None
-    """Network for what is left."""
-    delay: bool = False
-    """Whether known kinematics read the other states at a learned delay."""
-    ridge: float = 0.0
-    """Weight of the squared linear terms against the loss of a network method."""
-    prior_weight: float = 0.0
-    """Weight of the squared deviations from the priors against the loss."""
+    physics: MeasuredEquations  # Equations from the problem file
+    read: tuple[str, ...]  # States and definitions that the learned terms may read
+    sampling_time: float  # In s
+    past_inputs: bool  # Whether a past window shows inputs
+    lag: InputLag | None  # Lag through which the inputs act
+    gain: bool  # Whether known kinematics get a learned factor
+    linear: bool  # Whether there are linear terms
+    disturbance: Disturbance | None  # Disturbance of the rates
+    network: TermNetwork | None  # Network for what is left
+    delay: bool = False  # Whether known kinematics read the other states at a learned delay
+    ridge: float = 0.0  # Weight of the squared linear terms against the loss of a network method
+    prior_weight: float = 0.0  # Weight of the squared deviations from the priors against the loss
 
     @property
     def semi_implicit(self) -> bool:
@@ -437,7 +410,6 @@ class MeasuredCell:
 
 
 # Constants of a cell of measured states, from the records, the problem, and validation scores.
-
 
 # Deviations of a state beyond which a simulation has diverged.
 _FAR = 30.0
@@ -611,7 +583,6 @@ class LimitedScore:
 
 # Outputs that are rates of change of others, found by the equations or by the records.
 
-
 _LONGEST = 100
 
 
@@ -619,12 +590,9 @@ _LONGEST = 100
 class Rate:
     """Relation of two outputs: d/dt of one is gain times the other."""
 
-    output: int
-    """Number of the output that is differentiated."""
-    rate: int
-    """Number of the output that is its rate."""
-    gain: float
-    """Factor on the rate; 1 where the equations give the relation."""
+    output: int  # Number of the output that is differentiated
+    rate: int  # Number of the output that is its rate
+    gain: float  # Factor on the rate; 1 where the equations give the relation
 
 
 def find_rates(trajectories: Sequence[Trajectory], context: Context) -> tuple[Rate, ...]:

@@ -48,10 +48,8 @@ class TermPenalties:
     robust: float | None
     """Error at which the loss changes from square to linear, in standard deviations; None: never.
     """
-    ridge: float
-    """Weight of squared learned effects in the first round."""
-    sparsity: float
-    """Weight of squared learned effects in the later rounds."""
+    ridge: float  # Weight of squared learned effects in the first round
+    sparsity: float  # Weight of squared learned effects in the later rounds
 
 
 def fit_equations(

@@ -62,22 +62,15 @@ def functions(xp: Any) -> Mapping[str, Callable[..., AnyArray]]:
 class Equations:
     """Parsed physics: hashable, so that it can be the key of functions and programs made of it."""
 
-    states: tuple[str, ...]
-    """Names of the states, in the order of x."""
-    inputs: tuple[str, ...]
-    """Names of the inputs, in the order of u."""
-    outputs: tuple[str, ...]
-    """Names of the outputs, in the order of y."""
-    parameters: tuple[str, ...]
-    """Names of the fitted parameters."""
-    constants: tuple[tuple[str, float], ...]
-    """Names and values of the constants."""
+    states: tuple[str, ...]  # Names of the states, in the order of x
+    inputs: tuple[str, ...]  # Names of the inputs, in the order of u
+    outputs: tuple[str, ...]  # Names of the outputs, in the order of y
+    parameters: tuple[str, ...]  # Names of the fitted parameters
+    constants: tuple[tuple[str, float], ...]  # Names and values of the constants
     definitions: tuple[tuple[str, Expression], ...]
     """Names and expressions of the definitions, each after those it uses."""
-    dynamics: tuple[Expression, ...]
-    """d/dt of each state."""
-    observation: tuple[Expression, ...]
-    """Expression of each output."""
+    dynamics: tuple[Expression, ...]  # d/dt of each state
+    observation: tuple[Expression, ...]  # Expression of each output
 
     def __hash__(self) -> int:
         # A hash of all expressions would cost more than a step of a simulation.

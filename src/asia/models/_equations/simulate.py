@@ -22,24 +22,15 @@ class Scales(NamedTuple):
     """Sizes of the signals, which make coordinates and effects free of units. In a fit of several
     rows each field has their number as last dimension."""
 
-    x_center: AnyArray
-    """(nx,)."""
-    x_scale: AnyArray
-    """(nx,)."""
-    x_max: AnyArray
-    """(nx,)."""
-    rate: AnyArray
-    """(nx,)."""
-    u_center: AnyArray
-    """(nu,)."""
-    u_scale: AnyArray
-    """(nu,)."""
-    y_scale: AnyArray
-    """(ny,)."""
-    low: AnyArray
-    """(nx,), keeps a simulation finite."""
-    high: AnyArray
-    """(nx,)."""
+    x_center: AnyArray  # (nx,)
+    x_scale: AnyArray  # (nx,)
+    x_max: AnyArray  # (nx,)
+    rate: AnyArray  # (nx,)
+    u_center: AnyArray  # (nu,)
+    u_scale: AnyArray  # (nu,)
+    y_scale: AnyArray  # (ny,)
+    low: AnyArray  # (nx,), keeps a simulation finite
+    high: AnyArray  # (nx,)
     hidden: AnyArray
     """(units, nx + nu + 1), first layer of the residual network where its search starts."""
 
@@ -58,35 +49,23 @@ class WindowPrior(NamedTuple):
 
     mean: AnyArray
     """(nx, 1 + n_past_u nu + n_past_y ny): linear map from the window's normalised samples."""
-    x_deviation: AnyArray
-    """(nx,): error of the map."""
-    y_center: AnyArray
-    """(ny,): mean of the outputs."""
-    y_deviation: AnyArray
-    """(ny,): the model's simulation error."""
+    x_deviation: AnyArray  # (nx,): error of the map
+    y_center: AnyArray  # (ny,): mean of the outputs
+    y_deviation: AnyArray  # (ny,): the model's simulation error
 
 
 class Effects(NamedTuple):
     """Coordinates in physical terms, for each row."""
 
-    parameters: AnyArray
-    """(np, R)."""
-    limits: AnyArray
-    """(nx, R), infinite where there is none."""
-    spill: AnyArray
-    """(nx, R)."""
-    linear: AnyArray
-    """(nx, nx + nu, R), or none."""
-    rate_offset: AnyArray
-    """(nx, R)."""
-    output_offset: AnyArray
-    """(ny, R)."""
-    delay: AnyArray
-    """(nu, R), or none."""
-    hidden: AnyArray
-    """(units, nx + nu + 1, R)."""
-    readout: AnyArray
-    """(nx, units, R)."""
+    parameters: AnyArray  # (np, R)
+    limits: AnyArray  # (nx, R), infinite where there is none
+    spill: AnyArray  # (nx, R)
+    linear: AnyArray  # (nx, nx + nu, R), or none
+    rate_offset: AnyArray  # (nx, R)
+    output_offset: AnyArray  # (ny, R)
+    delay: AnyArray  # (nu, R), or none
+    hidden: AnyArray  # (units, nx + nu + 1, R)
+    readout: AnyArray  # (nx, units, R)
 
 
 def physical_parameters(ranges: Sequence[Range], z: AnyArray) -> AnyArray:

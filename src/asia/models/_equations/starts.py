@@ -16,7 +16,6 @@ from asia.models._numerics.records import measured_samples, rows, side_by_side, 
 
 # Starting points of the fit of a grey-box: records cut to segments, draws, screening, scales.
 
-
 # Coordinates at which an addition has no effect: a limit far above any state, a fraction of zero.
 _NO_LIMIT = 20.0
 _NO_SPILL = -30.0
@@ -36,27 +35,20 @@ _RUNAWAY = 1e6
 class RecordSegments(NamedTuple):
     """Training records, or windows of them, side by side."""
 
-    u: Array
-    """(S, T, nu)."""
-    y: Array
-    """(S, T, ny)."""
-    mask: Array
-    """(S, T), 0 in the padding."""
-    counts: Array
-    """(S, T), 0 in the padding and where an output was not measured."""
+    u: Array  # (S, T, nu)
+    y: Array  # (S, T, ny)
+    mask: Array  # (S, T), 0 in the padding
+    counts: Array  # (S, T), 0 in the padding and where an output was not measured
 
 
 class Starts(NamedTuple):
     """Starting points, one a row."""
 
-    z: Array
-    """Coordinates (P, size)."""
+    z: Array  # Coordinates (P, size)
     shift: Array
     """Differences (P, S, nx) of the initial states from the guess, in units of their scale."""
-    x_guess: Array
-    """Guessed initial states (P, S, nx)."""
-    scales: Scales
-    """Sizes of the signals, for each start."""
+    x_guess: Array  # Guessed initial states (P, S, nx)
+    scales: Scales  # Sizes of the signals, for each start
 
     def chosen(self, rows: NDArray[np.intp]) -> Starts:
         """Select some starting points."""

@@ -51,7 +51,6 @@ from asia.models._numerics.records import (
 # Van Overschee and De Moor, Subspace Identification for Linear Systems, 1996 (oblique projection);
 # Juang and Pappa, J. Guidance 8(5), 1985 (realisation from Markov parameters).
 
-
 # Columns of the Hankel matrices in memory at a time.
 _CHUNK = 8192
 
@@ -60,10 +59,8 @@ _CHUNK = 8192
 class Observability:
     """Left factor of a Hankel-like matrix: its first n columns give a start of order n."""
 
-    factor: Array
-    """(blocks * ny, m), columns scaled by the roots of the singular values."""
-    ny: int
-    """Number of outputs."""
+    factor: Array  # (blocks * ny, m), columns scaled by the roots of the singular values
+    ny: int  # Number of outputs
 
     def start(self, order: int) -> tuple[Array, Array] | None:
         """Start (A, C) of the order, A made stable; None where the factor has too few columns."""
@@ -277,7 +274,6 @@ def _extended(a: Array, c: Array, times: list[int]) -> tuple[Array, Array]:
 
 # Simulation-error fit of a linear state-space system: start, refinement, choice of order.
 
-
 # Largest modulus of a pole: beyond it the system grows without bound on a longer record.
 _LARGEST_RADIUS = 1.0 - 1e-9
 
@@ -286,19 +282,14 @@ _LARGEST_RADIUS = 1.0 - 1e-9
 class Refinement:
     """Settings of Levenberg-Marquardt in NumPy."""
 
-    iterations: int = 50
-    """Greatest number of steps."""
+    iterations: int = 50  # Greatest number of steps
     initial_ridge: float = 30.0
     """Weight, in samples, of a prior that holds the initial states of the records to unit size;
     without it a slow mode started far off explains drift that the inputs did not cause."""
-    damping: float = 1e-2
-    """First damping, relative to the scaled normal matrix."""
-    tolerance: float = 1e-7
-    """Relative decrease of the cost below which it stops."""
-    noise: NoiseChoice | None = None
-    """Noise model of `refined_under_noise`; None is least squares."""
-    integrators: int = 0
-    """Number of last states whose pole is held at 1."""
+    damping: float = 1e-2  # First damping, relative to the scaled normal matrix
+    tolerance: float = 1e-7  # Relative decrease of the cost below which it stops
+    noise: NoiseChoice | None = None  # Noise model of `refined_under_noise`; None is least squares
+    integrators: int = 0  # Number of last states whose pole is held at 1
 
     @classmethod
     def of(cls, method: LevenbergMarquardt | None) -> Refinement:
@@ -313,12 +304,9 @@ class Refinement:
 class LinearFit:
     """Fitted linear system."""
 
-    system: LinearSystem
-    """System for z-scored signals."""
-    x0: Array
-    """Initial states (R, n) of the training records."""
-    error: float
-    """Weighted mean squared simulation error in z-scores, infinite where it diverges."""
+    system: LinearSystem  # System for z-scored signals
+    x0: Array  # Initial states (R, n) of the training records
+    error: float  # Weighted mean squared simulation error in z-scores, infinite where it diverges
 
 
 def fit(
@@ -542,7 +530,6 @@ def refine(
 
 # Levels of excitation: groups of records, and weights of a simulation between their levels.
 
-
 # Least ratio of the input sizes of two levels.
 _APART = 1.2
 
@@ -613,7 +600,6 @@ def interpolated(levels: Array, each: Array, past: Array, future: Array, memory:
 
 # Estimates of the static gains and time constants of a linear model, with their uncertainty.
 
-
 # Greatest number of matrix entries: those of a larger model are no quantities of interest to users.
 _MOST_ENTRIES = 150
 # Greatest distance from the minimum in standard errors: a fit further away minimises another cost.
@@ -629,10 +615,8 @@ _MOST_TIME_CONSTANTS = 6
 class ScaledRecord:
     """Record in z-scores, the inputs delayed."""
 
-    u: Array
-    """(T, nu)."""
-    y: Array
-    """(T, ny)."""
+    u: Array  # (T, nu)
+    y: Array  # (T, ny)
 
 
 def delayed_records(
@@ -746,7 +730,6 @@ def invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
 
 
 # Input offset at which a system with free integrators is at rest.
-
 
 _ITERATIONS = 20
 

@@ -28,7 +28,6 @@ from asia.models._numerics.records import Indices, ScaledData, past_length, spre
 
 # Excited lines of periodic records, with all realisations compressed to few columns.
 
-
 Spectrum = NDArray[np.complex128]
 # Least amplitude of an excited input line, relative to the largest one.
 _EXCITED = 1e-3
@@ -46,12 +45,9 @@ class ExcitedLines:
     Only the part of the outputs that no linear system explains is left out.
     """
 
-    z: Spectrum
-    """exp(j omega) of each line (F,)."""
-    u: Spectrum
-    """Inputs (F, nu, m), at most nu columns."""
-    y: Spectrum
-    """Outputs (F, ny, m)."""
+    z: Spectrum  # exp(j omega) of each line (F,)
+    u: Spectrum  # Inputs (F, nu, m), at most nu columns
+    y: Spectrum  # Outputs (F, ny, m)
 
     def part(self, which: NDArray[np.bool_]) -> ExcitedLines:
         """Select some of the lines."""
@@ -62,12 +58,9 @@ class ExcitedLines:
 class SteadyRecord:
     """Mean period of a record."""
 
-    u: Array
-    """(N, nu)."""
-    y: Array
-    """(N, ny)."""
-    first: int
-    """Sample of the record at which a period starts."""
+    u: Array  # (N, nu)
+    y: Array  # (N, ny)
+    first: int  # Sample of the record at which a period starts
 
 
 def steady_records(records: ScaledData) -> list[SteadyRecord] | None:
@@ -113,7 +106,6 @@ def lines_of(records: Sequence[SteadyRecord]) -> ExcitedLines:
 
 
 # Systems with an A of blocks of two states, and their response at lines.
-
 
 _LARGEST_RADIUS = 0.9999
 
@@ -177,7 +169,6 @@ def readout(a: Array, z: Spectrum, c: Array) -> Spectrum:
 
 
 # Least squares on the output error at lines, which by Parseval equals that of the steady state.
-
 
 # Complex numbers in one segment of the Jacobian.
 _SEGMENT = 4_000_000
@@ -283,7 +274,6 @@ def _normal(lines: ExcitedLines, s: LinearSystem) -> tuple[float, Array, Array]:
 
 # Frequency-domain subspace method: (A, C) from lines at any frequencies.
 
-
 # Greatest number of columns, which are lines times realisations; the lines are spread over all.
 _MOST_COLUMNS = 30_000
 
@@ -318,7 +308,6 @@ def observability(lines: ExcitedLines, max_order: int) -> Observability | None:
 
 # Fit of a linear system and its initial states to records with periodic inputs.
 
-
 # Step of the lines left out while the order is chosen.
 _EVERY = 3
 # Limits on the past windows of the encoder: in numbers, and in windows.
@@ -333,10 +322,8 @@ class PeriodicChoice:
 
     order: int | None
     """Number of states; None takes the smallest whose error at lines left out is near the least."""
-    most: int
-    """Greatest order tried."""
-    tolerance: float
-    """Relative tolerance of that choice, of the root."""
+    most: int  # Greatest order tried
+    tolerance: float  # Relative tolerance of that choice, of the root
 
 
 def fit_periodic(

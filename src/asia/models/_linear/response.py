@@ -22,7 +22,6 @@ from asia.models._numerics.records import ScaledData
 # initial state of a block acts through the powers of A: x[k] = A^k x[0] + the response to the
 # inputs of the block, and the sensitivities likewise, as they obey the same recursion.
 
-
 # Numbers in the derivatives above which records are processed in blocks, and those of one block.
 _LONG, _BLOCK = 4_000_000, 500_000
 _SHORTEST, _LONGEST = 1024, 16384
@@ -45,14 +44,10 @@ def are_long(records: ScaledData, order: int) -> bool:
 class LongResponse:
     """States, residuals and normal equations of a system on records, none of which is stored."""
 
-    records: ScaledData
-    """The records."""
-    samples: float
-    """Sum of the squared weights over samples and outputs."""
-    system: LinearSystem
-    """The system."""
-    x0: Array
-    """Initial states (R, n)."""
+    records: ScaledData  # The records
+    samples: float  # Sum of the squared weights over samples and outputs
+    system: LinearSystem  # The system
+    x0: Array  # Initial states (R, n)
 
     @cached_property
     def _powers(self) -> Powers:
@@ -178,7 +173,6 @@ def _joined(parts: Sequence[Array], initial: Array) -> Array:
 # Identification, 2nd ed., section 10.3). Transforms of the inputs are made once for a fit, those
 # of the powers of A once for a system.
 
-
 # Rounding of record lengths: records of the same rounded length share the transforms of a system.
 _ROUNDED = 64
 
@@ -220,12 +214,9 @@ class DrivenRecords:
 class Response:
     """States, residuals and derivatives of a system on records."""
 
-    driven: DrivenRecords
-    """The records."""
-    system: LinearSystem
-    """The system."""
-    x0: Array
-    """Initial states (R, n)."""
+    driven: DrivenRecords  # The records
+    system: LinearSystem  # The system
+    x0: Array  # Initial states (R, n)
 
     @cached_property
     def powers(self) -> dict[int, Powers]:

@@ -12,7 +12,6 @@ from asia.data.trajectory import Array
 
 # Linear state-space systems: x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k] + offset.
 
-
 # Samples that are simulated at a time.
 _BLOCK = 65_536
 
@@ -21,16 +20,11 @@ _BLOCK = 65_536
 class LinearSystem:
     """Linear state-space system for z-scored signals."""
 
-    a: Array
-    """(n, n)."""
-    b: Array
-    """(n, nu)."""
-    c: Array
-    """(ny, n)."""
-    d: Array
-    """(ny, nu)."""
-    offset: Array
-    """(ny,)."""
+    a: Array  # (n, n)
+    b: Array  # (n, nu)
+    c: Array  # (ny, n)
+    d: Array  # (ny, nu)
+    offset: Array  # (ny,)
 
     @property
     def order(self) -> int:
@@ -102,7 +96,6 @@ class LinearSystem:
 
 # Powers of the matrix A of a linear system, for convolutions.
 
-
 Spectrum = NDArray[np.complex128]
 
 
@@ -110,12 +103,9 @@ Spectrum = NDArray[np.complex128]
 class Powers:
     """Powers of A, and their transform."""
 
-    values: Array
-    """a^0, a^1, .. (T, n, n)."""
-    spectrum: Spectrum
-    """(frequencies, n, n)."""
-    size: int
-    """Length of the transform, enough for a convolution not to wrap around."""
+    values: Array  # a^0, a^1, .. (T, n, n)
+    spectrum: Spectrum  # (frequencies, n, n)
+    size: int  # Length of the transform, enough for a convolution not to wrap around
 
     @classmethod
     def of(cls, a: Array, count: int) -> Powers:

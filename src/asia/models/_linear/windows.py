@@ -30,7 +30,6 @@ from asia.models._numerics.records import (
 # the simulation error over the horizon; no constraint makes it stable beyond that. Source: Ljung,
 # System Identification, 2nd ed., sections 4.2 and 7.2 (output-error predictor).
 
-
 # Beyond this size one-step least squares is kept: the refinement's cost grows with the square.
 MOST_PARAMETERS = 400
 
@@ -39,18 +38,12 @@ MOST_PARAMETERS = 400
 class WindowLags:
     """Numbers of past samples kept in the state, of those that the protocol shows."""
 
-    n_past_u: int
-    """Inputs shown."""
-    n_past_y: int
-    """Outputs shown."""
-    u: int
-    """Inputs kept, at most as many."""
-    y: int
-    """Outputs kept, at most as many."""
-    nu: int
-    """Input channels."""
-    ny: int
-    """Output channels."""
+    n_past_u: int  # Inputs shown
+    n_past_y: int  # Outputs shown
+    u: int  # Inputs kept, at most as many
+    y: int  # Outputs kept, at most as many
+    nu: int  # Input channels
+    ny: int  # Output channels
 
     @property
     def order(self) -> int:
@@ -90,12 +83,9 @@ class WindowLags:
 class WindowPredictor:
     """Coefficients of a windowed linear model, for z-scored signals."""
 
-    lags: WindowLags
-    """Lags in the state."""
-    theta: Array
-    """(order + nu + 1, ny)."""
-    ridge: float = 0.0
-    """Ridge of the fit, against the mean squared error."""
+    lags: WindowLags  # Lags in the state
+    theta: Array  # (order + nu + 1, ny)
+    ridge: float = 0.0  # Ridge of the fit, against the mean squared error
 
     def simulate(self, windows: HorizonWindows) -> Array:
         """Simulate windows: outputs (W, H, ny)."""
@@ -275,7 +265,6 @@ def normal_by_steps(model: WindowPredictor, windows: HorizonWindows) -> tuple[Ar
 
 # Choice among windowed linear models: number of past samples in the state, and ridge.
 
-
 # Ridges against the mean squared error in z-scores, from strong to weak.
 _RIDGES = (1.0, 1e-1, 1e-2, 1e-4)
 _QUICK_ITERATIONS = 4
@@ -288,12 +277,9 @@ _FEWEST, MOST_WINDOWS = 24, 2000
 class WindowedChoice:
     """Lags and ridge, with their errors."""
 
-    lags: WindowLags
-    """Past samples kept in the state."""
-    ridge: float
-    """Ridge against the mean squared error in z-scores."""
-    errors: tuple[float, ...]
-    """Mean squared error on the windows of each segment left out."""
+    lags: WindowLags  # Past samples kept in the state
+    ridge: float  # Ridge against the mean squared error in z-scores
+    errors: tuple[float, ...]  # Mean squared error on the windows of each segment left out
 
     @property
     def error(self) -> float:

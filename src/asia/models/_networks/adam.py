@@ -41,18 +41,12 @@ from asia.models.methods import Adam
 class AdamState(NamedTuple):
     """State of training between two steps."""
 
-    trained: AnyArray
-    """Parameters that change, in one vector."""
-    optimiser: Any
-    """State of the optimiser."""
-    average: AnyArray | None
-    """Moving average of the parameters, or None."""
-    carried: Any
-    """State of the cell at the end of the last chunks, or None."""
-    loss: AnyArray
-    """Sum of the loss over the steps since the last check."""
-    taken: AnyArray
-    """Number of these steps."""
+    trained: AnyArray  # Parameters that change, in one vector
+    optimiser: Any  # State of the optimiser
+    average: AnyArray | None  # Moving average of the parameters, or None
+    carried: Any  # State of the cell at the end of the last chunks, or None
+    loss: AnyArray  # Sum of the loss over the steps since the last check
+    taken: AnyArray  # Number of these steps
 
 
 def run(

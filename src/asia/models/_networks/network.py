@@ -50,7 +50,6 @@ from asia.models.methods import NetworkMethod
 # checks ask a model for many lengths. It depends only on shapes, so that a request has the same
 # answer in every process.
 
-
 _MOST_STEPS = 200_000
 # Windows of a cell, and samples of a structure that computes all of them at once, in NumPy at a
 # time: few enough for their arrays to stay in the processor's cache.
@@ -92,7 +91,6 @@ def _simulated(
 
 # Model of a network family: a structure, its parameters and the scaling of its signals.
 
-
 Prepare = Callable[[Params, ScaledData, Scaling], Params]
 """Function that makes the initial parameters from z-scored records: for example a linear fit."""
 
@@ -101,12 +99,9 @@ Prepare = Callable[[Params, ScaledData, Scaling], Params]
 class NetworkModel:
     """Network as a model."""
 
-    cell: NetworkStructure
-    """Structure of the network."""
-    params: Params
-    """Parameters of the network."""
-    scaling: Scaling | None = None
-    """Scaling from physical units to z-scores; None before training."""
+    cell: NetworkStructure  # Structure of the network
+    params: Params  # Parameters of the network
+    scaling: Scaling | None = None  # Scaling from physical units to z-scores; None before training
     others: tuple[Params, ...] = ()
     """Parameters of further members, whose simulations are averaged with that of `params`."""
     turns: SignalTransformations | None = None
@@ -283,7 +278,6 @@ def with_output_layer(
 #
 # build, train = network_family(Config, KoopmanMap)
 
-
 C = TypeVar("C", bound=NetworkConfig)
 Own = TypeVar("Own", bound=NetworkConfig, contravariant=True)
 
@@ -292,8 +286,7 @@ Own = TypeVar("Own", bound=NetworkConfig, contravariant=True)
 class Driven(Generic[C]):
     """Structure that reads its inputs through `drive`, and its outputs by a linear layer."""
 
-    config: C
-    """Settings of the family."""
+    config: C  # Settings of the family
     drive: Features = field(default=Features(), kw_only=True)
     """The inputs and the functions of them."""
 

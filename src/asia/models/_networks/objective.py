@@ -29,7 +29,6 @@ from asia.models.methods import Adam, Loss
 #
 # Folds, refits, seeds and tuned numbers of one structure share a program.
 
-
 Number = Any
 """Python number, traced inside a program."""
 
@@ -38,26 +37,16 @@ Number = Any
 class AdamProgram:
     """Settings of `methods.Adam` that select a compiled program."""
 
-    loss: Loss
-    """Loss of a sample."""
-    horizons: tuple[int, ...] | None
-    """Horizons that the loss averages over."""
-    length: int | None
-    """Samples of a chunk; None for whole records."""
-    batch: int | None
-    """Chunks of a step."""
-    cosine: bool
-    """The learning rate follows a cosine."""
-    coupled: bool
-    """The decay is part of the gradient."""
-    noisy: bool
-    """Noise is added to the inputs."""
-    dropped: bool
-    """Features are dropped."""
-    fed: bool
-    """Measured outputs are fed back."""
-    shifted: bool = False
-    """A constant is added to the inputs."""
+    loss: Loss  # Loss of a sample
+    horizons: tuple[int, ...] | None  # Horizons that the loss averages over
+    length: int | None  # Samples of a chunk; None for whole records
+    batch: int | None  # Chunks of a step
+    cosine: bool  # The learning rate follows a cosine
+    coupled: bool  # The decay is part of the gradient
+    noisy: bool  # Noise is added to the inputs
+    dropped: bool  # Features are dropped
+    fed: bool  # Measured outputs are fed back
+    shifted: bool = False  # A constant is added to the inputs
 
     @classmethod
     def of(cls, method: Adam, length: int | None) -> AdamProgram:
@@ -136,7 +125,6 @@ def either(first: jax.Array, one: Any, other: Any) -> Any:
 
 # Simulation in training, with its perturbations for robustness, and the loss.
 
-
 # Separate random keys, so that other fits keep their random numbers.
 _SHIFT, _DRAWN = 3, 4
 
@@ -151,14 +139,10 @@ class Fed(NamedTuple):
 class NoiseWeighting(NamedTuple):
     """Whitening of residuals before the loss of generalised least squares."""
 
-    noise: ResidualNoise
-    """Noise in z-scores."""
-    sampling_time: Number
-    """Sampling time in s."""
-    unit: Number
-    """Deviation of the residuals: the loss is then as large as that of least squares."""
-    huber: Number | None
-    """Threshold on the innovations in their deviations."""
+    noise: ResidualNoise  # Noise in z-scores
+    sampling_time: Number  # Sampling time in s
+    unit: Number  # Deviation of the residuals: the loss is then as large as that of least squares
+    huber: Number | None  # Threshold on the innovations in their deviations
 
     @classmethod
     def of(cls, noise: ResidualNoise, sampling_time: float, huber: float | None) -> NoiseWeighting:

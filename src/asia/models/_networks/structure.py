@@ -33,7 +33,6 @@ from asia.models._numerics.records import Scaling
 # computes by operators, by methods of arrays, and by what `asia.models._arrays` has for both.
 # NumPy must stay in float32: no NumPy number or array of float64 may meet the arrays.
 
-
 Params = Mapping[str, Any]
 """Arrays by name: weights, and trees of weights of inner layers."""
 
@@ -164,7 +163,6 @@ def trace(cell: Cell | FeatureMap, params: Any, window: AnyArray, u: AnyArray) -
 
 
 # Common parts of networks: initial weights, dense stacks, output layer, gates, linear systems.
-
 
 Float32 = NDArray[np.float32]
 
@@ -335,14 +333,11 @@ class Features:
     it; before `fitted` only one without functions can be called.
     """
 
-    names: tuple[str, ...] = ()
-    """Functions, of `FUNCTIONS`."""
-    offset: tuple[float, ...] = ()
-    """Mean of each input in units of its root mean square."""
+    names: tuple[str, ...] = ()  # Functions, of `FUNCTIONS`
+    offset: tuple[float, ...] = ()  # Mean of each input in units of its root mean square
     gain: tuple[float, ...] = ()
     """Standard deviation of each input in units of its root mean square."""
-    centre: tuple[float, ...] = ()
-    """Mean over the training data of each function of each input."""
+    centre: tuple[float, ...] = ()  # Mean over the training data of each function of each input
     spread: tuple[float, ...] = ()
     """Standard deviation over the training data of each function of each input."""
 

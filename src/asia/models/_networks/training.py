@@ -37,32 +37,22 @@ _rollout = jax.jit(rollout, static_argnums=0)
 class HoldoutSplit:
     """Training samples of a fit that holds some out."""
 
-    fitted: PaddedBatch
-    """Samples of the fit while the number of steps is searched."""
-    held_out: PaddedBatch
-    """Samples that decide the number of steps."""
-    full: PaddedBatch
-    """Samples of the final fit."""
+    fitted: PaddedBatch  # Samples of the fit while the number of steps is searched
+    held_out: PaddedBatch  # Samples that decide the number of steps
+    full: PaddedBatch  # Samples of the final fit
 
 
 @dataclass(frozen=True)
 class FitTask:
     """Network, training samples and settings of a fit."""
 
-    structure: NetworkStructure
-    """Structure of the network."""
-    samples: HoldoutSplit | PaddedBatch
-    """Training samples."""
-    horizon: int | None
-    """Horizon in samples; None for whole records."""
-    seed: int
-    """Seed of the random draws of training."""
-    log: Progress
-    """Receives the progress."""
-    score: Scorer | None = None
-    """Score of the protocol's early stopping; None where it has none."""
-    sampling_time: float = 1.0
-    """Sampling time in s."""
+    structure: NetworkStructure  # Structure of the network
+    samples: HoldoutSplit | PaddedBatch  # Training samples
+    horizon: int | None  # Horizon in samples; None for whole records
+    seed: int  # Seed of the random draws of training
+    log: Progress  # Receives the progress
+    score: Scorer | None = None  # Score of the protocol's early stopping; None where it has none
+    sampling_time: float = 1.0  # Sampling time in s
 
 
 def fit(

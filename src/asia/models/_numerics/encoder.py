@@ -29,7 +29,6 @@ from asia.models._numerics.records import (
 # the past windows before them gives an estimate of the state that will simulate well from there,
 # with the noise of the window already weighed by the regression.
 
-
 Decomposed: TypeAlias = tuple[Array, Array]
 
 
@@ -38,16 +37,11 @@ class Encoder:
     """Map from window features to a state: features weights + tanh(features inner + shift) outer +
     bias."""
 
-    weights: Array
-    """(d, n)."""
-    bias: Array
-    """(n,)."""
-    inner: Array
-    """(d, m)."""
-    shift: Array
-    """(m,)."""
-    outer: Array
-    """(m, n)."""
+    weights: Array  # (d, n)
+    bias: Array  # (n,)
+    inner: Array  # (d, m)
+    shift: Array  # (m,)
+    outer: Array  # (m, n)
 
     def __call__(self, features: AnyArray) -> AnyArray:
         """Map (B, d) -> (B, n)."""
@@ -180,7 +174,6 @@ def _ridge_path(decomposed: Decomposed, cross: Array, ridges: Array) -> list[Arr
 # Regression of the initial state on the past window, from a model's own states on its records.
 #
 # See `asia.models._numerics.encoder`; on long records it goes block by block.
-
 
 # Numbers in the past windows above which records are processed in blocks, and windows of a block.
 _LONG, _BLOCK = 2_000_000, 4096

@@ -32,12 +32,9 @@ _ENOUGH = 0.1
 class Lags:
     """Orders of the regressors y[k-1] .. y[k-outputs] and u[k-delay] .. u[k-delay-inputs+1]."""
 
-    outputs: int
-    """Number of lagged outputs."""
-    inputs: int
-    """Number of lagged inputs."""
-    delay: int = 0
-    """Number of samples before the newest input."""
+    outputs: int  # Number of lagged outputs
+    inputs: int  # Number of lagged inputs
+    delay: int = 0  # Number of samples before the newest input
 
     @property
     def past_inputs(self) -> int:
@@ -97,12 +94,9 @@ def _measured_rows(record: ScaledTrajectory, rows: Indices, lags: Lags) -> Indic
 class History:
     """Lags before the first simulated sample, from the past window."""
 
-    lags: Lags
-    """The lags of the model."""
-    missing_y: int
-    """Oldest lagged outputs that the window is too short for."""
-    missing_u: int
-    """Oldest lagged inputs that it is too short for."""
+    lags: Lags  # The lags of the model
+    missing_y: int  # Oldest lagged outputs that the window is too short for
+    missing_u: int  # Oldest lagged inputs that it is too short for
     encoder: Encoder | None
     """Regression of the missing lags on the window and the first input; without one the oldest
     known value is repeated."""
@@ -185,10 +179,8 @@ def _features(past_u: AnyArray, past_y: AnyArray, first: AnyArray) -> AnyArray:
 class OutputRange:
     """Range that outputs in free run are clipped to, z-scored."""
 
-    low: Array
-    """(ny,)."""
-    high: Array
-    """(ny,)."""
+    low: Array  # (ny,)
+    high: Array  # (ny,)
 
     @classmethod
     def of(cls, records: ScaledData, margin: float) -> OutputRange:

@@ -21,14 +21,10 @@ from asia.models._arrays import AnyArray, namespace
 class Scaling:
     """Mean and standard deviation of each channel, in physical units."""
 
-    u_mean: Array
-    """(nu,)."""
-    u_std: Array
-    """(nu,), 1 for a constant channel."""
-    y_mean: Array
-    """(ny,)."""
-    y_std: Array
-    """(ny,), 1 for a constant channel."""
+    u_mean: Array  # (nu,)
+    u_std: Array  # (nu,), 1 for a constant channel
+    y_mean: Array  # (ny,)
+    y_std: Array  # (ny,), 1 for a constant channel
 
     @classmethod
     def of(cls, trajectories: Sequence[Trajectory]) -> Scaling:
@@ -58,7 +54,6 @@ def _spread(values: Array) -> Array:
 
 
 # Cuts of records, and padding of segments of unequal length to one array.
-
 
 Indices = NDArray[np.intp]
 
@@ -97,7 +92,6 @@ def side_by_side(segments: Sequence[Array], how: Literal["constant", "edge"] = "
 
 # Training records: z-scored, cut into past windows, padded to one shape.
 
-
 # Least share of measured past windows at which the others are left out.
 _ENOUGH = 0.1
 _SINGLE = np.float32
@@ -107,18 +101,12 @@ _SINGLE = np.float32
 class ScaledTrajectory:
     """Trajectory in z-scores."""
 
-    u: Array
-    """(T, nu), as they act."""
-    y: Array
-    """(T, ny)."""
-    weight: Array
-    """(T,), 0 where a sample does not count."""
-    measured_u: Array
-    """(T, nu), the inputs as past windows show them, where u is delayed."""
-    counts: Array
-    """(T,), 0 where an output was not measured; the `weight` of a whole fit."""
-    filled: bool = False
-    """Outputs that were not measured are those of a model."""
+    u: Array  # (T, nu), as they act
+    y: Array  # (T, ny)
+    weight: Array  # (T,), 0 where a sample does not count
+    measured_u: Array  # (T, nu), the inputs as past windows show them, where u is delayed
+    counts: Array  # (T,), 0 where an output was not measured; the `weight` of a whole fit
+    filled: bool = False  # Outputs that were not measured are those of a model
 
     def __len__(self) -> int:
         return len(self.u)
@@ -319,20 +307,14 @@ def contiguous_splits(
 class PaddedBatch:
     """Trajectories padded to one length, in single precision, as networks are trained."""
 
-    window: AnyArray
-    """Past window of each (R, d)."""
-    u: AnyArray
-    """(R, T, nu)."""
-    y: AnyArray
-    """(R, T, ny)."""
-    weight: AnyArray
-    """(R, T), zero in the padding."""
-    lengths: tuple[int, ...]
-    """Samples of each, without the padding."""
+    window: AnyArray  # Past window of each (R, d)
+    u: AnyArray  # (R, T, nu)
+    y: AnyArray  # (R, T, ny)
+    weight: AnyArray  # (R, T), zero in the padding
+    lengths: tuple[int, ...]  # Samples of each, without the padding
     past_u: AnyArray
     """Inputs as past windows show them (R, n_past_u + T, nu): sample k's window begins at k."""
-    past_y: AnyArray
-    """Outputs likewise (R, n_past_y + T, ny)."""
+    past_y: AnyArray  # Outputs likewise (R, n_past_y + T, ny)
 
     def windows_at(self, record: Indices, sample: Indices) -> AnyArray:
         """Past windows (N, d) before samples (N,) of records (N,)."""
@@ -408,7 +390,6 @@ def delayed_inputs(
 
 # Training windows: segments of the protocol's horizon, each with its own past window.
 
-
 # Greatest number of segments from one record: few long ones, so that slow modes show.
 _MOST_SEGMENTS = 4
 
@@ -416,14 +397,10 @@ _MOST_SEGMENTS = 4
 class HorizonWindows(NamedTuple):
     """Windows side by side, z-scored; JAX reads it as a tree of its arrays."""
 
-    features: Any
-    """Past windows, flattened (W, d)."""
-    u: Any
-    """Inputs after them (W, H, nu)."""
-    y: Any
-    """Outputs after them (W, H, ny)."""
-    weight: Any = None
-    """(W, H), 0 where an output was not measured; None where all samples count."""
+    features: Any  # Past windows, flattened (W, d)
+    u: Any  # Inputs after them (W, H, nu)
+    y: Any  # Outputs after them (W, H, ny)
+    weight: Any = None  # (W, H), 0 where an output was not measured; None where all samples count
 
     def each(self, change: Callable[[Any], Any]) -> HorizonWindows:
         """Apply a function to every array."""

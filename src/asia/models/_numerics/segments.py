@@ -28,7 +28,6 @@ from asia.models._numerics.records import (
 # With a horizon they are windows of that length, as the model will be evaluated; without one they
 # are whole records.
 
-
 # Longest segment in samples. Longer records are cut and their segments simulated side by side: the
 # time of a loop grows with its length.
 _LONGEST = 4000
@@ -39,16 +38,11 @@ _MOST_SAMPLES = 40_000
 class Stretches:
     """Segments side by side, z-scored, padded with zeros where the weight is zero."""
 
-    past_u: Array
-    """Inputs before each (S, n_past_u, nu)."""
-    past_y: Array
-    """Outputs before each (S, n_past_y, ny)."""
-    u: Array
-    """(S, H, nu)."""
-    y: Array
-    """(S, H, ny)."""
-    weight: Array
-    """(S, H)."""
+    past_u: Array  # Inputs before each (S, n_past_u, nu)
+    past_y: Array  # Outputs before each (S, n_past_y, ny)
+    u: Array  # (S, H, nu)
+    y: Array  # (S, H, ny)
+    weight: Array  # (S, H)
 
     def __len__(self) -> int:
         return len(self.u)
@@ -157,33 +151,22 @@ def _firsts(length: int, past: int, horizon: int | None) -> list[int]:
 class Simulations(NamedTuple):
     """Simulations to compare with measurements."""
 
-    window: AnyArray
-    """Past window of each (B, d)."""
-    u: AnyArray
-    """(B, T, nu)."""
-    y: AnyArray
-    """Measured outputs (B, T, ny)."""
-    weight: AnyArray
-    """(B, T), 0 where a sample does not count."""
+    window: AnyArray  # Past window of each (B, d)
+    u: AnyArray  # (B, T, nu)
+    y: AnyArray  # Measured outputs (B, T, ny)
+    weight: AnyArray  # (B, T), 0 where a sample does not count
 
 
 class Places(NamedTuple):
     """Trajectories, and the permitted starts of chunks in them."""
 
-    u: AnyArray
-    """(R, T, nu)."""
-    y: AnyArray
-    """(R, T, ny)."""
-    weight: AnyArray
-    """(R, T)."""
-    past_u: AnyArray
-    """(R, n_past_u + T, nu), see `PaddedBatch`."""
-    past_y: AnyArray
-    """(R, n_past_y + T, ny)."""
-    ends: AnyArray
-    """Number of starts in each record and those before it (R,)."""
-    moves: AnyArray
-    """(R,), 0 where all starts of a record are its first sample, else 1."""
+    u: AnyArray  # (R, T, nu)
+    y: AnyArray  # (R, T, ny)
+    weight: AnyArray  # (R, T)
+    past_u: AnyArray  # (R, n_past_u + T, nu), see `PaddedBatch`
+    past_y: AnyArray  # (R, n_past_y + T, ny)
+    ends: AnyArray  # Number of starts in each record and those before it (R,)
+    moves: AnyArray  # (R,), 0 where all starts of a record are its first sample, else 1
     share: AnyArray | None = None
     """Probability (S,) that a chunk starts at one of the starts up to each; None: uniform."""
 

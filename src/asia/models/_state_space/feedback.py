@@ -29,7 +29,6 @@ from asia.models._state_space.training import fit_segments
 # functions and the places where they act follow by least squares, so that many regressors can be
 # evaluated.
 
-
 # Samples for the evaluation of regressors, random signals tried, best ones varied, and the size of
 # the variation in each round.
 _EVALUATED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 80, 4, (0.5, 0.25, 0.12), 10
@@ -49,31 +48,21 @@ RANK = 1e-7
 class Reading(NamedTuple):
     """Regressors of the functions, with the error that they leave."""
 
-    directions: Array
-    """(n + nu, m)."""
-    observed: bool
-    """The states are the observer's."""
-    error: float
-    """Mean squared error that remains."""
+    directions: Array  # (n + nu, m)
+    observed: bool  # The states are the observer's
+    error: float  # Mean squared error that remains
 
 
 class PreparedRecord(NamedTuple):
     """Record prepared for the evaluation of regressors."""
 
-    x0: Array
-    """Initial state (n,) of the linear model."""
-    u: Array
-    """(T, nu)."""
-    states: tuple[Array, Array]
-    """(T, n), by the linear model and by the observer."""
-    residual: Array
-    """Residual (T, ny) of the linear model."""
-    terms: Array
-    """Effects (T ny, p) of B, D, the offset and the initial state; see `_linear_terms`."""
-    basis: Array
-    """Orthonormal basis (T ny, q) of `terms`."""
-    weight: Array
-    """(T,)."""
+    x0: Array  # Initial state (n,) of the linear model
+    u: Array  # (T, nu)
+    states: tuple[Array, Array]  # (T, n), by the linear model and by the observer
+    residual: Array  # Residual (T, ny) of the linear model
+    terms: Array  # Effects (T ny, p) of B, D, the offset and the initial state; see `_linear_terms`
+    basis: Array  # Orthonormal basis (T ny, q) of `terms`
+    weight: Array  # (T,)
 
     def read(self, directions: Array, observed: bool) -> Array:
         """Signals (T, m) in directions (n - integrators + nu, m)."""
@@ -304,7 +293,6 @@ class RegressorSearch:
 # model identification with the best linear approximation, IFAC 2020; Floren, Noel and Swevers,
 # Inference and learning of nonlinear LFR state-space models, arXiv 2503.14409.
 
-
 _ALTERNATIONS = 15
 # Shares of the functions that are tried.
 _SCALES = (1.0, 0.5, 0.2)
@@ -431,7 +419,6 @@ class _Starts:
 
 # Fits of linear systems with static functions in feedback, from several linear models.
 
-
 _LINEAR, _FUNCTIONS = ("a", "b", "c", "d", "offset"), ("f", "read", "act")
 # Share of the iterations that every start gets, and number of starts that are continued.
 _TRIED, _GO_ON = 0.25, 2
@@ -440,32 +427,22 @@ _TRIED, _GO_ON = 0.25, 2
 class LinearCore(NamedTuple):
     """Linear model that fits begin with."""
 
-    found: LinearFit
-    """Fitted model."""
-    delay: int
-    """Delay of its inputs, in samples."""
-    records: ScaledData
-    """Records of its fit, inputs delayed."""
+    found: LinearFit  # Fitted model
+    delay: int  # Delay of its inputs, in samples
+    records: ScaledData  # Records of its fit, inputs delayed
 
 
 @dataclass(frozen=True)
 class FeedbackOptions:
     """Options of the fits, apart from the method."""
 
-    channels: int
-    """Number of signals that the functions read, and of those that they give."""
-    hidden: int
-    """Number of tanh units."""
-    ridge: float
-    """Ridge of the functions."""
-    linear_ridge: float
-    """Ridge of the linear system."""
-    encoder: int
-    """Number of tanh units of the map from past windows to states."""
-    integrators: int
-    """Number of states whose pole is held at 1."""
-    pieces: bool
-    """Begin the fits with short segments of the records."""
+    channels: int  # Number of signals that the functions read, and of those that they give
+    hidden: int  # Number of tanh units
+    ridge: float  # Ridge of the functions
+    linear_ridge: float  # Ridge of the linear system
+    encoder: int  # Number of tanh units of the map from past windows to states
+    integrators: int  # Number of states whose pole is held at 1
+    pieces: bool  # Begin the fits with short segments of the records
 
 
 class _Fit(NamedTuple):
@@ -475,8 +452,7 @@ class _Fit(NamedTuple):
     structure: StateSpaceStructure
     start: dict[str, object]
     now: StateFit
-    expected_error: float
-    """Final prediction error: estimate of the error on new records."""
+    expected_error: float  # Final prediction error: estimate of the error on new records
 
 
 def fit_feedback(

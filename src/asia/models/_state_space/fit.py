@@ -33,14 +33,10 @@ from asia.models._state_space.structure import StateSpaceStructure
 class StateFit(NamedTuple):
     """Fit from one start."""
 
-    x0: Array
-    """Initial states (R, n)."""
-    params: dict[str, Any]
-    """Parameters as the structure reads them."""
-    cost: float
-    """Mean squared error and ridge."""
-    history: Array
-    """Root of the cost by iteration."""
+    x0: Array  # Initial states (R, n)
+    params: dict[str, Any]  # Parameters as the structure reads them
+    cost: float  # Mean squared error and ridge
+    history: Array  # Root of the cost by iteration
 
 
 def of_records(records: ScaledData, x0: Array) -> StateSamples:

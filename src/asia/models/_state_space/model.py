@@ -52,7 +52,6 @@ if TYPE_CHECKING:
 # probability, by Gauss-Newton steps, with the errors of map and model on the training records as
 # deviations.
 
-
 _DIFFERENCE = 1e-5
 # Least deviations, of a state relative to its spread and of an output in z-scores.
 _LEAST_STATE, _LEAST_OUTPUT = 1e-3, 1e-4
@@ -64,12 +63,9 @@ _SCHEDULE = DampingSchedule((1.0,), 0.2, 10.0, 0.0, float("inf"), retries=False)
 class PastFit:
     """Settings of the fit of a state to the past window."""
 
-    samples: int
-    """Number of last samples of the window that are used."""
-    x_deviation: Array
-    """Deviation (n,) of the state that the map predicts before these samples."""
-    y_deviation: Array
-    """Deviation (ny,) of the model's output."""
+    samples: int  # Number of last samples of the window that are used
+    x_deviation: Array  # Deviation (n,) of the state that the map predicts before these samples
+    y_deviation: Array  # Deviation (ny,) of the model's output
 
 
 def window_samples(context: Context) -> int:
@@ -166,15 +162,12 @@ def fitted_state(
 class FittedStateSpace:
     """Result of training a neural state-space model."""
 
-    structure: StateSpaceStructure
-    """Equations of the model."""
+    structure: StateSpaceStructure  # Equations of the model
     members: tuple[tuple[dict[str, Any], Encoder], ...]
     """Parameters as `StateSpaceStructure` reads them, in z-scores, and the map from the past
     window to the initial state."""
-    delay: int
-    """Delay of the inputs, in samples."""
-    scaling: Scaling
-    """Scaling from physical units to z-scores."""
+    delay: int  # Delay of the inputs, in samples
+    scaling: Scaling  # Scaling from physical units to z-scores
     turns: SignalTransformations | None = None
     """Symmetries over which simulations are averaged; None: none."""
     starts: tuple[PastFit, ...] = ()
@@ -259,8 +252,7 @@ class FittedStateSpace:
 class StateCell:
     """Cell of the model for Adam and for simulation: see `asia.models._networks.structure.Cell`."""
 
-    structure: StateSpaceStructure
-    """Equations of the model."""
+    structure: StateSpaceStructure  # Equations of the model
 
     def initial(self, params: Any, window: AnyArray) -> AnyArray:
         """State from the encoder, or the past window itself."""
@@ -412,7 +404,6 @@ def _cast(tree: Mapping[str, Any], dtype: type[np.floating[Any]]) -> dict[str, A
 
 
 # Starting points of neural state-space models, which simulate as the linear model does.
-
 
 # Stiffness of the elements of a start, by turns, for motions of unit size, and width of a play.
 _STIFFNESS = (30.0, 2.0, 0.5)

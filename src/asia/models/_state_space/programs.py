@@ -34,37 +34,25 @@ Watch: TypeAlias = Callable[[int, float], None]
 class StateSamples(NamedTuple):
     """Records or segments side by side."""
 
-    x0: Array
-    """Initial states (R, n), or starting points of their search unless `known`."""
-    u: Array
-    """(R, T, nu)."""
-    y: Array
-    """(R, T, ny)."""
-    weight: Array
-    """(R, T), 0 in the padding."""
-    known: bool
-    """The initial states are given."""
+    x0: Array  # Initial states (R, n), or starting points of their search unless `known`
+    u: Array  # (R, T, nu)
+    y: Array  # (R, T, ny)
+    weight: Array  # (R, T), 0 in the padding
+    known: bool  # The initial states are given
 
 
 class SampleChunks(NamedTuple):
     """Chunks of samples in time order."""
 
-    u: Any
-    """(K, c, R, nu)."""
-    y: Any
-    """(K, c, R, ny)."""
-    weight: Any
-    """(K, c, R), scaled so that the sum of squares is a mean."""
-    x0: Any
-    """Initial states (R, n)."""
-    pull: Any
-    """Ridge (P,) of each parameter towards `origin`."""
-    origin: Any
-    """(P,)."""
+    u: Any  # (K, c, R, nu)
+    y: Any  # (K, c, R, ny)
+    weight: Any  # (K, c, R), scaled so that the sum of squares is a mean
+    x0: Any  # Initial states (R, n)
+    pull: Any  # Ridge (P,) of each parameter towards `origin`
+    origin: Any  # (P,)
     through: InnovationFilter | None = None
     """Filter of the noise model, (K, c, R, ny) each; None without one."""
-    huber: Any = None
-    """Threshold on the innovations, in the unit of the errors; None without one."""
+    huber: Any = None  # Threshold on the innovations, in the unit of the errors; None without one
 
 
 def chunked(

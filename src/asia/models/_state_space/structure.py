@@ -27,7 +27,6 @@ from asia.models._linear.windows import WindowLags, WindowPredictor
 # state and input within a width; what is not followed acts on state and output. Sources: Iwan, J.
 # Applied Mechanics 33(4), 1966; Visintin, Differential Models of Hysteresis, Springer 1994.
 
-
 Coefficients = Mapping[str, Any]
 
 # Limit on the exponents of learned ratios, which keeps them finite.
@@ -84,7 +83,6 @@ def lost(p: Coefficients, x: AnyArray, v: AnyArray, behind: AnyArray) -> tuple[A
 # zero, so that the model starts as the linear one. Elements of friction and of play have states of
 # their own after x.
 
-
 Nonlinearity = Literal["state", "input", "output", "both", "none"]
 Basis = Literal["tanh", "polynomial"]
 
@@ -97,30 +95,21 @@ _RANGE = 4.0
 class StateSpaceStructure:
     """Sizes and kind of the functions; hashable."""
 
-    order: int
-    """Number of states."""
-    nu: int
-    """Number of inputs."""
-    ny: int
-    """Number of outputs."""
-    nonlinearity: Nonlinearity
-    """Place of the static functions."""
-    basis: Basis
-    """Basis of the functions."""
-    hidden: int
-    """Units of a layer of tanh functions."""
-    degree: int
-    """Greatest degree of polynomials."""
+    order: int  # Number of states
+    nu: int  # Number of inputs
+    ny: int  # Number of outputs
+    nonlinearity: Nonlinearity  # Place of the static functions
+    basis: Basis  # Basis of the functions
+    hidden: int  # Units of a layer of tanh functions
+    degree: int  # Greatest degree of polynomials
     channels: int | None
     """Number of linear combinations of [x, v] that f and g read; None lets them read all of [x,
     v]."""
     lags: WindowLags | None = None
     """Lags of a state that is the past window itself: its next value follows from the output,
     and f is left out."""
-    friction: int = 0
-    """Number of elements of dry friction, each with a state."""
-    play: int = 0
-    """Number of elements of play, each with a state."""
+    friction: int = 0  # Number of elements of dry friction, each with a state
+    play: int = 0  # Number of elements of play, each with a state
     integrators: int = 0
     """Number of last states whose pole is held at 1 and which f and g do not read."""
 

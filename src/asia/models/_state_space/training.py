@@ -44,12 +44,9 @@ from asia.models._state_space.structure import StateSpaceStructure
 class _Lengths(NamedTuple):
     """Lengths of the segments."""
 
-    shortest: int
-    """Least number of samples of the first segments."""
-    by_state: int
-    """Number of samples for each state of the model."""
-    growth: int
-    """Factor from one length to the next."""
+    shortest: int  # Least number of samples of the first segments
+    by_state: int  # Number of samples for each state of the model
+    growth: int  # Factor from one length to the next
 
 
 # Lengths of the segments. Segments of a whole period already miss the minimum of a strong
@@ -185,18 +182,12 @@ def _initial(segments: Sequence[_Segment], found: Array, x0: Array) -> Array:
 class LmOptions:
     """Options of the fits, apart from the method."""
 
-    ridge: dict[str, float]
-    """Ridge of each top-level parameter name."""
-    members: int
-    """Number of fits that are kept."""
-    hidden: int
-    """Number of tanh units of the map from past windows to states."""
-    pieces: bool
-    """Begin the fits with short segments of the records."""
-    past_fit: bool
-    """Fit initial states to the past window."""
-    seed: int
-    """Seed of the starts."""
+    ridge: dict[str, float]  # Ridge of each top-level parameter name
+    members: int  # Number of fits that are kept
+    hidden: int  # Number of tanh units of the map from past windows to states
+    pieces: bool  # Begin the fits with short segments of the records
+    past_fit: bool  # Fit initial states to the past window
+    seed: int  # Seed of the starts
 
 
 @dataclass(frozen=True)
@@ -207,8 +198,7 @@ class FittedMembers:
     """Parameters, and the map from past windows to states, of each fit."""
     starts: tuple[PastFit, ...]
     """Fits of the initial states to the past window; () where the map gives them."""
-    cost: float
-    """Least cost."""
+    cost: float  # Least cost
 
 
 def fit_members(

@@ -30,8 +30,7 @@ class WienerHammersteinStructure(StateSpaceStructure):
     """Equations x1[k+1] = A1 x1 + B1 u, v = C1 x1 + D1 u, w = v + f(v), x2[k+1] = A2 x2 + B2 w,
     y = C2 x2 + D2 w + offset."""
 
-    first: int = 1
-    """Number of states of x1; the rest are x2."""
+    first: int = 1  # Number of states of x1; the rest are x2
 
     def split(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
         """Advance states x (..., n) with inputs v (..., nu); return the outputs too."""
@@ -61,7 +60,6 @@ class WienerHammersteinStructure(StateSpaceStructure):
 # squares. Source: Schoukens, Pintelon and Rolain, Identification of Wiener-Hammerstein systems by
 # an exhaustive and efficient search, Automatica 50(2), 2014.
 
-
 Roots = NDArray[np.complex128]
 
 # Greatest number of distributions of poles and zeros, and samples for the evaluation of one.
@@ -74,23 +72,17 @@ _SLOW, _FREE_ROOT = 0.98, 0.7
 class WienerHammersteinStart(NamedTuple):
     """Starting point with its error."""
 
-    structure: WienerHammersteinStructure
-    """Sizes of the systems."""
-    params: dict[str, Any]
-    """Parameters as the structure reads them."""
-    error: float
-    """Mean squared error, infinite where it was not evaluated."""
+    structure: WienerHammersteinStructure  # Sizes of the systems
+    params: dict[str, Any]  # Parameters as the structure reads them
+    error: float  # Mean squared error, infinite where it was not evaluated
 
 
 class LinearFilter(NamedTuple):
     """Zeros, poles and gain of one of the systems."""
 
-    zeros: Roots
-    """Zeros."""
-    poles: Roots
-    """Poles, at least as many."""
-    gain: float
-    """Factor."""
+    zeros: Roots  # Zeros
+    poles: Roots  # Poles, at least as many
+    gain: float  # Factor
 
     def system(self) -> tuple[Array, Array, Array, Array]:
         """State-space matrices A, B, C and D."""
@@ -265,7 +257,6 @@ def _params(
 # processed in chunks of which only sums are kept: memory does not grow with their length. Source:
 # Ljung, System Identification, 2nd ed., section 10.3.
 
-
 # Samples of a chunk. Derivatives by initial states are computed only in the first one: they have
 # decayed after it.
 _CHUNK = 8192
@@ -274,12 +265,9 @@ _CHUNK = 8192
 class FilterRidge(NamedTuple):
     """Weights, against the mean squared error, of squared distances from the start."""
 
-    linear: float
-    """Weight for the coefficients of the filters and the offset."""
-    bend: float
-    """Weight for the static function."""
-    initial: float
-    """Weight for the initial states."""
+    linear: float  # Weight for the coefficients of the filters and the offset
+    bend: float  # Weight for the static function
+    initial: float  # Weight for the initial states
 
 
 class TwoFilters(NamedTuple):
@@ -290,24 +278,15 @@ class TwoFilters(NamedTuple):
     fitted part: units that move as well make long narrow valleys.
     """
 
-    numerator1: Array
-    """(n1 + 1,)."""
-    denominator1: Array
-    """(n1,)."""
-    slope: Array
-    """(h,)."""
-    shift: Array
-    """(h,)."""
-    bend: Array
-    """(h,)."""
-    numerator2: Array
-    """(n2 + 1,)."""
-    denominator2: Array
-    """(n2,)."""
-    offset: Array
-    """(1,)."""
-    x0: Array
-    """Initial states of both filters, transposed direct form II (R, n1 + n2)."""
+    numerator1: Array  # (n1 + 1,)
+    denominator1: Array  # (n1,)
+    slope: Array  # (h,)
+    shift: Array  # (h,)
+    bend: Array  # (h,)
+    numerator2: Array  # (n2 + 1,)
+    denominator2: Array  # (n2,)
+    offset: Array  # (1,)
+    x0: Array  # Initial states of both filters, transposed direct form II (R, n1 + n2)
 
     def packed(self) -> Array:
         """Pack the fitted parameters into one vector: all but the grid of the tanh units."""
@@ -504,7 +483,6 @@ def _linearised(
 # Initializing Wiener-Hammerstein models based on partitioning of the best linear approximation,
 # Automatica 48(2), 2012.
 
-
 # Orders of the linear model if none is given, iterations of its fit, and its samples.
 _ORDERS = (2, 3, 4, 5, 6, 7, 8)
 _LINEAR, _LINEAR_SAMPLES = Refinement(iterations=15), 4000
@@ -532,14 +510,10 @@ _REACH = 3.5
 class FilterFit:
     """Model found by the search."""
 
-    filters: TwoFilters
-    """Parameters of the model."""
-    delay: int
-    """Delay of the input, in samples."""
-    error: float
-    """Mean squared error on the segments left out, or on all that was fitted."""
-    history: Array
-    """Root of the cost by iteration."""
+    filters: TwoFilters  # Parameters of the model
+    delay: int  # Delay of the input, in samples
+    error: float  # Mean squared error on the segments left out, or on all that was fitted
+    history: Array  # Root of the cost by iteration
 
 
 def searched(
