@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,11 @@ class LinearSystem:
     def radius(self) -> float:
         """Largest modulus of the poles."""
         return float(np.abs(np.linalg.eigvals(self.a)).max())
+
+    @property
+    def matrices(self) -> tuple[Array, Array, Array, Array, Array]:
+        """A, B, C, D and the offset."""
+        return self.a, self.b, self.c, self.d, self.offset
 
     @property
     def gain(self) -> Array:
@@ -126,6 +132,13 @@ class Powers:
         product."""
         later = np.fft.irfft(spectrum, self.size, axis=0)[: length - 1]
         return np.concatenate([np.zeros((1, *later.shape[1:])), later])
+
+
+def unpacked(theta: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """Cut a vector into arrays of these shapes, one after the other."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
+    parts = np.split(theta, ends)
+    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
 def transform_size(samples: int) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,13 +119,8 @@ class WindowPredictor:
 
 
 def one_step(windows: HorizonWindows, lags: WindowLags, ridge: float) -> WindowPredictor:
-    """Least squares on all one-step predictions inside the windows.
-
-    Args:
-        windows: training windows.
-        lags: lags in the state.
-        ridge: weight, against the mean square of the signals, of the distance from `held`.
-    """
+    """Least squares on all one-step predictions inside the windows; `ridge` weighs, against the
+    mean square of the signals, the distance from `held`."""
     s, from_u, from_y = lags.shift()
     x, rows = lags.state(windows.features), []
     for k in range(windows.u.shape[1]):
@@ -293,10 +287,28 @@ def choose(records: ScaledData, context: Context, refinement: Refinement) -> Win
     For each number of lags the choice is the strongest ridge within one standard error, over the
     segments, of the best; the result is the best of these, None where the past window is empty.
     """
-    splits = held_out(records, context)
-    choices = [
-        _best_ridge(splits, lags, context, refinement) for lags in _candidates(records, context)
-    ]
+    splits, choices = held_out(records, context), list[WindowedChoice]()
+    for lags in _candidates(records, context):
+        count = _count(lags, context, _SELECTION_WORK)
+        paths: list[list[float]] = []
+        for kept, left in splits:
+            # Mean squared errors along the ridges, each fit started from the one before.
+            cut = cut_windows(kept, context, count)
+            unseen = cut_windows(left, context, MOST_WINDOWS)
+            current, path = one_step(cut, lags, _one_step_ridge(_RIDGES[0])), list[float]()
+            for ridge in _RIDGES:
+                current = _refined(current, cut, ridge, _QUICK_ITERATIONS, refinement)
+                path.append(min(current.error(unseen), 1e12))
+            paths.append(path)
+        errors = np.array(paths)
+        means = errors.mean(axis=0)
+        best = int(np.argmin(means))
+        apart = errors - errors[:, best : best + 1]
+        limit = 0.0 * means
+        if len(splits) > 1:
+            limit = apart.std(axis=0, ddof=1) / np.sqrt(len(splits))
+        chosen = int(np.argmax(means - means[best] <= limit))
+        choices.append(WindowedChoice(lags, _RIDGES[chosen], tuple(errors[:, chosen].tolist())))
     return min(choices, key=lambda c: c.error) if choices else None
 
 
@@ -338,39 +350,6 @@ def _candidates(records: ScaledData, context: Context) -> list[WindowLags]:
     return found
 
 
-def _best_ridge(
-    splits: Sequence[tuple[list[ScaledTrajectory], list[ScaledTrajectory]]],
-    lags: WindowLags,
-    context: Context,
-    refinement: Refinement,
-) -> WindowedChoice:
-    count = _count(lags, context, _SELECTION_WORK)
-    errors = np.array(
-        [
-            _path(cut_windows(kept, context, count), cut_windows(left, context, MOST_WINDOWS), lags,
-                  refinement)
-            for kept, left in splits
-        ]
-    )  # fmt: skip
-    means = errors.mean(axis=0)
-    best = int(np.argmin(means))
-    apart = errors - errors[:, best : best + 1]
-    limit = apart.std(axis=0, ddof=1) / np.sqrt(len(splits)) if len(splits) > 1 else 0.0 * means
-    chosen = int(np.argmax(means - means[best] <= limit))
-    return WindowedChoice(lags, _RIDGES[chosen], tuple(errors[:, chosen].tolist()))
-
-
-def _path(
-    kept: HorizonWindows, left: HorizonWindows, lags: WindowLags, refinement: Refinement
-) -> list[float]:
-    """Mean squared error on `left` along the ridges, each fit started from the one before."""
-    current, errors = one_step(kept, lags, _one_step_ridge(_RIDGES[0])), list[float]()
-    for ridge in _RIDGES:
-        current = _refined(current, kept, ridge, _QUICK_ITERATIONS, refinement)
-        errors.append(min(current.error(left), 1e12))
-    return errors
-
-
 def _refined(
     start: WindowPredictor,
     windows: HorizonWindows,
@@ -380,13 +359,8 @@ def _refined(
 ) -> WindowPredictor:
     if start.lags.parameters > MOST_PARAMETERS:
         return one_step(windows, start.lags, _one_step_ridge(ridge))
-    return refined(
-        start,
-        windows,
-        ridge,
-        min(iterations, refinement.iterations),
-        max(refinement.tolerance, 1e-4),
-    )
+    iterations = min(iterations, refinement.iterations)
+    return refined(start, windows, ridge, iterations, max(refinement.tolerance, 1e-4))
 
 
 def _one_step_ridge(ridge: float) -> float:
