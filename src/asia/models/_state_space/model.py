@@ -24,7 +24,7 @@ from asia.models._least_squares import (
 from asia.models._linear.fit import LinearFit, Refinement, refine
 from asia.models._linear.system import LinearSystem
 from asia.models._networks.network import outputs_of
-from asia.models._networks.structure import Cell
+from asia.models._networks.structure import Cell, cast_tree
 from asia.models._numerics.encoder import Encoder, affine, fit_encoder
 from asia.models._numerics.records import (
     ScaledData,
@@ -93,13 +93,10 @@ def past_fit(
     encoder = fit_encoder(features, states, hidden, context.seed)
     left = np.concatenate([encoder(f) - x for f, x in zip(features, states, strict=True)])
     spread = np.concatenate(states).std(axis=0)
-    x_deviation = np.maximum(_rms(left), np.maximum(_LEAST_STATE * spread, 1e-9))
-    y_deviation = np.maximum(_rms(np.concatenate(errors)), _LEAST_OUTPUT)
+    error, apart = (np.sqrt((v**2).mean(axis=0)) for v in (left, np.concatenate(errors)))
+    x_deviation = np.maximum(error, np.maximum(_LEAST_STATE * spread, 1e-9))
+    y_deviation = np.maximum(apart, _LEAST_OUTPUT)
     return encoder, PastFit(back, x_deviation, y_deviation)
-
-
-def _rms(values: Array) -> Array:
-    return np.sqrt((values**2).mean(axis=0))
 
 
 def fitted_state(
@@ -179,7 +176,10 @@ class FittedStateSpace:
         """Simulate in physical units: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B,
         H, nu) -> (B, H, ny)."""
         if self.transport is not None:
-            past_u, u = carried_windows(self.transport, past_u, u)
+            # Inputs at the outlet of the pipe, with the pace as an additional input.
+            known, past = np.concatenate([past_u, u], axis=1), past_u.shape[1]
+            leaving = np.stack([self.transport.carried(one) for one in known])
+            past_u, u = leaving[:, :past], leaving[:, past:]
         if self.turns is None:
             return self._simulated(past_u, past_y, u)
         return self.turns.averaged(self._simulated, past_u, past_y, u)
@@ -215,13 +215,8 @@ class FittedStateSpace:
         return (after, line), self.scaling.physical(median(outputs))
 
     def _starts(self, past: AnyArray, y: AnyArray, u: AnyArray) -> list[AnyArray]:
-        """State of each member (B, n) at the first sample.
-
-        Args:
-            past: z-scored past inputs (B, n_past_u, nu).
-            y: z-scored past outputs (B, n_past_y, ny).
-            u: first input (B, nu).
-        """
+        """State of each member (B, n) at the first sample from z-scored past inputs (B, n_past_u,
+        nu), past outputs y (B, n_past_y, ny) and the first input u (B, nu)."""
         features = window(past, y)
         if self.structure.lags is not None:
             return [features @ self.structure.lags.selection()] * len(self.members)
@@ -282,14 +277,6 @@ class _StartedCell(StateCell):
         return window
 
 
-def carried_windows(transport: Transport, past_u: Array, u: Array) -> tuple[Array, Array]:
-    """Inputs of the past window (B, n_past_u, nu) and after it (B, H, nu) at the outlet of the
-    pipe, with the pace as an additional input."""
-    known = np.concatenate([past_u, u], axis=1)
-    leaving = np.stack([transport.carried(one) for one in known])
-    return leaving[:, : past_u.shape[1]], leaving[:, past_u.shape[1] :]
-
-
 def carried_records(
     records: Sequence[Trajectory], context: Context, pace: int
 ) -> tuple[Transport, list[Trajectory], Context]:
@@ -315,12 +302,9 @@ def _entered(transport: Transport, past_u: AnyArray, u: AnyArray) -> tuple[Any, 
     """Fill the pipe from the past window.
 
     The pipe holds the inputs of the samples in which its content entered (B, length, nu), the
-    oldest
-    first, and the amounts (B, length) that have passed since these began.
-
-    Returns:
-        The pipe at the first sample, its outlet during the past window (B, n_past_u, nu + 1), and
-        its outlet at the first sample (B, nu + 1).
+    oldest first, and the amounts (B, length) that have passed since these began. Return it at the
+    first sample, its outlet during the past window (B, n_past_u, nu + 1), and that at the first
+    sample.
     """
     xp, length = namespace(past_u, u), transport.longest + 1
     first = past_u[:, 0] if past_u.shape[1] else u
@@ -379,8 +363,8 @@ def fit_by_adam(
     """Train in single precision."""
     from asia.models._networks.training import fit
 
-    trained = fit(cell, _cast(params, np.float32), records, context, method, copies=copies)
-    return _cast(trained, np.float64)
+    single = cast_tree(params, np.float32)
+    return cast_tree(fit(cell, single, records, context, method, copies=copies), np.float64)
 
 
 def fit_encoded(
@@ -394,13 +378,6 @@ def fit_encoded(
     """Train parameters with an encoder, which is returned separately."""
     trained = fit_by_adam(cell, params, records, context, method, copies)
     return trained, Encoder(**trained.pop("encoder"))
-
-
-def _cast(tree: Mapping[str, Any], dtype: type[np.floating[Any]]) -> dict[str, Any]:
-    return {
-        name: _cast(v, dtype) if isinstance(v, Mapping) else np.asarray(v, dtype)
-        for name, v in tree.items()
-    }
 
 
 # Starting points of neural state-space models, which simulate as the linear model does.
@@ -464,14 +441,8 @@ def _friction(
 ) -> dict[str, Any]:
     """Elements of friction without effect, one for each number in `turns`.
 
-    The directions are the difference of the output, the output, and random ones, in turn.
-
-    Args:
-        system: linear system.
-        states: states (T, n) of the linear system, which give the sizes.
-        zero: outputs at rest (ny,).
-        turns: numbers of the elements.
-        rng: random generator.
+    The directions are the difference of the output, the output, and random ones, in turn. The
+    states (T, n) of the linear system give the sizes; `zero` (ny,) is the output at rest.
     """
     n, ny, count = system.order, len(system.c), len(turns)
     difference = system.c @ (np.eye(n) - np.linalg.pinv(system.a))
@@ -502,13 +473,6 @@ def _play(
 
     The directions are the inputs, the outputs, and random ones, in turn, and each round of them has
     half the width of the one before.
-
-    Args:
-        system: linear system.
-        states: states (T, n) of the linear system.
-        u: inputs (T, nu).
-        turns: numbers of the elements.
-        rng: random generator.
     """
     n, nu, count = system.order, u.shape[1], len(turns)
     known = [np.eye(n + nu)[n + j] for j in range(nu)]

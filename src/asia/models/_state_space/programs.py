@@ -119,6 +119,7 @@ class _Simulation:
         self, structure: StateSpaceStructure, packing: Packing, data: SampleChunks
     ) -> None:
         self.structure, self.packing, self.data = structure, packing, data
+        self.parts = data.u, data.y, data.weight, data.through
 
     def initial(self, theta: jax.Array) -> jax.Array:
         """Initial states (R, n)."""
@@ -175,11 +176,6 @@ class _Simulation:
         root = huber_root(scaled, 1.0)
         slope = jnp.where(abs(scaled) > 1.0, 1.0 / jnp.maximum(abs(root), 1.0), 1.0)
         return threshold * root, slope
-
-    @property
-    def parts(self) -> Any:
-        """Chunks, for `scan`."""
-        return self.data.u, self.data.y, self.data.weight, self.data.through
 
 
 @partial(jax.jit, static_argnums=(0, 1))
