@@ -176,11 +176,8 @@ class ParameterPriors:
         return len(self.mean)
 
     def deviations(self, parameters: Array) -> Array:
-        """Distances (n, R) of the expressions from their means, in standard deviations.
-
-        Args:
-            parameters: (np, R).
-        """
+        """Distances (n, R) of the expressions from their means, in standard deviations, at
+        parameters (np, R)."""
         nothing = np.zeros((0, *parameters.shape[1:]))
         if self.system is None:
             return nothing
@@ -194,12 +191,8 @@ NO_PRIORS = ParameterPriors()
 def parameter_priors(
     system: Equations, priors: Iterable[tuple[str, float, float]], width: float
 ) -> ParameterPriors:
-    """Parse priors on expressions in the parameters.
-
-    Args:
-        system: equations with the parameters.
-        priors: expression, mean and standard deviation each.
-        width: factor on the standard deviations.
+    """Parse priors on expressions in the parameters of the equations: expression, mean and standard
+    deviation each; `width` is a factor on the deviations.
 
     Raises:
         UserError: for an expression that does not parse or that names something else than

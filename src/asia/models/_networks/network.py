@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -108,15 +108,8 @@ class NetworkModel:
     """Symmetries over which simulations are averaged; None: none."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate in physical units.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Outputs (B, H, ny), float64.
+        """Simulate in physical units: past inputs (B, n_past_u, nu), past outputs (B, n_past_y,
+        ny), inputs u (B, H, nu) -> outputs (B, H, ny), float64.
 
         Raises:
             UserError: before training.
@@ -279,7 +272,6 @@ def with_output_layer(
 # build, train = network_family(Config, KoopmanMap)
 
 C = TypeVar("C", bound=NetworkConfig)
-Own = TypeVar("Own", bound=NetworkConfig, contravariant=True)
 
 
 @dataclass(frozen=True)
@@ -321,26 +313,12 @@ class Driven(Generic[C]):
         return None
 
 
-class Build(Protocol[Own]):
-    """Type of a family's `build`."""
-
-    def __call__(self, config: Own, context: Context) -> NetworkModel:
-        """Build an untrained network."""
-        ...
-
-
-class Train(Protocol):
-    """Type of a family's `train`."""
-
-    def __call__(
-        self,
-        model: NetworkModel,
-        trajectories: Sequence[Trajectory],
-        context: Context,
-        method: NetworkMethod,
-    ) -> NetworkModel:
-        """Fit the network."""
-        ...
+Build: TypeAlias = Callable[[C, Context], NetworkModel]
+"""Type of a family's `build`, from settings and context."""
+Train: TypeAlias = Callable[
+    [NetworkModel, Sequence[Trajectory], Context, NetworkMethod], NetworkModel
+]
+"""Type of a family's `train`."""
 
 
 def network_family(config: type[C], structure: type[Driven[C]]) -> tuple[Build[C], Train]:

@@ -101,10 +101,6 @@ class AdamNumbers(NamedTuple):
         """Take the numbers from a method."""
         return cls(*(getattr(method, name) for name in cls._fields))
 
-    def teacher_at(self, step: jax.Array) -> jax.Array:
-        """Probability that a measured output is fed back."""
-        return self.teacher + (self.teacher_end - self.teacher) * step / self.steps
-
 
 def started(rule: optax.GradientTransformation, trained: Any) -> Any:
     """State of an optimiser before its first step: zeros for all of Adam, made without compiling
@@ -181,20 +177,18 @@ def objective(
     weight = weight * (jnp.arange(length) >= washout)
     if whiten is not None:
         residual = whiten(residual, weight)
-    error = (weight[..., None] * pointwise(loss, residual)).mean(axis=-1).sum(axis=0)
+    if loss == "mae":
+        each = jnp.abs(residual)
+    elif loss == "huber":
+        # Scaled to equal the square near zero.
+        small = jnp.clip(residual, -1.0, 1.0)
+        each = small * (2.0 * residual - small)
+    else:
+        each = residual**2
+    error = (weight[..., None] * each).mean(axis=-1).sum(axis=0)
     count = weight.sum(axis=0)
     ends = jnp.array([length if h is None else min(h, length) for h in horizons or (None,)]) - 1
     return jnp.mean(jnp.cumsum(error)[ends] / jnp.maximum(jnp.cumsum(count)[ends], 1.0))
-
-
-def pointwise(loss: Loss, residual: jax.Array) -> jax.Array:
-    """Loss of each number; Huber's is scaled to equal the square near zero."""
-    if loss == "mae":
-        return jnp.abs(residual)
-    if loss == "huber":
-        small = jnp.clip(residual, -1.0, 1.0)
-        return small * (2.0 * residual - small)
-    return residual**2
 
 
 def error_of(cell: NetworkStructure, loss: Loss, params: Any, data: Simulations) -> jax.Array:
@@ -254,13 +248,18 @@ def forward(
         return cell.sequence(params, data.window, u), None
     fed = None
     if program.fed:
-        teacher = numbers.teacher_at(step)
+        # Probability that a measured output is fed back.
+        teacher = numbers.teacher + (numbers.teacher_end - numbers.teacher) * step / numbers.steps
         mask = jax.random.bernoulli(fed_by, teacher, data.weight.shape) & (data.weight > 0)
         fed = Fed(data.y, mask.astype(u.dtype))
     if state is None and isinstance(cell, Augmented):
         state = cell.initial(params, data.window)
         state = cell.drawn(params, state, jax.random.fold_in(key, _DRAWN))
-    features, state = _features(cell, params, data.window, u, fed, state)
+    if isinstance(cell, FeatureMap):
+        features, state = cell.features(params, data.window, u), None
+    else:
+        start = cell.initial(params, data.window) if state is None else state
+        features, state = scan(cell, params, start, u, fed)
     if program.dropped and not _drops_weights(cell):
         shape = (features.shape[0], 1, features.shape[2])
         features = features * _kept(numbers, shape, dropped)
@@ -282,16 +281,6 @@ def scan(
     in_time = jax.tree.map(lambda v: jnp.swapaxes(v, 0, 1), (u, fed))
     state, features = jax.lax.scan(advance, state, in_time)
     return jnp.swapaxes(features, 0, 1), state
-
-
-def _features(
-    cell: Cell | FeatureMap, params: Any, window: jax.Array, u: jax.Array, fed: Fed | None,
-    state: Any,
-) -> tuple[jax.Array, Any]:  # fmt: skip
-    if isinstance(cell, FeatureMap):
-        return cell.features(params, window, u), None
-    start = cell.initial(params, window) if state is None else state
-    return scan(cell, params, start, u, fed)
 
 
 def _drops_weights(cell: NetworkStructure) -> bool:

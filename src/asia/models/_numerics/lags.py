@@ -13,7 +13,6 @@ from asia.data.trajectory import Array
 from asia.models._arrays import AnyArray, bounded, namespace, scan
 from asia.models._numerics.encoder import Encoder, fit_encoder
 from asia.models._numerics.records import (
-    Indices,
     ScaledData,
     ScaledTrajectory,
     past_length,
@@ -62,32 +61,23 @@ def regressors(
     """Regressors and targets of a record.
 
     Samples that were not measured are left out, and those with such a lag too where enough are
-    left.
-
-    Args:
-        record: record in z-scores.
-        lags: orders.
-        first: first sample; default: the memory.
+    left. The first sample is that after the memory of the lags unless `first` is given.
 
     Returns:
         Regressors (N, outputs * ny + inputs * nu), outputs before inputs and the newest first, and
         targets (N, ny).
     """
     start = lags.memory if first is None else first
-    rows = _measured_rows(record, np.arange(start, len(record)), lags)
-    past = record.y[rows[:, None] - np.arange(1, lags.outputs + 1)].reshape(len(rows), -1)
+    rows, lagged = np.arange(start, len(record)), np.arange(1, lags.outputs + 1)
+    known = record.counts[rows] > 0
+    if not (known.all() or record.filled):
+        whole = known & (record.counts[rows[:, None] - lagged] > 0).all(axis=1)
+        known = whole if whole.sum() > _ENOUGH * len(rows) else known
+    rows = rows[known]
+    past = record.y[rows[:, None] - lagged].reshape(len(rows), -1)
     back = lags.delay + np.arange(lags.inputs)
     drive = record.u[rows[:, None] - back].reshape(len(rows), -1)
     return np.concatenate([past, drive], axis=1), record.y[rows]
-
-
-def _measured_rows(record: ScaledTrajectory, rows: Indices, lags: Lags) -> Indices:
-    known = record.counts[rows] > 0
-    if known.all() or record.filled:
-        return rows[known]
-    back = rows[:, None] - np.arange(1, lags.outputs + 1)
-    whole = known & (record.counts[back] > 0).all(axis=1)
-    return rows[whole if whole.sum() > _ENOUGH * len(rows) else known]
 
 
 @dataclass(frozen=True)

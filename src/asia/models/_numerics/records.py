@@ -114,14 +114,8 @@ class ScaledTrajectory:
     def part(self, first: int, length: int) -> ScaledTrajectory:
         """Cut `length` samples from `first` on."""
         rows = slice(first, first + length)
-        return ScaledTrajectory(
-            self.u[rows],
-            self.y[rows],
-            self.weight[rows],
-            self.measured_u[rows],
-            self.counts[rows],
-            self.filled,
-        )
+        arrays = self.u, self.y, self.weight, self.measured_u, self.counts
+        return ScaledTrajectory(*(values[rows] for values in arrays), filled=self.filled)
 
     def with_delay(self, delay: int) -> ScaledTrajectory:
         """Delay the inputs of the record; the first input is held backwards."""
@@ -171,9 +165,8 @@ def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledT
     measured."""
     found: list[ScaledTrajectory] = []
     for t in trajectories:
-        u, y = scaling.inputs(t.u), scaling.outputs(t.y)
-        counts = measured_samples(t)
-        found.append(ScaledTrajectory(u, y, counts, u, counts))
+        u, counts = scaling.inputs(t.u), measured_samples(t)
+        found.append(ScaledTrajectory(u, scaling.outputs(t.y), counts, u, counts))
     return found
 
 
@@ -358,13 +351,8 @@ def _single(segments: Sequence[Array]) -> AnyArray:
 
 
 def delayed(past: Array, future: Array, delay: int) -> Array:
-    """Inputs (B, H, nu) that act during the simulation.
-
-    Args:
-        past: measured past inputs (B, n_past_u, nu); before the first one it is held backwards.
-        future: inputs (B, H, nu).
-        delay: in samples.
-    """
+    """Inputs (B, H, nu) that act during the simulation, `delay` samples after the future ones;
+    before the first of the past inputs (B, n_past_u, nu) that is held backwards."""
     known = np.concatenate([past, future], axis=1)
     rows = np.arange(past.shape[1], known.shape[1]) - delay
     return known[:, np.maximum(rows, 0)]
@@ -373,16 +361,8 @@ def delayed(past: Array, future: Array, delay: int) -> Array:
 def delayed_inputs(
     scaling: Scaling, delay: int, past: Array, u: Array, first: int, stop: int
 ) -> Array:
-    """Scaled inputs (B, stop - first, nu) that act from sample `first` on.
-
-    Args:
-        scaling: scaling of the signals.
-        delay: in samples.
-        past: past inputs (B, n_past_u, nu) in physical units.
-        u: inputs (B, H, nu) in physical units.
-        first: first sample.
-        stop: sample after the last.
-    """
+    """Scaled inputs (B, stop - first, nu) that act from sample `first` on; past inputs (B,
+    n_past_u, nu) and inputs u (B, H, nu) are in physical units."""
     begin = max(first - delay, 0)
     known, part = scaling.inputs(past), scaling.inputs(u[:, begin:stop])
     return delayed(known, part, delay)[:, first - begin :]
@@ -416,10 +396,7 @@ def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWind
     usable = [r for r in records if len(r) - past >= horizon]
     places = [len(r) - past - horizon + 1 for r in usable]
     stride = max(1, -(-sum(places) // max(most, 1)))
-    features: list[Array] = []
-    u: list[Array] = []
-    y: list[Array] = []
-    counts: list[Array] = []
+    features, u, y, counts = list[Array](), list[Array](), list[Array](), list[Array]()
     for r, count in zip(usable, places, strict=True):
         starts = np.arange((count - 1) % stride // 2, count, stride)
         simulated = rows(past + starts, horizon)

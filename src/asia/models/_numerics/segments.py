@@ -99,19 +99,11 @@ def left_out_error(
     fit: Callable[[ScaledData], Sequence[ScaledSimulator]],
     shortest: int,
 ) -> Array:
-    """Mean over splits of the log of the mean squared simulation error on the samples left out.
+    """Mean over splits of the log of the mean squared simulation error on the samples left out, for
+    each of the simulators that `fit` makes from the kept samples; infinite where one diverges.
 
     Whole records are left out when there are at least three, else segments of them of at least
     `shortest` samples.
-
-    Args:
-        records: records in z-scores.
-        context: context of the fit.
-        fit: makes simulators from the kept samples.
-        shortest: least samples of a segment.
-
-    Returns:
-        One number for each simulator; infinite where one diverges.
     """
     logs: list[list[float]] = []
     for kept, left in contiguous_splits(records, 3, shortest):

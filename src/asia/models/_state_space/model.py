@@ -272,7 +272,6 @@ class _StartedCell(StateCell):
     """Cell of the model that receives its states in place of the past window."""
 
     def initial(self, params: Any, window: AnyArray) -> AnyArray:
-        """Return the states."""
         del params
         return window
 
@@ -280,10 +279,7 @@ class _StartedCell(StateCell):
 def carried_records(
     records: Sequence[Trajectory], context: Context, pace: int
 ) -> tuple[Transport, list[Trajectory], Context]:
-    """Estimate the pipe from records.
-
-    Returns:
-        The pipe, the records at its outlet, and their context.
+    """Estimate the pipe from records; return it, the records at its outlet, and their context.
 
     Raises:
         UserError: if input `pace` has values that are not positive.
