@@ -47,11 +47,9 @@ class Config:
     """Runge-Kutta steps a sample."""
     initial: Initial | None = None
     """Initial state of a simulation: "measured" takes the last measured outputs, where every state
-    is
-    an output; "estimated" uses the whole past window. None is measured with a horizon, where that
-    is
-    possible, and else estimated. No option sets it and a trained model keeps none: each call of
-    `simulate` finds it anew from the past window that it is given; "measured" takes
+    is an output; "estimated" uses the whole past window. None is measured with a horizon, where
+    that is possible, and else estimated. No option sets it and a trained model keeps none: each
+    call of `simulate` finds it anew from the past window that it is given; "measured" takes
     `past_y[:, -1]`."""
     sensor: Sensor | None = None
     """Rising curve from the equations' output to the measured one: "power" has a learned zero and

@@ -40,13 +40,8 @@ def discover(
     fitted: FittedEquations,
     method: LevenbergMarquardt,
 ) -> tuple[GreyBoxStructure, FittedEquations]:
-    """Add the terms that reduce the simulation error, at most `Config.most_terms` of them.
-
-    Args:
-        structure: grey-box without the terms.
-        segments: records of the fit.
-        fitted: fit of that grey-box.
-        method: settings of the fits.
+    """Add the terms that reduce the simulation error, at most `Config.most_terms` of them, to a
+    fitted grey-box.
 
     Returns:
         The structure with the terms, and its fit; both unchanged where no term helps.

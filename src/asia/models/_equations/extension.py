@@ -377,14 +377,9 @@ class Term:
 
 def library(structure: GreyBoxStructure, x: Array, u: Array, rates: Array) -> list[Term]:
     """Terms for the states in `Config.discover`: a constant, signals, products of two, signals
-    times their size and cubes, without those that are proportional to another.
-
-    Args:
-        structure: grey-box.
-        x: simulated states (N, nx).
-        u: inputs (N, nu).
-        rates: root mean squares of the derivatives of the states (nx,).
-    """
+    times their size and cubes, without those that are proportional to another; from simulated
+    states x (N, nx), inputs u (N, nu) and root mean squares `rates` (nx,) of the derivatives of the
+    states."""
     system, own = structure.equations, structure.nx_own
     names = (*system.states[:own], *system.inputs)
     values = dict(zip(names, np.concatenate([x[:, :own], u], axis=1).T, strict=True))

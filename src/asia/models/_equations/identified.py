@@ -33,10 +33,8 @@ class Around:
     values: Callable[[Array], dict[str, float]]  # Named parameters at coordinates (size,)
 
     def estimates(self, equations: Sequence[str]) -> ParameterEstimates:
-        """Estimate the uncertainty of the parameters.
-
-        Args:
-            equations: lines of the equations with the numbers put in.
+        """Estimate the uncertainty of the parameters; `equations` are the lines with the numbers
+        put in.
 
         Raises:
             ValueError: if these are not the records of the fit.
@@ -104,13 +102,8 @@ _OF_MINUS, _OF_NAMES = 3, 5
 
 
 def equation_lines(structure: GreyBoxStructure, scales: Scales, effect: Effects) -> list[str]:
-    """Definitions, dynamics, outputs, then the limits of states and the delays of inputs.
-
-    Args:
-        structure: grey-box.
-        scales: sizes of the signals, as arrays (n,).
-        effect: decoded coordinates, as arrays without rows.
-    """
+    """Definitions, dynamics, outputs, then the limits of states and the delays of inputs; scales
+    and effects are arrays without rows."""
     system = structure.equations
     values = dict(system.constants) | {
         name: float(v) for name, v in zip(system.parameters, effect.parameters, strict=True)

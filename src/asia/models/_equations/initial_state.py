@@ -118,14 +118,8 @@ def case_start(
     """Initial states (nx, B) of cases, `n_fit` samples before the first simulated one, and the
     inputs (n_fit, nu, B) from there on.
 
-    Args:
-        structure: grey-box.
-        scales: sizes of the signals.
-        prior: map from a past window to the state.
-        z: coordinates (size, 1).
-        past_u: past inputs (B, n_past_u, nu).
-        past_y: past outputs (B, n_past_y, ny).
-        u: first simulated input (B, nu), held back where the past window has too few inputs.
+    The coordinates are z (size, 1). The first simulated input u (B, nu) is held back where the past
+    window, past_u (B, n_past_u, nu) and past_y (B, n_past_y, ny), has too few inputs.
     """
     xp, n_fit = namespace(past_u, past_y, u), structure.n_fit
     before = past_u[:, -1:] if structure.measured else past_u

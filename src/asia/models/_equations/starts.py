@@ -60,11 +60,8 @@ class SegmentSimulator(Protocol):
     """Simulator of all segments."""
 
     def __call__(self, z: Array, scales: Scales, x0: Array) -> tuple[Array, Array]:
-        """Simulate from initial states x0 (P, S, nx) with coordinates z (P, size).
-
-        Returns:
-            Outputs (P, S, T, ny) and states (P, S, T, nx).
-        """
+        """Simulate from initial states x0 (P, S, nx) with coordinates z (P, size): outputs (P, S,
+        T, ny) and states (P, S, T, nx)."""
         ...
 
 
@@ -74,8 +71,7 @@ def cut_segments(
     """Cut the records to segments.
 
     They are whole records, or, with a horizon, windows spread over them: past and horizon, or where
-    the
-    initial state is measured the last past sample and the horizon.
+    the initial state is measured the last past sample and the horizon.
     """
     cuts: list[Trajectory] = list(trajectories)
     if horizon is not None:

@@ -203,12 +203,8 @@ def held_entries(order: int, integrators: int) -> Array:
 def integrating_starts(
     records: ScaledData, order: int, integrators: int
 ) -> list[tuple[Array, Array] | None]:
-    """Pairs (A, C) of the order, from differences of the outputs that change least from sample to
-    sample.
-
-    Raises:
-        ValueError: if the order is less than the number of integrators.
-    """
+    """Pairs (A, C) of the order, at least the number of integrators, from differences of the
+    outputs that change least from sample to sample."""
     if order < integrators:
         raise ValueError(f"{integrators} integrators need an order of at least {integrators}")
     # Number of integrations of each output: the slowest first, and again from the slowest.
@@ -403,8 +399,7 @@ def refined_under_noise(
     """Generalised least squares from a fit by least squares.
 
     The noise is estimated from the residuals and the fit refined, in turn until the estimate
-    settles;
-    without a noise model the fit is returned unchanged.
+    settles; without a noise model the fit is returned unchanged.
     """
     choice, noise = refinement.noise, None
     if choice is None:

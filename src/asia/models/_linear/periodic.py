@@ -63,12 +63,8 @@ class SteadyRecord:
 
 
 def steady_records(records: ScaledData) -> list[SteadyRecord] | None:
-    """Mean period of each record.
-
-    Returns:
-        None where no period occurs at least twice in all records, or where an output differs from
-            period to period: no steady state, or too much noise.
-    """
+    """Mean period of each record; None where no period occurs at least twice in all records, or
+    where an output differs from period to period: no steady state, or too much noise."""
     period = common_period([r.u for r in records])
     if period is None or any((r.weight != 1).any() for r in records):
         return None
@@ -110,14 +106,8 @@ _LARGEST_RADIUS = 0.9999
 
 
 def in_blocks(a: Array, c: Array) -> tuple[Array, Array] | None:
-    """Transform (A, C) to coordinates in which A is block diagonal, with poles inside the unit
-    circle.
-
-    Outer poles are mirrored.
-
-    Returns:
-        None where the modes are too alike to be separated.
-    """
+    """Transform (A, C) to coordinates in which A is block diagonal, with outer poles mirrored into
+    the unit circle; None where the modes are too alike to be separated."""
     decomposed: Any = np.linalg.eig(a)
     poles: Spectrum = decomposed[0].astype(complex)
     vectors: Spectrum = decomposed[1].astype(complex)
@@ -271,13 +261,9 @@ _MOST_COLUMNS = 30_000
 
 
 def observability(lines: ExcitedLines, max_order: int) -> Observability | None:
-    """Observability matrix from Y_k z_k^i = C A^i X_k + (Markov parameters) U_k z_k^j.
-
-    The part that the inputs explain is projected away.
-
-    Returns:
-        None where there are too few lines for any order.
-    """
+    """Observability matrix from Y_k z_k^i = C A^i X_k + (Markov parameters) U_k z_k^j, with the
+    part that the inputs explain projected away; None where there are too few lines for any
+    order."""
     columns = lines.u.shape[2]
     step = max(1, -(-len(lines.z) * columns // _MOST_COLUMNS))
     lines = lines.part(np.arange(len(lines.z)) % step == 0)
@@ -325,11 +311,8 @@ def fit_periodic(
     iterations: int,
     log: Progress | None = None,
 ) -> tuple[LinearSystem, Encoder] | None:
-    """Fit a system and the map from past windows to states.
-
-    Returns:
-        None where the records are not periodic, not in steady state or too short for the order.
-    """
+    """Fit a system and the map from past windows to states; None where the records are not
+    periodic, not in steady state or too short for the order."""
     steady = steady_records(records)
     if steady is None:
         return None

@@ -65,15 +65,8 @@ class LinearSystem:
         return LinearSystem(t @ self.a @ inverse, t @ self.b, self.c @ inverse, self.d, self.offset)
 
     def simulate(self, x0: Array, u: Array) -> tuple[Array, Array]:
-        """Simulate by recursion.
-
-        Args:
-            x0: initial states (B, n).
-            u: inputs (B, T, nu).
-
-        Returns:
-            States (B, T, n) and outputs (B, T, ny).
-        """
+        """Simulate by recursion from x0 (B, n) with inputs u (B, T, nu): states (B, T, n) and
+        outputs (B, T, ny)."""
         drive = u @ self.b.T
         states = np.empty((*u.shape[:2], self.order))
         x = x0
@@ -83,14 +76,8 @@ class LinearSystem:
         return states, states @ self.c.T + u @ self.d.T + self.offset
 
     def outputs(self, x0: Array, drive: Callable[[int, int], Array], samples: int) -> Array:
-        """Simulate only the outputs (B, T, ny), block after block, so that no states of long
-        simulations are stored.
-
-        Args:
-            x0: initial states (B, n).
-            drive: drive(first, stop) gives the inputs (B, stop - first, nu).
-            samples: T.
-        """
+        """Simulate only the outputs (B, T, ny) of T `samples` from x0 (B, n), block after block, so
+        that no states of long simulations are stored; drive(first, stop) gives the inputs."""
         y, x = np.empty((len(x0), samples, len(self.c))), x0
         for first in range(0, samples, _BLOCK):
             stop = min(first + _BLOCK, samples)

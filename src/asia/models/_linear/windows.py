@@ -315,11 +315,8 @@ def choose(records: ScaledData, context: Context, refinement: Refinement) -> Win
 def held_out(
     records: ScaledData, context: Context
 ) -> list[tuple[list[ScaledTrajectory], list[ScaledTrajectory]]]:
-    """Three splits (kept, left out) with other segments left out each time.
-
-    With enough records these are neighbouring records, since successive records are often of one
-    kind.
-    """
+    """Three splits (kept, left out) with other segments left out each time: with enough records
+    neighbouring ones, since successive records are often of one kind."""
     if len(records) >= 3:
         groups = np.array_split(np.arange(len(records)), 3)
         return [

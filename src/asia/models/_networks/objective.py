@@ -229,11 +229,8 @@ def forward(
     key: jax.Array,
     state: Any = None,
 ) -> tuple[jax.Array, Any]:
-    """Simulate a network in training.
-
-    Returns:
-        Outputs (B, T, ny) and the state after the last sample, None of a structure without one.
-    """
+    """Simulate a network in training: outputs (B, T, ny) and the state after the last sample, None
+    of a structure without one."""
     noisy, dropped, fed_by = jax.random.split(key, 3)
     u = data.u
     if program.noisy:

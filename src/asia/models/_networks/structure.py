@@ -327,8 +327,7 @@ class Features:
     """Map from z-scored inputs to those inputs and standardised functions of the physical ones.
 
     Each physical input is in units of its own root mean square. Hashable, so that a structure may
-    hold
-    it; before `fitted` only one without functions can be called.
+    hold it; before `fitted` only one without functions can be called.
     """
 
     names: tuple[str, ...] = ()  # Functions, of `FUNCTIONS`

@@ -124,8 +124,7 @@ def _start(task: FitTask, samples: PaddedBatch, params: Params, method: NetworkM
     """Prepare a fit.
 
     With a noise model the parameters are those after the first half of the steps without it, and
-    the
-    noise is that of their residuals; otherwise all is as given.
+    the noise is that of their residuals; otherwise all is as given.
     """
     choice = NoiseChoice.of(method)
     if choice is None:

@@ -62,18 +62,12 @@ def fit_encoder(
     seed: int = 0,
     regression: BlockedRidge | None = None,
 ) -> Encoder:
-    """Ridge regression of states on features and on random tanh functions of them.
+    """Ridge regression of states (N_r, n) of each record on features (N_r, d) and on `hidden`
+    random tanh functions of them.
 
     The ridge and whether the tanh functions are used at all are chosen by prediction of
     contiguous blocks left out: neighbouring windows overlap, so leaving out single samples would
-    choose too small a ridge.
-
-    Args:
-        features: (N_r, d) of each record.
-        states: (N_r, n) of each record.
-        hidden: number of tanh functions.
-        seed: seed of the tanh functions.
-        regression: regression on the features, if it is known.
+    choose too small a ridge. `regression` is that on the features, if it is known.
     """
     x, y = np.concatenate(features), np.concatenate(states)
     if x.shape[1] == 0:

@@ -94,16 +94,8 @@ class History:
     def __call__(
         self, past_u: AnyArray, past_y: AnyArray, u: AnyArray
     ) -> tuple[AnyArray, AnyArray]:
-        """Lags before the first sample, the oldest first.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Inputs (B, past_inputs, nu) and outputs (B, outputs, ny).
-        """
+        """Lags before the first sample, the oldest first: past_u (B, n_past_u, nu), past_y (B,
+        n_past_y, ny), u (B, H, nu) -> inputs (B, past_inputs, nu) and outputs (B, outputs, ny)."""
         xp = namespace(past_u, past_y, u)
         batch, nu, ny = len(u), u.shape[2], past_y.shape[2]
         known_u = past_u[:, past_u.shape[1] - (self.lags.past_inputs - self.missing_u) :]
@@ -126,12 +118,8 @@ def fit_history(
 ) -> History:
     """Fit the regression of the lags that the past window is too short for.
 
-    Args:
-        records: records in z-scores.
-        lags: orders.
-        context: context of the fit.
-        outputs: simulated outputs (T, ny) of each record, valid from the past window on, which
-            replace all lagged outputs; None uses the measured ones.
+    Simulated outputs (T, ny) of each record, valid from the past window on, replace all lagged
+    outputs; None uses the measured ones.
     """
     missing_u = max(0, lags.past_inputs - context.n_past_u)
     missing_y = max(0, lags.outputs - context.n_past_y)

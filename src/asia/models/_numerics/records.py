@@ -260,8 +260,7 @@ def shortened(records: ScaledData, samples: int, shortest: int) -> list[ScaledTr
     """Cut the first part of each record, about `samples` in total.
 
     The fraction is the same for all, but no less than `shortest` samples where the record has them;
-    of
-    many records only some are used, spread over them.
+    of many records only some are used, spread over them.
     """
     if sum(len(r) for r in records) <= samples:
         return list(records)
@@ -442,8 +441,7 @@ def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTr
 
     These are the records themselves where they hold no more, else segments of at least `shortest`
     samples (where a record has them), evenly spread over each record, of very many records only
-    over
-    some.
+    over some.
     """
     total = sum(len(r) for r in records)
     if total <= samples:

@@ -59,13 +59,8 @@ class ScaledSimulator(Protocol):
 def segments(
     records: ScaledData, context: Context, samples: int = _MOST_SAMPLES
 ) -> Stretches | None:
-    """Segments of the records after their past windows, about `samples` in total.
-
-    They are evenly spread where there are more.
-
-    Returns:
-        None where every record is too short for one.
-    """
+    """Segments of the records after their past windows, about `samples` in total, evenly spread
+    where there are more; None where every record is too short for one."""
     past = past_length(context)
     places = [(r, first) for r in records for first in _firsts(len(r), past, context.horizon)]
     if not places:
@@ -195,14 +190,8 @@ def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
 
 def tracks(batch: PaddedBatch, length: int, count: int | None, washout: int) -> Simulations:
     """Cut long segments to be read side by side in chunks of `length` samples: T is a multiple of
-    it.
-
-    Args:
-        batch: records.
-        length: samples of a chunk.
-        count: number of segments of equal length, approximately; None: one a record.
-        washout: samples before the loss counts.
-    """
+    it. There are about `count` segments of equal length (None: one a record); the loss counts after
+    `washout` samples."""
     longest = batch.u.shape[1]
     if count is not None:
         longest = min(longest, -(-sum(batch.lengths) // count))
@@ -245,14 +234,8 @@ def gently(p: Places, length: int, power: float) -> Places:
 
 
 def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> Simulations:
-    """Draw chunks with JAX.
-
-    Args:
-        p: records and permitted starts.
-        length: samples of a chunk.
-        count: number of chunks; None: as many as cover the records once, but at most 128.
-        key: random key of JAX.
-    """
+    """Draw `count` chunks of `length` samples with JAX; None: as many as cover the records once,
+    but at most 128."""
     import jax
 
     length = min(length, p.u.shape[1])

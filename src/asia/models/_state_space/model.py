@@ -109,16 +109,9 @@ def fitted_state(
 ) -> AnyArray:
     """Fit the state of each window separately; NumPy or JAX.
 
-    Args:
-        structure: equations of the model.
-        params: parameters.
-        how: settings.
-        guess: guess (B, n) of the state at the first of `how.samples` samples.
-        u: z-scored inputs (B, samples + 1, nu).
-        y: z-scored outputs (B, samples, ny).
-
-    Returns:
-        The state (B, n) after the samples.
+    The guess (B, n) is that of the state at the first of `how.samples` samples; inputs u (B,
+    samples + 1, nu) and outputs y (B, samples, ny) are z-scored. Return the state (B, n) after the
+    samples.
     """
     xp, (batch, n) = namespace(guess, u, y), guess.shape
     ways = _DIFFERENCE * np.concatenate([np.zeros((1, n)), np.diag(how.x_deviation)])

@@ -61,12 +61,8 @@ def fit_segments(
     log: Progress,
     sampling_time: float,
 ) -> list[StateFit]:
-    """Fit the segments from each start.
-
-    Returns:
-        Parameters, and initial states (R, n) of whole records: of the first segment of a record,
-        else x0 (R, n), those of the linear system.
-    """
+    """Fit the segments from each start: parameters, and initial states (R, n) of whole records, of
+    the first segment of a record, else x0 (R, n), those of the linear system."""
     shortest, by_state, growth = _WITH_ELEMENTS if structure.size > structure.order else _SMOOTH
     length = max(shortest, by_state * structure.size)
     segments = _spread(records, length)
