@@ -530,10 +530,8 @@ def searched(
 def _linear_models(
     part: ScaledData, context: Context, choice: linear.Config
 ) -> list[tuple[int, LinearSystem]]:
-    """Linear models of every permitted order, with their delays.
-
-    A delay estimated with few states may replace missing states, so that no such delay competes.
-    """
+    """Linear models of every permitted order, with their delays. A delay estimated with few states
+    may replace missing states, so that no such delay competes."""
     short = _shortened(part, _LINEAR_SAMPLES)
     orders = _ORDERS if choice.order is None else (choice.order,)
     orders = tuple(o for o in orders if 8 * o <= min(len(r) for r in short)) or orders[:1]
