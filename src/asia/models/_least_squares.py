@@ -64,16 +64,11 @@ class DampingSchedule:
 
     factors: tuple[float, ...]
     """Dampings tried side by side, relative to the present one, in ascending order."""
-    success: float
-    """Factor on the damping whose step was taken."""
-    failure: float
-    """Factor on the largest damping tried where no step lowered the cost."""
-    least: float
-    """Smallest damping."""
-    greatest: float
-    """Damping beyond which a row stops."""
-    retries: bool
-    """Larger dampings are tried on the same Jacobian until one lowers the cost."""
+    success: float  # Factor on the damping whose step was taken
+    failure: float  # Factor on the largest damping tried where no step lowered the cost
+    least: float  # Smallest damping
+    greatest: float  # Damping beyond which a row stops
+    retries: bool  # Larger dampings are tried on the same Jacobian until one lowers the cost
 
 
 SIDE_BY_SIDE = DampingSchedule((0.1, 1.0, 10.0, 100.0), 0.3, 10.0, 1e-12, 1e12, retries=False)
@@ -88,21 +83,16 @@ TRIALS = len(SIDE_BY_SIDE.factors)
 class NormalEquations(NamedTuple):
     """Normal equations of residuals e and their Jacobian J, for R rows of n unknowns."""
 
-    cost: AnyArray
-    """e' e (R,)."""
-    gram: AnyArray
-    """J' J (R, n, n)."""
-    gradient: AnyArray
-    """J' e (R, n)."""
+    cost: AnyArray  # e' e (R,)
+    gram: AnyArray  # J' J (R, n, n)
+    gradient: AnyArray  # J' e (R, n)
 
 
 class Minimum(NamedTuple):
     """Result of a minimisation, one row a start."""
 
-    theta: Array
-    """Minimisers (R, n)."""
-    cost: Array
-    """Sums of squared residuals there (R,)."""
+    theta: Array  # Minimisers (R, n)
+    cost: Array  # Sums of squared residuals there (R,)
     history: Array
     """Costs after each iteration (R, iterations + 1), constant once a row has stopped."""
 
@@ -116,14 +106,10 @@ Linearise: TypeAlias = Callable[[Any], NormalEquations]
 class _RowStates(NamedTuple):
     """State of the rows between two iterations."""
 
-    theta: AnyArray
-    """(R, n)."""
-    damping: AnyArray
-    """(R,)."""
-    slow: AnyArray
-    """Iterations in a row that gained too little (R,)."""
-    done: AnyArray
-    """Rows that have stopped (R,)."""
+    theta: AnyArray  # (R, n)
+    damping: AnyArray  # (R,)
+    slow: AnyArray  # Iterations in a row that gained too little (R,)
+    done: AnyArray  # Rows that have stopped (R,)
 
 
 def minimise(
@@ -180,10 +166,8 @@ def traced_minimum(
     method: LevenbergMarquardt,
     schedule: DampingSchedule = SIDE_BY_SIDE,
 ) -> AnyArray:
-    """Minimise JAX arrays by the operations that a lowered program has.
-
-    All iterations of `minimise` run, without retries, and a row that has stopped stays.
-    """
+    """Minimise JAX arrays by the operations that a lowered program has: all iterations of
+    `minimise` run, without retries, and a row that has stopped stays."""
     import jax
     import jax.numpy as jnp
 

@@ -19,7 +19,6 @@ from asia.problem.physics import Binary, Call, Name, Negative, Node, Number, par
 # Each changes the parsed expressions and brings learned numbers, so that simulation needs no
 # knowledge of them.
 
-
 KNOTS = 6
 # Length scale of a kernel, in spans of the signal: a correction bends about once over the span.
 LENGTH = 0.4
@@ -30,18 +29,14 @@ class LearnedNumbers:
     """Numbers that additions bring: parameters of the extended equations, after those of the
     problem file."""
 
-    names: tuple[str, ...] = ()
-    """Names, one a number."""
-    mean: tuple[float, ...] = ()
-    """Prior means, of the logarithm where the number is positive."""
+    names: tuple[str, ...] = ()  # Names, one a number
+    mean: tuple[float, ...] = ()  # Prior means, of the logarithm where the number is positive
     factor: tuple[tuple[float, ...], ...] = ()
     """Square root (n, n) of the prior covariance: coordinates are standard normal."""
-    positive: tuple[bool, ...] = ()
-    """The logarithm is searched, one flag a number."""
+    positive: tuple[bool, ...] = ()  # The logarithm is searched, one flag a number
     spans: tuple[str, ...] = ()
     """States whose lowest and highest value are appended, for expressions that need them."""
-    rates: tuple[str, ...] = ()
-    """States whose usual rate of change is appended after these."""
+    rates: tuple[str, ...] = ()  # States whose usual rate of change is appended after these
 
     def values(self, z: AnyArray) -> list[AnyArray]:
         """Numbers from their coordinates z (n, ...)."""
@@ -174,20 +169,15 @@ class ParameterPriors:
 
     system: Equations | None = None
     """Expressions in the parameters, as outputs; None where there are no priors."""
-    mean: tuple[float, ...] = ()
-    """Mean of each expression."""
-    deviation: tuple[float, ...] = ()
-    """Standard deviation of each expression."""
+    mean: tuple[float, ...] = ()  # Mean of each expression
+    deviation: tuple[float, ...] = ()  # Standard deviation of each expression
 
     def __len__(self) -> int:
         return len(self.mean)
 
     def deviations(self, parameters: Array) -> Array:
-        """Distances (n, R) of the expressions from their means, in standard deviations.
-
-        Args:
-            parameters: (np, R).
-        """
+        """Distances (n, R) of the expressions from their means, in standard deviations, at
+        parameters (np, R)."""
         nothing = np.zeros((0, *parameters.shape[1:]))
         if self.system is None:
             return nothing
@@ -201,12 +191,8 @@ NO_PRIORS = ParameterPriors()
 def parameter_priors(
     system: Equations, priors: Iterable[tuple[str, float, float]], width: float
 ) -> ParameterPriors:
-    """Parse priors on expressions in the parameters.
-
-    Args:
-        system: equations with the parameters.
-        priors: expression, mean and standard deviation each.
-        width: factor on the standard deviations.
+    """Parse priors on expressions in the parameters of the equations: expression, mean and standard
+    deviation each; `width` is a factor on the deviations.
 
     Raises:
         UserError: for an expression that does not parse or that names something else than

@@ -47,11 +47,9 @@ class Config:
     """Runge-Kutta steps a sample."""
     initial: Initial | None = None
     """Initial state of a simulation: "measured" takes the last measured outputs, where every state
-    is
-    an output; "estimated" uses the whole past window. None is measured with a horizon, where that
-    is
-    possible, and else estimated. No option sets it and a trained model keeps none: each call of
-    `simulate` finds it anew from the past window that it is given; "measured" takes
+    is an output; "estimated" uses the whole past window. None is measured with a horizon, where
+    that is possible, and else estimated. No option sets it and a trained model keeps none: each
+    call of `simulate` finds it anew from the past window that it is given; "measured" takes
     `past_y[:, -1]`."""
     sensor: Sensor | None = None
     """Rising curve from the equations' output to the measured one: "power" has a learned zero and
@@ -149,10 +147,8 @@ class Config:
 class Range:
     """Search range of a parameter, searched in log when it is positive."""
 
-    min: float
-    """Least value, in the unit of the parameter."""
-    max: float
-    """Greatest value."""
+    min: float  # Least value, in the unit of the parameter
+    max: float  # Greatest value
 
 
 @dataclass(frozen=True)
@@ -160,30 +156,20 @@ class GreyBoxStructure:
     """Structure of a grey-box, fixed before training. Hashable: it is a key of compiled
     programs."""
 
-    equations: Equations
-    """Equations from the problem file, with the additions written in."""
-    config: Config
-    """Additions to the equations."""
-    ranges: tuple[Range, ...]
-    """Search ranges of the parameters, in the order of the equations."""
-    low: tuple[float, ...]
-    """Lower physical bounds of the states (nx,), infinite where open."""
-    high: tuple[float, ...]
-    """Upper physical bounds of the states (nx,), infinite where open."""
-    sampling_time: float
-    """Sampling time in s."""
-    n_past_u: int
-    """Number of inputs in a past window."""
-    n_past_y: int
-    """Number of outputs in a past window."""
-    measured: bool = False
-    """Simulations start at the last measured outputs."""
+    equations: Equations  # Equations from the problem file, with the additions written in
+    config: Config  # Additions to the equations
+    ranges: tuple[Range, ...]  # Search ranges of the parameters, in the order of the equations
+    low: tuple[float, ...]  # Lower physical bounds of the states (nx,), infinite where open
+    high: tuple[float, ...]  # Upper physical bounds of the states (nx,), infinite where open
+    sampling_time: float  # Sampling time in s
+    n_past_u: int  # Number of inputs in a past window
+    n_past_y: int  # Number of outputs in a past window
+    measured: bool = False  # Simulations start at the last measured outputs
     learned: LearnedNumbers = NO_NUMBERS
     """Numbers of the additions that are written into the equations."""
     problem_states: int | None = None
     """Number of states of the problem file's equations, which come first; None is all."""
-    priors: ParameterPriors = NO_PRIORS
-    """Prior knowledge of the parameters."""
+    priors: ParameterPriors = NO_PRIORS  # Prior knowledge of the parameters
     shown: tuple[tuple[int, int], ...] | None = None
     """`measured_states` where the observation has been changed."""
 
@@ -263,26 +249,16 @@ class GreyBoxStructure:
 class Layout:
     """Slices of the coordinate vector, one for each part of the model."""
 
-    parameters: slice
-    """Parameters of the equations."""
-    limits: slice
-    """Limits, one for each saturated state."""
-    spill: slice
-    """Fractions that full states hand on."""
-    linear: slice
-    """Matrix (nx, nx + nu)."""
-    rate_offset: slice
-    """Offsets of derivatives."""
-    output_offset: slice
-    """Offsets of outputs that are no states."""
-    delay: slice
-    """Delays, one for each input."""
-    hidden: slice
-    """First layer (units, nx + nu + 1) of the residual network."""
-    readout: slice
-    """Output layer (nx, units) of the residual network."""
-    size: int
-    """Length of the vector."""
+    parameters: slice  # Parameters of the equations
+    limits: slice  # Limits, one for each saturated state
+    spill: slice  # Fractions that full states hand on
+    linear: slice  # Matrix (nx, nx + nu)
+    rate_offset: slice  # Offsets of derivatives
+    output_offset: slice  # Offsets of outputs that are no states
+    delay: slice  # Delays, one for each input
+    hidden: slice  # First layer (units, nx + nu + 1) of the residual network
+    readout: slice  # Output layer (nx, units) of the residual network
+    size: int  # Length of the vector
     learned_from: int = 0
     """First of the numbers that are written into the equations, which come last."""
 

@@ -12,20 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asia.data.trajectory import Array
 from asia.models._equations.config import GreyBoxStructure
-from asia.models._equations.extension import Term, library, with_terms
+from asia.models._equations.extension import library, with_terms
 from asia.models._equations.fit import FittedEquations, refit
 from asia.models._equations.simulation_error import SimulationError
 from asia.models._equations.starts import RecordSegments, Starts, opened
 from asia.models._least_squares import LevenbergMarquardt, minimise
-
-if TYPE_CHECKING:
-    from asia.models._equations.programs import CompiledSimulator
 
 # Least relative decrease of the cost for a term to be added or kept. A smaller one is often due to
 # chance, because errors of an incomplete model are correlated in time.
@@ -44,73 +40,52 @@ def discover(
     fitted: FittedEquations,
     method: LevenbergMarquardt,
 ) -> tuple[GreyBoxStructure, FittedEquations]:
-    """Add the terms that reduce the simulation error, at most `Config.most_terms` of them.
-
-    Args:
-        structure: grey-box without the terms.
-        segments: records of the fit.
-        fitted: fit of that grey-box.
-        method: settings of the fits.
+    """Add the terms that reduce the simulation error, at most `Config.most_terms` of them, to a
+    fitted grey-box.
 
     Returns:
         The structure with the terms, and its fit; both unchanged where no term helps.
     """
-    search = _TermSearch.of(structure, segments, fitted, method)
+    search = _TermSearch(structure, segments, fitted, method)
     chosen = search.chosen(structure.config.most_terms)
     if not chosen:
         return structure, fitted
     found = with_terms(structure, [search.terms[k] for k in chosen])
-    z = np.concatenate([fitted.z, np.zeros(len(chosen))])
-    return found, refit(found, segments, _starts_at(fitted, z), method)
+    return found, refit(found, segments, _starts_at(fitted, len(chosen)), method)
 
 
 @dataclass(frozen=True)
 class _Selection:
     """Model with some of the terms."""
 
-    chosen: tuple[int, ...]
-    """Numbers of its terms."""
-    theta: Array
-    """Coordinates at the end of its fit (n,)."""
-    cost: float
-    """Cost at `theta`."""
+    chosen: tuple[int, ...]  # Numbers of its terms
+    theta: Array  # Coordinates at the end of its fit (n,)
+    cost: float  # Cost at `theta`
 
 
-@dataclass(frozen=True)
 class _TermSearch:
     """Greedy search with all terms in the equations; a coordinate held at zero is no term."""
 
-    terms: list[Term]
-    first: int
-    """Coordinate of the first term."""
-    structure: GreyBoxStructure
-    segments: RecordSegments
-    starts: Starts
-    simulate: CompiledSimulator
-    method: LevenbergMarquardt
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         structure: GreyBoxStructure,
         segments: RecordSegments,
         fitted: FittedEquations,
         method: LevenbergMarquardt,
-    ) -> _TermSearch:
+    ) -> None:
         from asia.models._equations.programs import CompiledSimulator
 
-        inside = segments.mask > 0
-        starts = _starts_at(fitted, fitted.z)
+        inside, starts = segments.mask > 0, _starts_at(fitted)
         own = CompiledSimulator(structure, segments.u, 1)
         x = own(starts.z, starts.scales, starts.x_guess)[1][0]
         moves = np.diff(x, axis=1)[inside[:, 1:]] / structure.sampling_time
         rates = np.sqrt((moves**2).mean(axis=0))
-        terms = library(structure, x[inside], segments.u[inside], rates)
-        full = with_terms(structure, terms)
-        starts = _starts_at(fitted, np.concatenate([fitted.z, np.zeros(len(terms))]))
-        simulate = CompiledSimulator(full, segments.u, _ROWS)
-        method = replace(method, iterations=min(method.iterations, _ITERATIONS))
-        return cls(terms, len(fitted.z), full, segments, starts, simulate, method)
+        self.terms = library(structure, x[inside], segments.u[inside], rates)
+        self.first = len(fitted.z)  # coordinate of the first term
+        self.structure, self.segments = with_terms(structure, self.terms), segments
+        self.starts = _starts_at(fitted, len(self.terms))
+        self.simulate = CompiledSimulator(self.structure, segments.u, _ROWS)
+        self.method = replace(method, iterations=min(method.iterations, _ITERATIONS))
 
     def chosen(self, most: int) -> tuple[int, ...]:
         """Numbers of the terms that help, at most so many."""
@@ -120,16 +95,14 @@ class _TermSearch:
             best = min(trials, key=lambda s: s.cost, default=state)
             if not best.cost < (1.0 - _LEAST_GAIN) * state.cost:
                 break
-            state = self._without_idle(best)
+            state = best
+            # Remove an earlier term that the newest one has made needless.
+            for k in best.chosen[:-1]:
+                less = self._fit(tuple(j for j in best.chosen if j != k), best.theta)
+                if (1.0 - _LEAST_GAIN) * less.cost <= best.cost:
+                    state = less
+                    break
         return state.chosen
-
-    def _without_idle(self, state: _Selection) -> _Selection:
-        """Remove an earlier term that the newest one has made needless."""
-        for k in state.chosen[:-1]:
-            less = self._fit(tuple(j for j in state.chosen if j != k), state.theta)
-            if (1.0 - _LEAST_GAIN) * less.cost <= state.cost:
-                return less
-        return state
 
     def _promising(self, state: _Selection) -> list[int]:
         """First few terms in the order of the error that they would explain, by the normal
@@ -166,8 +139,8 @@ class _TermSearch:
         return SimulationError(self.structure, self.segments, self.starts, active, self.simulate)
 
 
-def _starts_at(fitted: FittedEquations, z: Array) -> Starts:
-    """Single starting point: coordinates z (size,), and the initial states of a fit."""
+def _starts_at(fitted: FittedEquations, terms: int = 0) -> Starts:
+    """Single starting point: coordinates and initial states of a fit, with terms that are zero."""
     assert fitted.x0 is not None
-    x0 = fitted.x0[None]
+    x0, z = fitted.x0[None], np.concatenate([fitted.z, np.zeros(terms)])
     return Starts(z[None], np.zeros_like(x0), x0, opened(fitted.scales.for_rows()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 
@@ -32,7 +32,6 @@ from asia.problem.physics import Binary, Expression, Name, Node, Number, parse_e
 # IEEE Trans. Automatic Control 40(3), 1995 (LuGre); Wen, J. Engineering Mechanics 102(2), 1976
 # (Bouc-Wen).
 
-
 # Prior deviations: of levels, in the usual rate of the velocity; of the excess of sticking over
 # sliding friction; of a bristle's damping.
 _LEVEL_DEVIATION, _STRIBECK_DEVIATION, _DAMPING_DEVIATION = 2.0, 0.5, 1.0
@@ -50,21 +49,13 @@ BOUND = 3.0
 class Force:
     """Force that is subtracted from the derivative of a velocity."""
 
-    node: Node
-    """Force per unit of inertia."""
-    states: tuple[tuple[str, Node], ...] = ()
-    """States of the force, each with its derivative."""
+    node: Node  # Force per unit of inertia
+    states: tuple[tuple[str, Node], ...] = ()  # States of the force, each with its derivative
 
 
 def stribeck(extension: Extension, velocity: str, step: float) -> Force:
     """Smooth Coulomb friction with Stribeck effect and viscous friction, each with separate levels
-    in the two directions.
-
-    Args:
-        extension: collects the numbers.
-        velocity: name of the velocity.
-        step: step of the integrator in s.
-    """
+    in the two directions; `step` is that of the integrator in s."""
     level, uneven, extra, bend = _levels(extension, velocity)
     width = _size(extension, f"{velocity} friction width", _WIDTH)
     viscous = extension.number(f"{velocity} viscous friction", 0.0, _LEVEL_DEVIATION)
@@ -120,14 +111,8 @@ def bouc_wen(extension: Extension, velocity: str, step: float) -> Force:
 
 
 def play(extension: Extension, name: str, span: Node, time: float) -> tuple[str, Node]:
-    """State that follows a signal behind a play, and its derivative.
-
-    Args:
-        extension: collects the numbers.
-        name: name of the signal.
-        span: range of the signal.
-        time: time constant of the following in s.
-    """
+    """State that follows a signal behind a play, and its derivative, from the range of the signal
+    and the time constant of the following in s."""
     half = extension.number(f"{name} play", _PLAY, _PLAY_DEVIATION, positive=True)
     state = f"{name} behind play"
     derivative = formula(
@@ -168,9 +153,6 @@ def _displacement(
 
 # Equations from the problem file, extended by the additions of a config.
 
-
-Range = tuple[float, float]
-
 # Prior deviations of a sensor: of its zero in spans, of the logarithms of its power and of its
 # slopes.
 _ZERO_DEVIATION, _POWER_DEVIATION, _SLOPE_DEVIATION = 0.1, 0.5, 0.5
@@ -200,13 +182,30 @@ class _Builder:
         structure, config, system = self._structure, self._config, self._system
         signals = (*system.states, *system.inputs)
         late = {name: Name(f"{name} lagged") for name in signals if name in config.lag}
-        behind = {name: self._play(name) for name in signals if name in config.play}
-        read = {name: self._as_read(name) for name in signals}
+        # Fastest time constant that Runge-Kutta steps follow without oscillation.
+        step = structure.sampling_time / config.substeps
+        time = structure.sampling_time / (1.5 * config.substeps)
+        behind = {
+            name: play(self._extension, name, self._span(name)[1], time)
+            for name in signals
+            if name in config.play
+        }
+        # Signals in the form that the equations read.
+        read: dict[str, Node] = {name: Name(name) for name in signals}
+        for name in signals:
+            if name in config.smooth:
+                low, span = self._span(name)
+                weights = self._extension.process(f"{name} bend", config.smooth_width)
+                place = formula("(x - low) / span", x=Name(name), low=low, span=span)
+                bend = _process(weights, place)
+                read[name] = formula("x * exp(bend)", x=Name(name), bend=bend)
         instead = late | {name: Name(state) for name, (state, _) in behind.items()}
         others = {
             n: substituted(read[n], {n: instead[n]}) if n in instead else read[n] for n in signals
         }
-        forces = self._forces()
+        dry = lugre if config.presliding else stribeck
+        forces = [(name, dry(self._extension, name, step)) for name in config.friction]
+        forces += [(name, bouc_wen(self._extension, name, step)) for name in config.hysteresis]
         dynamics = [
             substituted(_inlined(system, e), {**others, state: read[state]})
             for state, e in zip(system.states, system.dynamics, strict=True)
@@ -225,6 +224,11 @@ class _Builder:
         spans = [f"{name} {end}" for name in learned.spans for end in ("low", "high")]
         rates = [f"{name} rate" for name in learned.rates]
         free = len(late) + len(behind)
+        # An output that shows a state also shows its lag or the play behind it.
+        shown = dict(structure.measured_states)
+        for k, name in enumerate([*late, *behind]):
+            if name in system.states and system.states.index(name) in shown:
+                shown[len(system.states) + k] = shown[system.states.index(name)]
         bound = (BOUND,) * (len(new) - len(behind))
         return replace(
             structure,
@@ -244,39 +248,8 @@ class _Builder:
             high=(*structure.high, *(math.inf,) * free, *bound),
             learned=learned,
             problem_states=len(system.states),
-            shown=self._shown([*late, *behind]),
+            shown=tuple(shown.items()),
         )
-
-    def _forces(self) -> list[tuple[str, Force]]:
-        """Forces on velocities."""
-        config, step = self._config, self._structure.sampling_time / self._config.substeps
-        dry = lugre if config.presliding else stribeck
-        found = [(name, dry(self._extension, name, step)) for name in config.friction]
-        return found + [(name, bouc_wen(self._extension, name, step)) for name in config.hysteresis]
-
-    def _play(self, name: str) -> tuple[str, Node]:
-        # Fastest time constant that Runge-Kutta steps follow without oscillation.
-        time = self._structure.sampling_time / (1.5 * self._config.substeps)
-        return play(self._extension, name, self._span(name)[1], time)
-
-    def _shown(self, lagged: list[str]) -> tuple[tuple[int, int], ...]:
-        """Outputs that show states; an output that shows a state also shows its lag or the play
-        behind it."""
-        shown, states = dict(self._structure.measured_states), self._system.states
-        for k, name in enumerate(lagged):
-            if name in states and states.index(name) in shown:
-                shown[len(states) + k] = shown[states.index(name)]
-        return tuple(shown.items())
-
-    def _as_read(self, name: str) -> Node:
-        """Signal in the form that the equations read."""
-        node = Name(name)
-        if name not in self._config.smooth:
-            return node
-        low, span = self._span(name)
-        weights = self._extension.process(f"{name} bend", self._config.smooth_width)
-        place = formula("(x - low) / span", x=node, low=low, span=span)
-        return formula("x * exp(bend)", x=node, bend=_process(weights, place))
 
     def _span(self, name: str) -> tuple[Node, Node]:
         """Lowest value of a signal, and its range."""
@@ -298,7 +271,13 @@ class _Builder:
     def _sensor(self, output: int, node: Node) -> Node:
         """Output as a rising curve of its expression."""
         name = self._system.outputs[output]
-        low, high = self._sensor_range(output, node)
+        low, high = self._output_ranges[output]
+        if isinstance(node, Name) and node.name in self._system.states:
+            state = self._system.states.index(node.name)
+            bottom, top = self._structure.low[state], self._structure.high[state]
+            low = bottom if math.isfinite(bottom) else low
+            high = top if math.isfinite(top) else high
+        high = high if high > low else low + 1.0
         place = formula(
             "max((x - low) / span, 0)", x=node, low=Number(low), span=Number(high - low)
         )
@@ -316,17 +295,8 @@ class _Builder:
             low=Number(low), span=Number(high - low), zero=zero, rise=rise,
         )  # fmt: skip
 
-    def _sensor_range(self, output: int, node: Node) -> Range:
-        low, high = self._output_ranges[output]
-        if isinstance(node, Name) and node.name in self._system.states:
-            state = self._system.states.index(node.name)
-            bottom, top = self._structure.low[state], self._structure.high[state]
-            low = bottom if math.isfinite(bottom) else low
-            high = top if math.isfinite(top) else high
-        return low, high if high > low else low + 1.0
 
-
-def _range(values: Array) -> Range:
+def _range(values: Array) -> tuple[float, float]:
     """Lowest and highest value, never equal."""
     low, high = float(values.min()), float(values.max())
     return low, high if high > low else low + 1.0
@@ -381,7 +351,6 @@ def _rising(weights: Sequence[Node], place: Node) -> Node:
 
 # Candidate terms of the equations: products of signals, each with a number of its own.
 
-
 # Greatest size of a library; a larger one is built without cubes, and then without products of two
 # signals.
 _MOST_TERMS = 120
@@ -396,12 +365,9 @@ _ALIKE = 0.9999
 class Term:
     """Number times an expression, in the derivative of a state."""
 
-    state: str
-    """State whose derivative gets the term."""
-    text: str
-    """Expression in states and inputs."""
-    deviation: float
-    """Prior standard deviation of the number, whose prior mean is 0."""
+    state: str  # State whose derivative gets the term
+    text: str  # Expression in states and inputs
+    deviation: float  # Prior standard deviation of the number, whose prior mean is 0
 
     @property
     def name(self) -> str:
@@ -411,22 +377,31 @@ class Term:
 
 def library(structure: GreyBoxStructure, x: Array, u: Array, rates: Array) -> list[Term]:
     """Terms for the states in `Config.discover`: a constant, signals, products of two, signals
-    times their size and cubes, without those that are proportional to another.
-
-    Args:
-        structure: grey-box.
-        x: simulated states (N, nx).
-        u: inputs (N, nu).
-        rates: root mean squares of the derivatives of the states (nx,).
-    """
+    times their size and cubes, without those that are proportional to another; from simulated
+    states x (N, nx), inputs u (N, nu) and root mean squares `rates` (nx,) of the derivatives of the
+    states."""
     system, own = structure.equations, structure.nx_own
     names = (*system.states[:own], *system.inputs)
     values = dict(zip(names, np.concatenate([x[:, :own], u], axis=1).T, strict=True))
-    texts = _texts(names, len(structure.config.discover))
-    table = functions(np)
-    expressions = {text: parse_expression(text, "term") for text in texts}
-    ones = np.ones(len(x))
-    kept = _distinct({t: ones * e.evaluate(values, table) for t, e in expressions.items()})
+    # Texts of the expressions, the simplest first.
+    count = len(structure.config.discover)
+    pairs = combinations_with_replacement(names, 2)
+    products = [f"{a}**2" if a == b else f"{a} * {b}" for a, b in pairs]
+    texts = ["1", *names, *products, *(f"{a} * abs({a})" for a in names)]
+    if count * (len(texts) + len(names)) <= _MOST_TERMS:
+        texts += [f"{a}**3" for a in names]
+    # Root mean squares of the expressions that are no multiple of a simpler one.
+    table, ones, directions = functions(np), np.ones(len(x)), list[Array]()
+    kept: dict[str, float] = {}
+    for text in texts[: max(1, _MOST_TERMS // count)]:
+        value = ones * parse_expression(text, "term").evaluate(values, table)
+        size = float(np.sqrt((value**2).mean()))
+        if not 0.0 < size < np.inf:
+            continue
+        direction = value / (size * np.sqrt(len(value)))
+        if all(abs(float(direction @ other)) < _ALIKE for other in directions):
+            directions.append(direction)
+            kept[text] = size
     return [
         Term(state, text, _DEVIATION * float(rates[system.states.index(state)]) / size)
         for state in structure.config.discover
@@ -445,15 +420,19 @@ def with_terms(structure: GreyBoxStructure, terms: Sequence[Term]) -> GreyBoxStr
     if size:
         factor[:size, :size] = np.array(learned.factor)
     factor[range(size, len(factor)), range(size, len(factor))] = [t.deviation for t in terms]
+    dynamics = list(system.dynamics)
+    for i, (state, e) in enumerate(zip(system.states, system.dynamics, strict=True)):
+        own = [term for term in terms if term.state == state]
+        if own:
+            products = [Binary("*", Name(t.name), formula(t.text)) for t in own]
+            named = frozenset(t.name for t in own).union(*(names_in(p) for p in products))
+            dynamics[i] = Expression("", total([e.root, *products]), e.names | named)
     return replace(
         structure,
         equations=replace(
             system,
             parameters=(*system.parameters[:place], *names, *system.parameters[place:]),
-            dynamics=tuple(
-                _with_products(e, [t for t in terms if t.state == state])
-                for state, e in zip(system.states, system.dynamics, strict=True)
-            ),
+            dynamics=tuple(dynamics),
         ),
         learned=replace(
             learned,
@@ -463,37 +442,3 @@ def with_terms(structure: GreyBoxStructure, terms: Sequence[Term]) -> GreyBoxStr
             positive=(*learned.positive, *(False for _ in terms)),
         ),
     )
-
-
-def _with_products(expression: Expression, terms: Sequence[Term]) -> Expression:
-    if not terms:
-        return expression
-    products = [Binary("*", Name(t.name), formula(t.text)) for t in terms]
-    names = frozenset(t.name for t in terms).union(*(names_in(p) for p in products))
-    return Expression("", total([expression.root, *products]), expression.names | names)
-
-
-def _texts(names: Sequence[str], states: int) -> list[str]:
-    """Texts of the expressions, the simplest first."""
-    pairs = combinations_with_replacement(names, 2)
-    products = [f"{a}**2" if a == b else f"{a} * {b}" for a, b in pairs]
-    found = ["1", *names, *products, *(f"{a} * abs({a})" for a in names)]
-    cubes = [f"{a}**3" for a in names]
-    if states * (len(found) + len(cubes)) <= _MOST_TERMS:
-        found += cubes
-    return found[: max(1, _MOST_TERMS // states)]
-
-
-def _distinct(values: Mapping[str, Array]) -> dict[str, float]:
-    """Root mean squares of the expressions that are no multiple of a simpler one."""
-    directions: list[Array] = []
-    found: dict[str, float] = {}
-    for text, value in values.items():
-        size = float(np.sqrt((value**2).mean()))
-        if not 0.0 < size < np.inf:
-            continue
-        direction = value / (size * np.sqrt(len(value)))
-        if all(abs(float(direction @ other)) < _ALIKE for other in directions):
-            directions.append(direction)
-            found[text] = size
-    return found

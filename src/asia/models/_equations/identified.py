@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,10 +20,6 @@ from asia.models._least_squares import TRIALS
 from asia.models._noise.model import ErrorWeighting
 from asia.problem.physics import Binary, Call, Name, Negative, Node, Number
 
-if TYPE_CHECKING:
-    from asia.models._equations.programs import CompiledSimulator
-
-
 # Estimates of the parameters of a trained grey-box, with their uncertainty.
 
 
@@ -32,20 +27,14 @@ if TYPE_CHECKING:
 class Around:
     """Trained grey-box with the records that it was fitted to."""
 
-    structure: GreyBoxStructure
-    """Structure of the fit."""
-    fitted: FittedEquations
-    """Result of the fit."""
-    segments: RecordSegments
-    """Records as the fit cut them."""
-    values: Callable[[Array], dict[str, float]]
-    """Named parameters at coordinates (size,)."""
+    structure: GreyBoxStructure  # Structure of the fit
+    fitted: FittedEquations  # Result of the fit
+    segments: RecordSegments  # Records as the fit cut them
+    values: Callable[[Array], dict[str, float]]  # Named parameters at coordinates (size,)
 
     def estimates(self, equations: Sequence[str]) -> ParameterEstimates:
-        """Estimate the uncertainty of the parameters.
-
-        Args:
-            equations: lines of the equations with the numbers put in.
+        """Estimate the uncertainty of the parameters; `equations` are the lines with the numbers
+        put in.
 
         Raises:
             ValueError: if these are not the records of the fit.
@@ -58,7 +47,20 @@ class Around:
             raise ValueError(
                 "grey-box: estimates need the records that the model was fitted to, as many as then"
             )
-        error = self._error(CompiledSimulator(structure, segments.u, TRIALS), self.fitted.x0)
+        fitted, x0, whiten = self.fitted, self.fitted.x0, None
+        if fitted.noise is not None:
+            mask = segments.mask
+            if structure.measured:
+                mask = mask * (np.arange(mask.shape[1]) > 0)
+            whiten = ErrorWeighting.of(fitted.noise, structure.sampling_time, mask, fitted.huber)
+        error = SimulationError(
+            structure,
+            segments,
+            Starts(fitted.z[None], np.zeros((1, *x0.shape)), x0[None], fitted.scales.for_rows()),
+            np.ones(structure.layout.size),
+            CompiledSimulator(structure, segments.u, TRIALS),
+            whiten,
+        )
         theta = error.theta0
         e, jacobian, nuisance = error.jacobians(theta)
         lengths = (self.segments.mask > 0).sum(axis=1)
@@ -74,38 +76,25 @@ class Around:
             own if nuisance.shape[-1] else None,
             uncertainty.PriorPenalty(known, weight),
         )
-        return uncertainty.estimates(covariance, self._report, self.fitted.z, equations)
+        ranges = dict(zip(structure.equations.parameters, structure.ranges, strict=False))
+        learned = zip(structure.learned.names, structure.learned.positive, strict=True)
+        above = {name for name, positive in learned if positive}
 
-    def _error(self, simulate: CompiledSimulator, x0: Array) -> SimulationError:
-        structure, segments, fitted = self.structure, self.segments, self.fitted
-        shift = np.zeros((1, *x0.shape))
-        starts = Starts(fitted.z[None], shift, x0[None], fitted.scales.for_rows())
-        whiten = None
-        if fitted.noise is not None:
-            mask = segments.mask
-            if structure.measured:
-                mask = mask * (np.arange(mask.shape[1]) > 0)
-            whiten = ErrorWeighting.of(fitted.noise, structure.sampling_time, mask, fitted.huber)
-        active = np.ones(structure.layout.size)
-        return SimulationError(structure, segments, starts, active, simulate, whiten)
+        def report(z: Array) -> list[ParameterEstimate]:
+            found: list[ParameterEstimate] = []
+            for name, value in self.values(z).items():
+                one = ParameterEstimate(name, value, math.nan, math.nan, math.nan)
+                if name in ranges:
+                    one = replace(one, lower=ranges[name].min, upper=ranges[name].max)
+                elif name in above:
+                    one = replace(one, lower=float(np.finfo(float).tiny))
+                found.append(one)
+            return found
 
-    def _report(self, z: Array) -> list[ParameterEstimate]:
-        ranges = dict(zip(self.structure.equations.parameters, self.structure.ranges, strict=False))
-        learned = self.structure.learned
-        above = {n for n, p in zip(learned.names, learned.positive, strict=True) if p}
-        found: list[ParameterEstimate] = []
-        for name, value in self.values(z).items():
-            one = ParameterEstimate(name, value, math.nan, math.nan, math.nan)
-            if name in ranges:
-                one = replace(one, lower=ranges[name].min, upper=ranges[name].max)
-            elif name in above:
-                one = replace(one, lower=float(np.finfo(float).tiny))
-            found.append(one)
-        return found
+        return uncertainty.estimates(covariance, report, fitted.z, equations)
 
 
 # Text of the equations of a trained grey-box, with the numbers put in.
-
 
 _LONGEST = 600
 _STRENGTH = {"+": 1, "-": 1, "*": 2, "/": 2, "**": 4}
@@ -113,13 +102,8 @@ _OF_MINUS, _OF_NAMES = 3, 5
 
 
 def equation_lines(structure: GreyBoxStructure, scales: Scales, effect: Effects) -> list[str]:
-    """Definitions, dynamics, outputs, then the limits of states and the delays of inputs.
-
-    Args:
-        structure: grey-box.
-        scales: sizes of the signals, as arrays (n,).
-        effect: decoded coordinates, as arrays without rows.
-    """
+    """Definitions, dynamics, outputs, then the limits of states and the delays of inputs; scales
+    and effects are arrays without rows."""
     system = structure.equations
     values = dict(system.constants) | {
         name: float(v) for name, v in zip(system.parameters, effect.parameters, strict=True)
@@ -133,7 +117,18 @@ def equation_lines(structure: GreyBoxStructure, scales: Scales, effect: Effects)
         offset = float(effect.output_offset[i])
         if shown != name or offset:
             lines.append(f"{name} = {shown}{signed(offset) if offset else ''}")
-    lines += _limits(structure, effect)
+    for i, name in enumerate(system.states):
+        low, high = structure.low[i], min(structure.high[i], float(effect.limits[i]))
+        bottom = number(low) if math.isfinite(low) else ""
+        if not math.isfinite(high):
+            lines += [f"{name} >= {bottom}"] if bottom else []
+            continue
+        above = f"{bottom} <= " if bottom else ""
+        lines.append(f"{above}{name} <= {number(high)}")
+        share = float(effect.spill[i])
+        if share and i + 1 < structure.nx_own:
+            following = system.states[i + 1]
+            lines.append(f"of what {name} cannot hold, {number(share)} times goes to {following}")
     if structure.config.input_delay:
         lines += [
             f"{name} acts {number(float(delay))} samples late"
@@ -177,15 +172,13 @@ def _text(node: Node, values: Mapping[str, float]) -> tuple[str, int]:
             # a - (b + c), a / (b c): the right operand of a non-commutative operator keeps its
             # parentheses.
             second = _inside(right, values, strength + (symbol in "-/"))
-            return f"{first}{symbol}{second}" if power else _pair(first, symbol, second), strength
+            if power:
+                return f"{first}{symbol}{second}", strength
+            if symbol in "+-" and second.startswith("-"):
+                symbol, second = "-" if symbol == "+" else "+", second[1:]
+            return f"{first} {symbol} {second}", strength
         case Call(function, arguments):
             return f"{function}({', '.join(text(a, values) for a in arguments)})", _OF_NAMES
-
-
-def _pair(first: str, symbol: str, second: str) -> str:
-    if symbol in "+-" and second.startswith("-"):
-        return f"{first} {'-' if symbol == '+' else '+'} {second[1:]}"
-    return f"{first} {symbol} {second}"
 
 
 def _inside(node: Node, values: Mapping[str, float], least: int) -> str:
@@ -213,20 +206,3 @@ def _added(structure: GreyBoxStructure, scales: Scales, effect: Effects, i: int)
     if config.residual:
         parts += f" + network of {config.residual} tanh units in states and inputs"
     return parts
-
-
-def _limits(structure: GreyBoxStructure, effect: Effects) -> list[str]:
-    states: Sequence[str] = structure.equations.states
-    lines: list[str] = []
-    for i, name in enumerate(states):
-        low, high = structure.low[i], min(structure.high[i], float(effect.limits[i]))
-        sides = number(low) if math.isfinite(low) else "", number(high)
-        if not math.isfinite(high):
-            if sides[0]:
-                lines.append(f"{name} >= {sides[0]}")
-            continue
-        lines.append(f"{sides[0]} <= {name} <= {sides[1]}" if sides[0] else f"{name} <= {sides[1]}")
-        if float(effect.spill[i]) and i + 1 < structure.nx_own:
-            share = number(float(effect.spill[i]))
-            lines.append(f"of what {name} cannot hold, {share} times goes to {states[i + 1]}")
-    return lines

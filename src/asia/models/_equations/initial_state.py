@@ -34,18 +34,8 @@ def simulate_cases(
     z: Array,
     cases: tuple[Array, Array, Array],
 ) -> Array:
-    """Simulate cases from their past windows.
-
-    Args:
-        structure: grey-box.
-        scales: sizes of the signals.
-        prior: map from a past window to the state.
-        z: coordinates (size,).
-        cases: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B, H, nu).
-
-    Returns:
-        Outputs (B, H, ny).
-    """
+    """Simulate cases from their past windows, with coordinates z (size,): past_u (B, n_past_u, nu),
+    past_y (B, n_past_y, ny), u (B, H, nu) -> outputs (B, H, ny)."""
     past_u, past_y, u = cases
     scales, z = scales.for_rows(), z[:, None]
     with np.errstate(all="ignore"):
@@ -62,11 +52,9 @@ class CaseSteps:
     structure: GreyBoxStructure
     scales: Scales
     prior: WindowPrior
-    z: AnyArray
-    """Coordinates (size, 1)."""
+    z: AnyArray  # Coordinates (size, 1)
     effect: Effects
-    late: Array
-    """Delays of the inputs (nu,), in samples."""
+    late: Array  # Delays of the inputs (nu,), in samples
 
     @classmethod
     def of(
@@ -127,20 +115,11 @@ def case_start(
     past_y: AnyArray,
     u: AnyArray,
 ) -> tuple[AnyArray, AnyArray]:
-    """Initial states of cases, `n_fit` samples before the first simulated one.
+    """Initial states (nx, B) of cases, `n_fit` samples before the first simulated one, and the
+    inputs (n_fit, nu, B) from there on.
 
-    Args:
-        structure: grey-box.
-        scales: sizes of the signals.
-        prior: map from a past window to the state.
-        z: coordinates (size, 1).
-        past_u: past inputs (B, n_past_u, nu).
-        past_y: past outputs (B, n_past_y, ny).
-        u: first simulated input (B, nu), which is held back where the past window has too few
-            inputs.
-
-    Returns:
-        States (nx, B), and the inputs (n_fit, nu, B) from there on.
+    The coordinates are z (size, 1). The first simulated input u (B, nu) is held back where the past
+    window, past_u (B, n_past_u, nu) and past_y (B, n_past_y, ny), has too few inputs.
     """
     xp, n_fit = namespace(past_u, past_y, u), structure.n_fit
     before = past_u[:, -1:] if structure.measured else past_u
@@ -149,25 +128,9 @@ def case_start(
     if structure.measured:
         order = np.array([structure.measured_states[i] for i in range(structure.nx)])
         return past_y[:, -1][:, order].T, inputs
-    return _estimated(structure, scales, prior, z, past_u, past_y, inputs), inputs
-
-
-def _estimated(
-    structure: GreyBoxStructure,
-    scales: Scales,
-    prior: WindowPrior,
-    z: AnyArray,
-    past_u: AnyArray,
-    past_y: AnyArray,
-    inputs: AnyArray,
-) -> AnyArray:
-    """States (nx, B) `n_fit` samples before the first simulated one.
-
-    They are the most probable ones given the outputs from there on, weighted by the model's
-    simulation
-    error, and the prior from training, which uses the whole past window.
-    """
-    xp, count = namespace(past_u, past_y, inputs), len(past_y)
+    # The most probable state given the outputs from there on, weighted by the model's simulation
+    # error, and the prior from training, which uses the whole past window.
+    count = len(past_y)
     features = (
         np.ones((count, 1)),
         ((past_u - scales.u_center[:, 0]) / scales.u_scale[:, 0]).reshape(count, -1),
@@ -175,8 +138,8 @@ def _estimated(
     )
     expected = np.asarray(prior.mean) @ xp.concatenate(features, axis=1).T
     if not structure.n_past_y:
-        return expected
-    nx, n_fit = structure.nx, structure.n_fit
+        return expected, inputs
+    nx = structure.nx
     recent = past_y[:, max(structure.n_past_y - n_fit, 0) :].transpose(1, 2, 0)[:, :, None]
     deviation = np.asarray(prior.x_deviation)
     ways = np.concatenate([np.zeros((1, nx)), *(way * _STEP * np.eye(nx) for way in _WEIGHTS)])
@@ -207,4 +170,4 @@ def _estimated(
         shift = minimise(cost, linearise, start, _METHOD).theta
     else:
         shift = traced_minimum(cost, linearise, start, _METHOD)
-    return expected + deviation[:, None] * shift.T
+    return expected + deviation[:, None] * shift.T, inputs

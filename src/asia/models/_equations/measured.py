@@ -19,7 +19,7 @@ from asia.models._equations.config import Range
 from asia.models._equations.ode import Equations, equations
 from asia.models._equations.simulate import physical_parameters
 from asia.models._networks.network import NetworkModel
-from asia.models._networks.structure import Float32, Params
+from asia.models._networks.structure import Float32, Params, cast_tree
 from asia.models._numerics.records import Scaling
 from asia.problem.physics import Bounds, Name
 from asia.problem.symmetry import group
@@ -32,7 +32,6 @@ from asia.problem.symmetry import group
 # (known kinematics) and 1 in these. s are normalised states and definitions that the equations
 # read; d, bounded, is a disturbance that opposes the acceleration at the start and then the mean
 # acceleration; net is a network. Everything learned is without effect at zero.
-
 
 NetworkKind = Literal["mlp", "rnn", "gru", "lstm"]
 
@@ -47,16 +46,11 @@ _DELAY_SAMPLES = 5.0
 class MeasuredState(NamedTuple):
     """State of the model before one sample, batch first."""
 
-    x: AnyArray
-    """States (B, nx)."""
-    m: AnyArray
-    """Inputs behind their lag (B, nu)."""
-    d: AnyArray
-    """Disturbance (B, nd)."""
-    h: Any
-    """State of the network."""
-    first: AnyArray
-    """No sample has been simulated yet (B, 1)."""
+    x: AnyArray  # States (B, nx)
+    m: AnyArray  # Inputs behind their lag (B, nu)
+    d: AnyArray  # Disturbance (B, nd)
+    h: Any  # State of the network
+    first: AnyArray  # No sample has been simulated yet (B, 1)
     turn: Any = ()
     """Number of the transformation under which the network sees each row (B,); () is all of them,
     averaged."""
@@ -70,12 +64,9 @@ class MeasuredEquations:
 
     system: Equations
     """The equations, with corrections as further parameters and priors as further definitions."""
-    ranges: tuple[Range, ...]
-    """Ranges of the parameters."""
-    order: tuple[int, ...]
-    """Number of the output that shows each state."""
-    dynamic: tuple[int, ...]
-    """Equations with free parameters."""
+    ranges: tuple[Range, ...]  # Ranges of the parameters
+    order: tuple[int, ...]  # Number of the output that shows each state
+    dynamic: tuple[int, ...]  # Equations with free parameters
     corrections: tuple[str, ...] = ()
     """Places in the equations where the learned terms enter; none: on the rates."""
     priors: tuple[tuple[str, float, float], ...] = ()
@@ -134,10 +125,8 @@ class MeasuredEquations:
 class InputLag:
     """First-order lag of the inputs."""
 
-    sampling_time: float
-    """In s."""
-    past_inputs: bool
-    """Whether a past window shows inputs, from which the lag starts."""
+    sampling_time: float  # In s
+    past_inputs: bool  # Whether a past window shows inputs, from which the lag starts
 
     def step(self, params: Any, state: MeasuredState, u: AnyArray) -> AnyArray:
         """Inputs behind the lag (B, nu)."""
@@ -157,8 +146,7 @@ class InputLag:
 class Disturbance:
     """Bounded disturbance that opposes the acceleration at the start, then the mean one."""
 
-    sampling_time: float
-    """In s."""
+    sampling_time: float  # In s
 
     def step(
         self, params: Any, state: MeasuredState, total: AnyArray, extra: AnyArray
@@ -177,10 +165,8 @@ class Disturbance:
 class TermNetwork:
     """Network whose outputs are learned terms; it can read signals under symmetries."""
 
-    kind: NetworkKind
-    """Kind of the layers."""
-    recurrent: recurrent.Config | None
-    """Layers of a recurrent network."""
+    kind: NetworkKind  # Kind of the layers
+    recurrent: recurrent.Config | None  # Layers of a recurrent network
     size: float
     """Its largest effect, as a share of the rates measured, or of the scale of a correction."""
     reach: float = 3.0
@@ -188,8 +174,7 @@ class TermNetwork:
     driving: tuple[int, ...] = ()
     """Places, among its inputs, of signals that the inputs of the system alone make; it reads their
     change and running mean too."""
-    symmetric: bool = False
-    """Whether it sees its signals under the symmetries of the problem."""
+    symmetric: bool = False  # Whether it sees its signals under the symmetries of the problem
 
     def initial(self, params: Any, x: AnyArray) -> tuple[Any, Any]:
         """State of the layers, and of the signals that the inputs make, before the first sample."""
@@ -210,8 +195,16 @@ class TermNetwork:
 
     def step(self, params: Any, state: MeasuredState, v: AnyArray) -> tuple[AnyArray, Any, Any]:
         """Learned terms from normalised signals v (B, n), and the next two states as `initial`."""
-        fixed, rows = params["fixed"], len(v)
-        v, seen = self._with_history(state, v)
+        fixed, rows, seen = params["fixed"], len(v), ()
+        if self.driving:
+            # Change since the last sample and running mean of what the inputs alone make.
+            xp = namespace(v)
+            now = v[:, np.array(self.driving)]
+            before, total, count = state.seen
+            change = _CHANGE * (now - xp.where(state.first, now, before))
+            total, count = total + now, count + 1.0
+            mean = _MEAN * total / (count + _MEAN_SAMPLES)
+            v, seen = xp.concatenate([v, change, mean], axis=-1), (now, total, count)
         if not self.symmetric:
             v, h = self._evaluate(params, state, v)
         elif len(state.turn):
@@ -234,19 +227,6 @@ class TermNetwork:
         h = jax.tree.map(lambda v: v[:rows], state.h)
         return state._replace(h=h, turn=jax.random.randint(key, (rows,), 0, turns))
 
-    def _with_history(self, state: MeasuredState, v: AnyArray) -> tuple[AnyArray, Any]:
-        """Signals, with change since the last sample and running mean of those that the inputs
-        alone make; and what is kept for the next sample."""
-        if not self.driving:
-            return v, ()
-        xp = namespace(v)
-        now = v[:, np.array(self.driving)]
-        before, total, count = state.seen
-        change = _CHANGE * (now - xp.where(state.first, now, before))
-        total, count = total + now, count + 1.0
-        mean = _MEAN * total / (count + _MEAN_SAMPLES)
-        return xp.concatenate([v, change, mean], axis=-1), (now, total, count)
-
     def _evaluate(self, params: Any, state: MeasuredState, v: AnyArray) -> tuple[AnyArray, Any]:
         """Outputs of the network, and the next state of its layers."""
         xp, h, net = namespace(v), state.h, params["net"]
@@ -266,35 +246,18 @@ class TermNetwork:
 class MeasuredCell:
     """Structure of the model: see `asia.models._networks.structure.Cell`. Hashable."""
 
-    physics: MeasuredEquations
-    """Equations from the problem file."""
-    read: tuple[str, ...]
-    """States and definitions that the learned terms may read."""
-    sampling_time: float
-    """In s."""
-    past_inputs: bool
-    """Whether a past window shows inputs."""
-    lag: InputLag | None
-    """Lag through which the inputs act."""
-    gain: bool
-    """Whether known kinematics get a learned factor."""
-    linear: bool
-    """Whether there are linear terms."""
-    disturbance: Disturbance | None
-    """Disturbance of the rates."""
-    network: TermNetwork | None
-    """Network for what is left."""
-    delay: bool = False
-    """Whether known kinematics read the other states at a learned delay."""
-    ridge: float = 0.0
-    """Weight of the squared linear terms against the loss of a network method."""
-    prior_weight: float = 0.0
-    """Weight of the squared deviations from the priors against the loss."""
-
-    @property
-    def semi_implicit(self) -> bool:
-        """Whether the driven states move first and the known kinematics read them halfway."""
-        return bool(self.physics.corrections or self.delay) and bool(self.physics.kinematic)
+    physics: MeasuredEquations  # Equations from the problem file
+    read: tuple[str, ...]  # States and definitions that the learned terms may read
+    sampling_time: float  # In s
+    past_inputs: bool  # Whether a past window shows inputs
+    lag: InputLag | None  # Lag through which the inputs act
+    gain: bool  # Whether known kinematics get a learned factor
+    linear: bool  # Whether there are linear terms
+    disturbance: Disturbance | None  # Disturbance of the rates
+    network: TermNetwork | None  # Network for what is left
+    delay: bool = False  # Whether known kinematics read the other states at a learned delay
+    ridge: float = 0.0  # Weight of the squared linear terms against the loss of a network method
+    prior_weight: float = 0.0  # Weight of the squared deviations from the priors against the loss
 
     @property
     def net_inputs(self) -> int:
@@ -352,7 +315,8 @@ class MeasuredCell:
         if self.gain and physics.kinematic:
             gain = physics.in_state_order(1.0 + params["gain"], xp.ones_like(learned[0]))
         blank = xp.zeros_like(known[:, physics.nd :])
-        if self.semi_implicit:
+        if (physics.corrections or self.delay) and physics.kinematic:
+            # The driven states move first, and the known kinematics read them halfway.
             known = known[:, np.array(physics.dynamic, int)]
             moved = known + learned
             ahead = 0.5 * dt * moved
@@ -438,7 +402,6 @@ class MeasuredCell:
 
 # Constants of a cell of measured states, from the records, the problem, and validation scores.
 
-
 # Deviations of a state beyond which a simulation has diverged.
 _FAR = 30.0
 _RATE_SAMPLES = 5
@@ -451,18 +414,27 @@ def measured_sizes(
     cell: MeasuredCell, trajectories: Sequence[Trajectory], scaling: Scaling, context: Context
 ) -> dict[str, Any]:
     """Sizes of all signals, which no method changes: `params["fixed"]` of the cell."""
-    order = list(cell.physics.order)
-    low, high = _limits(scaling.y_mean[order], scaling.y_std[order])
+    physics, network = cell.physics, cell.network
+    order = list(physics.order)
     assert context.physics is not None
-    bounds = [context.physics.bounds.get(name, Bounds()) for name in cell.physics.system.states]
+    # Bounds that keep a simulation finite, and the physical ones.
+    far = _FAR * scaling.y_std[order]
+    low, high = scaling.y_mean[order] - far, scaling.y_mean[order] + far
+    bounds = [context.physics.bounds.get(name, Bounds()) for name in physics.system.states]
     low = np.maximum(low, [-np.inf if b.min is None else b.min for b in bounds])
     high = np.minimum(high, [np.inf if b.max is None else b.max for b in bounds])
     span = _RATE_SAMPLES
     moved = np.concatenate([t.y[span:] - t.y[:-span] for t in trajectories])
     rate = moved[:, order].std(axis=0) / (span * context.sampling_time)
-    rate = np.where(rate > 0, rate, 1.0)[list(cell.physics.dynamic)]
-    mean, std = _signal_sizes(cell, cell.read, trajectories)
-    values = {
+    rate = np.where(rate > 0, rate, 1.0)[list(physics.dynamic)]
+    # Sizes of the signals that the learned terms may read, at the middle of the parameter ranges.
+    every = max(1, sum(len(t) for t in trajectories) // 2000)
+    y = np.concatenate([t.y[::every] for t in trajectories])[:, order]
+    u = np.concatenate([t.u[::every] for t in trajectories])
+    signals = physics.named(cell.read, physics.physical(np.zeros(len(physics.ranges))), y, u)
+    mean, std = signals.mean(axis=0), signals.std(axis=0)
+    std = np.where(std > 0, std, 1.0)
+    values: dict[str, Array] = {
         "y_mean": scaling.y_mean,
         "y_std": scaling.y_std,
         "u_mean": scaling.u_mean,
@@ -473,42 +445,26 @@ def measured_sizes(
         "s_mean": mean,
         "s_std": std,
     }
-    if cell.physics.corrections:
-        values |= _at_corrections(cell, mean, std, context)
+    if physics.corrections:
+        # Sizes of the network's inputs and of the corrections, the same for signals that a symmetry
+        # exchanges, and the symmetries as matrices.
+        symmetric = network is not None and network.symmetric
+        driving = () if network is None else network.driving
+        turns = group(context.symmetry if symmetric else {}, (*cell.read, *physics.corrections))
+        n = len(cell.read)
+        seen = [*range(n), *driving, *driving]
+        # Parts of what the network reads: no symmetry takes one to another.
+        part = np.repeat([0, 1, 2], [n, len(driving), len(driving)])
+        own, places = turns[:, :n, :n], turns[:, n:, n:]
+        scale = np.array([c.scale for c in context.physics.corrections.values()])
+        values |= {
+            "w_mean": (own @ mean).mean(axis=0),
+            "w_std": np.sqrt((np.abs(own) @ std**2).mean(axis=0)),
+            "scale": np.sqrt((np.abs(places) @ scale**2).mean(axis=0)),
+            "turns": turns[:, seen][:, :, seen] * np.equal.outer(part, part),
+            "turns_back": places.swapaxes(1, 2),
+        }
     return {k: np.asarray(v, np.float32) for k, v in values.items()}
-
-
-def _at_corrections(
-    cell: MeasuredCell, mean: Array, std: Array, context: Context
-) -> dict[str, Array]:
-    """Sizes of the network's inputs and of the corrections, and the symmetries as matrices.
-
-    The sizes come from those of the signals and are the same for signals that a symmetry exchanges.
-    """
-    assert context.physics is not None
-    names = (*cell.read, *cell.physics.corrections)
-    network = cell.network
-    symmetric = network is not None and network.symmetric
-    driving = () if network is None else network.driving
-    turns = group(context.symmetry if symmetric else {}, names)
-    n = len(cell.read)
-    seen = [*range(n), *driving, *driving]
-    # Of the parts of what the network reads: no symmetry takes one to another.
-    part = np.repeat([0, 1, 2], [n, len(driving), len(driving)])
-    own, places = turns[:, :n, :n], turns[:, n:, n:]
-    together = turns[:, seen][:, :, seen] * np.equal.outer(part, part)
-
-    def alike(turned: Array, size: Array) -> Array:
-        return np.sqrt((np.abs(turned) @ size**2).mean(axis=0))
-
-    scale = np.array([c.scale for c in context.physics.corrections.values()])
-    return {
-        "w_mean": (own @ mean).mean(axis=0),
-        "w_std": alike(own, std),
-        "scale": alike(places, scale),
-        "turns": together,
-        "turns_back": places.swapaxes(1, 2),
-    }
 
 
 def outputs_of_states(system: Equations, context: Context) -> dict[str, int]:
@@ -563,35 +519,9 @@ def most_probable(cell: MeasuredCell) -> Float32:
     return z.astype(np.float32)
 
 
-def _limits(mean: Any, std: Any) -> tuple[Any, Any]:
-    """Bounds (nx,) that keep a simulation finite."""
-    return mean - _FAR * std, mean + _FAR * std
-
-
-def _signal_sizes(
-    cell: MeasuredCell, names: tuple[str, ...], trajectories: Sequence[Trajectory]
-) -> tuple[Array, Array]:
-    """Mean and standard deviation, (n,) each, of signals of the equations."""
-    every = max(1, sum(len(t) for t in trajectories) // 2000)
-    y = np.concatenate([t.y[::every] for t in trajectories])[:, list(cell.physics.order)]
-    u = np.concatenate([t.u[::every] for t in trajectories])
-    p = cell.physics.physical(np.zeros(len(cell.physics.ranges)))
-    values = cell.physics.named(names, p, y, u)
-    std = values.std(axis=0)
-    return values.mean(axis=0), np.where(std > 0, std, 1.0)
-
-
 def single_precision(params: Params) -> dict[str, Any]:
     """Convert parameters to float32, as networks use it."""
-
-    def single(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {name: single(part) for name, part in value.items()}
-        if isinstance(value, list | tuple):
-            return [single(part) for part in value]
-        return np.asarray(value, np.float32)
-
-    return single(dict(params))
+    return cast_tree(params, np.float32)
 
 
 class LimitedScore:
@@ -612,19 +542,13 @@ class LimitedScore:
 # Outputs that are rates of change of others, found by the equations or by the records.
 
 
-_LONGEST = 100
-
-
 @dataclass(frozen=True)
 class Rate:
     """Relation of two outputs: d/dt of one is gain times the other."""
 
-    output: int
-    """Number of the output that is differentiated."""
-    rate: int
-    """Number of the output that is its rate."""
-    gain: float
-    """Factor on the rate; 1 where the equations give the relation."""
+    output: int  # Number of the output that is differentiated
+    rate: int  # Number of the output that is its rate
+    gain: float  # Factor on the rate; 1 where the equations give the relation
 
 
 def find_rates(trajectories: Sequence[Trajectory], context: Context) -> tuple[Rate, ...]:
@@ -636,14 +560,36 @@ def find_rates(trajectories: Sequence[Trajectory], context: Context) -> tuple[Ra
     Where [physics] has no such equation, every other output is tried, with a gain between 2/3 and
     3/2.
     """
-    fit = _fitted(trajectories, context)
+    shortest = min(len(t) for t in trajectories)
+    fit = motion(trajectories, min(context.horizon or 100, max(1, shortest // 2)))
     rates: list[Rate] = []
     if context.physics is not None:
-        rates = _by_equations(_system(context), fit)
+        system = _system(context)
+        shown = {
+            e.root.name: j for j, e in enumerate(system.observation) if isinstance(e.root, Name)
+        }
+        for state, equation in zip(system.states, system.dynamics, strict=True):
+            read = system.closure(equation)
+            if state not in shown or read & set(system.parameters):
+                continue
+            others = {name: shown[name] for name in sorted(read - {state}) if name in shown}
+            if isinstance(equation.root, Name) and equation.root.name in others:
+                rates.append(Rate(shown[state], others[equation.root.name], 1.0))
+            else:
+                rates.extend(_best(shown[state], list(others.values()), fit))
+        rates.sort(key=lambda r: r.output)
     if not rates:
         everything = range(context.ny)
         rates = [r for j in everything for r in _best(j, everything, fit, LARGEST_GAIN)]
-    return _without_circles(rates, fit)
+    # Remove the weakest of any rates that lead from an output back to itself.
+    kept: dict[int, Rate] = {}
+    for rate in sorted(rates, key=lambda r: -fit.correlation[r.output, r.rate]):
+        end = rate.rate
+        while end in kept:
+            end = kept[end].rate
+        if end != rate.output:
+            kept[rate.output] = rate
+    return tuple(kept[j] for j in sorted(kept))
 
 
 def read_by_equations(context: Context) -> frozenset[int]:
@@ -662,22 +608,6 @@ def _system(context: Context) -> Equations:
     return equations(context.physics, *names)
 
 
-def _by_equations(system: Equations, fit: Motion) -> list[Rate]:
-    shown = {e.root.name: j for j, e in enumerate(system.observation) if isinstance(e.root, Name)}
-    found: list[Rate] = []
-    for state, equation in zip(system.states, system.dynamics, strict=True):
-        read = system.closure(equation)
-        if state not in shown or read & set(system.parameters):
-            continue
-        others = {name: shown[name] for name in sorted(read - {state}) if name in shown}
-        named = equation.root.name if isinstance(equation.root, Name) else ""
-        if named in others:
-            found.append(Rate(shown[state], others[named], 1.0))
-        else:
-            found.extend(_best(shown[state], list(others.values()), fit))
-    return sorted(found, key=lambda r: r.output)
-
-
 def _best(
     j: int, candidates: Sequence[int], fit: Motion, largest: float | None = None
 ) -> tuple[Rate, ...]:
@@ -694,21 +624,3 @@ def _best(
         return ()
     best = max(able, key=lambda i: fit.correlation[j, i])
     return (Rate(j, best, float(fit.gain[j, best])),)
-
-
-def _without_circles(rates: Sequence[Rate], fit: Motion) -> tuple[Rate, ...]:
-    """Remove the weakest of any rates that lead from an output back to itself."""
-    kept: dict[int, Rate] = {}
-    for rate in sorted(rates, key=lambda r: -fit.correlation[r.output, r.rate]):
-        end = rate.rate
-        while end in kept:
-            end = kept[end].rate
-        if end != rate.output:
-            kept[rate.output] = rate
-    return tuple(kept[j] for j in sorted(kept))
-
-
-def _fitted(trajectories: Sequence[Trajectory], context: Context) -> Motion:
-    shortest = min(len(t) for t in trajectories)
-    span = min(context.horizon or _LONGEST, max(1, shortest // 2))
-    return motion(trajectories, span)

@@ -48,10 +48,8 @@ class TermPenalties:
     robust: float | None
     """Error at which the loss changes from square to linear, in standard deviations; None: never.
     """
-    ridge: float
-    """Weight of squared learned effects in the first round."""
-    sparsity: float
-    """Weight of squared learned effects in the later rounds."""
+    ridge: float  # Weight of squared learned effects in the first round
+    sparsity: float  # Weight of squared learned effects in the later rounds
 
 
 def fit_equations(
@@ -63,16 +61,10 @@ def fit_equations(
     log: Progress,
     judge: Judge | None = None,
 ) -> Params:
-    """Fit all parameters but `fixed` and the network's.
+    """Fit all parameters but `fixed` and the network's on training windows.
 
-    Args:
-        cell: structure of the model.
-        params: parameters at the start.
-        windows: training windows.
-        settings: loss and penalties.
-        method: settings of Levenberg-Marquardt.
-        log: receives iteration and loss.
-        judge: score of parameters, called after every iteration; the best ones are returned.
+    The log receives iteration and loss. The judge scores parameters after every iteration; the best
+    ones are returned.
     """
     kept = {k: v for k, v in params.items() if k in _HELD}
     free = {k: v for k, v in params.items() if k not in kept}

@@ -62,35 +62,23 @@ def functions(xp: Any) -> Mapping[str, Callable[..., AnyArray]]:
 class Equations:
     """Parsed physics: hashable, so that it can be the key of functions and programs made of it."""
 
-    states: tuple[str, ...]
-    """Names of the states, in the order of x."""
-    inputs: tuple[str, ...]
-    """Names of the inputs, in the order of u."""
-    outputs: tuple[str, ...]
-    """Names of the outputs, in the order of y."""
-    parameters: tuple[str, ...]
-    """Names of the fitted parameters."""
-    constants: tuple[tuple[str, float], ...]
-    """Names and values of the constants."""
+    states: tuple[str, ...]  # Names of the states, in the order of x
+    inputs: tuple[str, ...]  # Names of the inputs, in the order of u
+    outputs: tuple[str, ...]  # Names of the outputs, in the order of y
+    parameters: tuple[str, ...]  # Names of the fitted parameters
+    constants: tuple[tuple[str, float], ...]  # Names and values of the constants
     definitions: tuple[tuple[str, Expression], ...]
     """Names and expressions of the definitions, each after those it uses."""
-    dynamics: tuple[Expression, ...]
-    """d/dt of each state."""
-    observation: tuple[Expression, ...]
-    """Expression of each output."""
+    dynamics: tuple[Expression, ...]  # d/dt of each state
+    observation: tuple[Expression, ...]  # Expression of each output
 
     def __hash__(self) -> int:
         # A hash of all expressions would cost more than a step of a simulation.
         return hash((self.states, self.inputs, self.outputs, self.parameters))
 
     def derivative(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
-        """Derivative d/dt (nx, ...) of the states.
-
-        Args:
-            parameters: (np, ...).
-            x: states (nx, ...).
-            u: inputs (nu, ...).
-        """
+        """Derivative d/dt (nx, ...) of the states, from parameters (np, ...), states x (nx, ...)
+        and inputs u (nu, ...)."""
         return self.rates(namespace(parameters, x, u), x.dtype)(parameters, x, u)
 
     def rates(self, xp: Any, dtype: Any = np.float64) -> Evaluator:
@@ -98,13 +86,7 @@ class Equations:
         return _evaluator(self, "dynamics", xp.__name__, np.dtype(dtype))
 
     def observe(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
-        """Outputs (ny, ...).
-
-        Args:
-            parameters: (np, ...).
-            x: states (nx, ...).
-            u: inputs (nu, ...).
-        """
+        """Outputs (ny, ...), from arguments as those of `derivative`."""
         return self._values("observation", parameters, x, u)
 
     def named(
@@ -226,14 +208,8 @@ def equations(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -
 
 
 def runge_kutta(derivative: Derivative, x: AnyArray, u: AnyArray, step: float) -> AnyArray:
-    """Advance by one classical fourth-order Runge-Kutta step with u held.
-
-    Args:
-        derivative: d/dt (nx, ...) of x with u.
-        x: states (nx, ...).
-        u: inputs (nu, ...).
-        step: step in s.
-    """
+    """Advance states x (nx, ...) by one classical fourth-order Runge-Kutta step, in s, with inputs
+    u (nu, ...) held."""
     k1 = derivative(x, u)
     k2 = derivative(x + 0.5 * step * k1, u)
     k3 = derivative(x + 0.5 * step * k2, u)

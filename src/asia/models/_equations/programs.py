@@ -22,13 +22,7 @@ class CompiledSimulator:
     """Simulator with one program of one shape: so many rows of so many segments, padded."""
 
     def __init__(self, structure: GreyBoxStructure, u: Array, rows: int) -> None:
-        """Prepare the inputs.
-
-        Args:
-            structure: grey-box.
-            u: inputs of the segments (S, T, nu).
-            rows: number of fits simulated at a time.
-        """
+        """Prepare the inputs (S, T, nu) of the segments; `rows` fits are simulated at a time."""
         self._structure, self._rows = structure, rows
         self._u = np.ascontiguousarray(u.transpose(1, 2, 0))
         each = u.shape[1] * structure.nx * rows
@@ -40,16 +34,8 @@ class CompiledSimulator:
         self._program = _compiled(replace(structure, config=plain))
 
     def __call__(self, z: Array, scales: Scales, x0: Array) -> tuple[Array, Array]:
-        """Simulate P fits.
-
-        Args:
-            z: coordinates (P, size).
-            scales: their scales.
-            x0: initial states (P, S, nx).
-
-        Returns:
-            Outputs (P, S, T, ny) and states (P, S, T, nx).
-        """
+        """Simulate P fits with coordinates z (P, size) from initial states x0 (P, S, nx): outputs
+        (P, S, T, ny) and states (P, S, T, nx)."""
         parts = [self.piece(z, scales, x0, part) for part in self.pieces()]
         y, x = (np.concatenate(found, axis=1) for found in zip(*parts, strict=True))
         return y, x
@@ -59,25 +45,22 @@ class CompiledSimulator:
         return _slices(self._u.shape[2], self._width)
 
     def piece(self, z: Array, scales: Scales, x0: Array, part: slice) -> tuple[Array, Array]:
-        """Simulate the segments of one slice."""
-        found = [self._call(z, scales, x0, some, part) for some in _slices(len(z), self._rows)]
+        """Simulate the segments of one slice, as many fits at a time as the program has rows."""
+        structure = self._structure
+        columns = np.arange(part.start, part.start + self._width).clip(max=x0.shape[1] - 1)
+        found: list[tuple[Array, Array]] = []
+        for some in _slices(len(z), self._rows):
+            rows = np.arange(some.start, some.start + self._rows).clip(max=len(z) - 1)
+            own, start = scales.of_rows(rows), x0[rows][:, columns].transpose(2, 0, 1)
+            effect = effects(structure, own, np.ascontiguousarray(z[rows].T))
+            held = delayed(structure, effect.delay, self._u[:, :, columns])
+            with jax.enable_x64(True):
+                states = np.asarray(self._program(own, effect, start, held))
+            y = outputs(structure, effect, states, held)
+            kept = slice(some.stop - some.start), slice(part.stop - part.start)
+            found.append((y.transpose(2, 3, 0, 1)[kept], states.transpose(2, 3, 0, 1)[kept]))
         y, x = (np.concatenate(values) for values in zip(*found, strict=True))
         return y, x
-
-    def _call(
-        self, z: Array, scales: Scales, x0: Array, some: slice, part: slice
-    ) -> tuple[Array, Array]:
-        structure = self._structure
-        rows = np.arange(some.start, some.start + self._rows).clip(max=len(z) - 1)
-        columns = np.arange(part.start, part.start + self._width).clip(max=x0.shape[1] - 1)
-        own, start = scales.of_rows(rows), x0[rows][:, columns].transpose(2, 0, 1)
-        effect = effects(structure, own, np.ascontiguousarray(z[rows].T))
-        held = delayed(structure, effect.delay, self._u[:, :, columns])
-        with jax.enable_x64(True):
-            states = np.asarray(self._program(own, effect, start, held))
-        y = outputs(structure, effect, states, held)
-        kept = slice(some.stop - some.start), slice(part.stop - part.start)
-        return y.transpose(2, 3, 0, 1)[kept], states.transpose(2, 3, 0, 1)[kept]
 
 
 def _slices(count: int, size: int) -> Iterator[slice]:

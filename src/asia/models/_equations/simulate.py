@@ -22,24 +22,15 @@ class Scales(NamedTuple):
     """Sizes of the signals, which make coordinates and effects free of units. In a fit of several
     rows each field has their number as last dimension."""
 
-    x_center: AnyArray
-    """(nx,)."""
-    x_scale: AnyArray
-    """(nx,)."""
-    x_max: AnyArray
-    """(nx,)."""
-    rate: AnyArray
-    """(nx,)."""
-    u_center: AnyArray
-    """(nu,)."""
-    u_scale: AnyArray
-    """(nu,)."""
-    y_scale: AnyArray
-    """(ny,)."""
-    low: AnyArray
-    """(nx,), keeps a simulation finite."""
-    high: AnyArray
-    """(nx,)."""
+    x_center: AnyArray  # (nx,)
+    x_scale: AnyArray  # (nx,)
+    x_max: AnyArray  # (nx,)
+    rate: AnyArray  # (nx,)
+    u_center: AnyArray  # (nu,)
+    u_scale: AnyArray  # (nu,)
+    y_scale: AnyArray  # (ny,)
+    low: AnyArray  # (nx,), keeps a simulation finite
+    high: AnyArray  # (nx,)
     hidden: AnyArray
     """(units, nx + nu + 1), first layer of the residual network where its search starts."""
 
@@ -58,35 +49,23 @@ class WindowPrior(NamedTuple):
 
     mean: AnyArray
     """(nx, 1 + n_past_u nu + n_past_y ny): linear map from the window's normalised samples."""
-    x_deviation: AnyArray
-    """(nx,): error of the map."""
-    y_center: AnyArray
-    """(ny,): mean of the outputs."""
-    y_deviation: AnyArray
-    """(ny,): the model's simulation error."""
+    x_deviation: AnyArray  # (nx,): error of the map
+    y_center: AnyArray  # (ny,): mean of the outputs
+    y_deviation: AnyArray  # (ny,): the model's simulation error
 
 
 class Effects(NamedTuple):
     """Coordinates in physical terms, for each row."""
 
-    parameters: AnyArray
-    """(np, R)."""
-    limits: AnyArray
-    """(nx, R), infinite where there is none."""
-    spill: AnyArray
-    """(nx, R)."""
-    linear: AnyArray
-    """(nx, nx + nu, R), or none."""
-    rate_offset: AnyArray
-    """(nx, R)."""
-    output_offset: AnyArray
-    """(ny, R)."""
-    delay: AnyArray
-    """(nu, R), or none."""
-    hidden: AnyArray
-    """(units, nx + nu + 1, R)."""
-    readout: AnyArray
-    """(nx, units, R)."""
+    parameters: AnyArray  # (np, R)
+    limits: AnyArray  # (nx, R), infinite where there is none
+    spill: AnyArray  # (nx, R)
+    linear: AnyArray  # (nx, nx + nu, R), or none
+    rate_offset: AnyArray  # (nx, R)
+    output_offset: AnyArray  # (ny, R)
+    delay: AnyArray  # (nu, R), or none
+    hidden: AnyArray  # (units, nx + nu + 1, R)
+    readout: AnyArray  # (nx, units, R)
 
 
 def physical_parameters(ranges: Sequence[Range], z: AnyArray) -> AnyArray:
@@ -122,9 +101,22 @@ def effects(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> Effects
     biased = [outputs.index(n) for n in config.offset if n in outputs and n not in states]
     for k, i in enumerate(biased):
         output_offset[i] = z[layout.output_offset][k] * scales.y_scale[i]
+    parameters = physical_parameters(structure.ranges, z[layout.parameters])
+    learned = structure.learned
+    if learned.names:
+        # Those of additions, and spans and rates of states.
+        values = learned.values(z[layout.learned])
+        for i in (states.index(name) for name in learned.spans):
+            low, high = structure.low[i], structure.high[i]
+            below = scales.x_center[i] - 2.0 * scales.x_scale[i]
+            values.append(low if math.isfinite(low) else below)
+            above = xp.maximum(scales.x_max[i], values[-1] + scales.x_scale[i])
+            values.append(high if math.isfinite(high) else above)
+        values += [scales.rate[states.index(name)] for name in learned.rates]
+        parameters = xp.concatenate([parameters, rows(values, z)])
     units = config.residual
     return Effects(
-        parameters=_parameters(structure, scales, z),
+        parameters=parameters,
         limits=rows(limits, z),
         spill=rows(spill, z),
         linear=z[layout.linear].reshape(-1, nx + nu, count),
@@ -136,37 +128,9 @@ def effects(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> Effects
     )
 
 
-def _parameters(structure: GreyBoxStructure, scales: Scales, z: AnyArray) -> AnyArray:
-    """Parameters of the problem file's equations, those of additions, and spans and rates of
-    states."""
-    layout, learned, xp = structure.layout, structure.learned, namespace(z)
-    own = physical_parameters(structure.ranges, z[layout.parameters])
-    if not learned.names:
-        return own
-    values = learned.values(z[layout.learned])
-    for name in learned.spans:
-        i = structure.equations.states.index(name)
-        low, high = structure.low[i], structure.high[i]
-        below = scales.x_center[i] - 2.0 * scales.x_scale[i]
-        values.append(low if math.isfinite(low) else below)
-        above = xp.maximum(scales.x_max[i], values[-1] + scales.x_scale[i])
-        values.append(high if math.isfinite(high) else above)
-    indices = [structure.equations.states.index(name) for name in learned.rates]
-    values += [scales.rate[i] for i in indices]
-    return xp.concatenate([own, rows(values, z)])
-
-
 def delayed(structure: GreyBoxStructure, delay: AnyArray, u: AnyArray) -> AnyArray:
-    """Delay the inputs; the first sample is held before it.
-
-    Args:
-        structure: grey-box.
-        delay: (nu, R) in samples.
-        u: inputs (T, nu, S).
-
-    Returns:
-        (T, nu, R, S), R being 1 where the structure has no delay.
-    """
+    """Delay inputs u (T, nu, S) by `delay` (nu, R) samples to (T, nu, R, S), R being 1 where the
+    structure has no delay; the first sample is held before it."""
     if not structure.config.input_delay:
         return u[:, :, None]
     xp = namespace(delay)
@@ -184,18 +148,8 @@ def delayed(structure: GreyBoxStructure, delay: AnyArray, u: AnyArray) -> AnyArr
 def simulate(
     structure: GreyBoxStructure, scales: Scales, z: AnyArray, x0: AnyArray, u: AnyArray
 ) -> tuple[AnyArray, AnyArray]:
-    """Simulate a grey-box.
-
-    Args:
-        structure: grey-box.
-        scales: sizes of the signals, for R rows.
-        z: coordinates (size, R).
-        x0: states (nx, R, S) at the first sample of u.
-        u: inputs (T, nu, S).
-
-    Returns:
-        Outputs (T, ny, R, S) and states (T, nx, R, S).
-    """
+    """Simulate a grey-box with coordinates z (size, R) from states x0 (nx, R, S) at the first
+    sample of u (T, nu, S): outputs (T, ny, R, S) and states (T, nx, R, S)."""
     effect = effects(structure, scales, z)
     held = delayed(structure, effect.delay, u)
     states = simulate_states(structure, scales, effect, x0, held)
@@ -206,8 +160,7 @@ def simulate_states(
     structure: GreyBoxStructure, scales: Scales, effect: Effects, x0: AnyArray, held: AnyArray
 ) -> AnyArray:
     """States (T, nx, R, S) from x0 (nx, R, S), with the inputs of `delayed`."""
-    confine = _confinement(structure, scales, effect)
-    advance = _stepping(structure, scales, effect, confine)
+    confine, advance = sample_by_sample(structure, scales, effect)
     return scan(lambda x, v: (advance(x, v), x), confine(x0), held)[1]
 
 
@@ -216,8 +169,18 @@ def sample_by_sample(
 ) -> tuple[Confinement, Step]:
     """Functions that confine states (nx, R, S) to their bounds before the first sample, and that
     advance them by one sample with inputs (nu, R, S)."""
-    confine = _confinement(structure, scales, effect)
-    return confine, _stepping(structure, scales, effect, confine)
+    xp, confine = namespace(effect.parameters), _confinement(structure, scales, effect)
+    derivative, substeps = _derivative(structure, scales, effect), structure.config.substeps
+    step = structure.sampling_time / substeps
+
+    def advance(x: AnyArray, u: AnyArray) -> AnyArray:
+        def once(x: AnyArray) -> AnyArray:
+            moved = runge_kutta(derivative, x, u, step)
+            return confine(xp.where(xp.isfinite(moved), moved, x))
+
+        return repeated(once, substeps, x)
+
+    return confine, advance
 
 
 def outputs(
@@ -229,24 +192,6 @@ def outputs(
     y = structure.equations.observe(parameters, xp.swapaxes(states, 0, 1), xp.swapaxes(held, 0, 1))
     y = xp.swapaxes(y, 0, 1) + effect.output_offset[..., None]
     return xp.where(xp.isfinite(y), y, 0.0)
-
-
-def _stepping(
-    structure: GreyBoxStructure, scales: Scales, effect: Effects, confine: Confinement
-) -> Step:
-    xp = namespace(effect.parameters)
-    derivative = _derivative(structure, scales, effect)
-    substeps = structure.config.substeps
-    step = structure.sampling_time / substeps
-
-    def advance(x: AnyArray, u: AnyArray) -> AnyArray:
-        def once(x: AnyArray) -> AnyArray:
-            moved = runge_kutta(derivative, x, u, step)
-            return confine(xp.where(xp.isfinite(moved), moved, x))
-
-        return repeated(once, substeps, x)
-
-    return advance
 
 
 def _derivative(structure: GreyBoxStructure, scales: Scales, effect: Effects) -> Derivative:

@@ -47,22 +47,12 @@ class SimulationError:
         simulate: CompiledSimulator,
         whiten: ErrorWeighting | None = None,
     ) -> None:
-        """Prepare the errors.
-
-        Args:
-            structure: grey-box.
-            segments: records of the fit.
-            starts: starting points, one a row.
-            active: (size,), 1 where a coordinate is fitted.
-            simulate: compiled simulation of the segments.
-            whiten: weighting of generalised least squares, in units of `y_scale`; None for least
-                squares.
-        """
+        """`active` (size,) is 1 where a coordinate is fitted; `whiten` is the weighting of
+        generalised least squares, in units of `y_scale`, None for least squares."""
         self._structure, self._segments, self._starts = structure, segments, starts
         self._active, self._simulate, self._whiten = active, simulate, whiten
-        mask = segments.counts / np.sqrt(segments.counts.sum() * structure.ny)
-        self._weight = mask[..., None]
         samples = segments.counts.sum() * structure.ny
+        self._weight = (segments.counts / np.sqrt(samples))[..., None]
         ridge = structure.config.ridge
         self._prior_weight = np.sqrt(ridge) if whiten is None else whiten.unit / np.sqrt(samples)
         self._last: tuple[Array, NormalEquations] | None = None
@@ -82,7 +72,8 @@ class SimulationError:
         z, shift = self._parts(theta)
         with np.errstate(all="ignore"):
             total = (self._prior(z)[0] ** 2).sum(axis=2)
-            total += (self._knowledge(z) ** 2).sum(axis=0)
+            if len(self._structure.priors):
+                total += (self._deviations(z) ** 2).sum(axis=0)
             if not self._structure.measured:
                 total += _INITIAL_RIDGE / shift.shape[2] * (shift**2).sum(axis=(2, 3))
             for part in self._simulate.pieces():
@@ -137,15 +128,9 @@ class SimulationError:
         return NormalEquations(cost, gram, gradient)
 
     def jacobians(self, theta: Array) -> tuple[Array, Array, Array]:
-        """Errors and derivatives of the first row, weighted as in the cost.
-
-        Args:
-            theta: (1, n).
-
-        Returns:
-            Errors (S, T, ny), their derivatives (S, T, ny, P) by the coordinates that are fitted,
-            and (S, T, ny, nx) by the segment's own initial state, () where that is measured.
-        """
+        """Errors (S, T, ny) of the first row of theta (1, n), weighted as in the cost, their
+        derivatives (S, T, ny, P) by the coordinates that are fitted, and (S, T, ny, nx) by the
+        segment's own initial state, () where that is measured."""
         fitted, first = np.flatnonzero(self._active), np.arange(1)
         z, shift = self._parts(self._around(theta[:1], fitted))
         with np.errstate(all="ignore"):
@@ -214,7 +199,7 @@ class SimulationError:
         """Add the priors at z (R, K, size) as from `_around`."""
         if not len(self._structure.priors):
             return
-        found = self._knowledge(z)
+        found = self._deviations(z)
         e, (up, down) = found[..., 0], np.split(found[..., 1:], 2, axis=2)
         jacobian = ((up - down) / (2.0 * _STEP))[..., : len(fitted)].transpose(1, 0, 2)
         transposed = jacobian.swapaxes(1, 2)
@@ -222,12 +207,10 @@ class SimulationError:
         gram[:, fitted[:, None], fitted] += transposed @ jacobian
         gradient[:, fitted] += (transposed @ e.T[..., None])[..., 0]
 
-    def _knowledge(self, z: Array) -> Array:
+    def _deviations(self, z: Array) -> Array:
         """Weighted deviations (n, R, K) of expressions in the parameters from their priors, at
         coordinates z (R, K, size)."""
         structure = self._structure
-        if not len(structure.priors):
-            return np.zeros((0, *z.shape[:2]))
         own = z.reshape(-1, z.shape[2]).T[structure.layout.parameters]
         found = structure.priors.deviations(physical_parameters(structure.ranges, own))
         return self._prior_weight * found.reshape(-1, *z.shape[:2])

@@ -16,7 +16,6 @@ from asia.models._numerics.records import measured_samples, rows, side_by_side, 
 
 # Starting points of the fit of a grey-box: records cut to segments, draws, screening, scales.
 
-
 # Coordinates at which an addition has no effect: a limit far above any state, a fraction of zero.
 _NO_LIMIT = 20.0
 _NO_SPILL = -30.0
@@ -36,27 +35,20 @@ _RUNAWAY = 1e6
 class RecordSegments(NamedTuple):
     """Training records, or windows of them, side by side."""
 
-    u: Array
-    """(S, T, nu)."""
-    y: Array
-    """(S, T, ny)."""
-    mask: Array
-    """(S, T), 0 in the padding."""
-    counts: Array
-    """(S, T), 0 in the padding and where an output was not measured."""
+    u: Array  # (S, T, nu)
+    y: Array  # (S, T, ny)
+    mask: Array  # (S, T), 0 in the padding
+    counts: Array  # (S, T), 0 in the padding and where an output was not measured
 
 
 class Starts(NamedTuple):
     """Starting points, one a row."""
 
-    z: Array
-    """Coordinates (P, size)."""
+    z: Array  # Coordinates (P, size)
     shift: Array
     """Differences (P, S, nx) of the initial states from the guess, in units of their scale."""
-    x_guess: Array
-    """Guessed initial states (P, S, nx)."""
-    scales: Scales
-    """Sizes of the signals, for each start."""
+    x_guess: Array  # Guessed initial states (P, S, nx)
+    scales: Scales  # Sizes of the signals, for each start
 
     def chosen(self, rows: NDArray[np.intp]) -> Starts:
         """Select some starting points."""
@@ -68,11 +60,8 @@ class SegmentSimulator(Protocol):
     """Simulator of all segments."""
 
     def __call__(self, z: Array, scales: Scales, x0: Array) -> tuple[Array, Array]:
-        """Simulate from initial states x0 (P, S, nx) with coordinates z (P, size).
-
-        Returns:
-            Outputs (P, S, T, ny) and states (P, S, T, nx).
-        """
+        """Simulate from initial states x0 (P, S, nx) with coordinates z (P, size): outputs (P, S,
+        T, ny) and states (P, S, T, nx)."""
         ...
 
 
@@ -82,15 +71,18 @@ def cut_segments(
     """Cut the records to segments.
 
     They are whole records, or, with a horizon, windows spread over them: past and horizon, or where
-    the
-    initial state is measured the last past sample and the horizon.
+    the initial state is measured the last past sample and the horizon.
     """
     cuts: list[Trajectory] = list(trajectories)
     if horizon is not None:
         length = (1 if structure.measured else structure.n_past) + horizon
         cuts = [t[k : k + length] for t in trajectories for k in range(0, len(t), length)]
         cuts = [t for t in cuts if len(t) == length] or list(trajectories)
-        cuts = [cuts[i] for i in spread(len(cuts), _most_windows(structure, length))]
+        most = max(1, _MOST_INITIAL_STATES // structure.nx)
+        if structure.measured:
+            each = length * structure.ny * max(structure.layout.size, 1) ** 2
+            most = int(np.clip(_MOST_WORK / each, *_MEASURED_WINDOWS))
+        cuts = [cuts[i] for i in spread(len(cuts), most)]
     mask = side_by_side([np.ones(len(t)) for t in cuts])
     u = side_by_side([t.u for t in cuts], "edge")
     if structure.measured and structure.n_past_u == 0 and u.shape[1] > 1:
@@ -100,30 +92,12 @@ def cut_segments(
     return RecordSegments(u, side_by_side([t.y for t in cuts], "edge"), mask, counts)
 
 
-def _most_windows(structure: GreyBoxStructure, length: int) -> int:
-    if not structure.measured:
-        return max(1, _MOST_INITIAL_STATES // structure.nx)
-    each = length * structure.ny * max(structure.layout.size, 1) ** 2
-    return int(np.clip(_MOST_WORK / each, *_MEASURED_WINDOWS))
-
-
 def initial_states(structure: GreyBoxStructure, starts: Starts, found: Minimum, i: int) -> Array:
     """Initial states (S, nx) at the end of fit `i`."""
     if structure.measured:
         return starts.x_guess[i]
     shift = found.theta[i, structure.layout.size :].reshape(-1, structure.nx)
     return starts.x_guess[i] + shift * starts.scales.x_scale[:, i]
-
-
-def _first_guess(structure: GreyBoxStructure, segments: RecordSegments) -> Array:
-    """Initial states (S, nx): the first measurement, else the middle of the bounds, else 0."""
-    low, high = np.array(structure.low), np.array(structure.high)
-    closed = np.isfinite(low) & np.isfinite(high)
-    middle = np.where(closed, 0.5 * (np.where(closed, low, 0.0) + np.where(closed, high, 0.0)), 0.0)
-    guess = np.tile(np.clip(middle, low, high), (segments.u.shape[0], 1))
-    for state, output in structure.measured_states.items():
-        guess[:, state] = segments.y[:, 0, output]
-    return guess
 
 
 def _base_scales(structure: GreyBoxStructure, segments: RecordSegments) -> Scales:
@@ -154,18 +128,15 @@ def opened(scales: Scales) -> Scales:
     return scales._replace(low=low, high=-low)
 
 
-def _neutral(structure: GreyBoxStructure) -> Array:
-    z = np.zeros(structure.layout.size)
-    z[structure.layout.limits] = _NO_LIMIT
-    z[structure.layout.spill] = _NO_SPILL
-    return z
-
-
-def _draws(structure: GreyBoxStructure, segments: RecordSegments, count: int) -> int:
-    """Number of points drawn to choose `count` starts from: as many as memory allows, at most 16
-    times."""
+def _neutral_draws(structure: GreyBoxStructure, segments: RecordSegments, count: int) -> Array:
+    """Coordinates without effect (P, size), to choose `count` starts from: as many as memory
+    allows, at most 16 times."""
     values = segments.mask.size * structure.config.substeps * structure.nx * count
-    return count * int(np.clip(_MOST_SCREENED_VALUES // values, 1, _SCREENED_PER_START))
+    drawn = count * int(np.clip(_MOST_SCREENED_VALUES // values, 1, _SCREENED_PER_START))
+    z = np.zeros((drawn, structure.layout.size))
+    z[:, structure.layout.limits] = _NO_LIMIT
+    z[:, structure.layout.spill] = _NO_SPILL
+    return z
 
 
 def screen(
@@ -177,11 +148,18 @@ def screen(
 ) -> Starts:
     """Choose the `count` best of many points drawn in the parameter ranges, one of them the
     middle."""
-    layout = structure.layout
-    drawn = _draws(structure, segments, count)
-    z = np.tile(_neutral(structure), (drawn, 1))
-    z[1:, layout.parameters] = rng.uniform(-1.0, 1.0, (drawn - 1, len(structure.ranges)))
-    guess = np.tile(_first_guess(structure, segments), (drawn, 1, 1))
+    z = _neutral_draws(structure, segments, count)
+    drawn = len(z)
+    shape = (drawn - 1, len(structure.ranges))
+    z[1:, structure.layout.parameters] = rng.uniform(-1.0, 1.0, shape)
+    # Initial states: the first measurement, else the middle of the bounds, else 0.
+    low, high = np.array(structure.low), np.array(structure.high)
+    closed = np.isfinite(low) & np.isfinite(high)
+    middle = np.where(closed, 0.5 * (np.where(closed, low, 0.0) + np.where(closed, high, 0.0)), 0.0)
+    first = np.tile(np.clip(middle, low, high), (segments.u.shape[0], 1))
+    for state, output in structure.measured_states.items():
+        first[:, state] = segments.y[:, 0, output]
+    guess = np.tile(first, (drawn, 1, 1))
     base = _base_scales(structure, segments).for_rows(drawn)
     y, states = simulate(z, base, guess)
     center, scale = _spread(states, segments)
@@ -224,7 +202,8 @@ def augment(
     """Starting points around the best fits of the bare equations, with the additions drawn."""
     layout, size = structure.layout, structure.layout.size
     count, learned = len(starts.z), len(structure.learned.names)
-    drawn = _draws(structure, segments, count)
+    plain = _neutral_draws(structure, segments, count)
+    drawn = len(plain)
     # Cycle through the better half of the first fits: others have often ended in a poor minimum.
     order = np.argsort(found.cost, kind="stable")[: max(1, count // 2)]
     parents = np.resize(order, drawn)
@@ -233,9 +212,20 @@ def augment(
     z[len(order) :, layout.parameters] += rng.normal(
         scale=_SPREAD_OF_PARAMETERS, size=(drawn - len(order), len(structure.ranges))
     )
-    plain = np.tile(_neutral(structure), (drawn, 1))
     plain[:, layout.parameters] = z[:, layout.parameters]
-    scales = _state_scales(structure, segments, simulate, plain, x0)
+    # Sizes of the states where nothing is added to the equations.
+    scales = _base_scales(structure, segments).for_rows(drawn)
+    states = simulate(plain, scales, x0)[1]
+    center, scale = _spread(states, segments)
+    inside, time = segments.mask > 0, structure.sampling_time
+    moves = np.diff(states, axis=2)[:, inside[:, 1:]]
+    rate = np.sqrt((moves**2).mean(axis=1)) / time
+    scales = scales._replace(
+        x_center=center.T,
+        x_scale=scale.T,
+        x_max=states[:, inside].max(axis=1).T,
+        rate=np.maximum(rate, 1e-9 * scale / time).T,
+    )
     z[:, layout.limits] = rng.uniform(np.log(0.5), 0.0, z[:, layout.limits].shape)
     z[:, layout.spill] = rng.uniform(-2.0, 1.0, z[:, layout.spill].shape)
     z[:, layout.delay] = rng.uniform(0.0, 0.8, z[:, layout.delay].shape)
@@ -261,28 +251,6 @@ def add_network(
     return Starts(z, np.zeros_like(x0), x0, scales._replace(hidden=hidden.transpose(1, 2, 0)))
 
 
-def _state_scales(
-    structure: GreyBoxStructure,
-    segments: RecordSegments,
-    simulate: SegmentSimulator,
-    z: Array,
-    x0: Array,
-) -> Scales:
-    """Scales, one row a start, from simulations with coordinates z from x0 (P, S, nx)."""
-    base = _base_scales(structure, segments).for_rows(len(z))
-    states = simulate(z, base, x0)[1]
-    center, scale = _spread(states, segments)
-    inside = segments.mask > 0
-    moves = np.diff(states, axis=2)[:, inside[:, 1:]]
-    rate = np.sqrt((moves**2).mean(axis=1)) / structure.sampling_time
-    return base._replace(
-        x_center=center.T,
-        x_scale=scale.T,
-        x_max=states[:, inside].max(axis=1).T,
-        rate=np.maximum(rate, 1e-9 * scale / structure.sampling_time).T,
-    )
-
-
 # Range of the states, and map from a past window to the state, both learned in training.
 
 
@@ -300,11 +268,14 @@ def window_prior(
     y_center = segments.y[inside].mean(axis=0)
     spread = np.maximum(x[inside].std(axis=0), 1e-6 * scales.x_scale)
     prior = WindowPrior(np.zeros((structure.nx, width)), spread, y_center, y_deviation)
-    windows = [
-        _windows(structure, u[live], y[live], states[live])
-        for u, y, states, live in zip(segments.u, segments.y, x, inside, strict=True)
-        if live.sum() > n_past
-    ]
+    # Every past window, and the state `n_fit` samples before its end.
+    windows: list[tuple[Array, Array, Array]] = []
+    for u, y, states, live in zip(segments.u, segments.y, x, inside, strict=True):
+        ends = np.arange(n_past, live.sum())
+        if len(ends):
+            shown_u = u[live][rows(ends - structure.n_past_u, structure.n_past_u)]
+            shown_y = y[live][rows(ends - structure.n_past_y, structure.n_past_y)]
+            windows.append((shown_u, shown_y, states[live][ends - structure.n_fit]))
     mean = x[inside].mean(axis=0)
     if not windows:
         return prior._replace(mean=np.hstack([mean[:, None], prior.mean[:, 1:]]))
@@ -322,21 +293,3 @@ def window_prior(
     error = np.sqrt(((target - phi @ weights.T) ** 2).mean(axis=0))
     weights[:, 0] += mean
     return prior._replace(mean=weights, x_deviation=np.maximum(error, 1e-3 * spread))
-
-
-def _windows(
-    structure: GreyBoxStructure, u: Array, y: Array, x: Array
-) -> tuple[Array, Array, Array]:
-    """Cut every past window of one record: past_u (W, n_past_u, nu), past_y (W, n_past_y, ny), and
-    the state `n_fit` samples before its end (W, nx)."""
-    n_past = structure.n_past
-    first = np.arange(len(u) - n_past)
-
-    def cut(values: Array, length: int) -> Array:
-        return values[rows(first + n_past - length, length)]
-
-    return (
-        cut(u, structure.n_past_u),
-        cut(y, structure.n_past_y),
-        x[first + n_past - structure.n_fit],
-    )

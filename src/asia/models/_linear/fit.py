@@ -22,7 +22,7 @@ from asia.models._least_squares import (
     minimise,
 )
 from asia.models._linear.response import DrivenRecords, LongResponse, Response
-from asia.models._linear.system import LinearSystem
+from asia.models._linear.system import LinearSystem, unpacked
 from asia.models._noise.model import (
     LEAST_DEVIATION,
     NOISE_ROUNDS,
@@ -51,7 +51,6 @@ from asia.models._numerics.records import (
 # Van Overschee and De Moor, Subspace Identification for Linear Systems, 1996 (oblique projection);
 # Juang and Pappa, J. Guidance 8(5), 1985 (realisation from Markov parameters).
 
-
 # Columns of the Hankel matrices in memory at a time.
 _CHUNK = 8192
 
@@ -60,10 +59,8 @@ _CHUNK = 8192
 class Observability:
     """Left factor of a Hankel-like matrix: its first n columns give a start of order n."""
 
-    factor: Array
-    """(blocks * ny, m), columns scaled by the roots of the singular values."""
-    ny: int
-    """Number of outputs."""
+    factor: Array  # (blocks * ny, m), columns scaled by the roots of the singular values
+    ny: int  # Number of outputs
 
     def start(self, order: int) -> tuple[Array, Array] | None:
         """Start (A, C) of the order, A made stable; None where the factor has too few columns."""
@@ -81,19 +78,13 @@ class Observability:
 
 def starts(records: ScaledData, max_order: int) -> list[Observability]:
     """Observability factors that serve every order up to `max_order`, from least to most prone to
-    noise.
-
-    There are fewer where the records are too short for a method.
-    """
-    found: list[Observability] = []
-    for horizon in (max_order + 2, 2 * max_order + 5):
-        factor = _oblique_projection(records, horizon)
-        if factor is not None:
-            found.append(factor)
-    factor = _realisation(records, max_order)
-    if factor is not None:
-        found.append(factor)
-    return found
+    noise; fewer where the records are too short for a method."""
+    found = [
+        _oblique_projection(records, max_order + 2),
+        _oblique_projection(records, 2 * max_order + 5),
+        _realisation(records, max_order),
+    ]
+    return [factor for factor in found if factor is not None]
 
 
 def spread_poles(order: int, ny: int) -> tuple[Array, Array]:
@@ -117,11 +108,6 @@ def stabilised(a: Array, limit: float = 0.995) -> Array:
     return result if radius <= 1.0 else result * (limit / radius)
 
 
-def _hankel(values: Array, first: int, blocks: int, columns: int) -> Array:
-    rows = [values[first + i : first + i + columns].T for i in range(blocks)]
-    return np.concatenate(rows)
-
-
 def _oblique_projection(records: ScaledData, horizon: int) -> Observability | None:
     """Observability by oblique projection, computed from the products of the Hankel matrices, which
     are small for any number of samples."""
@@ -134,12 +120,14 @@ def _oblique_projection(records: ScaledData, horizon: int) -> Observability | No
     for r, count in zip(records, columns, strict=True):
         for first in range(0, count, _CHUNK):
             size = min(_CHUNK, count - first)
-            rows = [
-                _hankel(values, first + ahead, horizon, size)
-                for ahead in (0, horizon)
-                for values in (r.u, r.y)
-            ]
-            part = np.concatenate(rows)
+            part = np.concatenate(
+                [
+                    values[start : start + size].T
+                    for ahead in (first, first + horizon)
+                    for values in (r.u, r.y)
+                    for start in range(ahead, ahead + horizon)
+                ]
+            )
             gram += part @ part.T
     known = past + future_u
     regressors = gram[:known, :known]
@@ -175,11 +163,8 @@ def _realisation(records: ScaledData, max_order: int) -> Observability | None:
             gram += regressors.T @ regressors
             moment += regressors.T @ r.y[k]
     gram += 1e-6 * sum(max(len(r) - lags, 0) for r in records) * np.eye(many)
-    theta = np.linalg.solve(gram, moment)
-    return _from_arx(np.asarray(theta, np.float64), lags, nu, ny, max_order)
-
-
-def _from_arx(theta: Array, lags: int, nu: int, ny: int, max_order: int) -> Observability | None:
+    theta = np.asarray(np.linalg.solve(gram, moment), np.float64)
+    # Markov parameters of the ARX model.
     blocks = 2 * max_order + 5
     past_y = theta[: lags * ny].reshape(lags, ny, ny)
     past_u = theta[lags * ny : lags * (ny + nu)].reshape(lags, nu, ny)
@@ -218,15 +203,17 @@ def held_entries(order: int, integrators: int) -> Array:
 def integrating_starts(
     records: ScaledData, order: int, integrators: int
 ) -> list[tuple[Array, Array] | None]:
-    """Pairs (A, C) of the order, from differences of the outputs that change least from sample to
-    sample.
-
-    Raises:
-        ValueError: if the order is less than the number of integrators.
-    """
+    """Pairs (A, C) of the order, at least the number of integrators, from differences of the
+    outputs that change least from sample to sample."""
     if order < integrators:
         raise ValueError(f"{integrators} integrators need an order of at least {integrators}")
-    times = _integrations(records, integrators)
+    # Number of integrations of each output: the slowest first, and again from the slowest.
+    y = [r.y for r in records]
+    changes = np.concatenate([np.diff(v, axis=0) for v in y]).std(axis=0)
+    slowest = np.argsort(changes / np.maximum(np.concatenate(y).std(axis=0), 1e-12), kind="stable")
+    times = [0] * len(slowest)
+    for k in range(integrators):
+        times[int(slowest[k % len(slowest)])] += 1
     ny, m = len(times), order - integrators
     if m == 0:
         return [_extended(np.zeros((0, 0)), np.zeros((ny, 0)), times)]
@@ -242,17 +229,6 @@ def integrating_starts(
     pairs = [s.start(m) for s in starts(steps, max(m, 4))]
     found = [_extended(a, c * size[:, None], times) for a, c in (p for p in pairs if p is not None)]
     return [*found, _extended(*spread_poles(m, ny), times)]
-
-
-def _integrations(records: ScaledData, integrators: int) -> list[int]:
-    """Number of integrations of each output: the slowest first, and again from the slowest."""
-    y = [r.y for r in records]
-    steps = np.concatenate([np.diff(v, axis=0) for v in y]).std(axis=0)
-    slowest = np.argsort(steps / np.maximum(np.concatenate(y).std(axis=0), 1e-12), kind="stable")
-    times = [0] * len(slowest)
-    for k in range(integrators):
-        times[int(slowest[k % len(slowest)])] += 1
-    return times
 
 
 def _extended(a: Array, c: Array, times: list[int]) -> tuple[Array, Array]:
@@ -277,7 +253,6 @@ def _extended(a: Array, c: Array, times: list[int]) -> tuple[Array, Array]:
 
 # Simulation-error fit of a linear state-space system: start, refinement, choice of order.
 
-
 # Largest modulus of a pole: beyond it the system grows without bound on a longer record.
 _LARGEST_RADIUS = 1.0 - 1e-9
 
@@ -286,19 +261,14 @@ _LARGEST_RADIUS = 1.0 - 1e-9
 class Refinement:
     """Settings of Levenberg-Marquardt in NumPy."""
 
-    iterations: int = 50
-    """Greatest number of steps."""
+    iterations: int = 50  # Greatest number of steps
     initial_ridge: float = 30.0
     """Weight, in samples, of a prior that holds the initial states of the records to unit size;
     without it a slow mode started far off explains drift that the inputs did not cause."""
-    damping: float = 1e-2
-    """First damping, relative to the scaled normal matrix."""
-    tolerance: float = 1e-7
-    """Relative decrease of the cost below which it stops."""
-    noise: NoiseChoice | None = None
-    """Noise model of `refined_under_noise`; None is least squares."""
-    integrators: int = 0
-    """Number of last states whose pole is held at 1."""
+    damping: float = 1e-2  # First damping, relative to the scaled normal matrix
+    tolerance: float = 1e-7  # Relative decrease of the cost below which it stops
+    noise: NoiseChoice | None = None  # Noise model of `refined_under_noise`; None is least squares
+    integrators: int = 0  # Number of last states whose pole is held at 1
 
     @classmethod
     def of(cls, method: LevenbergMarquardt | None) -> Refinement:
@@ -313,25 +283,16 @@ class Refinement:
 class LinearFit:
     """Fitted linear system."""
 
-    system: LinearSystem
-    """System for z-scored signals."""
-    x0: Array
-    """Initial states (R, n) of the training records."""
-    error: float
-    """Weighted mean squared simulation error in z-scores, infinite where it diverges."""
+    system: LinearSystem  # System for z-scored signals
+    x0: Array  # Initial states (R, n) of the training records
+    error: float  # Weighted mean squared simulation error in z-scores, infinite where it diverges
 
 
 def fit(
     records: ScaledData, order: int, refinement: Refinement, log: Progress | None = None
 ) -> LinearFit:
-    """Find the best start of this order by simulation error and refine it.
-
-    Args:
-        records: records in z-scores.
-        order: number of states.
-        refinement: settings.
-        log: receives iteration and error.
-    """
+    """Find the best start of this order by simulation error and refine it; the log receives
+    iteration and error."""
     if refinement.integrators:
         pairs = integrating_starts(records, order, refinement.integrators)
     else:
@@ -341,17 +302,13 @@ def fit(
     solved.sort(key=lambda s: s.error)
     best = solved[0]
     for i, start in enumerate(solved[:2]):
-        begun = i * refinement.iterations
-        other = refine(records, start, refinement, _offset(log, begun, best.error))
-        best = min(best, other, key=lambda s: s.error)
+
+        def later(step: float, error: float, i: int = i, least: float = best.error) -> None:
+            if log is not None:
+                log(i * refinement.iterations + step, min(error, float(np.sqrt(least))))
+
+        best = min(best, refine(records, start, refinement, later), key=lambda s: s.error)
     return best
-
-
-def _offset(log: Progress | None, by: int, least: float) -> Progress | None:
-    """Iterations counted from `by`, errors never above `least`."""
-    if log is None:
-        return None
-    return lambda step, error: log(by + step, min(error, float(np.sqrt(least))))
 
 
 def choose_order(
@@ -362,8 +319,13 @@ def choose_order(
     The segments start from their own past windows, as the model will be used; the tolerance is
     relative, of the root.
     """
-    pairs = contiguous_splits(records, 3, 2 * past_length(context) + 4 * max_order)
-    splits = [(kept, left, _regression_of(kept, context)) for kept, left in pairs]
+    past = past_length(context)
+    splits: list[tuple[ScaledData, ScaledData, BlockedRidge]] = []
+    for kept, left in contiguous_splits(records, 3, 2 * past + 4 * max_order):
+        long = [r for r in kept if len(r) > past]
+        rows = window_rows(long, context)
+        shown = [windows(r, context)[at] for r, at in zip(long, rows, strict=True)]
+        splits.append((kept, left, BlockedRidge(np.concatenate(shown))))
     errors: list[float] = []
     least = min(max(1, refinement.integrators), max_order)
     for order in range(least, max_order + 1):
@@ -384,24 +346,9 @@ def encoder_of(
     regression: BlockedRidge | None = None,
 ) -> Encoder:
     """Map from a past window to the state, learned from the model's own states on the records of
-    the fit.
-
-    Args:
-        records: records of the fit.
-        fitted: fit.
-        context: context of the fit.
-        regression: regression on the past windows of these records, if it is known.
-    """
+    the fit; `regression` is that on the past windows of these records, if it is known."""
     response = DrivenRecords(records).summed(fitted.system, fitted.x0)
     return window_encoder(records, response.states_of, context, regression=regression)
-
-
-def _regression_of(records: ScaledData, context: Context) -> BlockedRidge:
-    long = [r for r in records if len(r) > past_length(context)]
-    rows = window_rows(long, context)
-    return BlockedRidge(
-        np.concatenate([windows(r, context)[at] for r, at in zip(long, rows, strict=True)])
-    )
 
 
 def unseen_error(
@@ -428,9 +375,8 @@ def solve_linear_part(records: ScaledData, a: Array, c: Array) -> LinearFit:
     at_zero = driven.summed(zero, np.zeros((len(records), n)))
     normal, gradient = at_zero.normal_equations(poles=False)
     theta = damped_step(normal, -gradient, 1e-8)
-    b, d, offset, x0 = np.split(theta, np.cumsum([n * nu, ny * nu, ny]))
-    system = LinearSystem(a, b.reshape(n, nu), c, d.reshape(ny, nu), offset)
-    return normalised(driven.summed(system, x0.reshape(-1, n)))
+    b, d, offset, x0 = unpacked(theta, [(n, nu), (ny, nu), (ny,), (len(records), n)])
+    return normalised(driven.summed(LinearSystem(a, b, c, d, offset), x0))
 
 
 def normalised(response: Response | LongResponse) -> LinearFit:
@@ -453,8 +399,7 @@ def refined_under_noise(
     """Generalised least squares from a fit by least squares.
 
     The noise is estimated from the residuals and the fit refined, in turn until the estimate
-    settles;
-    without a noise model the fit is returned unchanged.
+    settles; without a noise model the fit is returned unchanged.
     """
     choice, noise = refinement.noise, None
     if choice is None:
@@ -492,8 +437,8 @@ def refine(
     driven, held = DrivenRecords(records, weightings), refinement.integrators
     free = free_entries(start.system.order, held).ravel()
     s, steps = start.system, itertools.count()
-    arrays = [s.a, s.b, s.c, s.d, s.offset, start.x0]
-    shapes, ends = [p.shape for p in arrays], np.cumsum([p.size for p in arrays])[:-1]
+    arrays = [*s.matrices, start.x0]
+    shapes = [p.shape for p in arrays]
     theta0 = np.concatenate([p.ravel() for p in arrays])
     # Last simulation, with its parameters.
     known = theta0, driven.summed(s, start.x0)
@@ -501,8 +446,7 @@ def refine(
     def response(theta: Array) -> Response | LongResponse:
         nonlocal known
         if not np.array_equal(theta, known[0]):
-            parts = zip(np.split(theta, ends), shapes, strict=True)
-            *system, x0 = (part.reshape(shape) for part, shape in parts)
+            *system, x0 = unpacked(theta, shapes)
             known = theta, driven.summed(LinearSystem(*system), x0)
         return known[1]
 
@@ -543,17 +487,14 @@ def refine(
 # Levels of excitation: groups of records, and weights of a simulation between their levels.
 
 
-# Least ratio of the input sizes of two levels.
-_APART = 1.2
-
-
 def groups_by_level(inputs: Sequence[Array]) -> list[list[int]]:
-    """Numbers of the records whose inputs (T, nu) are alike in size, the smallest level first."""
+    """Numbers of the records whose inputs (T, nu) are alike in size, the smallest level first;
+    levels are at least a factor of 1.2 apart."""
     sizes = np.array([level_of(u) for u in inputs])
     order = np.argsort(sizes, kind="stable")
     found = [[int(order[0])]]
     for before, number in pairwise(order):
-        if sizes[number] > _APART * sizes[before]:
+        if sizes[number] > 1.2 * sizes[before]:
             found.append([])
         found[-1].append(int(number))
     return [sorted(group) for group in found]
@@ -565,7 +506,7 @@ def level_of(u: Array) -> float:
 
 
 def running_levels(past_u: Array, u: Array, memory: int) -> Array:
-    """The level (B, H) at each sample, of up to `memory` inputs (B, .., nu) up to it."""
+    """Level (B, H) at each sample, of up to `memory` inputs (B, .., nu) up to it."""
     power = np.concatenate([past_u, u], axis=1)
     power = (power**2).mean(axis=2)
     sums = np.cumsum(np.pad(power, ((0, 0), (1, 0))), axis=1)
@@ -576,12 +517,7 @@ def running_levels(past_u: Array, u: Array, memory: int) -> Array:
 
 def shares(levels: Array, at: AnyArray) -> AnyArray:
     """Weights (..., L) of systems by linear interpolation between the two levels around each level
-    `at`; the outermost level beyond. NumPy or JAX.
-
-    Args:
-        levels: levels (L,), rising.
-        at: levels of the simulation (...).
-    """
+    `at` (...); the outermost of `levels` (L,), rising, beyond. NumPy or JAX."""
     xp, weights = namespace(at), list[AnyArray]()
     for place, level in enumerate(levels):
         weight = xp.ones_like(at)
@@ -596,23 +532,12 @@ def shares(levels: Array, at: AnyArray) -> AnyArray:
 
 
 def interpolated(levels: Array, each: Array, past: Array, future: Array, memory: int) -> Array:
-    """Interpolate outputs between those of the levels.
-
-    Args:
-        levels: levels (L,), rising.
-        each: outputs of each level (L, B, H, ny).
-        past: scaled past inputs (B, n_past_u, nu).
-        future: scaled inputs (B, H, nu).
-        memory: number of inputs that the running level covers.
-
-    Returns:
-        (B, H, ny).
-    """
+    """Interpolate the outputs `each` (L, B, H, ny) of the rising levels (L,) to (B, H, ny), by the
+    running level of up to `memory` scaled inputs: past (B, n_past_u, nu), future (B, H, nu)."""
     return np.einsum("bhl,lbho->bho", shares(levels, running_levels(past, future, memory)), each)
 
 
 # Estimates of the static gains and time constants of a linear model, with their uncertainty.
-
 
 # Greatest number of matrix entries: those of a larger model are no quantities of interest to users.
 _MOST_ENTRIES = 150
@@ -621,18 +546,14 @@ _NEAR = 0.5
 
 # Least number of samples for a simulation by convolution.
 _LONG = 65_536
-_MOST_GAINS = 20
-_MOST_TIME_CONSTANTS = 6
 
 
 @dataclass(frozen=True)
 class ScaledRecord:
     """Record in z-scores, the inputs delayed."""
 
-    u: Array
-    """(T, nu)."""
-    y: Array
-    """(T, ny)."""
+    u: Array  # (T, nu)
+    y: Array  # (T, ny)
 
 
 def delayed_records(
@@ -666,23 +587,33 @@ def system_estimates(
         ValueError: for a system of too many numbers, and if the simulation error of the records has
             no minimum at the system.
     """
-    theta, shapes = _packed(system)
+    n, shapes = system.order, [part.shape for part in system.matrices]
+    theta = np.concatenate([part.ravel() for part in system.matrices])
     if len(theta) > _MOST_ENTRIES:
         raise ValueError(f"{len(theta)} numbers: too many for standard errors; use a lower order")
-    responses = [_free_response(system, len(record.u)) for record in records]
-    starts = [
-        _start(system, record, response)
-        for record, response in zip(records, responses, strict=True)
-    ]
+    responses, starts = list[Array](), list[Array]()
+    undisturbed = replace(system, offset=np.zeros_like(system.offset))
+    for record in records:
+        # Outputs (T, ny, n) to each initial state of length 1, and the best initial state.
+        rest = np.zeros((n, *record.u.shape))
+        responses.append(undisturbed.simulate(np.eye(n), rest)[1].transpose(1, 2, 0))
+        forced = system.simulate(np.zeros((1, n)), record.u[None])[1][0]
+        flat = responses[-1].reshape(-1, n)
+        starts.append(np.linalg.lstsq(flat, (record.y - forced).ravel())[0])
 
     def residuals(theta: Array) -> list[Array]:
-        other = _unpacked(theta, shapes)
+        other = LinearSystem(*unpacked(theta, shapes))
         return [_errors(other, record, x0) for record, x0 in zip(records, starts, strict=True)]
 
     found, slopes = uncertainty.jacobians_of(residuals, theta)
     covariance = uncertainty.sandwich(found, slopes, nuisance=responses)
-    _check_minimum(covariance, found, slopes, responses)
-    return uncertainty.estimates(covariance, lambda x: report(_unpacked(x, shapes)), theta)
+    step = -covariance.information @ uncertainty.gradient(found, slopes, responses)
+    errors = np.sqrt(np.maximum(np.diagonal(covariance.matrix), 0.0))
+    if np.any(np.abs(step) > _NEAR * errors + 1e-12):
+        raise ValueError("the fit is no minimum of the simulation error of these records")
+    return uncertainty.estimates(
+        covariance, lambda x: report(LinearSystem(*unpacked(x, shapes))), theta
+    )
 
 
 def _errors(system: LinearSystem, record: ScaledRecord, x0: Array) -> Array:
@@ -695,60 +626,16 @@ def _errors(system: LinearSystem, record: ScaledRecord, x0: Array) -> Array:
     return -LongResponse([scaled], float(record.y.size), system, x0[None]).misfit(0)
 
 
-def _check_minimum(
-    covariance: uncertainty.Covariance,
-    residuals: Sequence[Array],
-    slopes: Sequence[Array],
-    nuisance: Sequence[Array],
-) -> None:
-    step = -covariance.information @ uncertainty.gradient(residuals, slopes, nuisance)
-    errors = np.sqrt(np.maximum(np.diagonal(covariance.matrix), 0.0))
-    if np.any(np.abs(step) > _NEAR * errors + 1e-12):
-        raise ValueError("the fit is no minimum of the simulation error of these records")
-
-
-def _packed(system: LinearSystem) -> tuple[Array, list[tuple[int, ...]]]:
-    parts = [system.a, system.b, system.c, system.d, system.offset]
-    return np.concatenate([part.ravel() for part in parts]), [part.shape for part in parts]
-
-
-def _unpacked(theta: Array, shapes: Sequence[tuple[int, ...]]) -> LinearSystem:
-    ends = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)])
-    parts = [
-        theta[a:b].reshape(shape) for (a, b), shape in zip(pairwise(ends), shapes, strict=True)
-    ]
-    return LinearSystem(*parts)
-
-
-def _free_response(system: LinearSystem, samples: int) -> Array:
-    """Outputs (T, ny, n) to each initial state of length 1."""
-    plain = LinearSystem(
-        system.a, system.b, system.c, system.d, np.zeros_like(system.offset)
-    )  # fmt: skip
-    rest = np.zeros((system.order, samples, system.b.shape[1]))
-    return plain.simulate(np.eye(system.order), rest)[1].transpose(1, 2, 0)
-
-
-def _start(system: LinearSystem, record: ScaledRecord, response: Array) -> Array:
-    """Initial state with the least simulation error."""
-    forced = system.simulate(np.zeros((1, system.order)), record.u[None])[1][0]
-    flat = response.reshape(-1, system.order)
-    return np.linalg.lstsq(flat, (record.y - forced).ravel())[0]
-
-
 def invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
     """Static gains in physical units and slowest time constants in samples, by name."""
     gain = system.gain * scaling.y_std[:, None] / scaling.u_std
     found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
-    found = found if len(found) <= _MOST_GAINS else {}
-    slowest = system.time_constants[:_MOST_TIME_CONSTANTS]
+    found = found if len(found) <= 20 else {}
+    slowest = system.time_constants[:6]
     return found | {f"time constant {k} [samples]": float(t) for k, t in enumerate(slowest, 1)}
 
 
 # Input offset at which a system with free integrators is at rest.
-
-
-_ITERATIONS = 20
 
 
 def drift_shift(records: ScaledData, order: int, integrators: int) -> Array:
@@ -760,7 +647,7 @@ def drift_shift(records: ScaledData, order: int, integrators: int) -> Array:
         replace(r, u=np.hstack([r.u, np.ones((len(r), 1))]), measured_u=r.measured_u)
         for r in records
     ]
-    refinement = Refinement(iterations=_ITERATIONS, integrators=integrators)
+    refinement = Refinement(iterations=20, integrators=integrators)
     s = fit(known, max(order, integrators + 1), refinement).system
     m = s.order - integrators
     steady = np.linalg.solve(np.eye(m) - s.a[:m, :m], s.b[:m])

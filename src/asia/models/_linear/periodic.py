@@ -22,14 +22,12 @@ from asia.models._least_squares import (
     minimise,
 )
 from asia.models._linear.fit import Observability
-from asia.models._linear.system import LinearSystem
+from asia.models._linear.system import LinearSystem, Spectrum, unpacked
 from asia.models._numerics.encoder import Encoder, fit_encoder
 from asia.models._numerics.records import Indices, ScaledData, past_length, spread, windows_before
 
 # Excited lines of periodic records, with all realisations compressed to few columns.
 
-
-Spectrum = NDArray[np.complex128]
 # Least amplitude of an excited input line, relative to the largest one.
 _EXCITED = 1e-3
 # Greatest difference of the periods in steady state, relative to the variance of an output.
@@ -46,12 +44,9 @@ class ExcitedLines:
     Only the part of the outputs that no linear system explains is left out.
     """
 
-    z: Spectrum
-    """exp(j omega) of each line (F,)."""
-    u: Spectrum
-    """Inputs (F, nu, m), at most nu columns."""
-    y: Spectrum
-    """Outputs (F, ny, m)."""
+    z: Spectrum  # exp(j omega) of each line (F,)
+    u: Spectrum  # Inputs (F, nu, m), at most nu columns
+    y: Spectrum  # Outputs (F, ny, m)
 
     def part(self, which: NDArray[np.bool_]) -> ExcitedLines:
         """Select some of the lines."""
@@ -62,21 +57,14 @@ class ExcitedLines:
 class SteadyRecord:
     """Mean period of a record."""
 
-    u: Array
-    """(N, nu)."""
-    y: Array
-    """(N, ny)."""
-    first: int
-    """Sample of the record at which a period starts."""
+    u: Array  # (N, nu)
+    y: Array  # (N, ny)
+    first: int  # Sample of the record at which a period starts
 
 
 def steady_records(records: ScaledData) -> list[SteadyRecord] | None:
-    """Mean period of each record.
-
-    Returns:
-        None where no period occurs at least twice in all records, or where an output differs from
-            period to period: no steady state, or too much noise.
-    """
+    """Mean period of each record; None where no period occurs at least twice in all records, or
+    where an output differs from period to period: no steady state, or too much noise."""
     period = common_period([r.u for r in records])
     if period is None or any((r.weight != 1).any() for r in records):
         return None
@@ -114,19 +102,12 @@ def lines_of(records: Sequence[SteadyRecord]) -> ExcitedLines:
 
 # Systems with an A of blocks of two states, and their response at lines.
 
-
 _LARGEST_RADIUS = 0.9999
 
 
 def in_blocks(a: Array, c: Array) -> tuple[Array, Array] | None:
-    """Transform (A, C) to coordinates in which A is block diagonal, with poles inside the unit
-    circle.
-
-    Outer poles are mirrored.
-
-    Returns:
-        None where the modes are too alike to be separated.
-    """
+    """Transform (A, C) to coordinates in which A is block diagonal, with outer poles mirrored into
+    the unit circle; None where the modes are too alike to be separated."""
     decomposed: Any = np.linalg.eig(a)
     poles: Spectrum = decomposed[0].astype(complex)
     vectors: Spectrum = decomposed[1].astype(complex)
@@ -178,7 +159,6 @@ def readout(a: Array, z: Spectrum, c: Array) -> Spectrum:
 
 # Least squares on the output error at lines, which by Parseval equals that of the steady state.
 
-
 # Complex numbers in one segment of the Jacobian.
 _SEGMENT = 4_000_000
 _TINY = 1e-12
@@ -217,27 +197,20 @@ def refined(
     """Refine B, C, D and the blocks of A by Levenberg-Marquardt.
 
     A step to an unstable system is refused. The sizes of the states do not matter: the damping is
-    relative to each column of the Jacobian.
-
-    Args:
-        lines: excited lines.
-        start: system at the start.
-        method: settings.
-        log: receives iteration and the root of the share left.
+    relative to each column of the Jacobian. The log receives iteration and the root of the share
+    left.
     """
     total, steps = max(float((abs(lines.y) ** 2).sum()), 1e-300), count()
     blocks = block_entries(start.order)
-    theta0 = np.concatenate(
-        [start.a[blocks], *(part.ravel() for part in (start.b, start.c, start.d))]
-    )
+    arrays = [start.a[blocks], start.b, start.c, start.d]
+    shapes = [part.shape for part in arrays]
+    theta0 = np.concatenate([part.ravel() for part in arrays])
 
     def system(theta: Array) -> LinearSystem:
-        cuts = np.cumsum([len(blocks[0]), start.b.size, start.c.size])
-        entries, b, c, d = np.split(theta, cuts)
+        entries, b, c, d = unpacked(theta, shapes)
         a = start.a.copy()
         a[blocks] = entries
-        parts = (b.reshape(start.b.shape), c.reshape(start.c.shape), d.reshape(start.d.shape))
-        return LinearSystem(a, *parts, start.offset)
+        return LinearSystem(a, b, c, d, start.offset)
 
     def cost(points: Array) -> Array:
         at = system(points[0, 0])
@@ -283,19 +256,14 @@ def _normal(lines: ExcitedLines, s: LinearSystem) -> tuple[float, Array, Array]:
 
 # Frequency-domain subspace method: (A, C) from lines at any frequencies.
 
-
 # Greatest number of columns, which are lines times realisations; the lines are spread over all.
 _MOST_COLUMNS = 30_000
 
 
 def observability(lines: ExcitedLines, max_order: int) -> Observability | None:
-    """Observability matrix from Y_k z_k^i = C A^i X_k + (Markov parameters) U_k z_k^j.
-
-    The part that the inputs explain is projected away.
-
-    Returns:
-        None where there are too few lines for any order.
-    """
+    """Observability matrix from Y_k z_k^i = C A^i X_k + (Markov parameters) U_k z_k^j, with the
+    part that the inputs explain projected away; None where there are too few lines for any
+    order."""
     columns = lines.u.shape[2]
     step = max(1, -(-len(lines.z) * columns // _MOST_COLUMNS))
     lines = lines.part(np.arange(len(lines.z)) % step == 0)
@@ -318,7 +286,6 @@ def observability(lines: ExcitedLines, max_order: int) -> Observability | None:
 
 # Fit of a linear system and its initial states to records with periodic inputs.
 
-
 # Step of the lines left out while the order is chosen.
 _EVERY = 3
 # Limits on the past windows of the encoder: in numbers, and in windows.
@@ -333,10 +300,8 @@ class PeriodicChoice:
 
     order: int | None
     """Number of states; None takes the smallest whose error at lines left out is near the least."""
-    most: int
-    """Greatest order tried."""
-    tolerance: float
-    """Relative tolerance of that choice, of the root."""
+    most: int  # Greatest order tried
+    tolerance: float  # Relative tolerance of that choice, of the root
 
 
 def fit_periodic(
@@ -346,11 +311,8 @@ def fit_periodic(
     iterations: int,
     log: Progress | None = None,
 ) -> tuple[LinearSystem, Encoder] | None:
-    """Fit a system and the map from past windows to states.
-
-    Returns:
-        None where the records are not periodic, not in steady state or too short for the order.
-    """
+    """Fit a system and the map from past windows to states; None where the records are not
+    periodic, not in steady state or too short for the order."""
     steady = steady_records(records)
     if steady is None:
         return None
@@ -363,18 +325,38 @@ def fit_periodic(
         return None
     method = LevenbergMarquardt(iterations, damping=1e-3, tolerance=3e-4)
     found = refined(lines, found, method, log)
-    found = _with_offset(found, steady)
-    states = [_steady_states(found, r) for r in steady]
+    # The offset is the mean of the outputs without what the inputs explain.
+    gain = found.gain
+    left = [r.y.mean(axis=0) - gain @ r.u.mean(axis=0) for r in steady]
+    found = replace(found, offset=np.mean(left, axis=0))
+    # States (N, n) over the mean period of each record, scaled to unit mean square.
+    states = list[Array]()
+    for r in steady:
+        period, spectrum = len(r.u), np.fft.rfft(r.u, axis=0)
+        z = np.exp(2j * np.pi * np.arange(len(spectrum)) / period)
+        response = resolvent(found.a, z, found.b) @ spectrum[:, :, None]
+        states.append(np.fft.irfft(response[:, :, 0], period, axis=0))
     size = np.sqrt((np.concatenate(states) ** 2).mean(axis=0))
     scale = 1.0 / np.where(size > 1e-12, size, 1.0)
-    encoder = _encoder(records, steady, [x * scale for x in states], context)
-    return found.transformed(np.diag(scale)), encoder
+    # Map from a past window to the steady state, from windows spread over the records.
+    past = past_length(context)
+    width = max(1, context.n_past_u * context.nu + context.n_past_y * context.ny)
+    most = min(_MOST_WINDOWS, _WINDOW_NUMBERS // width) // len(records) + 1
+    rows: list[Indices] = [past + spread(len(r) - past, most) for r in records]
+    features = [windows_before(r, at, context) for r, at in zip(records, rows, strict=True)]
+    targets = [
+        (x * scale)[(at - s.first) % len(x)] for x, at, s in zip(states, rows, steady, strict=True)
+    ]
+    return found.transformed(np.diag(scale)), fit_encoder(features, targets)
 
 
 def _chosen_order(lines: ExcitedLines, max_order: int, tolerance: float) -> int | None:
     left_out = np.arange(len(lines.z)) % _EVERY == _EVERY // 2
     kept, left = lines.part(~left_out), lines.part(left_out)
-    found = _started(kept, _orders(max_order))
+    orders = [1]
+    while orders[-1] < max_order:
+        orders.append(min(max_order, orders[-1] + max(1, round(_STEP * orders[-1]))))
+    found = _started(kept, orders)
     errors = {order: error(left, system) for order, system in found.items()}
     if not errors:
         return None
@@ -382,49 +364,15 @@ def _chosen_order(lines: ExcitedLines, max_order: int, tolerance: float) -> int 
     return next(order for order, value in errors.items() if value <= limit)
 
 
-def _orders(most: int) -> list[int]:
-    found = [1]
-    while found[-1] < most:
-        found.append(min(most, found[-1] + max(1, round(_STEP * found[-1]))))
-    return found
-
-
 def _started(lines: ExcitedLines, orders: Sequence[int]) -> dict[int, LinearSystem]:
     """Systems of these orders by the subspace method, as many as it gives."""
     factor = observability(lines, max(orders))
     found: dict[int, LinearSystem] = {}
+    if factor is None:
+        return found
     for order in orders:
-        pair = factor.shifted(order) if factor is not None else None
+        pair = factor.shifted(order)
         blocks = in_blocks(*pair) if pair is not None else None
         if blocks is not None:
             found[order] = with_inputs(lines, *blocks)
     return found
-
-
-def _with_offset(system: LinearSystem, records: Sequence[SteadyRecord]) -> LinearSystem:
-    """Set the offset: means of the outputs without those that the inputs explain."""
-    gain = system.gain
-    left = [r.y.mean(axis=0) - gain @ r.u.mean(axis=0) for r in records]
-    return replace(system, offset=np.mean(left, axis=0))
-
-
-def _steady_states(system: LinearSystem, record: SteadyRecord) -> Array:
-    """States (N, n) over the mean period."""
-    period = len(record.u)
-    spectrum = np.fft.rfft(record.u, axis=0)
-    z = np.exp(2j * np.pi * np.arange(len(spectrum)) / period)
-    states = resolvent(system.a, z, system.b) @ spectrum[:, :, None]
-    return np.fft.irfft(states[:, :, 0], period, axis=0)
-
-
-def _encoder(
-    records: ScaledData, steady: Sequence[SteadyRecord], states: Sequence[Array], context: Context
-) -> Encoder:
-    """Map from a past window to the steady state, from windows spread over the records."""
-    past = past_length(context)
-    width = max(1, context.n_past_u * context.nu + context.n_past_y * context.ny)
-    most = min(_MOST_WINDOWS, _WINDOW_NUMBERS // width) // len(records) + 1
-    rows: list[Indices] = [past + spread(len(r) - past, most) for r in records]
-    features = [windows_before(r, at, context) for r, at in zip(records, rows, strict=True)]
-    targets = [x[(at - s.first) % len(x)] for x, at, s in zip(states, rows, steady, strict=True)]
-    return fit_encoder(features, targets)

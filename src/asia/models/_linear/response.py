@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,6 @@ from asia.models._numerics.records import ScaledData
 # initial state of a block acts through the powers of A: x[k] = A^k x[0] + the response to the
 # inputs of the block, and the sensitivities likewise, as they obey the same recursion.
 
-
 # Numbers in the derivatives above which records are processed in blocks, and those of one block.
 _LONG, _BLOCK = 4_000_000, 500_000
 _SHORTEST, _LONGEST = 1024, 16384
@@ -35,24 +33,14 @@ def numbers_of(order: int, nu: int, ny: int) -> int:
     return ny * (5 * order * signals + ny * signals)
 
 
-def are_long(records: ScaledData, order: int) -> bool:
-    """Return whether the response is better computed block by block."""
-    samples = sum(len(r) for r in records)
-    return samples * numbers_of(order, records[0].u.shape[1], records[0].y.shape[1]) > _LONG
-
-
 @dataclass(frozen=True)
 class LongResponse:
     """States, residuals and normal equations of a system on records, none of which is stored."""
 
-    records: ScaledData
-    """The records."""
-    samples: float
-    """Sum of the squared weights over samples and outputs."""
-    system: LinearSystem
-    """The system."""
-    x0: Array
-    """Initial states (R, n)."""
+    records: ScaledData  # The records
+    samples: float  # Sum of the squared weights over samples and outputs
+    system: LinearSystem  # The system
+    x0: Array  # Initial states (R, n)
 
     @cached_property
     def _powers(self) -> Powers:
@@ -115,8 +103,7 @@ class LongResponse:
     def error(self) -> float:
         """Weighted mean squared simulation error over records and channels, infinite where it
         diverges."""
-        error = self.square / max(self.samples, 1.0)
-        return error if np.isfinite(error) else float("inf")
+        return _finite(self.square / max(self.samples, 1.0))
 
     def normal_equations(self, *, poles: bool = True) -> tuple[Array, Array]:
         """Normal equations as in `Response.normal_equations`."""
@@ -162,9 +149,13 @@ class LongResponse:
             carried[:, :-n] += driven.reshape(n, -1)
 
 
+def _finite(error: float) -> float:
+    return error if np.isfinite(error) else float("inf")
+
+
 def _joined(parts: Sequence[Array], initial: Array) -> Array:
     """Derivatives (T, ny, parameters) from those by A and B, from the signals (T, m) that C and D
-    multiply, and from those by the initial state (T, ny, n)."""
+    multiply, and from those by the initial states (T, ny, ...)."""
     length, ny = initial.shape[:2]
     eye = np.broadcast_to(np.eye(ny)[None, :, :, None], (length, ny, ny, 1))
     each = [part if part.ndim > 2 else eye * part[:, None, None, :] for part in parts]
@@ -177,7 +168,6 @@ def _joined(parts: Sequence[Array], initial: Array) -> Array:
 # state or an input, so all of them come from one set of impulse responses (Ljung, System
 # Identification, 2nd ed., section 10.3). Transforms of the inputs are made once for a fit, those
 # of the powers of A once for a system.
-
 
 # Rounding of record lengths: records of the same rounded length share the transforms of a system.
 _ROUNDED = 64
@@ -211,7 +201,9 @@ class DrivenRecords:
     def summed(self, system: LinearSystem, x0: Array) -> Response | LongResponse:
         """Response for sums over samples only: on long records block by block, except for
         generalised least squares."""
-        if self.weightings is None and are_long(self.records, system.order):
+        each = numbers_of(system.order, system.b.shape[1], len(system.c))
+        long = sum(len(r) for r in self.records) * each > _LONG
+        if self.weightings is None and long:
             return LongResponse(self.records, self.samples, system, x0)
         return Response(self, system, x0)
 
@@ -220,12 +212,9 @@ class DrivenRecords:
 class Response:
     """States, residuals and derivatives of a system on records."""
 
-    driven: DrivenRecords
-    """The records."""
-    system: LinearSystem
-    """The system."""
-    x0: Array
-    """Initial states (R, n)."""
+    driven: DrivenRecords  # The records
+    system: LinearSystem  # The system
+    x0: Array  # Initial states (R, n)
 
     @cached_property
     def powers(self) -> dict[int, Powers]:
@@ -235,7 +224,13 @@ class Response:
     @cached_property
     def states(self) -> list[Array]:
         """States (T, n) of each record."""
-        return [self._states(i) for i in range(len(self.x0))]
+        found = list[Array]()
+        for i, record in enumerate(self.driven.records):
+            powers, length = self.powers[self.driven.counts[i]], len(record)
+            drive = self.driven.spectra[i] @ self.system.b.T
+            forced = powers.delayed(np.einsum("fij,fj->fi", powers.spectrum, drive), length)
+            found.append(powers.values[:length] @ self.x0[i] + forced)
+        return found
 
     def states_of(self, i: int) -> Iterator[Array]:
         """States (T, n) of a record, as its only block."""
@@ -256,39 +251,29 @@ class Response:
         """Squared weights of the records, summed over samples and outputs."""
         return self.driven.samples
 
-    def _states(self, i: int) -> Array:
-        length, powers = len(self.driven.records[i]), self._powers(i)
-        drive = self.driven.spectra[i] @ self.system.b.T
-        forced = powers.delayed(np.einsum("fij,fj->fi", powers.spectrum, drive), length)
-        return powers.values[:length] @ self.x0[i] + forced
-
-    def _powers(self, i: int) -> Powers:
-        return self.powers[self.driven.counts[i]]
-
     @cached_property
     def residual(self) -> Array:
         """Weighted measured minus simulated output of all records, one after the other (samples *
         ny,); whitened where there are weightings."""
+        found = list[Array]()
         with np.errstate(all="ignore"):
-            return np.concatenate([self._weighted(i).ravel() for i in range(len(self.x0))])
+            for i, record in enumerate(self.driven.records):
+                misfit = self.misfit(i)
+                if self.driven.weightings is not None:
+                    misfit = self.driven.weightings[i](misfit[None])[0]
+                found.append((record.weight[:, None] * misfit).ravel())
+        return np.concatenate(found)
 
     def misfit(self, i: int) -> Array:
         """Measured minus simulated output of a record (T, ny)."""
         r, s = self.driven.records[i], self.system
         return r.y - self.states[i] @ s.c.T - r.u @ s.d.T - s.offset
 
-    def _weighted(self, i: int) -> Array:
-        found = self.misfit(i)
-        if self.driven.weightings is not None:
-            found = self.driven.weightings[i](found[None])[0]
-        return self.driven.records[i].weight[:, None] * found
-
     @property
     def error(self) -> float:
         """Weighted mean squared simulation error over records and channels, infinite where it
         diverges."""
-        error = self.square / max(self.samples, 1.0)
-        return error if np.isfinite(error) else float("inf")
+        return _finite(self.square / max(self.samples, 1.0))
 
     def jacobian(self) -> Array:
         """Derivative of the weighted outputs (samples * ny, parameters): A, B, C, D, offset,
@@ -296,41 +281,33 @@ class Response:
         return np.concatenate([self._derivatives(i, True) for i in range(len(self.x0))])
 
     def normal_equations(self, *, poles: bool = True) -> tuple[Array, Array]:
-        """Products of the `jacobian` with itself and with the `residual`, record by record.
-
-        Args:
-            poles: include the columns of A and C.
-        """
-        normal, gradient, first = np.zeros((0, 0)), np.zeros(0), 0
+        """Products of the `jacobian` with itself and with the `residual`, record by record; without
+        `poles` those of A and C are left out."""
+        normal, gradient, first = np.zeros((1, 1)), np.zeros(1), 0
         for i in range(len(self.x0)):
             slopes = self._derivatives(i, poles)
-            if i == 0:
-                normal, gradient = np.zeros((slopes.shape[1],) * 2), np.zeros(slopes.shape[1])
-            rest = self.residual[first : first + len(slopes)]
+            normal = normal + slopes.T @ slopes
+            gradient = gradient + slopes.T @ self.residual[first : first + len(slopes)]
             first += len(slopes)
-            normal += slopes.T @ slopes
-            gradient += slopes.T @ rest
         return normal, gradient
 
     def _derivatives(self, i: int, poles: bool) -> Array:
-        record, powers, system = self.driven.records[i], self._powers(i), self.system
+        record, system = self.driven.records[i], self.system
+        powers = self.powers[self.driven.counts[i]]
         length, ny = len(record), len(system.c)
         kernel = (system.c @ powers.spectrum)[..., None]
 
         def through(spectrum: Spectrum) -> Array:
             return powers.delayed(kernel * spectrum[:, None, None, :], length)
 
-        eye = np.broadcast_to(np.eye(ny)[None, :, :, None], (length, ny, ny, 1))
         initial = np.zeros((length, ny, *self.x0.shape))
         initial[:, :, i] = system.c @ powers.values[:length]
-        by_a, by_c = list[Array](), list[Array]()
+        parts = [through(self.driven.spectra[i]), record.u]
         if poles:
             states = self.states[i]
-            by_a = [through(np.fft.rfft(states, powers.size, axis=0))]
-            by_c = [eye * states[:, None, None, :]]
-        by_b, by_d = through(self.driven.spectra[i]), eye * record.u[:, None, None, :]
-        parts: Sequence[Any] = [*by_a, by_b, *by_c, by_d, eye, initial]
-        full = np.concatenate([part.reshape(length, ny, -1) for part in parts], axis=2)
+            by_a = through(np.fft.rfft(states, powers.size, axis=0))
+            parts = [by_a, parts[0], states, record.u]
+        full = _joined(parts, initial)
         if self.driven.weightings is not None:
             full = self.driven.weightings[i].jacobian(self.misfit(i)[None], full[None])[0]
         full *= record.weight[:, None, None]

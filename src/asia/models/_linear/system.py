@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,6 @@ from asia.data.trajectory import Array
 
 # Linear state-space systems: x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k] + offset.
 
-
 # Samples that are simulated at a time.
 _BLOCK = 65_536
 
@@ -21,16 +21,11 @@ _BLOCK = 65_536
 class LinearSystem:
     """Linear state-space system for z-scored signals."""
 
-    a: Array
-    """(n, n)."""
-    b: Array
-    """(n, nu)."""
-    c: Array
-    """(ny, n)."""
-    d: Array
-    """(ny, nu)."""
-    offset: Array
-    """(ny,)."""
+    a: Array  # (n, n)
+    b: Array  # (n, nu)
+    c: Array  # (ny, n)
+    d: Array  # (ny, nu)
+    offset: Array  # (ny,)
 
     @property
     def order(self) -> int:
@@ -41,6 +36,11 @@ class LinearSystem:
     def radius(self) -> float:
         """Largest modulus of the poles."""
         return float(np.abs(np.linalg.eigvals(self.a)).max())
+
+    @property
+    def matrices(self) -> tuple[Array, Array, Array, Array, Array]:
+        """A, B, C, D and the offset."""
+        return self.a, self.b, self.c, self.d, self.offset
 
     @property
     def gain(self) -> Array:
@@ -65,15 +65,8 @@ class LinearSystem:
         return LinearSystem(t @ self.a @ inverse, t @ self.b, self.c @ inverse, self.d, self.offset)
 
     def simulate(self, x0: Array, u: Array) -> tuple[Array, Array]:
-        """Simulate by recursion.
-
-        Args:
-            x0: initial states (B, n).
-            u: inputs (B, T, nu).
-
-        Returns:
-            States (B, T, n) and outputs (B, T, ny).
-        """
+        """Simulate by recursion from x0 (B, n) with inputs u (B, T, nu): states (B, T, n) and
+        outputs (B, T, ny)."""
         drive = u @ self.b.T
         states = np.empty((*u.shape[:2], self.order))
         x = x0
@@ -83,14 +76,8 @@ class LinearSystem:
         return states, states @ self.c.T + u @ self.d.T + self.offset
 
     def outputs(self, x0: Array, drive: Callable[[int, int], Array], samples: int) -> Array:
-        """Simulate only the outputs (B, T, ny), block after block, so that no states of long
-        simulations are stored.
-
-        Args:
-            x0: initial states (B, n).
-            drive: drive(first, stop) gives the inputs (B, stop - first, nu).
-            samples: T.
-        """
+        """Simulate only the outputs (B, T, ny) of T `samples` from x0 (B, n), block after block, so
+        that no states of long simulations are stored; drive(first, stop) gives the inputs."""
         y, x = np.empty((len(x0), samples, len(self.c))), x0
         for first in range(0, samples, _BLOCK):
             stop = min(first + _BLOCK, samples)
@@ -102,7 +89,6 @@ class LinearSystem:
 
 # Powers of the matrix A of a linear system, for convolutions.
 
-
 Spectrum = NDArray[np.complex128]
 
 
@@ -110,12 +96,9 @@ Spectrum = NDArray[np.complex128]
 class Powers:
     """Powers of A, and their transform."""
 
-    values: Array
-    """a^0, a^1, .. (T, n, n)."""
-    spectrum: Spectrum
-    """(frequencies, n, n)."""
-    size: int
-    """Length of the transform, enough for a convolution not to wrap around."""
+    values: Array  # a^0, a^1, .. (T, n, n)
+    spectrum: Spectrum  # (frequencies, n, n)
+    size: int  # Length of the transform, enough for a convolution not to wrap around
 
     @classmethod
     def of(cls, a: Array, count: int) -> Powers:
@@ -136,6 +119,13 @@ class Powers:
         product."""
         later = np.fft.irfft(spectrum, self.size, axis=0)[: length - 1]
         return np.concatenate([np.zeros((1, *later.shape[1:])), later])
+
+
+def unpacked(theta: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """Cut a vector into arrays of these shapes, one after the other."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
+    parts = np.split(theta, ends)
+    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
 def transform_size(samples: int) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +29,6 @@ from asia.models._numerics.records import (
 # the simulation error over the horizon; no constraint makes it stable beyond that. Source: Ljung,
 # System Identification, 2nd ed., sections 4.2 and 7.2 (output-error predictor).
 
-
 # Beyond this size one-step least squares is kept: the refinement's cost grows with the square.
 MOST_PARAMETERS = 400
 
@@ -39,18 +37,12 @@ MOST_PARAMETERS = 400
 class WindowLags:
     """Numbers of past samples kept in the state, of those that the protocol shows."""
 
-    n_past_u: int
-    """Inputs shown."""
-    n_past_y: int
-    """Outputs shown."""
-    u: int
-    """Inputs kept, at most as many."""
-    y: int
-    """Outputs kept, at most as many."""
-    nu: int
-    """Input channels."""
-    ny: int
-    """Output channels."""
+    n_past_u: int  # Inputs shown
+    n_past_y: int  # Outputs shown
+    u: int  # Inputs kept, at most as many
+    y: int  # Outputs kept, at most as many
+    nu: int  # Input channels
+    ny: int  # Output channels
 
     @property
     def order(self) -> int:
@@ -90,12 +82,9 @@ class WindowLags:
 class WindowPredictor:
     """Coefficients of a windowed linear model, for z-scored signals."""
 
-    lags: WindowLags
-    """Lags in the state."""
-    theta: Array
-    """(order + nu + 1, ny)."""
-    ridge: float = 0.0
-    """Ridge of the fit, against the mean squared error."""
+    lags: WindowLags  # Lags in the state
+    theta: Array  # (order + nu + 1, ny)
+    ridge: float = 0.0  # Ridge of the fit, against the mean squared error
 
     def simulate(self, windows: HorizonWindows) -> Array:
         """Simulate windows: outputs (W, H, ny)."""
@@ -130,13 +119,8 @@ class WindowPredictor:
 
 
 def one_step(windows: HorizonWindows, lags: WindowLags, ridge: float) -> WindowPredictor:
-    """Least squares on all one-step predictions inside the windows.
-
-    Args:
-        windows: training windows.
-        lags: lags in the state.
-        ridge: weight, against the mean square of the signals, of the distance from `held`.
-    """
+    """Least squares on all one-step predictions inside the windows; `ridge` weighs, against the
+    mean square of the signals, the distance from `held`."""
     s, from_u, from_y = lags.shift()
     x, rows = lags.state(windows.features), []
     for k in range(windows.u.shape[1]):
@@ -275,7 +259,6 @@ def normal_by_steps(model: WindowPredictor, windows: HorizonWindows) -> tuple[Ar
 
 # Choice among windowed linear models: number of past samples in the state, and ridge.
 
-
 # Ridges against the mean squared error in z-scores, from strong to weak.
 _RIDGES = (1.0, 1e-1, 1e-2, 1e-4)
 _QUICK_ITERATIONS = 4
@@ -288,12 +271,9 @@ _FEWEST, MOST_WINDOWS = 24, 2000
 class WindowedChoice:
     """Lags and ridge, with their errors."""
 
-    lags: WindowLags
-    """Past samples kept in the state."""
-    ridge: float
-    """Ridge against the mean squared error in z-scores."""
-    errors: tuple[float, ...]
-    """Mean squared error on the windows of each segment left out."""
+    lags: WindowLags  # Past samples kept in the state
+    ridge: float  # Ridge against the mean squared error in z-scores
+    errors: tuple[float, ...]  # Mean squared error on the windows of each segment left out
 
     @property
     def error(self) -> float:
@@ -307,21 +287,36 @@ def choose(records: ScaledData, context: Context, refinement: Refinement) -> Win
     For each number of lags the choice is the strongest ridge within one standard error, over the
     segments, of the best; the result is the best of these, None where the past window is empty.
     """
-    splits = held_out(records, context)
-    choices = [
-        _best_ridge(splits, lags, context, refinement) for lags in _candidates(records, context)
-    ]
+    splits, choices = held_out(records, context), list[WindowedChoice]()
+    for lags in _candidates(records, context):
+        count = _count(lags, context, _SELECTION_WORK)
+        paths: list[list[float]] = []
+        for kept, left in splits:
+            # Mean squared errors along the ridges, each fit started from the one before.
+            cut = cut_windows(kept, context, count)
+            unseen = cut_windows(left, context, MOST_WINDOWS)
+            current, path = one_step(cut, lags, _one_step_ridge(_RIDGES[0])), list[float]()
+            for ridge in _RIDGES:
+                current = _refined(current, cut, ridge, _QUICK_ITERATIONS, refinement)
+                path.append(min(current.error(unseen), 1e12))
+            paths.append(path)
+        errors = np.array(paths)
+        means = errors.mean(axis=0)
+        best = int(np.argmin(means))
+        apart = errors - errors[:, best : best + 1]
+        limit = 0.0 * means
+        if len(splits) > 1:
+            limit = apart.std(axis=0, ddof=1) / np.sqrt(len(splits))
+        chosen = int(np.argmax(means - means[best] <= limit))
+        choices.append(WindowedChoice(lags, _RIDGES[chosen], tuple(errors[:, chosen].tolist())))
     return min(choices, key=lambda c: c.error) if choices else None
 
 
 def held_out(
     records: ScaledData, context: Context
 ) -> list[tuple[list[ScaledTrajectory], list[ScaledTrajectory]]]:
-    """Three splits (kept, left out) with other segments left out each time.
-
-    With enough records these are neighbouring records, since successive records are often of one
-    kind.
-    """
+    """Three splits (kept, left out) with other segments left out each time: with enough records
+    neighbouring ones, since successive records are often of one kind."""
     if len(records) >= 3:
         groups = np.array_split(np.arange(len(records)), 3)
         return [
@@ -352,39 +347,6 @@ def _candidates(records: ScaledData, context: Context) -> list[WindowLags]:
     return found
 
 
-def _best_ridge(
-    splits: Sequence[tuple[list[ScaledTrajectory], list[ScaledTrajectory]]],
-    lags: WindowLags,
-    context: Context,
-    refinement: Refinement,
-) -> WindowedChoice:
-    count = _count(lags, context, _SELECTION_WORK)
-    errors = np.array(
-        [
-            _path(cut_windows(kept, context, count), cut_windows(left, context, MOST_WINDOWS), lags,
-                  refinement)
-            for kept, left in splits
-        ]
-    )  # fmt: skip
-    means = errors.mean(axis=0)
-    best = int(np.argmin(means))
-    apart = errors - errors[:, best : best + 1]
-    limit = apart.std(axis=0, ddof=1) / np.sqrt(len(splits)) if len(splits) > 1 else 0.0 * means
-    chosen = int(np.argmax(means - means[best] <= limit))
-    return WindowedChoice(lags, _RIDGES[chosen], tuple(errors[:, chosen].tolist()))
-
-
-def _path(
-    kept: HorizonWindows, left: HorizonWindows, lags: WindowLags, refinement: Refinement
-) -> list[float]:
-    """Mean squared error on `left` along the ridges, each fit started from the one before."""
-    current, errors = one_step(kept, lags, _one_step_ridge(_RIDGES[0])), list[float]()
-    for ridge in _RIDGES:
-        current = _refined(current, kept, ridge, _QUICK_ITERATIONS, refinement)
-        errors.append(min(current.error(left), 1e12))
-    return errors
-
-
 def _refined(
     start: WindowPredictor,
     windows: HorizonWindows,
@@ -394,13 +356,8 @@ def _refined(
 ) -> WindowPredictor:
     if start.lags.parameters > MOST_PARAMETERS:
         return one_step(windows, start.lags, _one_step_ridge(ridge))
-    return refined(
-        start,
-        windows,
-        ridge,
-        min(iterations, refinement.iterations),
-        max(refinement.tolerance, 1e-4),
-    )
+    iterations = min(iterations, refinement.iterations)
+    return refined(start, windows, ridge, iterations, max(refinement.tolerance, 1e-4))
 
 
 def _one_step_ridge(ridge: float) -> float:

@@ -41,18 +41,12 @@ from asia.models.methods import Adam
 class AdamState(NamedTuple):
     """State of training between two steps."""
 
-    trained: AnyArray
-    """Parameters that change, in one vector."""
-    optimiser: Any
-    """State of the optimiser."""
-    average: AnyArray | None
-    """Moving average of the parameters, or None."""
-    carried: Any
-    """State of the cell at the end of the last chunks, or None."""
-    loss: AnyArray
-    """Sum of the loss over the steps since the last check."""
-    taken: AnyArray
-    """Number of these steps."""
+    trained: AnyArray  # Parameters that change, in one vector
+    optimiser: Any  # State of the optimiser
+    average: AnyArray | None  # Moving average of the parameters, or None
+    carried: Any  # State of the cell at the end of the last chunks, or None
+    loss: AnyArray  # Sum of the loss over the steps since the last check
+    taken: AnyArray  # Number of these steps
 
 
 def run(
@@ -70,9 +64,17 @@ def run(
     not finite is skipped."""
     check_structure(cell, params, method)
     length = method.truncation or horizon
-    data = _seen(batch, method, length)
-    if isinstance(data, Places) and method.gentle > 0:
-        data = gently(data, length or 1, method.gentle)
+    data: Simulations | Places
+    if length is None:
+        data = whole(batch)
+    elif method.carry:
+        data = tracks(batch, length, method.batch, method.washout)
+    elif method.full_batch:
+        data = laid(batch, length)
+    else:
+        data = places(batch, length)
+        if method.gentle > 0:
+            data = gently(data, length, method.gentle)
     program, numbers = AdamProgram.of(method, length), AdamNumbers.of(method)
     trained, fixed = split(params)
     packing, theta = Packing.of(trained), packed(trained, np.float32)
@@ -114,14 +116,6 @@ def merged(trained: Mapping[str, Any], fixed: Any) -> dict[str, Any]:
     return dict(trained) if fixed is None else {**trained, "fixed": fixed}
 
 
-def _seen(batch: PaddedBatch, method: Adam, length: int | None) -> Simulations | Places:
-    if length is None:
-        return whole(batch)
-    if method.carry:
-        return tracks(batch, length, method.batch, method.washout)
-    return laid(batch, length) if method.full_batch else places(batch, length)
-
-
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def _advance(
     cell: NetworkStructure,
@@ -143,8 +137,14 @@ def _advance(
         drawn, shaken = jax.random.split(jax.random.fold_in(root, step))
         go = partial(forward, cell, program, numbers, params, step=step, key=shaken)
         if carried is not None and isinstance(cell, Cell) and isinstance(data, Simulations):
-            part, fresh = _next_chunk(data, length, step)
-            y, last = go(part, state=either(fresh, cell.initial(params, part.window), carried))
+            # Next chunk after the one of the step before; the first of all starts anew.
+            index = step % (data.u.shape[1] // length)
+            cut = partial(
+                jax.lax.dynamic_slice_in_dim, start_index=index * length, slice_size=length, axis=1
+            )
+            part = Simulations(data.window, cut(data.u), cut(data.y), cut(data.weight))
+            initial = cell.initial(params, part.window)
+            y, last = go(part, state=either(index == 0, initial, carried))
             error = objective(program.loss, y - part.y, part.weight, 0, program.horizons, whiten)
             error = error + _penalty(cell, params)
             return error, jax.lax.stop_gradient(last)
@@ -176,13 +176,3 @@ def _advance(
 
 def _penalty(cell: NetworkStructure, params: Params) -> jax.Array | float:
     return cell.penalty(params) if isinstance(cell, Penalised) else 0.0
-
-
-def _next_chunk(data: Simulations, length: int, step: jax.Array) -> tuple[Simulations, jax.Array]:
-    """Next chunk after the one of the step before, and whether it is the first of all."""
-    index = step % (data.u.shape[1] // length)
-
-    def cut(values: jax.Array) -> jax.Array:
-        return jax.lax.dynamic_slice_in_dim(values, index * length, length, axis=1)
-
-    return Simulations(data.window, cut(data.u), cut(data.y), cut(data.weight)), index == 0

@@ -7,7 +7,7 @@ float32.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,8 @@ from asia.models._networks.structure import NetworkStructure, Params, rollout
 from asia.models._numerics.records import PaddedBatch
 from asia.models._numerics.segments import Simulations, laid, whole
 from asia.models.methods import LBFGS, Loss
+
+Vector: TypeAlias = np.ndarray[Any, Any]
 
 
 class LBFGSNumbers(NamedTuple):
@@ -53,51 +55,44 @@ def run(
     numbers = LBFGSNumbers(method.ridge, method.washout)
     whiten = None if whiten is None else _double(whiten)
     value_of = partial(_value, cell, method.loss, packing, numbers, data, _double(fixed), whiten)
-    search = _BestPoint(value_of, packed(trained, np.float64))
+    # The best point, and its loss.
+    best, lowest = packed(trained, np.float64), float("inf")
+
+    def loss_and_gradient(x: Vector) -> tuple[float, Vector]:
+        nonlocal best, lowest
+        loss, slope = value_of(x)
+        value, gradient = float(loss), np.asarray(slope, np.float64)
+        if not (np.isfinite(value) and np.isfinite(gradient).all()):
+            # A finite large loss, with which the line search shortens its step.
+            return 1e10, np.zeros_like(x)
+        if value < lowest:
+            best, lowest = np.array(x), value
+        return value, gradient
 
     def current() -> Params:
-        return joined(packing.unpack(search.best.astype(np.float32)), fixed)
+        return joined(packing.unpack(best.astype(np.float32)), fixed)
 
     due, taken = set(marks(method, steps)), 0
 
-    def after(_: np.ndarray[Any, Any]) -> None:
+    def after(_: Vector) -> None:
         nonlocal taken
         taken += 1
         if taken in due:
-            monitor(taken, current, search.loss)
+            monitor(taken, current, lowest)
         if monitor.stopped:
             raise StopIteration
 
     with jax.enable_x64(True):
         minimize(
-            search, search.best, jac=True, method="L-BFGS-B", callback=after,
+            loss_and_gradient, best, jac=True, method="L-BFGS-B", callback=after,
             options={
                 "maxiter": steps, "maxcor": method.memory, "maxfun": 20 * steps,
                 "ftol": 1e-12, "gtol": 1e-9,
             },
         )  # fmt: skip
     if taken not in due and not monitor.stopped:
-        monitor(max(taken, 1), current, search.loss)
+        monitor(max(taken, 1), current, lowest)
     return current()
-
-
-class _BestPoint:
-    """Loss and gradient for SciPy, with a memory of the best point."""
-
-    def __init__(self, value_of: Any, start: np.ndarray[Any, Any]) -> None:
-        self._value_of = value_of
-        self.best = start
-        self.loss = float("inf")
-
-    def __call__(self, x: np.ndarray[Any, Any]) -> tuple[float, np.ndarray[Any, Any]]:
-        loss, slope = self._value_of(x)
-        value, gradient = float(loss), np.asarray(slope, np.float64)
-        if not (np.isfinite(value) and np.isfinite(gradient).all()):
-            # A finite large loss, with which the line search shortens its step.
-            return 1e10, np.zeros_like(x)
-        if value < self.loss:
-            self.best, self.loss = np.array(x), value
-        return value, gradient
 
 
 def _double(tree: Any) -> Any:

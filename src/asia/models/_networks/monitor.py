@@ -23,8 +23,7 @@ def marks(method: NetworkMethod, steps: int) -> list[int]:
     """Numbers of steps after which a fit is checked, the last one being `steps`.
 
     A check comes every `every` steps where a rule of the method counts checks, or as often as
-    validation
-    scores are permitted, else 25 times in the whole.
+    validation scores are permitted, else 25 times in the whole.
     """
     if method.stop is not None or _plateau(method):
         allowed = max(1, VALIDATION_SCORES // method.members - 1)

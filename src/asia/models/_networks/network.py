@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -50,7 +50,6 @@ from asia.models.methods import NetworkMethod
 # checks ask a model for many lengths. It depends only on shapes, so that a request has the same
 # answer in every process.
 
-
 _MOST_STEPS = 200_000
 # Windows of a cell, and samples of a structure that computes all of them at once, in NumPy at a
 # time: few enough for their arrays to stay in the processor's cache.
@@ -92,7 +91,6 @@ def _simulated(
 
 # Model of a network family: a structure, its parameters and the scaling of its signals.
 
-
 Prepare = Callable[[Params, ScaledData, Scaling], Params]
 """Function that makes the initial parameters from z-scored records: for example a linear fit."""
 
@@ -101,27 +99,17 @@ Prepare = Callable[[Params, ScaledData, Scaling], Params]
 class NetworkModel:
     """Network as a model."""
 
-    cell: NetworkStructure
-    """Structure of the network."""
-    params: Params
-    """Parameters of the network."""
-    scaling: Scaling | None = None
-    """Scaling from physical units to z-scores; None before training."""
+    cell: NetworkStructure  # Structure of the network
+    params: Params  # Parameters of the network
+    scaling: Scaling | None = None  # Scaling from physical units to z-scores; None before training
     others: tuple[Params, ...] = ()
     """Parameters of further members, whose simulations are averaged with that of `params`."""
     turns: SignalTransformations | None = None
     """Symmetries over which simulations are averaged; None: none."""
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate in physical units.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Outputs (B, H, ny), float64.
+        """Simulate in physical units: past inputs (B, n_past_u, nu), past outputs (B, n_past_y,
+        ny), inputs u (B, H, nu) -> outputs (B, H, ny), float64.
 
         Raises:
             UserError: before training.
@@ -283,17 +271,14 @@ def with_output_layer(
 #
 # build, train = network_family(Config, KoopmanMap)
 
-
 C = TypeVar("C", bound=NetworkConfig)
-Own = TypeVar("Own", bound=NetworkConfig, contravariant=True)
 
 
 @dataclass(frozen=True)
 class Driven(Generic[C]):
     """Structure that reads its inputs through `drive`, and its outputs by a linear layer."""
 
-    config: C
-    """Settings of the family."""
+    config: C  # Settings of the family
     drive: Features = field(default=Features(), kw_only=True)
     """The inputs and the functions of them."""
 
@@ -328,26 +313,12 @@ class Driven(Generic[C]):
         return None
 
 
-class Build(Protocol[Own]):
-    """Type of a family's `build`."""
-
-    def __call__(self, config: Own, context: Context) -> NetworkModel:
-        """Build an untrained network."""
-        ...
-
-
-class Train(Protocol):
-    """Type of a family's `train`."""
-
-    def __call__(
-        self,
-        model: NetworkModel,
-        trajectories: Sequence[Trajectory],
-        context: Context,
-        method: NetworkMethod,
-    ) -> NetworkModel:
-        """Fit the network."""
-        ...
+Build: TypeAlias = Callable[[C, Context], NetworkModel]
+"""Type of a family's `build`, from settings and context."""
+Train: TypeAlias = Callable[
+    [NetworkModel, Sequence[Trajectory], Context, NetworkMethod], NetworkModel
+]
+"""Type of a family's `train`."""
 
 
 def network_family(config: type[C], structure: type[Driven[C]]) -> tuple[Build[C], Train]:

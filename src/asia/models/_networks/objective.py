@@ -29,7 +29,6 @@ from asia.models.methods import Adam, Loss
 #
 # Folds, refits, seeds and tuned numbers of one structure share a program.
 
-
 Number = Any
 """Python number, traced inside a program."""
 
@@ -38,26 +37,16 @@ Number = Any
 class AdamProgram:
     """Settings of `methods.Adam` that select a compiled program."""
 
-    loss: Loss
-    """Loss of a sample."""
-    horizons: tuple[int, ...] | None
-    """Horizons that the loss averages over."""
-    length: int | None
-    """Samples of a chunk; None for whole records."""
-    batch: int | None
-    """Chunks of a step."""
-    cosine: bool
-    """The learning rate follows a cosine."""
-    coupled: bool
-    """The decay is part of the gradient."""
-    noisy: bool
-    """Noise is added to the inputs."""
-    dropped: bool
-    """Features are dropped."""
-    fed: bool
-    """Measured outputs are fed back."""
-    shifted: bool = False
-    """A constant is added to the inputs."""
+    loss: Loss  # Loss of a sample
+    horizons: tuple[int, ...] | None  # Horizons that the loss averages over
+    length: int | None  # Samples of a chunk; None for whole records
+    batch: int | None  # Chunks of a step
+    cosine: bool  # The learning rate follows a cosine
+    coupled: bool  # The decay is part of the gradient
+    noisy: bool  # Noise is added to the inputs
+    dropped: bool  # Features are dropped
+    fed: bool  # Measured outputs are fed back
+    shifted: bool = False  # A constant is added to the inputs
 
     @classmethod
     def of(cls, method: Adam, length: int | None) -> AdamProgram:
@@ -112,10 +101,6 @@ class AdamNumbers(NamedTuple):
         """Take the numbers from a method."""
         return cls(*(getattr(method, name) for name in cls._fields))
 
-    def teacher_at(self, step: jax.Array) -> jax.Array:
-        """Probability that a measured output is fed back."""
-        return self.teacher + (self.teacher_end - self.teacher) * step / self.steps
-
 
 def started(rule: optax.GradientTransformation, trained: Any) -> Any:
     """State of an optimiser before its first step: zeros for all of Adam, made without compiling
@@ -136,7 +121,6 @@ def either(first: jax.Array, one: Any, other: Any) -> Any:
 
 # Simulation in training, with its perturbations for robustness, and the loss.
 
-
 # Separate random keys, so that other fits keep their random numbers.
 _SHIFT, _DRAWN = 3, 4
 
@@ -151,14 +135,10 @@ class Fed(NamedTuple):
 class NoiseWeighting(NamedTuple):
     """Whitening of residuals before the loss of generalised least squares."""
 
-    noise: ResidualNoise
-    """Noise in z-scores."""
-    sampling_time: Number
-    """Sampling time in s."""
-    unit: Number
-    """Deviation of the residuals: the loss is then as large as that of least squares."""
-    huber: Number | None
-    """Threshold on the innovations in their deviations."""
+    noise: ResidualNoise  # Noise in z-scores
+    sampling_time: Number  # Sampling time in s
+    unit: Number  # Deviation of the residuals: the loss is then as large as that of least squares
+    huber: Number | None  # Threshold on the innovations in their deviations
 
     @classmethod
     def of(cls, noise: ResidualNoise, sampling_time: float, huber: float | None) -> NoiseWeighting:
@@ -197,20 +177,18 @@ def objective(
     weight = weight * (jnp.arange(length) >= washout)
     if whiten is not None:
         residual = whiten(residual, weight)
-    error = (weight[..., None] * pointwise(loss, residual)).mean(axis=-1).sum(axis=0)
+    if loss == "mae":
+        each = jnp.abs(residual)
+    elif loss == "huber":
+        # Scaled to equal the square near zero.
+        small = jnp.clip(residual, -1.0, 1.0)
+        each = small * (2.0 * residual - small)
+    else:
+        each = residual**2
+    error = (weight[..., None] * each).mean(axis=-1).sum(axis=0)
     count = weight.sum(axis=0)
     ends = jnp.array([length if h is None else min(h, length) for h in horizons or (None,)]) - 1
     return jnp.mean(jnp.cumsum(error)[ends] / jnp.maximum(jnp.cumsum(count)[ends], 1.0))
-
-
-def pointwise(loss: Loss, residual: jax.Array) -> jax.Array:
-    """Loss of each number; Huber's is scaled to equal the square near zero."""
-    if loss == "mae":
-        return jnp.abs(residual)
-    if loss == "huber":
-        small = jnp.clip(residual, -1.0, 1.0)
-        return small * (2.0 * residual - small)
-    return residual**2
 
 
 def error_of(cell: NetworkStructure, loss: Loss, params: Any, data: Simulations) -> jax.Array:
@@ -251,11 +229,8 @@ def forward(
     key: jax.Array,
     state: Any = None,
 ) -> tuple[jax.Array, Any]:
-    """Simulate a network in training.
-
-    Returns:
-        Outputs (B, T, ny) and the state after the last sample, None of a structure without one.
-    """
+    """Simulate a network in training: outputs (B, T, ny) and the state after the last sample, None
+    of a structure without one."""
     noisy, dropped, fed_by = jax.random.split(key, 3)
     u = data.u
     if program.noisy:
@@ -270,13 +245,18 @@ def forward(
         return cell.sequence(params, data.window, u), None
     fed = None
     if program.fed:
-        teacher = numbers.teacher_at(step)
+        # Probability that a measured output is fed back.
+        teacher = numbers.teacher + (numbers.teacher_end - numbers.teacher) * step / numbers.steps
         mask = jax.random.bernoulli(fed_by, teacher, data.weight.shape) & (data.weight > 0)
         fed = Fed(data.y, mask.astype(u.dtype))
     if state is None and isinstance(cell, Augmented):
         state = cell.initial(params, data.window)
         state = cell.drawn(params, state, jax.random.fold_in(key, _DRAWN))
-    features, state = _features(cell, params, data.window, u, fed, state)
+    if isinstance(cell, FeatureMap):
+        features, state = cell.features(params, data.window, u), None
+    else:
+        start = cell.initial(params, data.window) if state is None else state
+        features, state = scan(cell, params, start, u, fed)
     if program.dropped and not _drops_weights(cell):
         shape = (features.shape[0], 1, features.shape[2])
         features = features * _kept(numbers, shape, dropped)
@@ -298,16 +278,6 @@ def scan(
     in_time = jax.tree.map(lambda v: jnp.swapaxes(v, 0, 1), (u, fed))
     state, features = jax.lax.scan(advance, state, in_time)
     return jnp.swapaxes(features, 0, 1), state
-
-
-def _features(
-    cell: Cell | FeatureMap, params: Any, window: jax.Array, u: jax.Array, fed: Fed | None,
-    state: Any,
-) -> tuple[jax.Array, Any]:  # fmt: skip
-    if isinstance(cell, FeatureMap):
-        return cell.features(params, window, u), None
-    start = cell.initial(params, window) if state is None else state
-    return scan(cell, params, start, u, fed)
 
 
 def _drops_weights(cell: NetworkStructure) -> bool:

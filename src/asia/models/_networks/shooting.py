@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from numpy.typing import NDArray
 
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, Packing, packed
@@ -74,9 +73,10 @@ def run(
             "MultipleShooting: the network computes all samples at once and has no state to start "
             "a segment from; train it with Adam"
         )
-    segments = ShootingSegments(
-        laid(batch, method.length, overlap=False), _openings(batch, method.length)
-    )
+    counts = -(-np.asarray(batch.lengths) // min(method.length, batch.u.shape[1]))
+    first = np.zeros(counts.sum(), bool)
+    first[np.concatenate([[0], np.cumsum(counts)[:-1]])] = True
+    segments = ShootingSegments(laid(batch, method.length, overlap=False), first)
     trained, fixed = split(params)
     packing, theta = Packing.of(trained), packed(trained, np.float32)
     starts = jax.tree.map(np.asarray, cell.initial(params, segments.data.window))
@@ -101,13 +101,6 @@ def run(
         if monitor.stopped:
             break
     return current()
-
-
-def _openings(batch: PaddedBatch, length: int) -> NDArray[np.bool_]:
-    counts = -(-np.asarray(batch.lengths) // min(length, batch.u.shape[1]))
-    first = np.zeros(counts.sum(), bool)
-    first[np.concatenate([[0], np.cumsum(counts)[:-1]])] = True
-    return first
 
 
 def _rules(

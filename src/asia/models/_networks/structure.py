@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asia.candidate import Context
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, complex_number, namespace, scan, sigmoid, split
 from asia.models._config import owner
@@ -32,7 +32,6 @@ from asia.models._numerics.records import Scaling
 # A structure is written once, for JAX arrays in training and NumPy arrays in simulation: it
 # computes by operators, by methods of arrays, and by what `asia.models._arrays` has for both.
 # NumPy must stay in float32: no NumPy number or array of float64 may meet the arrays.
-
 
 Params = Mapping[str, Any]
 """Arrays by name: weights, and trees of weights of inner layers."""
@@ -165,11 +164,20 @@ def trace(cell: Cell | FeatureMap, params: Any, window: AnyArray, u: AnyArray) -
 
 # Common parts of networks: initial weights, dense stacks, output layer, gates, linear systems.
 
-
 Float32 = NDArray[np.float32]
 
 # A pole nearer to the unit circle is rounded onto it.
 _SLOWEST_RATE = 1e-6
+
+
+def cast_tree(tree: Any, dtype: type[np.floating[Any]]) -> Any:
+    """Convert all arrays of a tree of mappings and sequences to NumPy arrays of one type."""
+    if isinstance(tree, Mapping):
+        branches = cast("Mapping[str, Any]", tree)
+        return {name: cast_tree(branch, dtype) for name, branch in branches.items()}
+    if isinstance(tree, list | tuple):
+        return [cast_tree(branch, dtype) for branch in cast("Sequence[Any]", tree)]
+    return np.asarray(tree, dtype)
 
 
 def dense(rng: np.random.Generator, inputs: int, outputs: int, gain: float = 1.0) -> Float32:
@@ -260,16 +268,8 @@ def rotated_pole(
 
 
 def diagonal_states(pole: AnyArray, drive: AnyArray, start: AnyArray) -> AnyArray:
-    """Solve x[k] = pole x[k-1] + drive[k], x[-1] = start.
-
-    Args:
-        pole: (n,), complex.
-        drive: (B, T, n), complex.
-        start: (B, n), complex.
-
-    Returns:
-        (B, T, n).
-    """
+    """Solve x[k] = pole x[k-1] + drive[k], x[-1] = start, all complex: pole (n,), drive (B, T, n),
+    start (B, n) -> (B, T, n)."""
     # An associative scan is no faster on a processor and takes eight times as long to compile.
 
     def step(x: AnyArray, v: AnyArray) -> tuple[AnyArray, AnyArray]:
@@ -285,11 +285,6 @@ def diagonal_states(pole: AnyArray, drive: AnyArray, start: AnyArray) -> AnyArra
 # it. The functions act on the input in physical units, because a z-score has lost its zero.
 
 
-def _signed_root(u: AnyArray) -> AnyArray:
-    # The slope of the square root has no bound at zero, where an input often rests.
-    return u / namespace(u).sqrt(abs(u) + 1e-3)
-
-
 class NetworkConfig(Protocol):
     """Settings of a family whose network reads functions of the inputs."""
 
@@ -303,7 +298,8 @@ FUNCTIONS: dict[str, Callable[[AnyArray], AnyArray]] = {
     "square": lambda u: u * u,
     "cube": lambda u: u * u * u,
     "abs": abs,
-    "sqrt": _signed_root,
+    # The slope of the square root has no bound at zero, where an input often rests.
+    "sqrt": lambda u: u / namespace(u).sqrt(abs(u) + 1e-3),
 }
 
 
@@ -331,18 +327,14 @@ class Features:
     """Map from z-scored inputs to those inputs and standardised functions of the physical ones.
 
     Each physical input is in units of its own root mean square. Hashable, so that a structure may
-    hold
-    it; before `fitted` only one without functions can be called.
+    hold it; before `fitted` only one without functions can be called.
     """
 
-    names: tuple[str, ...] = ()
-    """Functions, of `FUNCTIONS`."""
-    offset: tuple[float, ...] = ()
-    """Mean of each input in units of its root mean square."""
+    names: tuple[str, ...] = ()  # Functions, of `FUNCTIONS`
+    offset: tuple[float, ...] = ()  # Mean of each input in units of its root mean square
     gain: tuple[float, ...] = ()
     """Standard deviation of each input in units of its root mean square."""
-    centre: tuple[float, ...] = ()
-    """Mean over the training data of each function of each input."""
+    centre: tuple[float, ...] = ()  # Mean over the training data of each function of each input
     spread: tuple[float, ...] = ()
     """Standard deviation over the training data of each function of each input."""
 
@@ -357,13 +349,8 @@ class Features:
         raw = _applied(self.names, u / size)
         spread = raw.std(axis=0)
         spread = np.where(spread > 1e-6, spread, 1.0)
-        return Features(
-            self.names,
-            _floats(scaling.u_mean / size),
-            _floats(scaling.u_std / size),
-            _floats(raw.mean(axis=0)),
-            _floats(spread),
-        )
+        numbers = scaling.u_mean / size, scaling.u_std / size, raw.mean(axis=0), spread
+        return Features(self.names, *(tuple(map(float, values)) for values in numbers))
 
     def __call__(self, u: AnyArray) -> AnyArray:
         """Map (..., nu) z-scores -> (..., nu * (1 + functions))."""
@@ -377,7 +364,3 @@ class Features:
 
 def _applied(names: Sequence[str], u: AnyArray) -> AnyArray:
     return namespace(u).concatenate([FUNCTIONS[name](u) for name in names], axis=-1)
-
-
-def _floats(values: Array) -> tuple[float, ...]:
-    return tuple(float(v) for v in values)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -26,7 +25,7 @@ from asia.models._numerics.records import (
     holdout_records,
     reweighted,
 )
-from asia.models._numerics.segments import laid, whole
+from asia.models._numerics.segments import Simulations, laid, whole
 from asia.models.methods import LBFGS, Adam, NetworkMethod
 
 _error = jax.jit(error_of, static_argnums=(0, 1))
@@ -37,32 +36,22 @@ _rollout = jax.jit(rollout, static_argnums=0)
 class HoldoutSplit:
     """Training samples of a fit that holds some out."""
 
-    fitted: PaddedBatch
-    """Samples of the fit while the number of steps is searched."""
-    held_out: PaddedBatch
-    """Samples that decide the number of steps."""
-    full: PaddedBatch
-    """Samples of the final fit."""
+    fitted: PaddedBatch  # Samples of the fit while the number of steps is searched
+    held_out: PaddedBatch  # Samples that decide the number of steps
+    full: PaddedBatch  # Samples of the final fit
 
 
 @dataclass(frozen=True)
 class FitTask:
     """Network, training samples and settings of a fit."""
 
-    structure: NetworkStructure
-    """Structure of the network."""
-    samples: HoldoutSplit | PaddedBatch
-    """Training samples."""
-    horizon: int | None
-    """Horizon in samples; None for whole records."""
-    seed: int
-    """Seed of the random draws of training."""
-    log: Progress
-    """Receives the progress."""
-    score: Scorer | None = None
-    """Score of the protocol's early stopping; None where it has none."""
-    sampling_time: float = 1.0
-    """Sampling time in s."""
+    structure: NetworkStructure  # Structure of the network
+    samples: HoldoutSplit | PaddedBatch  # Training samples
+    horizon: int | None  # Horizon in samples; None for whole records
+    seed: int  # Seed of the random draws of training
+    log: Progress  # Receives the progress
+    score: Scorer | None = None  # Score of the protocol's early stopping; None where it has none
+    sampling_time: float = 1.0  # Sampling time in s
 
 
 def fit(
@@ -74,21 +63,19 @@ def fit(
     model_of: Callable[[Params], Model] | None = None,
     copies: int = 1,
 ) -> Params:
-    """Train float32 parameters.
+    """Train float32 parameters from initial ones.
 
-    Args:
-        structure: network.
-        params: initial parameters.
-        records: records in z-scores.
-        context: context of the fit.
-        method: training method.
-        model_of: makes the model for `context.validation_score`.
-        copies: number of successive records that are transformations of one, which are held out
-            together.
+    `model_of` makes the model for `context.validation_score`; `copies` successive records are
+    transformations of one, which are held out together.
     """
-    score = None
-    if method.stop == "validation" and context.validation_score and model_of:
-        score = partial(_validation, context.validation_score, model_of)
+    oracle = context.validation_score
+    score: Scorer | None = None
+    if method.stop == "validation" and oracle and model_of:
+
+        def validation(params: Params) -> float:
+            return oracle(model_of(params))
+
+        score = validation
     samples: HoldoutSplit | PaddedBatch = batch(records, context)
     if score is None and method.holdout > 0:
         samples = _split(records, context, method.holdout, copies)
@@ -97,12 +84,6 @@ def fit(
         time = context.sampling_time
         task = FitTask(structure, samples, context.horizon, seed, context.log, score, time)
         return train(task, params, method)
-
-
-def _validation(
-    oracle: Callable[[Model], float], model_of: Callable[[Params], Model], params: Params
-) -> float:
-    return oracle(model_of(params))
 
 
 def train(task: FitTask, params: Params, method: NetworkMethod) -> Params:
@@ -119,7 +100,12 @@ def train(task: FitTask, params: Params, method: NetworkMethod) -> Params:
     split = task.samples
     start = _start(task, split.fitted, params, method)
     method = start.method
-    monitor = Monitor(method, task.log, partial(_held_out_error, task, split, method), patience)
+    held_out = _simulations(task, split.held_out)
+
+    def held_out_error(params: Params) -> float:
+        return float(_error(task.structure, method.loss, params, held_out))
+
+    monitor = Monitor(method, task.log, held_out_error, patience)
     _run(task, split.fitted, start, method.steps, monitor)
     again = Monitor(method, task.log, replay=monitor.rates)
     refit = start if start.whiten is None else _start(task, split.full, params, method)
@@ -138,8 +124,7 @@ def _start(task: FitTask, samples: PaddedBatch, params: Params, method: NetworkM
     """Prepare a fit.
 
     With a noise model the parameters are those after the first half of the steps without it, and
-    the
-    noise is that of their residuals; otherwise all is as given.
+    the noise is that of their residuals; otherwise all is as given.
     """
     choice = NoiseChoice.of(method)
     if choice is None:
@@ -147,12 +132,16 @@ def _start(task: FitTask, samples: PaddedBatch, params: Params, method: NetworkM
     half = max(1, method.steps // 2)
     plain = replace(method, steps=half, noise_model="white", slow_time=None, huber=None, stop=None)
     params = _run(task, samples, _Start(params, plain), half, Monitor(plain, task.log))
-    data = whole(samples) if task.horizon is None else laid(samples, task.horizon)
+    data = _simulations(task, samples)
     y = np.asarray(_rollout(task.structure, params, data.window, data.u))
     residual, floor = (y - data.y).astype(np.float64), np.full(y.shape[-1], LEAST_DEVIATION)
     noise = estimate_noise(residual, data.weight, task.sampling_time, choice, floor)
     whiten = NoiseWeighting.of(noise, task.sampling_time, choice.huber)
     return _Start(params, replace(method, steps=max(1, method.steps - half)), whiten)
+
+
+def _simulations(task: FitTask, samples: PaddedBatch) -> Simulations:
+    return whole(samples) if task.horizon is None else laid(samples, task.horizon)
 
 
 def _run(
@@ -183,11 +172,3 @@ def _split(records: ScaledData, context: Context, fraction: float, copies: int) 
         for keep in (False, True)
     )
     return HoldoutSplit(fitted, held_out, full)
-
-
-def _held_out_error(
-    task: FitTask, split: HoldoutSplit, method: NetworkMethod, params: Params
-) -> float:
-    held_out = split.held_out
-    data = whole(held_out) if task.horizon is None else laid(held_out, task.horizon)
-    return float(_error(task.structure, method.loss, params, data))

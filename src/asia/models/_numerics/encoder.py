@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple, TypeAlias
 
@@ -29,7 +29,6 @@ from asia.models._numerics.records import (
 # the past windows before them gives an estimate of the state that will simulate well from there,
 # with the noise of the window already weighed by the regression.
 
-
 Decomposed: TypeAlias = tuple[Array, Array]
 
 
@@ -38,16 +37,11 @@ class Encoder:
     """Map from window features to a state: features weights + tanh(features inner + shift) outer +
     bias."""
 
-    weights: Array
-    """(d, n)."""
-    bias: Array
-    """(n,)."""
-    inner: Array
-    """(d, m)."""
-    shift: Array
-    """(m,)."""
-    outer: Array
-    """(m, n)."""
+    weights: Array  # (d, n)
+    bias: Array  # (n,)
+    inner: Array  # (d, m)
+    shift: Array  # (m,)
+    outer: Array  # (m, n)
 
     def __call__(self, features: AnyArray) -> AnyArray:
         """Map (B, d) -> (B, n)."""
@@ -68,18 +62,12 @@ def fit_encoder(
     seed: int = 0,
     regression: BlockedRidge | None = None,
 ) -> Encoder:
-    """Ridge regression of states on features and on random tanh functions of them.
+    """Ridge regression of states (N_r, n) of each record on features (N_r, d) and on `hidden`
+    random tanh functions of them.
 
     The ridge and whether the tanh functions are used at all are chosen by prediction of
     contiguous blocks left out: neighbouring windows overlap, so leaving out single samples would
-    choose too small a ridge.
-
-    Args:
-        features: (N_r, d) of each record.
-        states: (N_r, n) of each record.
-        hidden: number of tanh functions.
-        seed: seed of the tanh functions.
-        regression: regression on the features, if it is known.
+    choose too small a ridge. `regression` is that on the features, if it is known.
     """
     x, y = np.concatenate(features), np.concatenate(states)
     if x.shape[1] == 0:
@@ -105,22 +93,21 @@ def random_bend(inputs: int, hidden: int, seed: int) -> tuple[Array, Array]:
 
 class BlockedRidge:
     """Ridge regressions on the same features x (N, d), the ridge chosen by contiguous blocks left
-    out.
-
-    The decompositions that do not depend on the target are computed once.
-    """
+    out; the decompositions, which do not depend on the target, are computed once."""
 
     def __init__(self, x: Array) -> None:
         self._center = x.mean(axis=0)
         self._x = x - self._center
-        self._ridges = ridges_for(len(x))
+        self._ridges, self._parts = ridges_for(len(x)), min(8, len(x))
+        gram = self._x.T @ self._x
+        self._whole = _decomposed(gram)
+        # Each block, and the decomposition without it.
+        parts = np.array_split(self._x, self._parts)
+        self._blocks = [(xb, _decomposed(gram - xb.T @ xb)) for xb in parts]
 
     def solved(self, y: Array) -> tuple[tuple[Array, Array], float]:
-        """Solve for a target.
-
-        Returns:
-            Weights (d, n) and bias (n,), and the squared error of the blocks left out.
-        """
+        """Solve for a target: weights (d, n) and bias (n,), and the squared error of the blocks
+        left out."""
         mean = y.mean(axis=0)
         y = y - mean
         errors, cross = np.zeros(len(self._ridges)), self._x.T @ y
@@ -131,39 +118,10 @@ class BlockedRidge:
         (weights,) = _ridge_path(self._whole, cross, self._ridges[best : best + 1])
         return (weights, mean - self._center @ weights), float(errors[best])
 
-    @property
-    def _parts(self) -> int:
-        return min(8, len(self._x))
-
-    @cached_property
-    def _gram(self) -> Array:
-        return self._x.T @ self._x
-
-    @cached_property
-    def _whole(self) -> Decomposed:
-        return _decomposed(self._gram)
-
-    @cached_property
-    def _blocks(self) -> list[tuple[Array, Decomposed]]:
-        """Each block, and the decomposition without it."""
-        parts = np.array_split(self._x, self._parts)
-        return [(xb, _decomposed(self._gram - xb.T @ xb)) for xb in parts]
-
 
 def ridges_for(samples: int) -> Array:
     """Ridges to choose from, for so many samples."""
     return np.logspace(-6, 3, 10) * max(samples / 1000, 1e-3)
-
-
-def ridge_path(gram: Array, cross: Array, ridges: Array) -> list[Array]:
-    """Weights (d, n) for each ridge.
-
-    Args:
-        gram: products of the features with themselves (d, d).
-        cross: products of the features with the states (d, n).
-        ridges: ridges.
-    """
-    return _ridge_path(_decomposed(gram), cross, ridges)
 
 
 def _decomposed(gram: Array) -> Decomposed:
@@ -172,6 +130,7 @@ def _decomposed(gram: Array) -> Decomposed:
 
 
 def _ridge_path(decomposed: Decomposed, cross: Array, ridges: Array) -> list[Array]:
+    """Weights (d, n) for each ridge, from the products of features and states (d, n)."""
     values, vectors = decomposed
     projected = vectors.T @ cross
     return [vectors @ (projected / (values + r)[:, None]) for r in ridges]
@@ -180,7 +139,6 @@ def _ridge_path(decomposed: Decomposed, cross: Array, ridges: Array) -> list[Arr
 # Regression of the initial state on the past window, from a model's own states on its records.
 #
 # See `asia.models._numerics.encoder`; on long records it goes block by block.
-
 
 # Numbers in the past windows above which records are processed in blocks, and windows of a block.
 _LONG, _BLOCK = 2_000_000, 4096
@@ -200,16 +158,9 @@ def window_encoder(
     seed: int = 0,
     regression: BlockedRidge | None = None,
 ) -> Encoder:
-    """Map from a past window to the state, as `fit_encoder` finds it.
-
-    Args:
-        records: records in z-scores.
-        states_of: states of a record, block by block.
-        context: context of the fit.
-        hidden: number of tanh functions.
-        seed: seed of the tanh functions.
-        regression: regression on the past windows of these records, if it is known.
-    """
+    """Map from a past window to the state, as `fit_encoder` finds it, from the states of each
+    record, block by block; `regression` is that on the past windows of these records, if it is
+    known."""
     past = past_length(context)
     long = [i for i, r in enumerate(records) if len(r) > past]
     rows = window_rows([records[i] for i in long], context)
@@ -306,12 +257,12 @@ def _solved(pairs: Pairs, sums: _Sums) -> tuple[Array, Array, float]:
         crosses[part] += x.T @ y
     gram, cross, ridges = grams.sum(axis=0), crosses.sum(axis=0), ridges_for(sums.samples)
     paths = [
-        np.stack(ridge_path(gram - g, cross - c, ridges))
+        np.stack(_ridge_path(_decomposed(gram - g), cross - c, ridges))
         for g, c in zip(grams, crosses, strict=True)
     ]
     errors = np.zeros(len(ridges))
     for part, x, y in sums.parts(pairs):
         errors += [float(((x @ weights - y) ** 2).sum()) for weights in paths[part]]
     best = int(np.argmin(errors))
-    (weights,) = ridge_path(gram, cross, ridges[best : best + 1])
+    (weights,) = _ridge_path(_decomposed(gram), cross, ridges[best : best + 1])
     return weights, sums.y_mean - sums.x_mean @ weights, float(errors[best])

@@ -27,25 +27,31 @@ def reconstructed(
     simulate: ScaledSimulator,
     context: Context,
 ) -> list[ScaledTrajectory]:
-    """Fill the gaps of records with simulated outputs and the expected error of the simulation.
+    """Fill the gaps of scaled records with simulated outputs and the expected error of the
+    simulation; `trajectories`, the same records in physical units, know the gaps.
 
     The error is modelled as a first-order autoregression between the measured neighbours. Samples
-    of
-    the past window stay unchanged.
-
-    Args:
-        records: scaled records.
-        trajectories: the same records in physical units, which know the gaps.
-        simulate: model in z-scores.
-        context: context of the fit.
+    of the past window stay unchanged.
     """
     past = past_length(context)
-    each = [_simulated(simulate, r, context) for r in records]
+    each: list[Array] = []
+    for r in records:
+        before_u = r.measured_u[None, past - context.n_past_u : past]
+        before_y = r.y[None, past - context.n_past_y : past]
+        each.append(simulate(before_u, before_y, r.u[None, past:])[0])
     errors = [
         np.where(t.measured[past:], r.y[past:] - y, np.nan)
         for t, r, y in zip(trajectories, records, each, strict=True)
     ]
-    rho = _correlation(errors)
+    # Correlation (ny,) of neighbours that were both measured.
+    ny = errors[0].shape[1]
+    cross, square = np.zeros(ny), np.full(ny, 1e-300)
+    for e in errors:
+        both = ~np.isnan(e[1:]) & ~np.isnan(e[:-1])
+        a, b = np.where(both, e[1:], 0.0), np.where(both, e[:-1], 0.0)
+        cross += (a * b).sum(axis=0)
+        square += 0.5 * (a**2 + b**2).sum(axis=0)
+    rho = np.clip(cross / square, 0.0, _MOST)
     found: list[ScaledTrajectory] = []
     for t, r, y, e in zip(trajectories, records, each, errors, strict=True):
         filled = r.y.copy()
@@ -54,25 +60,6 @@ def reconstructed(
         filled[past:] = np.where(t.measured[past:], r.y[past:], guess)
         found.append(replace(r, y=filled, filled=True))
     return found
-
-
-def _simulated(simulate: ScaledSimulator, r: ScaledTrajectory, context: Context) -> Array:
-    past = past_length(context)
-    before_u = r.measured_u[None, past - context.n_past_u : past]
-    before_y = r.y[None, past - context.n_past_y : past]
-    return simulate(before_u, before_y, r.u[None, past:])[0]
-
-
-def _correlation(errors: Sequence[Array]) -> Array:
-    """Correlation (ny,) of neighbours that were both measured."""
-    ny = errors[0].shape[1]
-    cross, square = np.zeros(ny), np.full(ny, 1e-300)
-    for e in errors:
-        both = ~np.isnan(e[1:]) & ~np.isnan(e[:-1])
-        a, b = np.where(both, e[1:], 0.0), np.where(both, e[:-1], 0.0)
-        cross += (a * b).sum(axis=0)
-        square += 0.5 * (a**2 + b**2).sum(axis=0)
-    return np.clip(cross / square, 0.0, _MOST)
 
 
 def _bridged(error: Array, rho: float) -> Array:

@@ -13,7 +13,6 @@ from asia.data.trajectory import Array
 from asia.models._arrays import AnyArray, bounded, namespace, scan
 from asia.models._numerics.encoder import Encoder, fit_encoder
 from asia.models._numerics.records import (
-    Indices,
     ScaledData,
     ScaledTrajectory,
     past_length,
@@ -32,12 +31,9 @@ _ENOUGH = 0.1
 class Lags:
     """Orders of the regressors y[k-1] .. y[k-outputs] and u[k-delay] .. u[k-delay-inputs+1]."""
 
-    outputs: int
-    """Number of lagged outputs."""
-    inputs: int
-    """Number of lagged inputs."""
-    delay: int = 0
-    """Number of samples before the newest input."""
+    outputs: int  # Number of lagged outputs
+    inputs: int  # Number of lagged inputs
+    delay: int = 0  # Number of samples before the newest input
 
     @property
     def past_inputs(self) -> int:
@@ -65,44 +61,32 @@ def regressors(
     """Regressors and targets of a record.
 
     Samples that were not measured are left out, and those with such a lag too where enough are
-    left.
-
-    Args:
-        record: record in z-scores.
-        lags: orders.
-        first: first sample; default: the memory.
+    left. The first sample is that after the memory of the lags unless `first` is given.
 
     Returns:
         Regressors (N, outputs * ny + inputs * nu), outputs before inputs and the newest first, and
         targets (N, ny).
     """
     start = lags.memory if first is None else first
-    rows = _measured_rows(record, np.arange(start, len(record)), lags)
-    past = record.y[rows[:, None] - np.arange(1, lags.outputs + 1)].reshape(len(rows), -1)
+    rows, lagged = np.arange(start, len(record)), np.arange(1, lags.outputs + 1)
+    known = record.counts[rows] > 0
+    if not (known.all() or record.filled):
+        whole = known & (record.counts[rows[:, None] - lagged] > 0).all(axis=1)
+        known = whole if whole.sum() > _ENOUGH * len(rows) else known
+    rows = rows[known]
+    past = record.y[rows[:, None] - lagged].reshape(len(rows), -1)
     back = lags.delay + np.arange(lags.inputs)
     drive = record.u[rows[:, None] - back].reshape(len(rows), -1)
     return np.concatenate([past, drive], axis=1), record.y[rows]
-
-
-def _measured_rows(record: ScaledTrajectory, rows: Indices, lags: Lags) -> Indices:
-    known = record.counts[rows] > 0
-    if known.all() or record.filled:
-        return rows[known]
-    back = rows[:, None] - np.arange(1, lags.outputs + 1)
-    whole = known & (record.counts[back] > 0).all(axis=1)
-    return rows[whole if whole.sum() > _ENOUGH * len(rows) else known]
 
 
 @dataclass(frozen=True)
 class History:
     """Lags before the first simulated sample, from the past window."""
 
-    lags: Lags
-    """The lags of the model."""
-    missing_y: int
-    """Oldest lagged outputs that the window is too short for."""
-    missing_u: int
-    """Oldest lagged inputs that it is too short for."""
+    lags: Lags  # The lags of the model
+    missing_y: int  # Oldest lagged outputs that the window is too short for
+    missing_u: int  # Oldest lagged inputs that it is too short for
     encoder: Encoder | None
     """Regression of the missing lags on the window and the first input; without one the oldest
     known value is repeated."""
@@ -110,16 +94,8 @@ class History:
     def __call__(
         self, past_u: AnyArray, past_y: AnyArray, u: AnyArray
     ) -> tuple[AnyArray, AnyArray]:
-        """Lags before the first sample, the oldest first.
-
-        Args:
-            past_u: past inputs (B, n_past_u, nu).
-            past_y: past outputs (B, n_past_y, ny).
-            u: inputs (B, H, nu).
-
-        Returns:
-            Inputs (B, past_inputs, nu) and outputs (B, outputs, ny).
-        """
+        """Lags before the first sample, the oldest first: past_u (B, n_past_u, nu), past_y (B,
+        n_past_y, ny), u (B, H, nu) -> inputs (B, past_inputs, nu) and outputs (B, outputs, ny)."""
         xp = namespace(past_u, past_y, u)
         batch, nu, ny = len(u), u.shape[2], past_y.shape[2]
         known_u = past_u[:, past_u.shape[1] - (self.lags.past_inputs - self.missing_u) :]
@@ -142,12 +118,8 @@ def fit_history(
 ) -> History:
     """Fit the regression of the lags that the past window is too short for.
 
-    Args:
-        records: records in z-scores.
-        lags: orders.
-        context: context of the fit.
-        outputs: simulated outputs (T, ny) of each record, valid from the past window on, which
-            replace all lagged outputs; None uses the measured ones.
+    Simulated outputs (T, ny) of each record, valid from the past window on, replace all lagged
+    outputs; None uses the measured ones.
     """
     missing_u = max(0, lags.past_inputs - context.n_past_u)
     missing_y = max(0, lags.outputs - context.n_past_y)
@@ -185,10 +157,8 @@ def _features(past_u: AnyArray, past_y: AnyArray, first: AnyArray) -> AnyArray:
 class OutputRange:
     """Range that outputs in free run are clipped to, z-scored."""
 
-    low: Array
-    """(ny,)."""
-    high: Array
-    """(ny,)."""
+    low: Array  # (ny,)
+    high: Array  # (ny,)
 
     @classmethod
     def of(cls, records: ScaledData, margin: float) -> OutputRange:

@@ -21,14 +21,10 @@ from asia.models._arrays import AnyArray, namespace
 class Scaling:
     """Mean and standard deviation of each channel, in physical units."""
 
-    u_mean: Array
-    """(nu,)."""
-    u_std: Array
-    """(nu,), 1 for a constant channel."""
-    y_mean: Array
-    """(ny,)."""
-    y_std: Array
-    """(ny,), 1 for a constant channel."""
+    u_mean: Array  # (nu,)
+    u_std: Array  # (nu,), 1 for a constant channel
+    y_mean: Array  # (ny,)
+    y_std: Array  # (ny,), 1 for a constant channel
 
     @classmethod
     def of(cls, trajectories: Sequence[Trajectory]) -> Scaling:
@@ -58,7 +54,6 @@ def _spread(values: Array) -> Array:
 
 
 # Cuts of records, and padding of segments of unequal length to one array.
-
 
 Indices = NDArray[np.intp]
 
@@ -97,7 +92,6 @@ def side_by_side(segments: Sequence[Array], how: Literal["constant", "edge"] = "
 
 # Training records: z-scored, cut into past windows, padded to one shape.
 
-
 # Least share of measured past windows at which the others are left out.
 _ENOUGH = 0.1
 _SINGLE = np.float32
@@ -107,18 +101,12 @@ _SINGLE = np.float32
 class ScaledTrajectory:
     """Trajectory in z-scores."""
 
-    u: Array
-    """(T, nu), as they act."""
-    y: Array
-    """(T, ny)."""
-    weight: Array
-    """(T,), 0 where a sample does not count."""
-    measured_u: Array
-    """(T, nu), the inputs as past windows show them, where u is delayed."""
-    counts: Array
-    """(T,), 0 where an output was not measured; the `weight` of a whole fit."""
-    filled: bool = False
-    """Outputs that were not measured are those of a model."""
+    u: Array  # (T, nu), as they act
+    y: Array  # (T, ny)
+    weight: Array  # (T,), 0 where a sample does not count
+    measured_u: Array  # (T, nu), the inputs as past windows show them, where u is delayed
+    counts: Array  # (T,), 0 where an output was not measured; the `weight` of a whole fit
+    filled: bool = False  # Outputs that were not measured are those of a model
 
     def __len__(self) -> int:
         return len(self.u)
@@ -126,14 +114,8 @@ class ScaledTrajectory:
     def part(self, first: int, length: int) -> ScaledTrajectory:
         """Cut `length` samples from `first` on."""
         rows = slice(first, first + length)
-        return ScaledTrajectory(
-            self.u[rows],
-            self.y[rows],
-            self.weight[rows],
-            self.measured_u[rows],
-            self.counts[rows],
-            self.filled,
-        )
+        arrays = self.u, self.y, self.weight, self.measured_u, self.counts
+        return ScaledTrajectory(*(values[rows] for values in arrays), filled=self.filled)
 
     def with_delay(self, delay: int) -> ScaledTrajectory:
         """Delay the inputs of the record; the first input is held backwards."""
@@ -183,9 +165,8 @@ def scaled(trajectories: Sequence[Trajectory], scaling: Scaling) -> list[ScaledT
     measured."""
     found: list[ScaledTrajectory] = []
     for t in trajectories:
-        u, y = scaling.inputs(t.u), scaling.outputs(t.y)
-        counts = measured_samples(t)
-        found.append(ScaledTrajectory(u, y, counts, u, counts))
+        u, counts = scaling.inputs(t.u), measured_samples(t)
+        found.append(ScaledTrajectory(u, scaling.outputs(t.y), counts, u, counts))
     return found
 
 
@@ -279,8 +260,7 @@ def shortened(records: ScaledData, samples: int, shortest: int) -> list[ScaledTr
     """Cut the first part of each record, about `samples` in total.
 
     The fraction is the same for all, but no less than `shortest` samples where the record has them;
-    of
-    many records only some are used, spread over them.
+    of many records only some are used, spread over them.
     """
     if sum(len(r) for r in records) <= samples:
         return list(records)
@@ -319,20 +299,14 @@ def contiguous_splits(
 class PaddedBatch:
     """Trajectories padded to one length, in single precision, as networks are trained."""
 
-    window: AnyArray
-    """Past window of each (R, d)."""
-    u: AnyArray
-    """(R, T, nu)."""
-    y: AnyArray
-    """(R, T, ny)."""
-    weight: AnyArray
-    """(R, T), zero in the padding."""
-    lengths: tuple[int, ...]
-    """Samples of each, without the padding."""
+    window: AnyArray  # Past window of each (R, d)
+    u: AnyArray  # (R, T, nu)
+    y: AnyArray  # (R, T, ny)
+    weight: AnyArray  # (R, T), zero in the padding
+    lengths: tuple[int, ...]  # Samples of each, without the padding
     past_u: AnyArray
     """Inputs as past windows show them (R, n_past_u + T, nu): sample k's window begins at k."""
-    past_y: AnyArray
-    """Outputs likewise (R, n_past_y + T, ny)."""
+    past_y: AnyArray  # Outputs likewise (R, n_past_y + T, ny)
 
     def windows_at(self, record: Indices, sample: Indices) -> AnyArray:
         """Past windows (N, d) before samples (N,) of records (N,)."""
@@ -376,13 +350,8 @@ def _single(segments: Sequence[Array]) -> AnyArray:
 
 
 def delayed(past: Array, future: Array, delay: int) -> Array:
-    """Inputs (B, H, nu) that act during the simulation.
-
-    Args:
-        past: measured past inputs (B, n_past_u, nu); before the first one it is held backwards.
-        future: inputs (B, H, nu).
-        delay: in samples.
-    """
+    """Inputs (B, H, nu) that act during the simulation, `delay` samples after the future ones;
+    before the first of the past inputs (B, n_past_u, nu) that is held backwards."""
     known = np.concatenate([past, future], axis=1)
     rows = np.arange(past.shape[1], known.shape[1]) - delay
     return known[:, np.maximum(rows, 0)]
@@ -391,23 +360,14 @@ def delayed(past: Array, future: Array, delay: int) -> Array:
 def delayed_inputs(
     scaling: Scaling, delay: int, past: Array, u: Array, first: int, stop: int
 ) -> Array:
-    """Scaled inputs (B, stop - first, nu) that act from sample `first` on.
-
-    Args:
-        scaling: scaling of the signals.
-        delay: in samples.
-        past: past inputs (B, n_past_u, nu) in physical units.
-        u: inputs (B, H, nu) in physical units.
-        first: first sample.
-        stop: sample after the last.
-    """
+    """Scaled inputs (B, stop - first, nu) that act from sample `first` on; past inputs (B,
+    n_past_u, nu) and inputs u (B, H, nu) are in physical units."""
     begin = max(first - delay, 0)
     known, part = scaling.inputs(past), scaling.inputs(u[:, begin:stop])
     return delayed(known, part, delay)[:, first - begin :]
 
 
 # Training windows: segments of the protocol's horizon, each with its own past window.
-
 
 # Greatest number of segments from one record: few long ones, so that slow modes show.
 _MOST_SEGMENTS = 4
@@ -416,14 +376,10 @@ _MOST_SEGMENTS = 4
 class HorizonWindows(NamedTuple):
     """Windows side by side, z-scored; JAX reads it as a tree of its arrays."""
 
-    features: Any
-    """Past windows, flattened (W, d)."""
-    u: Any
-    """Inputs after them (W, H, nu)."""
-    y: Any
-    """Outputs after them (W, H, ny)."""
-    weight: Any = None
-    """(W, H), 0 where an output was not measured; None where all samples count."""
+    features: Any  # Past windows, flattened (W, d)
+    u: Any  # Inputs after them (W, H, nu)
+    y: Any  # Outputs after them (W, H, ny)
+    weight: Any = None  # (W, H), 0 where an output was not measured; None where all samples count
 
     def each(self, change: Callable[[Any], Any]) -> HorizonWindows:
         """Apply a function to every array."""
@@ -439,10 +395,7 @@ def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWind
     usable = [r for r in records if len(r) - past >= horizon]
     places = [len(r) - past - horizon + 1 for r in usable]
     stride = max(1, -(-sum(places) // max(most, 1)))
-    features: list[Array] = []
-    u: list[Array] = []
-    y: list[Array] = []
-    counts: list[Array] = []
+    features, u, y, counts = list[Array](), list[Array](), list[Array](), list[Array]()
     for r, count in zip(usable, places, strict=True):
         starts = np.arange((count - 1) % stride // 2, count, stride)
         simulated = rows(past + starts, horizon)
@@ -488,8 +441,7 @@ def stretches(records: ScaledData, samples: int, shortest: int) -> list[ScaledTr
 
     These are the records themselves where they hold no more, else segments of at least `shortest`
     samples (where a record has them), evenly spread over each record, of very many records only
-    over
-    some.
+    over some.
     """
     total = sum(len(r) for r in records)
     if total <= samples:

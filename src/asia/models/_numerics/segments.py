@@ -28,7 +28,6 @@ from asia.models._numerics.records import (
 # With a horizon they are windows of that length, as the model will be evaluated; without one they
 # are whole records.
 
-
 # Longest segment in samples. Longer records are cut and their segments simulated side by side: the
 # time of a loop grows with its length.
 _LONGEST = 4000
@@ -39,16 +38,11 @@ _MOST_SAMPLES = 40_000
 class Stretches:
     """Segments side by side, z-scored, padded with zeros where the weight is zero."""
 
-    past_u: Array
-    """Inputs before each (S, n_past_u, nu)."""
-    past_y: Array
-    """Outputs before each (S, n_past_y, ny)."""
-    u: Array
-    """(S, H, nu)."""
-    y: Array
-    """(S, H, ny)."""
-    weight: Array
-    """(S, H)."""
+    past_u: Array  # Inputs before each (S, n_past_u, nu)
+    past_y: Array  # Outputs before each (S, n_past_y, ny)
+    u: Array  # (S, H, nu)
+    y: Array  # (S, H, ny)
+    weight: Array  # (S, H)
 
     def __len__(self) -> int:
         return len(self.u)
@@ -65,13 +59,8 @@ class ScaledSimulator(Protocol):
 def segments(
     records: ScaledData, context: Context, samples: int = _MOST_SAMPLES
 ) -> Stretches | None:
-    """Segments of the records after their past windows, about `samples` in total.
-
-    They are evenly spread where there are more.
-
-    Returns:
-        None where every record is too short for one.
-    """
+    """Segments of the records after their past windows, about `samples` in total, evenly spread
+    where there are more; None where every record is too short for one."""
     past = past_length(context)
     places = [(r, first) for r in records for first in _firsts(len(r), past, context.horizon)]
     if not places:
@@ -105,19 +94,11 @@ def left_out_error(
     fit: Callable[[ScaledData], Sequence[ScaledSimulator]],
     shortest: int,
 ) -> Array:
-    """Mean over splits of the log of the mean squared simulation error on the samples left out.
+    """Mean over splits of the log of the mean squared simulation error on the samples left out, for
+    each of the simulators that `fit` makes from the kept samples; infinite where one diverges.
 
     Whole records are left out when there are at least three, else segments of them of at least
     `shortest` samples.
-
-    Args:
-        records: records in z-scores.
-        context: context of the fit.
-        fit: makes simulators from the kept samples.
-        shortest: least samples of a segment.
-
-    Returns:
-        One number for each simulator; infinite where one diverges.
     """
     logs: list[list[float]] = []
     for kept, left in contiguous_splits(records, 3, shortest):
@@ -157,33 +138,22 @@ def _firsts(length: int, past: int, horizon: int | None) -> list[int]:
 class Simulations(NamedTuple):
     """Simulations to compare with measurements."""
 
-    window: AnyArray
-    """Past window of each (B, d)."""
-    u: AnyArray
-    """(B, T, nu)."""
-    y: AnyArray
-    """Measured outputs (B, T, ny)."""
-    weight: AnyArray
-    """(B, T), 0 where a sample does not count."""
+    window: AnyArray  # Past window of each (B, d)
+    u: AnyArray  # (B, T, nu)
+    y: AnyArray  # Measured outputs (B, T, ny)
+    weight: AnyArray  # (B, T), 0 where a sample does not count
 
 
 class Places(NamedTuple):
     """Trajectories, and the permitted starts of chunks in them."""
 
-    u: AnyArray
-    """(R, T, nu)."""
-    y: AnyArray
-    """(R, T, ny)."""
-    weight: AnyArray
-    """(R, T)."""
-    past_u: AnyArray
-    """(R, n_past_u + T, nu), see `PaddedBatch`."""
-    past_y: AnyArray
-    """(R, n_past_y + T, ny)."""
-    ends: AnyArray
-    """Number of starts in each record and those before it (R,)."""
-    moves: AnyArray
-    """(R,), 0 where all starts of a record are its first sample, else 1."""
+    u: AnyArray  # (R, T, nu)
+    y: AnyArray  # (R, T, ny)
+    weight: AnyArray  # (R, T)
+    past_u: AnyArray  # (R, n_past_u + T, nu), see `PaddedBatch`
+    past_y: AnyArray  # (R, n_past_y + T, ny)
+    ends: AnyArray  # Number of starts in each record and those before it (R,)
+    moves: AnyArray  # (R,), 0 where all starts of a record are its first sample, else 1
     share: AnyArray | None = None
     """Probability (S,) that a chunk starts at one of the starts up to each; None: uniform."""
 
@@ -220,14 +190,8 @@ def laid(batch: PaddedBatch, length: int, overlap: bool = True) -> Simulations:
 
 def tracks(batch: PaddedBatch, length: int, count: int | None, washout: int) -> Simulations:
     """Cut long segments to be read side by side in chunks of `length` samples: T is a multiple of
-    it.
-
-    Args:
-        batch: records.
-        length: samples of a chunk.
-        count: number of segments of equal length, approximately; None: one a record.
-        washout: samples before the loss counts.
-    """
+    it. There are about `count` segments of equal length (None: one a record); the loss counts after
+    `washout` samples."""
     longest = batch.u.shape[1]
     if count is not None:
         longest = min(longest, -(-sum(batch.lengths) // count))
@@ -270,14 +234,8 @@ def gently(p: Places, length: int, power: float) -> Places:
 
 
 def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> Simulations:
-    """Draw chunks with JAX.
-
-    Args:
-        p: records and permitted starts.
-        length: samples of a chunk.
-        count: number of chunks; None: as many as cover the records once, but at most 128.
-        key: random key of JAX.
-    """
+    """Draw `count` chunks of `length` samples with JAX; None: as many as cover the records once,
+    but at most 128."""
     import jax
 
     length = min(length, p.u.shape[1])

@@ -24,10 +24,8 @@ SimulateWindows = Callable[[Array, Array, Array], Array]
 class SignalTransformations:
     """Group of the symmetries that map inputs to inputs and outputs to outputs, identity first."""
 
-    inputs: Array
-    """Transformations of the inputs (G, nu, nu), signed permutations."""
-    outputs: Array
-    """Transformations of the outputs (G, ny, ny)."""
+    inputs: Array  # Transformations of the inputs (G, nu, nu), signed permutations
+    outputs: Array  # Transformations of the outputs (G, ny, ny)
 
     @classmethod
     def of(cls, context: Context) -> SignalTransformations:
@@ -112,13 +110,11 @@ def _turned(missing: Mask | None, turn: Array) -> Mask | None:
 class TransformedRecords:
     """Records of a fit, with their transformations by symmetries of the system."""
 
-    records: ScaledData
-    """Records as measured, for choices by held-out parts."""
+    records: ScaledData  # Records as measured, for choices by held-out parts
     scaling: Scaling
     """Scaling: the same for signals that a symmetry exchanges, and about zero for one that it
     negates."""
-    turns: SignalTransformations | None
-    """Symmetries; None: none."""
+    turns: SignalTransformations | None  # Symmetries; None: none
 
     @classmethod
     def of(

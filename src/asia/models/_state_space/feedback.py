@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +30,6 @@ from asia.models._state_space.training import fit_segments
 # functions and the places where they act follow by least squares, so that many regressors can be
 # evaluated.
 
-
 # Samples for the evaluation of regressors, random signals tried, best ones varied, and the size of
 # the variation in each round.
 _EVALUATED, _DRAWN, _KEPT, _ROUNDS, _VARIED = 3000, 80, 4, (0.5, 0.25, 0.12), 10
@@ -49,31 +49,21 @@ RANK = 1e-7
 class Reading(NamedTuple):
     """Regressors of the functions, with the error that they leave."""
 
-    directions: Array
-    """(n + nu, m)."""
-    observed: bool
-    """The states are the observer's."""
-    error: float
-    """Mean squared error that remains."""
+    directions: Array  # (n + nu, m)
+    observed: bool  # The states are the observer's
+    error: float  # Mean squared error that remains
 
 
 class PreparedRecord(NamedTuple):
     """Record prepared for the evaluation of regressors."""
 
-    x0: Array
-    """Initial state (n,) of the linear model."""
-    u: Array
-    """(T, nu)."""
-    states: tuple[Array, Array]
-    """(T, n), by the linear model and by the observer."""
-    residual: Array
-    """Residual (T, ny) of the linear model."""
-    terms: Array
-    """Effects (T ny, p) of B, D, the offset and the initial state; see `_linear_terms`."""
-    basis: Array
-    """Orthonormal basis (T ny, q) of `terms`."""
-    weight: Array
-    """(T,)."""
+    x0: Array  # Initial state (n,) of the linear model
+    u: Array  # (T, nu)
+    states: tuple[Array, Array]  # (T, n), by the linear model and by the observer
+    residual: Array  # Residual (T, ny) of the linear model
+    terms: Array  # Effects (T ny, p) of B, D, the offset and the initial state; see `_linear_terms`
+    basis: Array  # Orthonormal basis (T ny, q) of `terms`
+    weight: Array  # (T,)
 
     def read(self, directions: Array, observed: bool) -> Array:
         """Signals (T, m) in directions (n - integrators + nu, m)."""
@@ -83,20 +73,20 @@ class PreparedRecord(NamedTuple):
 
 def prepared_records(records: ScaledData, found: LinearFit) -> list[PreparedRecord]:
     """Prepare the first samples of each record."""
-    each = max(_EVALUATED // len(records), 200)
-    return [
-        _record(found.system, x0, r.part(0, min(each, len(r))))
-        for r, x0 in zip(records, found.x0, strict=True)
-    ][: max(_EVALUATED // 200, 1)]
-
-
-def _record(system: LinearSystem, x0: Array, record: ScaledTrajectory) -> PreparedRecord:
-    states, outputs = (found[0] for found in system.simulate(x0[None], record.u[None]))
-    residual = (record.y - outputs) * record.weight[:, None]
-    observed = _observed(system, x0, record, float(np.mean(residual**2)))
-    terms = _linear_terms(system, record)
-    basis = orthonormal(terms)
-    return PreparedRecord(x0, record.u, (states, observed), residual, terms, basis, record.weight)
+    each, system = max(_EVALUATED // len(records), 200), found.system
+    some = list(zip(records, found.x0, strict=True))[: max(_EVALUATED // 200, 1)]
+    prepared: list[PreparedRecord] = []
+    for record, x0 in some:
+        r = record.part(0, min(each, len(record)))
+        states, outputs = (part[0] for part in system.simulate(x0[None], r.u[None]))
+        residual = (r.y - outputs) * r.weight[:, None]
+        observed = _observed(system, x0, r, float(np.mean(residual**2)))
+        terms = _linear_terms(system, r)
+        basis = orthonormal(terms)
+        prepared.append(
+            PreparedRecord(x0, r.u, (states, observed), residual, terms, basis, r.weight)
+        )
+    return prepared
 
 
 def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: float) -> Array:
@@ -169,7 +159,7 @@ class RegressorSearch:
 
     def best(self, count: int, observed: bool) -> list[Reading]:
         """Best regressors that differ from each other, the least error first."""
-        pool = self.evaluated([(d, observed) for d in [*self._known(), *self._random()]])
+        pool = self.evaluated([(d, observed) for d in self._known()])
         for size in _ROUNDS:
             pool.sort(key=lambda r: r.error)
             kept = self._different(pool, _KEPT)
@@ -181,20 +171,24 @@ class RegressorSearch:
         return self._different(pool, count)
 
     def _known(self) -> list[Array]:
-        """Directions that systems often have: inputs, outputs, and those that change an output."""
+        """Directions that systems often have (inputs, outputs, and those that change an output),
+        and random ones."""
         n, nu, s = self.structure.order, self.structure.nu, self.system
         change = np.hstack([s.c @ (s.a - np.eye(n)), s.c @ s.b])
         rows = np.vstack([np.eye(n + nu), np.hstack([s.c, s.d]), change])
         rows = np.delete(rows, range(self.free, n), axis=1)
         rows = rows[np.abs(rows).sum(axis=1) > 0]
         if self.m == 1:
-            return [row[:, None] for row in rows]
-        pairs = [self.rng.choice(len(rows), self.m, replace=False) for _ in range(3 * len(rows))]
-        return [rows[p].T for p in pairs]
-
-    def _random(self) -> list[Array]:
-        size = (self.free + self.structure.nu, self.m)
-        return [self.rng.standard_normal(size) / self._sizes()[:, None] for _ in range(_DRAWN)]
+            found = [row[:, None] for row in rows]
+        else:
+            pairs = [
+                self.rng.choice(len(rows), self.m, replace=False) for _ in range(3 * len(rows))
+            ]
+            found = [rows[p].T for p in pairs]
+        size = (self.free + nu, self.m)
+        return found + [
+            self.rng.standard_normal(size) / self._sizes()[:, None] for _ in range(_DRAWN)
+        ]
 
     def _sizes(self) -> Array:
         states = np.concatenate([r.states[0][:, : self.free] for r in self.records])
@@ -229,12 +223,12 @@ class RegressorSearch:
         batch = int(np.clip(_NUMBERS / each, 1, _BATCH))
         for first in range(0, len(candidates), batch):
             part: list[tuple[Array, bool, dict[str, Array]]] = []
-            for d, o in candidates[first : first + batch]:
-                scaled = self._scaled(d, o)
-                if scaled is not None:
-                    part.append((scaled, o, self.layer(scaled, o)))
-            grams = self.normal([(d, o, layer) for d, o, layer in part]) if part else []
-            for (d, o, _), (gram, rhs, power) in zip(part, grams, strict=True):
+            for directions, observed in candidates[first : first + batch]:
+                size = self._read(directions, observed).std(axis=0)
+                if (size >= 1e-9).all() and np.isfinite(size).all():
+                    scaled = directions / size
+                    part.append((scaled, observed, self.layer(scaled, observed)))
+            for (d, o, _), (gram, rhs, power) in zip(part, self.normal(part), strict=True):
                 weights = np.linalg.solve(gram, rhs)
                 found.append(Reading(d, o, power - float(rhs @ weights)))
         return [r for r in found if np.isfinite(r.error)]
@@ -242,12 +236,6 @@ class RegressorSearch:
     def _read(self, directions: Array, observed: bool) -> Array:
         """Signals (T, m) of all records."""
         return np.concatenate([r.read(directions, observed) for r in self.records])
-
-    def _scaled(self, directions: Array, observed: bool) -> Array | None:
-        """Scale the directions so that each signal has unit size; None where that is impossible."""
-        z = self._read(directions, observed)
-        size = z.std(axis=0)
-        return None if (size < 1e-9).any() or not np.isfinite(size).all() else directions / size
 
     def layer(self, directions: Array, observed: bool) -> dict[str, Array]:
         """Weights w1 (m, h) and b1 (h,) of units that cover the range of the signals."""
@@ -265,12 +253,10 @@ class RegressorSearch:
     def normal(
         self, candidates: Sequence[tuple[Array, bool, dict[str, Array]]]
     ) -> list[tuple[Array, Array, float]]:
-        """Normal equations of each set of regressors.
-
-        Returns:
-            Gram matrix (h (n + ny), ...) with ridge, right-hand side and the mean square of the
-            residual to explain.
-        """
+        """Normal equations of each set of regressors: Gram matrix (h (n + ny), ...) with ridge,
+        right-hand side and the mean square of the residual to explain."""
+        if not candidates:
+            return []
         h, n_act = self.structure.hidden, self.structure.order + self.structure.ny
         size = h * n_act
         grams = [np.zeros((size, size)) for _ in candidates]
@@ -304,7 +290,6 @@ class RegressorSearch:
 # model identification with the best linear approximation, IFAC 2020; Floren, Noel and Swevers,
 # Inference and learning of nonlinear LFR state-space models, arXiv 2503.14409.
 
-
 _ALTERNATIONS = 15
 # Shares of the functions that are tried.
 _SCALES = (1.0, 0.5, 0.2)
@@ -319,20 +304,16 @@ def feedback_starts(
 ) -> list[dict[str, Any]]:
     """Find up to `count` starting points whose functions read different signals, the best first."""
     search = RegressorSearch(structure, found.system, prepared_records(records, found), rng)
-    starts = _Starts(search)
+    starts, by_error = _Starts(search), itemgetter(0)
     # Signals read from the observer explain an output by itself, so starts with both kinds of
     # states are simulated and compared.
     each = [
-        sorted((starts.start(r) for r in search.best(count, observed)), key=_by_error)
+        sorted((starts.start(r) for r in search.best(count, observed)), key=by_error)
         for observed in (False, True)
     ]
-    first = sorted((some[0] for some in each if some), key=_by_error)
-    later = sorted((one for some in each for one in some[1:]), key=_by_error)
+    first = sorted((some[0] for some in each if some), key=by_error)
+    later = sorted((one for some in each for one in some[1:]), key=by_error)
     return [params for _, params in [*first, *later][:count]]
-
-
-def _by_error(start: tuple[float, dict[str, Any]]) -> float:
-    return start[0]
 
 
 class _Starts:
@@ -343,11 +324,7 @@ class _Starts:
 
     def start(self, regressors: Reading) -> tuple[float, dict[str, Any]]:
         """Make a starting point: the share of the functions that simulates best, with its linear
-        terms.
-
-        Returns:
-            The error of its simulation, and its parameters.
-        """
+        terms; return the error of its simulation, and its parameters."""
         layer = self.search.layer(regressors.directions, regressors.observed)
         ((gram, rhs, _),) = self.search.normal(
             [(regressors.directions, regressors.observed, layer)]
@@ -359,7 +336,7 @@ class _Starts:
             params = self.structure.start(moved, self.search.rng)
             params |= {"read": regressors.directions, "act": act, "f": {**layer, "w2": scale * w2}}
             found.append((self._error(params), params))
-        return min(found, key=lambda one: one[0])
+        return min(found, key=itemgetter(0))
 
     def _moved(self, regressors: Reading, layer: dict[str, Array], theta: Array) -> LinearSystem:
         """Linear system that goes with functions of weights theta (h, n + ny)."""
@@ -374,12 +351,8 @@ class _Starts:
             both = responses(s, units @ theta)
             # Signal i acts only on state or output i.
             explained = np.einsum("tyii->ty", both) * r.weight[:, None]
-            rest, terms, start = (
-                (r.residual - explained).ravel(),
-                r.terms[:, :some],
-                r.terms[:, some:],
-            )
-            start = orthonormal(start)
+            rest, start = (r.residual - explained).ravel(), orthonormal(r.terms[:, some:])
+            terms = r.terms[:, :some]
             terms = terms - start @ (start.T @ terms)
             gram, side = gram + terms.T @ terms, side + terms.T @ rest
         found = np.linalg.lstsq(gram, side, rcond=RANK)[0]
@@ -431,7 +404,6 @@ class _Starts:
 
 # Fits of linear systems with static functions in feedback, from several linear models.
 
-
 _LINEAR, _FUNCTIONS = ("a", "b", "c", "d", "offset"), ("f", "read", "act")
 # Share of the iterations that every start gets, and number of starts that are continued.
 _TRIED, _GO_ON = 0.25, 2
@@ -440,32 +412,22 @@ _TRIED, _GO_ON = 0.25, 2
 class LinearCore(NamedTuple):
     """Linear model that fits begin with."""
 
-    found: LinearFit
-    """Fitted model."""
-    delay: int
-    """Delay of its inputs, in samples."""
-    records: ScaledData
-    """Records of its fit, inputs delayed."""
+    found: LinearFit  # Fitted model
+    delay: int  # Delay of its inputs, in samples
+    records: ScaledData  # Records of its fit, inputs delayed
 
 
 @dataclass(frozen=True)
 class FeedbackOptions:
     """Options of the fits, apart from the method."""
 
-    channels: int
-    """Number of signals that the functions read, and of those that they give."""
-    hidden: int
-    """Number of tanh units."""
-    ridge: float
-    """Ridge of the functions."""
-    linear_ridge: float
-    """Ridge of the linear system."""
-    encoder: int
-    """Number of tanh units of the map from past windows to states."""
-    integrators: int
-    """Number of states whose pole is held at 1."""
-    pieces: bool
-    """Begin the fits with short segments of the records."""
+    channels: int  # Number of signals that the functions read, and of those that they give
+    hidden: int  # Number of tanh units
+    ridge: float  # Ridge of the functions
+    linear_ridge: float  # Ridge of the linear system
+    encoder: int  # Number of tanh units of the map from past windows to states
+    integrators: int  # Number of states whose pole is held at 1
+    pieces: bool  # Begin the fits with short segments of the records
 
 
 class _Fit(NamedTuple):
@@ -475,8 +437,7 @@ class _Fit(NamedTuple):
     structure: StateSpaceStructure
     start: dict[str, object]
     now: StateFit
-    expected_error: float
-    """Final prediction error: estimate of the error on new records."""
+    expected_error: float  # Final prediction error: estimate of the error on new records
 
 
 def fit_feedback(
@@ -491,7 +452,11 @@ def fit_feedback(
     tried = sorted(
         (one for core in cores for one in fits.begun(core)), key=lambda t: t.expected_error
     )
-    best = min((fits.ended(one) for one in tried[:_GO_ON]), key=lambda t: t.expected_error)
+    ended = (
+        fits.fitted(one.core, one.structure, one.start, one.now, fits.rest)
+        for one in tried[:_GO_ON]
+    )
+    best = min(ended, key=lambda t: t.expected_error)
     each = best.structure, best.now, best.core.records, context, options.encoder
     if window_samples(context):
         encoder, how = past_fit(*each)
@@ -515,7 +480,11 @@ class _Fits:
 
     def begun(self, core: LinearCore) -> list[_Fit]:
         """Run the first iterations from each start."""
-        structure = self._structure(core)
+        o, order = self.options, core.found.system.order
+        structure = StateSpaceStructure(
+            order, self.context.nu, self.context.ny, "state", "tanh", o.hidden, 2, o.channels,
+            integrators=o.integrators,
+        )  # fmt: skip
         rng = np.random.default_rng(self.context.seed)
         starts = feedback_starts(structure, core.found, core.records, self.method.starts, rng)
         begin = [StateFit(core.found.x0, start, np.inf, np.zeros(0)) for start in starts]
@@ -525,25 +494,14 @@ class _Fits:
                 self._ridges(core), self.first, self.context.log, self.context.sampling_time,
             )  # fmt: skip
         both = zip(starts, begin, strict=True)
-        return [self._fitted(core, structure, s, b, self.first) for s, b in both]
-
-    def ended(self, one: _Fit) -> _Fit:
-        """Run the remaining iterations."""
-        return self._fitted(one.core, one.structure, one.start, one.now, self.rest)
-
-    def _structure(self, core: LinearCore) -> StateSpaceStructure:
-        o, order = self.options, core.found.system.order
-        nu, ny = self.context.nu, self.context.ny
-        return StateSpaceStructure(
-            order, nu, ny, "state", "tanh", o.hidden, 2, o.channels, integrators=o.integrators
-        )
+        return [self.fitted(core, structure, s, b, self.first) for s, b in both]
 
     def _ridges(self, core: LinearCore) -> dict[str, float]:
         ridge = dict.fromkeys(_LINEAR, self.options.linear_ridge)
         ridge |= dict.fromkeys(_FUNCTIONS, self.options.ridge)
         return {**ridge, "x0": core.found.error / sum(len(r) for r in core.records)}
 
-    def _fitted(
+    def fitted(
         self,
         core: LinearCore,
         structure: StateSpaceStructure,

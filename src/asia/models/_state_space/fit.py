@@ -5,7 +5,7 @@ Fits go from several starts, and the noise is estimated between them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -26,21 +26,17 @@ from asia.models._noise.model import (
 )
 from asia.models._numerics.encoder import Encoder, window_encoder
 from asia.models._numerics.records import ScaledData, past_length, side_by_side
-from asia.models._state_space.programs import CompiledEquations, StateSamples, Watch, chunked
+from asia.models._state_space.programs import CompiledEquations, StateSamples, chunked
 from asia.models._state_space.structure import StateSpaceStructure
 
 
 class StateFit(NamedTuple):
     """Fit from one start."""
 
-    x0: Array
-    """Initial states (R, n)."""
-    params: dict[str, Any]
-    """Parameters as the structure reads them."""
-    cost: float
-    """Mean squared error and ridge."""
-    history: Array
-    """Root of the cost by iteration."""
+    x0: Array  # Initial states (R, n)
+    params: dict[str, Any]  # Parameters as the structure reads them
+    cost: float  # Mean squared error and ridge
+    history: Array  # Root of the cost by iteration
 
 
 def of_records(records: ScaledData, x0: Array) -> StateSamples:
@@ -64,7 +60,8 @@ def fit_states(
 ) -> list[StateFit]:
     """Fit from each start, the least cost first.
 
-    With a noise model all fits are continued after each estimate from the best fit's residuals.
+    With a noise model all fits are continued after each estimate from the best fit's residuals. The
+    log receives iteration and the root of the least cost so far, over all starts.
 
     Args:
         structure: equations of the model.
@@ -72,14 +69,17 @@ def fit_states(
         samples: records or segments.
         ridge: ridge of each top-level parameter name and of "x0".
         method: settings.
-        log: receives iteration and the root of the least cost so far, over all starts.
+        log: progress.
         sampling_time: in s.
         begin: parameters that the fits begin with; None: the starts.
         x0: initial states that the fits begin with; None: those of `samples`.
     """
     trees = [start if samples.known else {**start, "x0": samples.x0} for start in starts]
     runs = _Runs(structure, trees, samples, ridge, method, log)
-    results = runs.fitted(_begun(trees, begin, x0), None)
+    first = [{**tree, **params} for tree, params in zip(trees, begin or trees, strict=True)]
+    if x0 is not None:
+        first = [{**tree, "x0": states} for tree, states in zip(first, x0, strict=True)]
+    results = runs.fitted(first, None)
     choice, noise = NoiseChoice.of(method), None
     for _ in range(0 if choice is None else NOISE_ROUNDS):
         assert choice is not None
@@ -94,17 +94,6 @@ def fit_states(
         found = [r.params if samples.known else {**r.params, "x0": r.x0} for r in results]
         results = runs.fitted(found, weighting)
     return sorted(results, key=lambda r: r.cost)
-
-
-def _begun(
-    trees: Sequence[dict[str, Any]],
-    begin: Sequence[dict[str, Any]] | None,
-    x0: Sequence[Array] | None,
-) -> list[dict[str, Any]]:
-    found = [{**tree, **params} for tree, params in zip(trees, begin or trees, strict=True)]
-    if x0 is None:
-        return found
-    return [{**tree, "x0": states} for tree, states in zip(found, x0, strict=True)]
 
 
 class _Runs(NamedTuple):
@@ -129,7 +118,12 @@ class _Runs(NamedTuple):
             }
             rest, packing = packed(origin, np.float64), Packing.of(origin)
             data = chunked(self.samples, self.structure, packed(pull, np.float64), rest, weighting)
-            watch = _logged(self.log, i * self.method.iterations, lowest)
+
+            def watch(done: int, cost: float, i: int = i, lowest: float = lowest) -> None:
+                if np.isfinite(cost):
+                    count = i * self.method.iterations + done
+                    self.log(float(count), float(np.sqrt(min(lowest, cost))))
+
             equations = CompiledEquations(self.structure, packing, data, watch)
             theta = packed(start, np.float64)
             found = minimise(equations.costs, equations.normal, theta[None], self.method)
@@ -141,16 +135,6 @@ class _Runs(NamedTuple):
         return results
 
 
-def _logged(log: Progress, count: int, lowest: float) -> Watch:
-    """Log of the root of the least cost so far, by iterations counted from `count`."""
-
-    def watch(done: int, cost: float) -> None:
-        if np.isfinite(cost):
-            log(float(count + done), float(np.sqrt(min(lowest, cost))))
-
-    return watch
-
-
 def state_encoder(
     structure: StateSpaceStructure,
     fit: StateFit,
@@ -159,14 +143,10 @@ def state_encoder(
     hidden: int,
 ) -> Encoder:
     """Map from the past window to the state, from the fitted model's own states on the records."""
-
-    def states_of(i: int) -> Iterator[Array]:
-        yield states[i]
-
     states = [
         structure.simulate(fit.params, fit.x0[i, None], r.u[None])[0][0]
         if len(r) > past_length(context)
         else np.zeros((0, structure.size))
         for i, r in enumerate(records)
     ]
-    return window_encoder(records, states_of, context, hidden, context.seed)
+    return window_encoder(records, lambda i: iter([states[i]]), context, hidden, context.seed)

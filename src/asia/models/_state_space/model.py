@@ -24,7 +24,7 @@ from asia.models._least_squares import (
 from asia.models._linear.fit import LinearFit, Refinement, refine
 from asia.models._linear.system import LinearSystem
 from asia.models._networks.network import outputs_of
-from asia.models._networks.structure import Cell
+from asia.models._networks.structure import Cell, cast_tree
 from asia.models._numerics.encoder import Encoder, affine, fit_encoder
 from asia.models._numerics.records import (
     ScaledData,
@@ -52,7 +52,6 @@ if TYPE_CHECKING:
 # probability, by Gauss-Newton steps, with the errors of map and model on the training records as
 # deviations.
 
-
 _DIFFERENCE = 1e-5
 # Least deviations, of a state relative to its spread and of an output in z-scores.
 _LEAST_STATE, _LEAST_OUTPUT = 1e-3, 1e-4
@@ -64,12 +63,9 @@ _SCHEDULE = DampingSchedule((1.0,), 0.2, 10.0, 0.0, float("inf"), retries=False)
 class PastFit:
     """Settings of the fit of a state to the past window."""
 
-    samples: int
-    """Number of last samples of the window that are used."""
-    x_deviation: Array
-    """Deviation (n,) of the state that the map predicts before these samples."""
-    y_deviation: Array
-    """Deviation (ny,) of the model's output."""
+    samples: int  # Number of last samples of the window that are used
+    x_deviation: Array  # Deviation (n,) of the state that the map predicts before these samples
+    y_deviation: Array  # Deviation (ny,) of the model's output
 
 
 def window_samples(context: Context) -> int:
@@ -97,13 +93,10 @@ def past_fit(
     encoder = fit_encoder(features, states, hidden, context.seed)
     left = np.concatenate([encoder(f) - x for f, x in zip(features, states, strict=True)])
     spread = np.concatenate(states).std(axis=0)
-    x_deviation = np.maximum(_rms(left), np.maximum(_LEAST_STATE * spread, 1e-9))
-    y_deviation = np.maximum(_rms(np.concatenate(errors)), _LEAST_OUTPUT)
+    error, apart = (np.sqrt((v**2).mean(axis=0)) for v in (left, np.concatenate(errors)))
+    x_deviation = np.maximum(error, np.maximum(_LEAST_STATE * spread, 1e-9))
+    y_deviation = np.maximum(apart, _LEAST_OUTPUT)
     return encoder, PastFit(back, x_deviation, y_deviation)
-
-
-def _rms(values: Array) -> Array:
-    return np.sqrt((values**2).mean(axis=0))
 
 
 def fitted_state(
@@ -116,16 +109,9 @@ def fitted_state(
 ) -> AnyArray:
     """Fit the state of each window separately; NumPy or JAX.
 
-    Args:
-        structure: equations of the model.
-        params: parameters.
-        how: settings.
-        guess: guess (B, n) of the state at the first of `how.samples` samples.
-        u: z-scored inputs (B, samples + 1, nu).
-        y: z-scored outputs (B, samples, ny).
-
-    Returns:
-        The state (B, n) after the samples.
+    The guess (B, n) is that of the state at the first of `how.samples` samples; inputs u (B,
+    samples + 1, nu) and outputs y (B, samples, ny) are z-scored. Return the state (B, n) after the
+    samples.
     """
     xp, (batch, n) = namespace(guess, u, y), guess.shape
     ways = _DIFFERENCE * np.concatenate([np.zeros((1, n)), np.diag(how.x_deviation)])
@@ -166,15 +152,12 @@ def fitted_state(
 class FittedStateSpace:
     """Result of training a neural state-space model."""
 
-    structure: StateSpaceStructure
-    """Equations of the model."""
+    structure: StateSpaceStructure  # Equations of the model
     members: tuple[tuple[dict[str, Any], Encoder], ...]
     """Parameters as `StateSpaceStructure` reads them, in z-scores, and the map from the past
     window to the initial state."""
-    delay: int
-    """Delay of the inputs, in samples."""
-    scaling: Scaling
-    """Scaling from physical units to z-scores."""
+    delay: int  # Delay of the inputs, in samples
+    scaling: Scaling  # Scaling from physical units to z-scores
     turns: SignalTransformations | None = None
     """Symmetries over which simulations are averaged; None: none."""
     starts: tuple[PastFit, ...] = ()
@@ -186,7 +169,10 @@ class FittedStateSpace:
         """Simulate in physical units: past_u (B, n_past_u, nu), past_y (B, n_past_y, ny), u (B,
         H, nu) -> (B, H, ny)."""
         if self.transport is not None:
-            past_u, u = carried_windows(self.transport, past_u, u)
+            # Inputs at the outlet of the pipe, with the pace as an additional input.
+            known, past = np.concatenate([past_u, u], axis=1), past_u.shape[1]
+            leaving = np.stack([self.transport.carried(one) for one in known])
+            past_u, u = leaving[:, :past], leaving[:, past:]
         if self.turns is None:
             return self._simulated(past_u, past_y, u)
         return self.turns.averaged(self._simulated, past_u, past_y, u)
@@ -222,13 +208,8 @@ class FittedStateSpace:
         return (after, line), self.scaling.physical(median(outputs))
 
     def _starts(self, past: AnyArray, y: AnyArray, u: AnyArray) -> list[AnyArray]:
-        """State of each member (B, n) at the first sample.
-
-        Args:
-            past: z-scored past inputs (B, n_past_u, nu).
-            y: z-scored past outputs (B, n_past_y, ny).
-            u: first input (B, nu).
-        """
+        """State of each member (B, n) at the first sample from z-scored past inputs (B, n_past_u,
+        nu), past outputs y (B, n_past_y, ny) and the first input u (B, nu)."""
         features = window(past, y)
         if self.structure.lags is not None:
             return [features @ self.structure.lags.selection()] * len(self.members)
@@ -259,8 +240,7 @@ class FittedStateSpace:
 class StateCell:
     """Cell of the model for Adam and for simulation: see `asia.models._networks.structure.Cell`."""
 
-    structure: StateSpaceStructure
-    """Equations of the model."""
+    structure: StateSpaceStructure  # Equations of the model
 
     def initial(self, params: Any, window: AnyArray) -> AnyArray:
         """State from the encoder, or the past window itself."""
@@ -285,26 +265,14 @@ class _StartedCell(StateCell):
     """Cell of the model that receives its states in place of the past window."""
 
     def initial(self, params: Any, window: AnyArray) -> AnyArray:
-        """Return the states."""
         del params
         return window
-
-
-def carried_windows(transport: Transport, past_u: Array, u: Array) -> tuple[Array, Array]:
-    """Inputs of the past window (B, n_past_u, nu) and after it (B, H, nu) at the outlet of the
-    pipe, with the pace as an additional input."""
-    known = np.concatenate([past_u, u], axis=1)
-    leaving = np.stack([transport.carried(one) for one in known])
-    return leaving[:, : past_u.shape[1]], leaving[:, past_u.shape[1] :]
 
 
 def carried_records(
     records: Sequence[Trajectory], context: Context, pace: int
 ) -> tuple[Transport, list[Trajectory], Context]:
-    """Estimate the pipe from records.
-
-    Returns:
-        The pipe, the records at its outlet, and their context.
+    """Estimate the pipe from records; return it, the records at its outlet, and their context.
 
     Raises:
         UserError: if input `pace` has values that are not positive.
@@ -323,12 +291,9 @@ def _entered(transport: Transport, past_u: AnyArray, u: AnyArray) -> tuple[Any, 
     """Fill the pipe from the past window.
 
     The pipe holds the inputs of the samples in which its content entered (B, length, nu), the
-    oldest
-    first, and the amounts (B, length) that have passed since these began.
-
-    Returns:
-        The pipe at the first sample, its outlet during the past window (B, n_past_u, nu + 1), and
-        its outlet at the first sample (B, nu + 1).
+    oldest first, and the amounts (B, length) that have passed since these began. Return it at the
+    first sample, its outlet during the past window (B, n_past_u, nu + 1), and that at the first
+    sample.
     """
     xp, length = namespace(past_u, u), transport.longest + 1
     first = past_u[:, 0] if past_u.shape[1] else u
@@ -387,8 +352,8 @@ def fit_by_adam(
     """Train in single precision."""
     from asia.models._networks.training import fit
 
-    trained = fit(cell, _cast(params, np.float32), records, context, method, copies=copies)
-    return _cast(trained, np.float64)
+    single = cast_tree(params, np.float32)
+    return cast_tree(fit(cell, single, records, context, method, copies=copies), np.float64)
 
 
 def fit_encoded(
@@ -404,15 +369,7 @@ def fit_encoded(
     return trained, Encoder(**trained.pop("encoder"))
 
 
-def _cast(tree: Mapping[str, Any], dtype: type[np.floating[Any]]) -> dict[str, Any]:
-    return {
-        name: _cast(v, dtype) if isinstance(v, Mapping) else np.asarray(v, dtype)
-        for name, v in tree.items()
-    }
-
-
 # Starting points of neural state-space models, which simulate as the linear model does.
-
 
 # Stiffness of the elements of a start, by turns, for motions of unit size, and width of a play.
 _STIFFNESS = (30.0, 2.0, 0.5)
@@ -473,14 +430,8 @@ def _friction(
 ) -> dict[str, Any]:
     """Elements of friction without effect, one for each number in `turns`.
 
-    The directions are the difference of the output, the output, and random ones, in turn.
-
-    Args:
-        system: linear system.
-        states: states (T, n) of the linear system, which give the sizes.
-        zero: outputs at rest (ny,).
-        turns: numbers of the elements.
-        rng: random generator.
+    The directions are the difference of the output, the output, and random ones, in turn. The
+    states (T, n) of the linear system give the sizes; `zero` (ny,) is the output at rest.
     """
     n, ny, count = system.order, len(system.c), len(turns)
     difference = system.c @ (np.eye(n) - np.linalg.pinv(system.a))
@@ -511,13 +462,6 @@ def _play(
 
     The directions are the inputs, the outputs, and random ones, in turn, and each round of them has
     half the width of the one before.
-
-    Args:
-        system: linear system.
-        states: states (T, n) of the linear system.
-        u: inputs (T, nu).
-        turns: numbers of the elements.
-        rng: random generator.
     """
     n, nu, count = system.order, u.shape[1], len(turns)
     known = [np.eye(n + nu)[n + j] for j in range(nu)]

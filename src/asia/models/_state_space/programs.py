@@ -34,37 +34,25 @@ Watch: TypeAlias = Callable[[int, float], None]
 class StateSamples(NamedTuple):
     """Records or segments side by side."""
 
-    x0: Array
-    """Initial states (R, n), or starting points of their search unless `known`."""
-    u: Array
-    """(R, T, nu)."""
-    y: Array
-    """(R, T, ny)."""
-    weight: Array
-    """(R, T), 0 in the padding."""
-    known: bool
-    """The initial states are given."""
+    x0: Array  # Initial states (R, n), or starting points of their search unless `known`
+    u: Array  # (R, T, nu)
+    y: Array  # (R, T, ny)
+    weight: Array  # (R, T), 0 in the padding
+    known: bool  # The initial states are given
 
 
 class SampleChunks(NamedTuple):
     """Chunks of samples in time order."""
 
-    u: Any
-    """(K, c, R, nu)."""
-    y: Any
-    """(K, c, R, ny)."""
-    weight: Any
-    """(K, c, R), scaled so that the sum of squares is a mean."""
-    x0: Any
-    """Initial states (R, n)."""
-    pull: Any
-    """Ridge (P,) of each parameter towards `origin`."""
-    origin: Any
-    """(P,)."""
+    u: Any  # (K, c, R, nu)
+    y: Any  # (K, c, R, ny)
+    weight: Any  # (K, c, R), scaled so that the sum of squares is a mean
+    x0: Any  # Initial states (R, n)
+    pull: Any  # Ridge (P,) of each parameter towards `origin`
+    origin: Any  # (P,)
     through: InnovationFilter | None = None
     """Filter of the noise model, (K, c, R, ny) each; None without one."""
-    huber: Any = None
-    """Threshold on the innovations, in the unit of the errors; None without one."""
+    huber: Any = None  # Threshold on the innovations, in the unit of the errors; None without one
 
 
 def chunked(
@@ -131,6 +119,7 @@ class _Simulation:
         self, structure: StateSpaceStructure, packing: Packing, data: SampleChunks
     ) -> None:
         self.structure, self.packing, self.data = structure, packing, data
+        self.parts = data.u, data.y, data.weight, data.through
 
     def initial(self, theta: jax.Array) -> jax.Array:
         """Initial states (R, n)."""
@@ -187,11 +176,6 @@ class _Simulation:
         root = huber_root(scaled, 1.0)
         slope = jnp.where(abs(scaled) > 1.0, 1.0 / jnp.maximum(abs(root), 1.0), 1.0)
         return threshold * root, slope
-
-    @property
-    def parts(self) -> Any:
-        """Chunks, for `scan`."""
-        return self.data.u, self.data.y, self.data.weight, self.data.through
 
 
 @partial(jax.jit, static_argnums=(0, 1))

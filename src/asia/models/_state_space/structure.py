@@ -27,7 +27,6 @@ from asia.models._linear.windows import WindowLags, WindowPredictor
 # state and input within a width; what is not followed acts on state and output. Sources: Iwan, J.
 # Applied Mechanics 33(4), 1966; Visintin, Differential Models of Hysteresis, Springer 1994.
 
-
 Coefficients = Mapping[str, Any]
 
 # Limit on the exponents of learned ratios, which keeps them finite.
@@ -37,17 +36,9 @@ _LARGEST = 8.0
 def resisted(
     p: Coefficients, now: AnyArray, z: AnyArray, free: AnyArray
 ) -> tuple[AnyArray, AnyArray]:
-    """Solve the friction of one sample.
-
-    Args:
-        p: coefficients.
-        now: states (..., n).
-        z: forces (..., m).
-        free: next state without friction (..., n).
-
-    Returns:
-        The next state with friction, and the forces in it.
-    """
+    """Solve the friction of one sample, with states `now` (..., n), forces z (..., m) and the next
+    state `free` (..., n) without friction; return the next state with friction, and the forces in
+    it."""
     xp = namespace(free)
     stiffness = xp.exp(bounded(p["stiff"], -_LARGEST, _LARGEST))
     uneven = xp.exp(bounded(p["uneven"], -_LARGEST, _LARGEST))
@@ -61,17 +52,9 @@ def resisted(
 
 
 def lost(p: Coefficients, x: AnyArray, v: AnyArray, behind: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Solve the play of one sample.
-
-    Args:
-        p: coefficients.
-        x: states (..., n).
-        v: inputs (..., nu).
-        behind: followers (..., m) before the sample.
-
-    Returns:
-        The motion that the play takes, and the followers after the sample.
-    """
+    """Solve the play of one sample, with states x (..., n), inputs v (..., nu) and followers
+    `behind` (..., m) before it; return the motion that the play takes, and the followers after
+    it."""
     signal = x @ p["w"] + v @ p["wu"]
     after = bounded(behind, signal - 1.0, signal + 1.0)
     return signal - after, after
@@ -83,7 +66,6 @@ def lost(p: Coefficients, x: AnyArray, v: AnyArray, behind: AnyArray) -> tuple[A
 # functions that a structure leaves out are zero, and those it has end in a layer that starts at
 # zero, so that the model starts as the linear one. Elements of friction and of play have states of
 # their own after x.
-
 
 Nonlinearity = Literal["state", "input", "output", "both", "none"]
 Basis = Literal["tanh", "polynomial"]
@@ -97,30 +79,21 @@ _RANGE = 4.0
 class StateSpaceStructure:
     """Sizes and kind of the functions; hashable."""
 
-    order: int
-    """Number of states."""
-    nu: int
-    """Number of inputs."""
-    ny: int
-    """Number of outputs."""
-    nonlinearity: Nonlinearity
-    """Place of the static functions."""
-    basis: Basis
-    """Basis of the functions."""
-    hidden: int
-    """Units of a layer of tanh functions."""
-    degree: int
-    """Greatest degree of polynomials."""
+    order: int  # Number of states
+    nu: int  # Number of inputs
+    ny: int  # Number of outputs
+    nonlinearity: Nonlinearity  # Place of the static functions
+    basis: Basis  # Basis of the functions
+    hidden: int  # Units of a layer of tanh functions
+    degree: int  # Greatest degree of polynomials
     channels: int | None
     """Number of linear combinations of [x, v] that f and g read; None lets them read all of [x,
     v]."""
     lags: WindowLags | None = None
     """Lags of a state that is the past window itself: its next value follows from the output,
     and f is left out."""
-    friction: int = 0
-    """Number of elements of dry friction, each with a state."""
-    play: int = 0
-    """Number of elements of play, each with a state."""
+    friction: int = 0  # Number of elements of dry friction, each with a state
+    play: int = 0  # Number of elements of play, each with a state
     integrators: int = 0
     """Number of last states whose pole is held at 1 and which f and g do not read."""
 
@@ -141,24 +114,8 @@ class StateSpaceStructure:
 
     def split(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
         """Advance states x (..., n) with inputs v (..., nu); return the outputs before r too."""
-        if "dry" in p or "play" in p:
-            return self._split_with_elements(p, x, v)
-        return self._smooth(p, x, v)
-
-    def _smooth(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
-        """Advance as `split` does, without elements."""
-        output = x @ p["c"] + v @ p["d"] + p["offset"]
-        if self.lags is not None:
-            output = output + self._change(p, x, v)
-            keep, from_u, from_y = _shift(self.lags)
-            return x @ keep + v @ from_u + output @ from_y, output
-        state = x @ self._dynamics(p) + v @ p["b"]
-        if "f" not in p:
-            return state, output
-        change = self._change(p, x, v)
-        return state + change[..., : self.order], output + change[..., self.order :]
-
-    def _split_with_elements(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
+        if "dry" not in p and "play" not in p:
+            return self._smooth(p, x, v)
         n, m = self.order, self.order + self.friction
         now, force, behind = x[..., :n], x[..., n:m], x[..., m:]
         state, output = self._smooth(p, now, v)
@@ -174,12 +131,22 @@ class StateSpaceStructure:
             parts.append(behind)
         return namespace(x, v).concatenate([state, *parts], axis=-1), output
 
-    def _dynamics(self, p: Coefficients) -> Any:
-        """Transposed matrix A."""
-        if not self.integrators:
-            return p["a"]
-        free, held = _transposed_entries(self.order, self.integrators)
-        return p["a"] * free.astype(p["a"].dtype) + held.astype(p["a"].dtype)
+    def _smooth(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
+        """Advance as `split` does, without elements."""
+        output = x @ p["c"] + v @ p["d"] + p["offset"]
+        if self.lags is not None:
+            output = output + self._change(p, x, v)
+            keep, from_u, from_y = _shift(self.lags)
+            return x @ keep + v @ from_u + output @ from_y, output
+        a = p["a"]
+        if self.integrators:
+            free, held = _transposed_entries(self.order, self.integrators)
+            a = a * free.astype(a.dtype) + held.astype(a.dtype)
+        state = x @ a + v @ p["b"]
+        if "f" not in p:
+            return state, output
+        change = self._change(p, x, v)
+        return state + change[..., : self.order], output + change[..., self.order :]
 
     def _change(self, p: Coefficients, x: Any, v: Any) -> Any:
         x = x[..., : self.order - self.integrators] if self.integrators else x
@@ -210,13 +177,8 @@ class StateSpaceStructure:
 
     def start(self, system: LinearSystem, rng: np.random.Generator) -> dict[str, Any]:
         """Parameters that simulate as the linear system."""
-        p: dict[str, Any] = {
-            "a": system.a.T,
-            "b": system.b.T,
-            "c": system.c.T,
-            "d": system.d.T,
-            "offset": system.offset,
-        }
+        names = ("a", "b", "c", "d", "offset")
+        p: dict[str, Any] = {k: v.T for k, v in zip(names, system.matrices, strict=True)}
         n, nu, ny = self.order, self.nu, self.ny
         if self.nonlinearity == "state":
             self._add_state_function(p, rng, n + ny)

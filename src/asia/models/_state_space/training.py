@@ -11,18 +11,11 @@ import numpy as np
 from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models._config import Progress
-from asia.models._least_squares import (
-    LevenbergMarquardt,
-)
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import Encoder
-from asia.models._numerics.records import (
-    ScaledData,
-    Scaling,
-    side_by_side,
-    spread,
-)
+from asia.models._numerics.records import ScaledData, Scaling, spread
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.model import (
     PastFit,
@@ -31,7 +24,6 @@ from asia.models._state_space.model import (
     window_samples,
     with_elements,
 )
-from asia.models._state_space.programs import StateSamples
 from asia.models._state_space.structure import StateSpaceStructure
 
 # Fits that begin with short segments of the records, each with its own initial state.
@@ -41,20 +33,10 @@ from asia.models._state_space.structure import StateSpaceStructure
 # Tiels, Umenberger, Schon and Aguirre, Automatica 121, 2020; Bock, multiple shooting, 1981.
 
 
-class _Lengths(NamedTuple):
-    """Lengths of the segments."""
-
-    shortest: int
-    """Least number of samples of the first segments."""
-    by_state: int
-    """Number of samples for each state of the model."""
-    growth: int
-    """Factor from one length to the next."""
-
-
-# Lengths of the segments. Segments of a whole period already miss the minimum of a strong
-# oscillator, but elements of friction and play show only in segments with a reversal.
-_SMOOTH, _WITH_ELEMENTS = _Lengths(20, 4, 3), _Lengths(40, 8, 4)
+# Lengths of the segments: least number of samples of the first ones, samples for each state of the
+# model, factor from one length to the next. Segments of a whole period already miss the minimum of
+# a strong oscillator, but elements of friction and play show only in segments with a reversal.
+_SMOOTH, _WITH_ELEMENTS = (20, 4, 3), (40, 8, 4)
 # Greatest number of segments.
 _MOST = 60
 # Iterations on segments, the ridge of their states, and that of the first guess of these.
@@ -79,14 +61,10 @@ def fit_segments(
     log: Progress,
     sampling_time: float,
 ) -> list[StateFit]:
-    """Fit the segments from each start.
-
-    Returns:
-        Parameters, and initial states (R, n) of whole records: of the first segment of a record,
-        else x0 (R, n), those of the linear system.
-    """
-    lengths = _WITH_ELEMENTS if structure.size > structure.order else _SMOOTH
-    length = max(lengths.shortest, lengths.by_state * structure.size)
+    """Fit the segments from each start: parameters, and initial states (R, n) of whole records, of
+    the first segment of a record, else x0 (R, n), those of the linear system."""
+    shortest, by_state, growth = _WITH_ELEMENTS if structure.size > structure.order else _SMOOTH
+    length = max(shortest, by_state * structure.size)
     segments = _spread(records, length)
     few = replace(method, iterations=min(method.iterations, _ITERATIONS))
     ridge = {**ridge, "x0": _STATE_RIDGE}
@@ -94,20 +72,34 @@ def fit_segments(
     states, fits = [np.array(first)] * len(starts), list[StateFit]()
     begin: Sequence[dict[str, Any]] = starts
     while any(2 * len(r) >= 3 * length for r in records):
+        cuts = [records[p.record].part(p.start, length) for p in segments]
         fits = [
             fit_states(
-                structure, [start], _cut(records, segments, length, known), ridge, few, log,
-                sampling_time, begin=[params],
+                structure, [start], of_records(cuts, known), ridge, few, log, sampling_time,
+                begin=[params],
             )[0]
             for start, params, known in zip(starts, begin, states, strict=True)
         ]  # fmt: skip
         begin = [one.params for one in fits]
-        length *= lengths.growth
-        kept = _thinned(segments, length)
-        whole = [_initial(segments, one.x0, x0) for one in fits]
+        length *= growth
+        # Segments of this length that do not overlap.
+        kept: list[int] = []
+        for i, segment in enumerate(segments):
+            last = segments[kept[-1]] if kept else None
+            if (
+                last is None
+                or last.record != segment.record
+                or segment.start - last.start >= length
+            ):
+                kept.append(i)
         states = [one.x0[kept] for one in fits]
+        # Records begin with the initial states of their first segments.
+        opening = [i for i, segment in enumerate(segments) if segment.start == 0]
+        for k, one in enumerate(fits):
+            whole = x0.copy()
+            whole[[segments[i].record for i in opening]] = one.x0[opening]
+            fits[k] = one._replace(x0=whole)
         segments = [segments[i] for i in kept]
-        fits = [one._replace(x0=x) for one, x in zip(fits, whole, strict=True)]
     return fits
 
 
@@ -123,27 +115,6 @@ def _spread(records: ScaledData, length: int) -> list[_Segment]:
     room = _MOST - len(first)
     chosen = [later[i] for i in spread(len(later), room)] if later and room else []
     return sorted([*first, *chosen])
-
-
-def _thinned(segments: Sequence[_Segment], length: int) -> list[int]:
-    """Choose the segments to keep so that segments of this length do not overlap."""
-    kept: list[int] = []
-    for i, segment in enumerate(segments):
-        last = segments[kept[-1]] if kept else None
-        if last is None or last.record != segment.record or segment.start - last.start >= length:
-            kept.append(i)
-    return kept
-
-
-def _cut(
-    records: ScaledData, segments: Sequence[_Segment], length: int, states: Array
-) -> StateSamples:
-    """Cut the samples of the segments, with their states to be found from `states`."""
-    u, y, weight = (
-        side_by_side([getattr(records[p.record], n)[p.start : p.start + length] for p in segments])
-        for n in ("u", "y", "weight")
-    )
-    return StateSamples(states, u, y, weight, known=False)
 
 
 def _guess(
@@ -169,15 +140,6 @@ def _guess(
     return np.pad(state, (0, structure.size - n))
 
 
-def _initial(segments: Sequence[_Segment], found: Array, x0: Array) -> Array:
-    """Initial states (R, n) of whole records."""
-    states = x0.copy()
-    for segment, state in zip(segments, found, strict=True):
-        if segment.start == 0:
-            states[segment.record] = state
-    return states
-
-
 # Fits of a neural state-space model by Levenberg-Marquardt, with maps from past windows to states.
 
 
@@ -185,18 +147,12 @@ def _initial(segments: Sequence[_Segment], found: Array, x0: Array) -> Array:
 class LmOptions:
     """Options of the fits, apart from the method."""
 
-    ridge: dict[str, float]
-    """Ridge of each top-level parameter name."""
-    members: int
-    """Number of fits that are kept."""
-    hidden: int
-    """Number of tanh units of the map from past windows to states."""
-    pieces: bool
-    """Begin the fits with short segments of the records."""
-    past_fit: bool
-    """Fit initial states to the past window."""
-    seed: int
-    """Seed of the starts."""
+    ridge: dict[str, float]  # Ridge of each top-level parameter name
+    members: int  # Number of fits that are kept
+    hidden: int  # Number of tanh units of the map from past windows to states
+    pieces: bool  # Begin the fits with short segments of the records
+    past_fit: bool  # Fit initial states to the past window
+    seed: int  # Seed of the starts
 
 
 @dataclass(frozen=True)
@@ -207,8 +163,7 @@ class FittedMembers:
     """Parameters, and the map from past windows to states, of each fit."""
     starts: tuple[PastFit, ...]
     """Fits of the initial states to the past window; () where the map gives them."""
-    cost: float
-    """Least cost."""
+    cost: float  # Least cost
 
 
 def fit_members(

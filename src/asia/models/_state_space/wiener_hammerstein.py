@@ -18,7 +18,7 @@ from asia.models._arrays import namespace
 from asia.models._config import Progress
 from asia.models._least_squares import LevenbergMarquardt, NormalEquations, minimise
 from asia.models._linear.fit import Refinement, spread_poles
-from asia.models._linear.system import LinearSystem
+from asia.models._linear.system import LinearSystem, unpacked
 from asia.models._numerics.records import ScaledData, ScaledTrajectory, holdout_masks
 from asia.models._state_space.structure import Coefficients, StateSpaceStructure
 
@@ -30,8 +30,7 @@ class WienerHammersteinStructure(StateSpaceStructure):
     """Equations x1[k+1] = A1 x1 + B1 u, v = C1 x1 + D1 u, w = v + f(v), x2[k+1] = A2 x2 + B2 w,
     y = C2 x2 + D2 w + offset."""
 
-    first: int = 1
-    """Number of states of x1; the rest are x2."""
+    first: int = 1  # Number of states of x1; the rest are x2
 
     def split(self, p: Coefficients, x: Any, v: Any) -> tuple[Any, Any]:
         """Advance states x (..., n) with inputs v (..., nu); return the outputs too."""
@@ -61,7 +60,6 @@ class WienerHammersteinStructure(StateSpaceStructure):
 # squares. Source: Schoukens, Pintelon and Rolain, Identification of Wiener-Hammerstein systems by
 # an exhaustive and efficient search, Automatica 50(2), 2014.
 
-
 Roots = NDArray[np.complex128]
 
 # Greatest number of distributions of poles and zeros, and samples for the evaluation of one.
@@ -74,23 +72,17 @@ _SLOW, _FREE_ROOT = 0.98, 0.7
 class WienerHammersteinStart(NamedTuple):
     """Starting point with its error."""
 
-    structure: WienerHammersteinStructure
-    """Sizes of the systems."""
-    params: dict[str, Any]
-    """Parameters as the structure reads them."""
-    error: float
-    """Mean squared error, infinite where it was not evaluated."""
+    structure: WienerHammersteinStructure  # Sizes of the systems
+    params: dict[str, Any]  # Parameters as the structure reads them
+    error: float  # Mean squared error, infinite where it was not evaluated
 
 
 class LinearFilter(NamedTuple):
     """Zeros, poles and gain of one of the systems."""
 
-    zeros: Roots
-    """Zeros."""
-    poles: Roots
-    """Poles, at least as many."""
-    gain: float
-    """Factor."""
+    zeros: Roots  # Zeros
+    poles: Roots  # Poles, at least as many
+    gain: float  # Factor
 
     def system(self) -> tuple[Array, Array, Array, Array]:
         """State-space matrices A, B, C and D."""
@@ -124,8 +116,8 @@ def wiener_hammerstein_starts(
     """Find the `most` best starts.
 
     With one input and output all distributions of poles and zeros compete; with more, the linear
-    model
-    comes before or after the static function, with new modes that do not yet act on the other side.
+    model comes before or after the static function, with new modes that do not yet act on the other
+    side.
     """
     if template.nu == template.ny == 1:
         function = template.function(rng, 1)
@@ -135,7 +127,16 @@ def wiener_hammerstein_starts(
         kept = sorted((s for s in found if s is not None), key=lambda s: s.error)
         if kept:
             return kept[:most]
-    return _plain_starts(system, template, rng)[:most]
+    n, starts = system.order, list[WienerHammersteinStart]()
+    sized = replace(template, order=2 * n, first=n)
+    whole = (system.a, system.b, system.c, system.d)
+    for size, linear_first in ((template.ny, True), (template.nu, False)):
+        a, _ = spread_poles(n, size)
+        idle = (a, 0.1 * rng.standard_normal((n, size)), np.zeros((size, n)), np.eye(size))
+        pair = (whole, idle) if linear_first else (idle, whole)
+        params = _params(*pair, system.offset, template.function(rng, size))
+        starts.append(WienerHammersteinStart(sized, params, np.inf))
+    return starts[:most]
 
 
 def shares(
@@ -143,12 +144,19 @@ def shares(
 ) -> list[tuple[LinearFilter, LinearFilter]]:
     """Distribute the poles and zeros of a system with one input and one output over a first and
     a second filter, in at most `most` ways."""
-    zeros, poles, gain = signal.ss2zpk(system.a, system.b, system.c, system.d)
-    zeros, poles = np.asarray(zeros, complex), np.asarray(poles, complex)
+    numerator, denominator, gain = signal.ss2zpk(system.a, system.b, system.c, system.d)
+    zeros: Roots = np.array(numerator, complex)
+    poles: Roots = np.array(denominator, complex)
     # A zero this far out is the rounding error of a delay.
     far = np.abs(zeros) > 1e3
     gain = float(np.real(gain * np.prod(-zeros[far])))
-    poles, zeros = _settled(poles, zeros[~far])
+    zeros = zeros[~far]
+    # Remove slow poles that a zero nearly cancels: such a pair fits drift, not dynamics.
+    for i in np.flatnonzero((np.abs(poles) > _SLOW) & (np.abs(poles.imag) < 1e-9)):
+        near = np.flatnonzero((np.abs(zeros - poles[i]) < 2 * (1 - _SLOW)) & (zeros.imag == 0))
+        if len(near):
+            zeros[near[0]] += _FREE_ROOT - poles[i]
+            poles[i] = _FREE_ROOT
     pole_groups, zero_groups = _groups(poles), _groups(zeros)
     pairs: list[tuple[LinearFilter, LinearFilter]] = []
     for choice in product((True, False), repeat=len(pole_groups) + len(zero_groups)):
@@ -158,17 +166,6 @@ def shares(
             pairs.append((LinearFilter(z1, p1, 1.0), LinearFilter(z2, p2, gain)))
     chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), most)).astype(int)
     return [pairs[i] for i in np.unique(chosen)]
-
-
-def _settled(poles: Roots, zeros: Roots) -> tuple[Roots, Roots]:
-    """Remove slow poles that a zero nearly cancels: such a pair fits drift, not dynamics."""
-    poles, zeros = poles.copy(), zeros.copy()
-    for i in np.flatnonzero((np.abs(poles) > _SLOW) & (np.abs(poles.imag) < 1e-9)):
-        near = np.flatnonzero((np.abs(zeros - poles[i]) < 2 * (1 - _SLOW)) & (zeros.imag == 0))
-        if len(near):
-            zeros[near[0]] += _FREE_ROOT - poles[i]
-            poles[i] = _FREE_ROOT
-    return poles, zeros
 
 
 def _groups(roots: Roots) -> list[Roots]:
@@ -220,28 +217,8 @@ def _shared_start(
     slope = slope if abs(slope) > 1e-3 else float(np.copysign(1e-3, slope))
     bend = {**function, "w2": theta[1:-1] / slope}
     params = _params(one.system(), two._replace(gain=two.gain * slope).system(), theta[-1], bend)
-    return WienerHammersteinStart(_sized(template, len(one.poles), len(two.poles)), params, error)
-
-
-def _plain_starts(
-    system: LinearSystem, template: WienerHammersteinStructure, rng: np.random.Generator
-) -> list[WienerHammersteinStart]:
-    n, nu, ny = system.order, template.nu, template.ny
-    linear = (system.a, system.b, system.c, system.d)
-    found: list[WienerHammersteinStart] = []
-    for size, linear_first in ((ny, True), (nu, False)):
-        a, _ = spread_poles(n, size)
-        idle = (a, 0.1 * rng.standard_normal((n, size)), np.zeros((size, n)), np.eye(size))
-        pair = (linear, idle) if linear_first else (idle, linear)
-        params = _params(*pair, system.offset, template.function(rng, size))
-        found.append(WienerHammersteinStart(_sized(template, n, n), params, np.inf))
-    return found
-
-
-def _sized(
-    template: WienerHammersteinStructure, first: int, second: int
-) -> WienerHammersteinStructure:
-    return replace(template, order=first + second, first=first)
+    sized = replace(template, order=len(one.poles) + len(two.poles), first=len(one.poles))
+    return WienerHammersteinStart(sized, params, error)
 
 
 def _params(
@@ -265,7 +242,6 @@ def _params(
 # processed in chunks of which only sums are kept: memory does not grow with their length. Source:
 # Ljung, System Identification, 2nd ed., section 10.3.
 
-
 # Samples of a chunk. Derivatives by initial states are computed only in the first one: they have
 # decayed after it.
 _CHUNK = 8192
@@ -274,12 +250,9 @@ _CHUNK = 8192
 class FilterRidge(NamedTuple):
     """Weights, against the mean squared error, of squared distances from the start."""
 
-    linear: float
-    """Weight for the coefficients of the filters and the offset."""
-    bend: float
-    """Weight for the static function."""
-    initial: float
-    """Weight for the initial states."""
+    linear: float  # Weight for the coefficients of the filters and the offset
+    bend: float  # Weight for the static function
+    initial: float  # Weight for the initial states
 
 
 class TwoFilters(NamedTuple):
@@ -290,24 +263,15 @@ class TwoFilters(NamedTuple):
     fitted part: units that move as well make long narrow valleys.
     """
 
-    numerator1: Array
-    """(n1 + 1,)."""
-    denominator1: Array
-    """(n1,)."""
-    slope: Array
-    """(h,)."""
-    shift: Array
-    """(h,)."""
-    bend: Array
-    """(h,)."""
-    numerator2: Array
-    """(n2 + 1,)."""
-    denominator2: Array
-    """(n2,)."""
-    offset: Array
-    """(1,)."""
-    x0: Array
-    """Initial states of both filters, transposed direct form II (R, n1 + n2)."""
+    numerator1: Array  # (n1 + 1,)
+    denominator1: Array  # (n1,)
+    slope: Array  # (h,)
+    shift: Array  # (h,)
+    bend: Array  # (h,)
+    numerator2: Array  # (n2 + 1,)
+    denominator2: Array  # (n2,)
+    offset: Array  # (1,)
+    x0: Array  # Initial states of both filters, transposed direct form II (R, n1 + n2)
 
     def packed(self) -> Array:
         """Pack the fitted parameters into one vector: all but the grid of the tanh units."""
@@ -315,11 +279,7 @@ class TwoFilters(NamedTuple):
 
     def unpacked(self, theta: Array) -> TwoFilters:
         """Unpack a vector into these shapes, on the same grid."""
-        shapes = self._fitted()
-        parts = np.split(theta, np.cumsum([value.size for value in shapes])[:-1])
-        b1, a1, bend, b2, a2, offset, x0 = (
-            p.reshape(v.shape) for p, v in zip(parts, shapes, strict=True)
-        )
+        b1, a1, bend, b2, a2, offset, x0 = unpacked(theta, [part.shape for part in self._fitted()])
         return TwoFilters(b1, a1, self.slope, self.shift, bend, b2, a2, offset, x0)
 
     def pull(self, ridge: FilterRidge) -> Array:
@@ -337,34 +297,21 @@ class TwoFilters(NamedTuple):
         self, template: WienerHammersteinStructure
     ) -> tuple[WienerHammersteinStructure, dict[str, Any]]:
         """Convert the model to state space, its initial states unchanged."""
+        systems = list[tuple[Array, Array, Array, Array]]()
+        for numerator, denominator in (
+            (self.numerator1, self.denominator1),
+            (self.numerator2, self.denominator2),
+        ):
+            # Transposed direct form II.
+            n = len(denominator)
+            a = np.eye(n, k=1)
+            a[:, :1] = -denominator[:, None]
+            b = (numerator[1:] - denominator * numerator[0])[:, None]
+            systems.append((a, b, np.eye(1, n), numerator[:1, None]))
+        function = {"w1": self.slope[None], "b1": self.shift, "w2": self.bend[:, None]}
         first, second = len(self.denominator1), len(self.denominator2)
-        structure = _with_sizes(template, first, second, len(self.bend))
-        function = {
-            "w1": self.slope[None],
-            "b1": self.shift,
-            "w2": self.bend[:, None],
-        }
-        params: dict[str, Any] = {"offset": self.offset, "f": function}
-        pairs = (self.numerator1, self.denominator1), (self.numerator2, self.denominator2)
-        for label, pair in zip("12", pairs, strict=True):
-            for name, matrix in zip("abcd", _realised(*pair), strict=True):
-                params[name + label] = np.ascontiguousarray(matrix.T)
-        return structure, params
-
-
-def _with_sizes(
-    template: WienerHammersteinStructure, first: int, second: int, hidden: int
-) -> WienerHammersteinStructure:
-    return replace(template, order=first + second, first=first, hidden=hidden)
-
-
-def _realised(numerator: Array, denominator: Array) -> tuple[Array, Array, Array, Array]:
-    """Realise a filter in transposed direct form II."""
-    n = len(denominator)
-    a = np.eye(n, k=1)
-    a[:, :1] = -denominator[:, None]
-    b = (numerator[1:] - denominator * numerator[0])[:, None]
-    return a, b, np.eye(1, n), numerator[:1, None]
+        structure = replace(template, order=first + second, first=first, hidden=len(self.bend))
+        return structure, _params(systems[0], systems[1], self.offset, function)
 
 
 class FilterEquations:
@@ -377,7 +324,15 @@ class FilterEquations:
 
     def costs(self, theta: Array) -> Array:
         """Costs at theta (1, K, P) -> (1, K)."""
-        return np.array([[self._cost(one) for one in theta[0]]])
+        found = list[float]()
+        for one in theta[0]:
+            p, away, total = self._shapes.unpacked(one), one - self._origin, 0.0
+            with np.errstate(all="ignore"):
+                for i, record in enumerate(self._records):
+                    error = (simulated(p, record.u[:, 0], i) - record.y[:, 0]) * record.weight
+                    total += float(error @ error)
+                found.append(total / self._total + float(self._pull @ away**2))
+        return np.array([found])
 
     def normal(self, theta: Array) -> NormalEquations:
         """Normal equations at theta (1, P)."""
@@ -392,15 +347,6 @@ class FilterEquations:
                     gram += rows @ rows.T / self._total
                     gradient += rows @ error / self._total
         return NormalEquations(np.array([cost]), gram[None], gradient[None])
-
-    def _cost(self, theta: Array) -> float:
-        p, away = self._shapes.unpacked(theta), theta - self._origin
-        total = 0.0
-        with np.errstate(all="ignore"):
-            for i, record in enumerate(self._records):
-                error = (simulated(p, record.u[:, 0], i) - record.y[:, 0]) * record.weight
-                total += float(error @ error)
-        return total / self._total + float(self._pull @ away**2)
 
 
 def simulated(p: TwoFilters, u: Array, record: int) -> Array:
@@ -446,10 +392,10 @@ class _FilterDerivatives:
 
     def __init__(self, denominator: Array) -> None:
         n = len(denominator)
+        self._by_input, self._by_output, self._by_state = (
+            _Copies(denominator, n) for _ in range(3)
+        )
         self._n = n
-        self._by_input = _Copies(denominator, n)
-        self._by_output = _Copies(denominator, n)
-        self._by_state = _Copies(denominator, n)
 
     def __call__(self, given: Array, out: Array, first: bool) -> tuple[Array, Array]:
         """Derivatives by the coefficients (2n + 1, c) and, in the first chunk, by the initial
@@ -460,9 +406,7 @@ class _FilterDerivatives:
         )
         if not first:
             return rows, np.zeros((n, len(given)))
-        impulse = np.zeros(len(given))
-        impulse[0] = 1.0
-        return rows, self._by_state(impulse, range(n))
+        return rows, self._by_state(np.eye(1, len(given))[0], range(n))
 
 
 def _linearised(
@@ -504,17 +448,11 @@ def _linearised(
 # Initializing Wiener-Hammerstein models based on partitioning of the best linear approximation,
 # Automatica 48(2), 2012.
 
-
 # Orders of the linear model if none is given, iterations of its fit, and its samples.
 _ORDERS = (2, 3, 4, 5, 6, 7, 8)
 _LINEAR, _LINEAR_SAMPLES = Refinement(iterations=15), 4000
 # Samples of the short fits, share of them left out, and samples for the evaluation of a split.
-_SEARCHED_SAMPLES, _LEFT_OUT, _FILTER_SEARCH_EVALUATION_SAMPLES, _FILTER_SEARCH_SETTLE = (
-    12_000,
-    0.3,
-    3000,
-    50,
-)
+_SEARCHED_SAMPLES, _LEFT_OUT, _SPLIT_SAMPLES = 12_000, 0.3, 3000
 # Samples at the start of a record that no fit counts, at most this share of a record. Otherwise the
 # filters would compensate for initial states, which the fit finds slowly.
 _TRANSIENT, _TRANSIENT_SHARE = 200, 0.1
@@ -532,14 +470,10 @@ _REACH = 3.5
 class FilterFit:
     """Model found by the search."""
 
-    filters: TwoFilters
-    """Parameters of the model."""
-    delay: int
-    """Delay of the input, in samples."""
-    error: float
-    """Mean squared error on the segments left out, or on all that was fitted."""
-    history: Array
-    """Root of the cost by iteration."""
+    filters: TwoFilters  # Parameters of the model
+    delay: int  # Delay of the input, in samples
+    error: float  # Mean squared error on the segments left out, or on all that was fitted
+    history: Array  # Root of the cost by iteration
 
 
 def searched(
@@ -564,25 +498,30 @@ def searched(
         log: receives iteration and error.
     """
     part = _shortened(records, _SEARCHED_SAMPLES)
-    kept, left = _divided(part)
-    settled = [replace(r, weight=r.weight * _behind_start(len(r))) for r in records]
+    # The short records twice: with the weights of the fitted part, and of the part left out.
+    masks = holdout_masks(part, _LEFT_OUT, shortest=_SETTLE)
+    pairs = list(zip(part, masks, strict=True))
+    kept = [replace(r, weight=r.weight * ~m * _behind_start(len(r))) for r, m in pairs]
+    left = [replace(r, weight=r.weight * m) for r, m in pairs]
+
+    def fitted(filters: TwoFilters, delay: int, iterations: int) -> FilterFit:
+        limited = replace(method, iterations=min(iterations, method.iterations))
+        one = _fitted(filters, delay, kept, ridge, limited)
+        return replace(one, error=_error(one, left))
+
     found = list[FilterFit]()
-    few = replace(method, iterations=min(_FEW, method.iterations))
     for delay, system in _linear_models(part, context, choice):
         late = [r.with_delay(delay) for r in kept]
-        for start in _split(late, system, hidden):
-            one = _fitted(start, delay, kept, ridge, few)
-            found.append(replace(one, error=_error(one, left)))
-    more = replace(method, iterations=min(_MORE, method.iterations))
+        evaluated = [_start(late, system, pair, hidden) for pair in shares(system, _MOST_SPLITS)]
+        splits = sorted((s for s in evaluated if s is not None), key=lambda s: s[0])
+        found += [fitted(filters, delay, _FEW) for _, filters in splits[:_FITTED]]
     best = sorted(found, key=lambda one: one.error)[:_FITTED_ON]
-    further = list[FilterFit]()
-    for one in best:
-        again = _fitted(one.filters, one.delay, kept, ridge, more)
-        further.append(replace(again, error=_error(again, left)))
+    further = [fitted(one.filters, one.delay, _MORE) for one in best]
     further.sort(key=lambda one: one.error)
+    settled = [replace(r, weight=r.weight * _behind_start(len(r))) for r in records]
     fits = list[FilterFit]()
     for i, one in enumerate(further[: method.starts]):
-        start = _at_rest(one.filters, len(records))
+        start = one.filters._replace(x0=np.zeros((len(records), one.filters.x0.shape[1])))
         fits.append(_fitted(start, one.delay, settled, ridge, method))
         log(float(i), float(np.sqrt(min(fit.error for fit in fits))))
     return min(fits, key=lambda one: one.error)
@@ -591,10 +530,8 @@ def searched(
 def _linear_models(
     part: ScaledData, context: Context, choice: linear.Config
 ) -> list[tuple[int, LinearSystem]]:
-    """Linear models of every permitted order, with their delays.
-
-    A delay estimated with few states may replace missing states, so that no such delay competes.
-    """
+    """Linear models of every permitted order, with their delays. A delay estimated with few states
+    may replace missing states, so that no such delay competes."""
     short = _shortened(part, _LINEAR_SAMPLES)
     orders = _ORDERS if choice.order is None else (choice.order,)
     orders = tuple(o for o in orders if 8 * o <= min(len(r) for r in short)) or orders[:1]
@@ -619,42 +556,25 @@ def _shortened(records: ScaledData, samples: int) -> list[ScaledTrajectory]:
     return [r.part(0, min(len(r), each)) for r in few]
 
 
-def _divided(part: ScaledData) -> tuple[list[ScaledTrajectory], list[ScaledTrajectory]]:
-    """Copy the records twice: with the weights of the fitted part, and of the part left out."""
-    masks = holdout_masks(part, _LEFT_OUT, shortest=_FILTER_SEARCH_SETTLE)
-    pairs = list(zip(part, masks, strict=True))
-    kept = [replace(r, weight=r.weight * ~m * _behind_start(len(r))) for r, m in pairs]
-    return kept, [replace(r, weight=r.weight * m) for r, m in pairs]
-
-
-def _split(late: ScaledData, system: LinearSystem, hidden: int) -> list[TwoFilters]:
-    """Best splits of a linear model."""
-    evaluated = [
-        start
-        for pair in shares(system, _MOST_SPLITS)
-        if (start := _start(late, system, pair, hidden)) is not None
-    ]
-    evaluated.sort(key=lambda pair: pair[0])
-    return [filters for _, filters in evaluated[:_FITTED]]
-
-
 def _start(
     late: ScaledData, system: LinearSystem, pair: tuple[LinearFilter, LinearFilter], hidden: int
 ) -> tuple[float, TwoFilters] | None:
     """Solve the static function of a split; return its mean squared error too."""
     one, two = pair
-    parts = [r.part(0, _FILTER_SEARCH_EVALUATION_SAMPLES) for r in late[:2]]
+    parts = [r.part(0, _SPLIT_SAMPLES) for r in late[:2]]
     with np.errstate(all="ignore"):
         middles = [one(r.u)[:, 0] for r in parts]
         size = float(np.concatenate(middles).std())
         if not np.isfinite(size) or size < 1e-12:
             return None
-        slope, shift = _grid(hidden)
+        # Tanh units whose centres cover the argument of unit size evenly.
+        slope = np.full(hidden, max(1.0, 0.5 * hidden / _REACH))
+        shift = -slope * np.linspace(-_REACH, _REACH, hidden + 2)[1:-1]
         rows, targets = list[Array](), list[Array]()
         for r, middle in zip(parts, middles, strict=True):
             v = middle[:, None] / size
             through = two(np.concatenate([v, np.tanh(v * slope + shift)], axis=1))
-            skip = min(_FILTER_SEARCH_SETTLE, len(v) // 4)
+            skip = min(_SETTLE, len(v) // 4)
             known = np.flatnonzero(r.counts[skip:] > 0) + skip
             rows.append(np.concatenate([through, np.ones((len(v), 1))], axis=1)[known])
             targets.append(r.y[known, 0])
@@ -675,17 +595,6 @@ def _start(
     return error, TwoFilters(b1, a1[1:], slope, shift, bend, b2, a2[1:], theta[-1:], x0)
 
 
-def _grid(hidden: int) -> tuple[Array, Array]:
-    """Slopes and shifts of tanh units whose centres cover the argument of unit size evenly."""
-    centres = np.linspace(-_REACH, _REACH, hidden + 2)[1:-1]
-    slope = np.full(hidden, max(1.0, 0.5 * hidden / _REACH))
-    return slope, -slope * centres
-
-
-def _at_rest(filters: TwoFilters, records: int) -> TwoFilters:
-    return filters._replace(x0=np.zeros((records, filters.x0.shape[1])))
-
-
 def _fitted(
     start: TwoFilters,
     delay: int,
@@ -695,7 +604,7 @@ def _fitted(
 ) -> FilterFit:
     late = [r.with_delay(delay) for r in records]
     if len(start.x0) != len(late):
-        start = _at_rest(start, len(late))
+        start = start._replace(x0=np.zeros((len(late), start.x0.shape[1])))
     origin = start.packed()
     equations = FilterEquations(start, late, start.pull(ridge), origin)
     found = minimise(equations.costs, equations.normal, origin[None], method)
