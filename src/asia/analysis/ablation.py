@@ -334,7 +334,7 @@ class _Ablation:
         """V of each over the seeds, a single value where fits do not depend on them."""
         different = {variant.digest: variant for variant in variants}
         total, done = len(different) * self.seeds, 0
-        with self.evaluator.ready_workers():
+        with self.evaluator.workers.ready_workers():
             for digest, variant in different.items():
                 for repeat in range(1, self.seeds + 1):
                     done += 1

@@ -244,7 +244,7 @@ class _Confirmation:
     def repeat_all(self, chosen: list[Experiment]) -> None:
         """Fit all seeds of each candidate in sequence."""
         total, done = len(chosen) * self.seeds, 0
-        with self.evaluator.ready_workers():
+        with self.evaluator.workers.ready_workers():
             for experiment in chosen:
                 for repeat in range(1, self.seeds + 1):
                     event = self._observed(experiment.number, repeat)
@@ -272,7 +272,7 @@ class _Confirmation:
             return Repeated(experiment.number, repeat, found.outcome, seconds=seconds)
         blocks = tuple(
             self._blocks(fold, result.y_hat)
-            for fold, result in zip(self.evaluator.folds, found.folds, strict=True)
+            for fold, result in zip(self.evaluator.data.folds, found.folds, strict=True)
         )
         same = same_simulations(self._simulations(experiment), found.y_hats)
         return Repeated(experiment.number, repeat, found.outcome, blocks, same, seconds)
@@ -282,7 +282,7 @@ class _Confirmation:
         assert experiment.result is not None
         return [
             self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.validation])
-            for kept, fold in zip(experiment.result.folds, self.evaluator.folds, strict=True)
+            for kept, fold in zip(experiment.result.folds, self.evaluator.data.folds, strict=True)
         ]
 
     def _blocks(self, fold: Fold, y_hat: tuple[Array, ...]) -> tuple[float, ...]:
@@ -292,7 +292,7 @@ class _Confirmation:
     def tried(self, experiment: Experiment) -> TriedCandidate:
         """The first fit of a candidate and all that was repeated of it."""
         assert experiment.score is not None
-        pairs = zip(self.evaluator.folds, self._simulations(experiment), strict=True)
+        pairs = zip(self.evaluator.data.folds, self._simulations(experiment), strict=True)
         blocks = tuple(self._blocks(fold, y_hat) for fold, y_hat in pairs)
         repeats = tuple(
             r

@@ -316,14 +316,14 @@ class _Validation:
         basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
         pairs = [
             (block, y_hat)
-            for fold, simulated in zip(self.evaluator.folds, basis.simulated, strict=True)
+            for fold, simulated in zip(self.evaluator.data.folds, basis.simulated, strict=True)
             for block, y_hat in zip(fold.validation, simulated, strict=True)
         ]
         blocks = tuple(
             SimulatedBlock(b.case.u, b.y, y_hat, b.record, b.start) for b, y_hat in pairs
         )
         found = self._simulations(blocks)
-        windows = self.evaluator.horizon is not None
+        windows = self.evaluator.data.horizon is not None
         return (
             *self._of_residuals(found),
             *_made("held-out error", lambda: self._overfit(found)),
@@ -354,7 +354,7 @@ class _Validation:
         found = self._simulations(
             tuple(SimulatedBlock(b.case.u, b.y, y, b.record, b.start) for b, y in pairs)
         )
-        windows = self.evaluator.horizon is not None
+        windows = self.evaluator.data.horizon is not None
         basis = band_basis(self.evaluator, self.run.view, self.run.store, self.use)
         return (
             *self._of_residuals(found),
@@ -397,14 +397,14 @@ class _Validation:
         def noise() -> list[float | None]:
             return [None if r is None else r.levels.noise for r in responses(self.problem)]
 
-        y = np.concatenate([r.y for r in self.evaluator.records])
+        y = np.concatenate([r.y for r in self.evaluator.data.records])
         data = ValidationData(
             simulations=found,
             linear_responses=linear,
             lowest=y.min(axis=0),
             highest=y.max(axis=0),
             noise=noise,
-            long_run=lambda: long_run(given, self.evaluator.horizon, simulator),
+            long_run=lambda: long_run(given, self.evaluator.data.horizon, simulator),
         )
         checks = [Check("small steps", Verdict.ABSENT, line) for line in failed]
         for name, check in validation_checks().items():
@@ -415,14 +415,14 @@ class _Validation:
     @property
     def _range(self) -> ProbeRange:
         rule = self.problem.protocol
-        return ProbeRange(self.evaluator.records, rule.past_inputs, rule.past_outputs)
+        return ProbeRange(self.evaluator.data.records, rule.past_inputs, rule.past_outputs)
 
     def _of_windows(self, pairs: Sequence[tuple[Block, Array]]) -> Check:
         """Check windows, each of which starts anew."""
         past = self.problem.protocol.past_outputs
         hold = np.stack([filled(b.y - b.case.past_y[-1]) for b, _ in pairs]) if past else None
         errors = np.stack([filled(b.y - y_hat) for b, y_hat in pairs])
-        return check_steps_ahead(errors, hold, self.evaluator.scale)
+        return check_steps_ahead(errors, hold, self.evaluator.data.scale)
 
     def _ahead(self) -> Check:
         """Each fold's model from starts within what it did not fit."""
@@ -432,7 +432,7 @@ class _Validation:
         member = final_members(self.run.view, "ensemble")[0]
         model_errors: list[Array] = []
         hold_errors: list[Array] = []
-        for fold, name in zip(self.evaluator.folds, member.models, strict=True):
+        for fold, name in zip(self.evaluator.data.folds, member.models, strict=True):
             blocks = starts(self._range, fold.validation)
             if not blocks:
                 continue
@@ -448,7 +448,7 @@ class _Validation:
             return no_steps_ahead(
                 "no held-out part is long enough for a start, or no simulation was finite"
             )
-        scale = self.evaluator.scale
+        scale = self.evaluator.data.scale
         return check_steps_ahead(np.stack(model_errors), np.stack(hold_errors), scale)
 
     def _simulator(self, members: Sequence[FinalMember]) -> Simulator:
@@ -459,7 +459,7 @@ class _Validation:
             for member in members:
                 models = [self.run.store.get(one) for one in member.models]
                 source = self.run.store.text(member.source)
-                for replies in self.evaluator.simulate(source, models, blocks):
+                for replies in self.evaluator.models.simulate(source, models, blocks):
                     for sum_, reply in zip(total, replies, strict=True):
                         sum_ += member.weight / len(models) * reply
             return total

@@ -154,7 +154,7 @@ class _Comparison:
     """Objections against each start, in a few words."""
 
     def __post_init__(self) -> None:
-        answers = self.evaluator.simulate_training(self.source, self.fold_models)
+        answers = self.evaluator.models.simulate_training(self.source, self.fold_models)
         self._sound = [one for one in answers if not isinstance(one, CandidateError)]
         complete = len(self._sound) == len(answers)
         self._mean = mean_simulation(self._sound) if complete else None
@@ -190,7 +190,7 @@ class _Comparison:
         if isinstance(model, CandidateError):
             self.causes.append(cause_of(model))
             return RefitStart(None, None, f"its fit failed: {model}")
-        (answers,) = self.evaluator.simulate_training(self.source, [model])
+        (answers,) = self.evaluator.models.simulate_training(self.source, [model])
         if isinstance(answers, CandidateError):
             self.causes.append(cause_of(answers))
             return RefitStart(None, None, f"its simulation failed: {answers}")
@@ -219,9 +219,9 @@ class _Comparison:
         )
 
     def _error(self, answers: Answers) -> float | None:
-        y = [block.y for block in self.evaluator.training_blocks]
+        y = [block.y for block in self.evaluator.data.training_blocks]
         try:
-            return score_fold(y, answers, self.evaluator.scale, self.metric).value
+            return score_fold(y, answers, self.evaluator.data.scale, self.metric).value
         except CandidateError:
             return None
 
@@ -238,7 +238,7 @@ class _Comparison:
     def _apart(self, one: Answers, other: Answers) -> float:
         """Root mean square difference over the standard deviation, mean over the outputs."""
         apart = np.concatenate([a - b for a, b in zip(one, other, strict=True)])
-        return float(np.mean(np.sqrt(np.mean(apart**2, axis=0)) / self.evaluator.scale))
+        return float(np.mean(np.sqrt(np.mean(apart**2, axis=0)) / self.evaluator.data.scale))
 
 
 # The rule for the model to use. It knows training data alone; docs/design/model-to-use.md says why
@@ -431,7 +431,7 @@ def make_stack(evaluator: Evaluator, view: SearchView, store: Store, metric: str
     scored = [e for e in view.finished if e.score is not None and _is_its_own(e)]
     refused: set[int] = set()
     for _ in range(_ROUNDS):
-        found = _Stacking(evaluator.folds, store, metric, _eligible(scored, refused)).stack()
+        found = _Stacking(evaluator.data.folds, store, metric, _eligible(scored, refused)).stack()
         if found is None or view.best is None or view.best.score is None:
             return None
         if view.started.ladder is not None or found.value >= view.best.score.value:
@@ -474,7 +474,7 @@ def _answers_like_a_model(evaluator: Evaluator, experiment: Experiment, store: S
     folds = [
         FoldResult(one, store.get(kept.model), _answers(store, kept.y_hat, fold),
                    np.zeros((0, 2)), kept.diagnostics, kept.fit_seconds)
-        for one, kept, fold in zip(score.folds, result.folds, evaluator.folds, strict=True)
+        for one, kept, fold in zip(score.folds, result.folds, evaluator.data.folds, strict=True)
     ]  # fmt: skip
     return evaluator.objection(store.text(experiment.proposed.source), folds) is None
 
@@ -547,9 +547,9 @@ def refit_winner(
 
     with ExitStack() as opened:
         make = stacked
-        if not evaluator.is_sequential:
+        if not evaluator.workers.is_sequential:
             # It does not depend on the refit.
-            make = opened.enter_context(evaluator.background(stacked)).result
+            make = opened.enter_context(evaluator.workers.background(stacked)).result
         try:
             refit, checked = _refit(evaluator, best, store, metric, failed)
         except CandidateError as error:

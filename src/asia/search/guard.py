@@ -53,7 +53,7 @@ def _simulated(
     models = [store.get(fold.model) for fold in experiment.result.folds]
     try:
         source = store.text(experiment.proposed.source)
-        return mean_simulation(evaluator.simulate_scored(source, models, blocks))
+        return mean_simulation(evaluator.models.simulate_scored(source, models, blocks))
     except CandidateError as error:
         return Failure(error.reason, error.detail)
 

@@ -101,7 +101,7 @@ class _RetestFits:
 
     def _begin(self, number: int) -> None:
         before = self._begun[-1] if self._begun else None
-        mine = _Begun(len(self._evaluator.folds))
+        mine = _Begun(len(self._evaluator.data.folds))
         self._begun.append(mine)
 
         def fit() -> Evaluation:
@@ -112,7 +112,7 @@ class _RetestFits:
             finally:
                 mine.all.set()
 
-        job = self._evaluator.background(fit, JobSettings(on_begin=mine.one))
+        job = self._evaluator.workers.background(fit, JobSettings(on_begin=mine.one))
         self._fits.append(self._opened.enter_context(job))
 
 
@@ -199,7 +199,7 @@ def judge(
     say which one is kept. After an objection the folds stay. evaluation: where its first fit was
     made before; over: as in `Proposed`."""
     if evaluation is None:
-        evaluation = evaluator.evaluate_first(source, over)
+        evaluation = evaluator.evaluate(source, over=over)
     asked = evaluation.validation_scores
     if isinstance(evaluation.outcome, Failure):
         status = evaluation.outcome.reason.status
@@ -207,10 +207,10 @@ def judge(
     folds, answers = evaluation.folds, None
     lowest = view.started.retests > 0 and _is_best(evaluation.outcome, view)
     with ExitStack() as opened:
-        if lowest and not evaluator.is_sequential:
+        if lowest and not evaluator.workers.is_sequential:
             # It is checked whatever the retests say.
             check = partial(evaluator.objection_to_answers, source, folds)
-            answers = opened.enter_context(evaluator.background(check))
+            answers = opened.enter_context(evaluator.workers.background(check))
         if view.started.retests:
             found = _Retesting(evaluator, source, evaluation, evaluation.outcome, view).decide()
         else:
@@ -376,7 +376,7 @@ class Loop:
     @property
     def watch(self) -> ActivityTimer:
         """Profile of the search."""
-        return self.evaluator.stopwatch
+        return self.evaluator.workers.stopwatch
 
     @property
     def steering(self) -> Steering:
@@ -585,7 +585,7 @@ class Loop:
             settled = twin.result is not None and not twin.result.deadline
             if settled and twin.proposed.digest == experiment.proposed.digest:
                 return _outcome_of_twin(experiment, twin)
-        start, before = time.monotonic(), len(self.evaluator.left_behind)
+        start, before = time.monotonic(), len(self.evaluator.workers.left_behind)
         flown = self.flights.take(experiment)
         begin = time.monotonic()
         if flown is not None:
@@ -608,8 +608,8 @@ class Loop:
             seconds=now - begin + (0.0 if flown is None else flown.seconds),
             deadline=judged.deadline,
             validation_scores=judged.validation_scores,
-            isolation=self.evaluator.isolation.value,
-            left_behind=tuple(self.evaluator.left_behind[before:]),
+            isolation=self.evaluator.workers.isolation.value,
+            left_behind=tuple(self.evaluator.workers.left_behind[before:]),
             retests=judged.retests,
             floor=judged.floor,
             lowest=judged.lowest,

@@ -145,13 +145,13 @@ def band_basis(evaluator: Evaluator, view: SearchView, store: Store, use: Use) -
         assert view.best is not None
         weights = {view.best.number: 1.0}
     parts = [(view.experiment(number), weight) for number, weight in weights.items()]
-    simulated = tuple(_simulated(fold, parts, store) for fold in evaluator.folds)
+    simulated = tuple(_simulated(fold, parts, store) for fold in evaluator.data.folds)
     errors = tuple(
         HeldOutErrors(tuple(b.y - y for b, y in zip(fold.validation, y_hat, strict=True)))
-        for fold, y_hat in zip(evaluator.folds, simulated, strict=True)
+        for fold, y_hat in zip(evaluator.data.folds, simulated, strict=True)
     )
-    region = region_of([(r.u, r.y) for r in evaluator.records])
-    return BandBasis(errors, simulated, region, evaluator.horizon is not None)
+    region = region_of([(r.u, r.y) for r in evaluator.data.records])
+    return BandBasis(errors, simulated, region, evaluator.data.horizon is not None)
 
 
 def _simulated(
@@ -330,7 +330,7 @@ def simulate_members(
     total = [np.zeros((1, *block.y.shape)) for block in blocks]
     for member in members:
         models = [run.store.get(one) for one in member.models]
-        replies = evaluator.simulate(run.store.text(member.source), models, blocks)
+        replies = evaluator.models.simulate(run.store.text(member.source), models, blocks)
         for place, each in enumerate(zip(*replies, strict=True)):
             total[place] = total[place] + member.weight * np.stack(each)
     return total
@@ -367,10 +367,10 @@ def simulated_excerpts(run: Run, number: int) -> SimulatedCases:
         raise UserError(f"experiment {number} has no score, so there is nothing to draw")
     problem = load_lock(run.directory / LOCK)
     evaluator = make_evaluator(problem, run.view)
-    parts = (1 + (problem.protocol.residuals == "held_out")) * len(evaluator.folds)
+    parts = (1 + (problem.protocol.residuals == "held_out")) * len(evaluator.data.folds)
     most = _MOST_VALUES // parts // (2 * len(problem.outputs) + len(problem.inputs))
     cases: list[SimulatedCase] = []
-    for index, fold in enumerate(evaluator.folds):
+    for index, fold in enumerate(evaluator.data.folds):
         blocks = training_excerpt(fold, problem.protocol, most)
         y_hat = _excerpt(run, evaluator, experiment, index, blocks)
         cases += simulated_cases(fold, blocks, y_hat, held_out=False)
@@ -428,7 +428,7 @@ def _excerpt(
     source = run.store.text(experiment.proposed.source)
     model = run.store.get(experiment.result.folds[index].model)
     try:
-        return evaluator.simulate(source, [model], blocks)[0]
+        return evaluator.models.simulate(source, [model], blocks)[0]
     except CandidateError as error:
         raise UserError(
             f"the model of fold {index + 1} cannot be simulated again: {error.reason.advice}"

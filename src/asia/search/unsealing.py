@@ -155,7 +155,7 @@ def _score(
     measured = _by_record([b.y for b in blocks], blocks)
     bands: TestBands | None = None
     failed: list[str] = []
-    with scorer.evaluator.ready_workers():
+    with scorer.evaluator.workers.ready_workers():
         scores = {
             use: scorer.score(final_members(view, use))
             for use in get_args(Use)
@@ -274,7 +274,7 @@ class _TestScorer:
         if member not in self.asked:
             source, models = self.store.text(member.source), map(self.store.get, member.models)
             try:
-                each = self.evaluator.simulate_scored(source, list(models), self.blocks)
+                each = self.evaluator.models.simulate_scored(source, list(models), self.blocks)
                 self.asked[member] = _all_of(each)
             except CandidateError as error:
                 self.asked[member] = Failure(error.reason, error.detail)

@@ -16,6 +16,7 @@ from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
 from asia.judge.sandbox.availability import layers_in_force, open_worker
 from asia.judge.sandbox.types import Isolation, Layer, Limits
@@ -32,14 +33,14 @@ _HONEST_SECONDS = 60.0
 _HONEST_MB = 2048
 
 
-class _EvaluatorWithoutLayers(Evaluator):
-    """An evaluator whose workers lack some layers; for an outer sandbox only."""
+class _RunnerWithoutLayers(WorkerRunner):
+    """Runner whose workers lack some layers; for an outer sandbox only."""
 
     without: Collection[Layer] = ()
     """The layers that they lack."""
 
     @contextmanager
-    def _worker(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
+    def open(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
         with open_worker(self.isolation, limits, without=self.without) as worker:
             yield worker
 
@@ -95,7 +96,7 @@ def attack_unchecked(
 def honest_value(name: ProblemName, level: Isolation) -> float:
     """V of the honest candidate on which all attacks are built."""
     problem = small_problem(name)
-    evaluator = problem.evaluator(Evaluator, level, _HONEST_SECONDS, _HONEST_MB)
+    evaluator = problem.evaluator(WorkerRunner, level, _HONEST_SECONDS, _HONEST_MB)
     with targets(_HONEST_MB) as given:
         outcome = evaluator.evaluate(fill_in(HONEST, given.source, problem)).outcome
     if isinstance(outcome, Failure):
@@ -112,7 +113,7 @@ def _observe(
     executor: Executor | None = None,
 ) -> Observed:
     problem, honest = small_problem(attack.problem), honest_value(attack.problem, level)
-    kind = _EvaluatorWithoutLayers if without else Evaluator
+    kind = _RunnerWithoutLayers if without else WorkerRunner
     evaluator = problem.evaluator(
         kind,
         level,
@@ -122,8 +123,8 @@ def _observe(
         _places(name in attack.at_once, executor),
         unchecked,
     )
-    if isinstance(evaluator, _EvaluatorWithoutLayers):
-        evaluator.without = without
+    if isinstance(evaluator.workers, _RunnerWithoutLayers):
+        evaluator.workers.without = without
     with targets(attack.memory_mb) as given:
         begin = time.monotonic()
         least = honest if attack.folds != 1 else 0.0
@@ -266,9 +267,9 @@ class _Known(Evaluator):
     def __init__(self, score: Score, spoil: Spoil | None = None) -> None:
         self._known, self._spoil = score, spoil
 
-    def evaluate(self, source: str, start: int = 0) -> Evaluation:
+    def evaluate(self, source: str, start: int = 0, over: float | None = None) -> Evaluation:
         """The score, from whatever start."""
-        del start
+        del start, over
         return Evaluation(self._known)
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
