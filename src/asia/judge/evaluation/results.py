@@ -24,9 +24,9 @@ class StepErrors:
     """The errors on the held-out windows at one step."""
 
     step: int
-    """The step within the window, from 1."""
+    """Step within the window, from 1."""
     errors: tuple[float, ...]
-    """The metric of each output, as it enters V."""
+    """Metric of each output, as it enters V."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +71,11 @@ class FoldResult:
     curve: Array
     """Step and loss as logged by the candidate, (n, 2)."""
     diagnostics: Diagnostics
-    """Residuals on the training records."""
     seconds: float
     """Duration of the fit."""
     validation_scores: int = 0
     """Number of scores on the held-out part that the candidate requested."""
     findings: FoldFindings | None = None
-    """Diagnostics of the model."""
     machine: str = ""
     """The machine that fitted it; "" for the search's own."""
     isolation: str = ""
@@ -103,7 +101,6 @@ class Evaluation:
     """The evaluation of one candidate."""
 
     outcome: Outcome
-    """Score or failure."""
     folds: tuple[FoldResult, ...] = ()
     """The results of all folds; empty if one of them failed."""
     output: str = ""

@@ -27,13 +27,11 @@ class TrainingCheck:
     """A check that does not pass on the training records of a fold."""
 
     name: str
-    """Name of the check, as in `asia validate`."""
     verdict: Verdict
     """`doubt` or `fail`."""
     sentence: str
     """Finding, with numbers."""
     weight: float
-    """Weight among the checks that do not pass."""
 
 
 def training_checks(
@@ -46,7 +44,11 @@ def training_checks(
     Args:
         y_hat: (H, ny) a block
     """
-    chosen = _spread(blocks, y_hat)
+    # Blocks evenly spread, each from its start, as many as fit.
+    longest = max(len(y) for y in y_hat)
+    many = max(1, min(len(blocks), _MOST_SAMPLES // longest))
+    places = np.linspace(0, len(blocks) - 1, many).round().astype(int).tolist()
+    chosen = [(blocks[k], y_hat[k][: _MOST_SAMPLES // many]) for k in places]
     if sum(len(y) for _, y in chosen) < _FEWEST_SAMPLES:
         return ()
     errors = np.concatenate([filled(b.y[: len(y)] - y) for b, y in chosen]) / scale
@@ -67,12 +69,3 @@ def training_checks(
     raised = [c for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)]
     raised.sort(key=lambda c: -c.weight)
     return tuple(TrainingCheck(c.name, c.verdict, c.sentence, round(c.weight, 4)) for c in raised)
-
-
-def _spread(blocks: Sequence[Block], y_hat: Sequence[Array]) -> list[tuple[Block, Array]]:
-    """Blocks evenly spread, each from its start, as many as fit."""
-    longest = max(len(y) for y in y_hat)
-    many = max(1, min(len(blocks), _MOST_SAMPLES // longest))
-    places = np.linspace(0, len(blocks) - 1, many).round().astype(int).tolist()
-    each = _MOST_SAMPLES // many
-    return [(blocks[k], y_hat[k][:each]) for k in places]
