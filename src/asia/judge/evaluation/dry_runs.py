@@ -31,7 +31,6 @@ class DryFold:
     fold: Fold
     """Short fold for the trial; its simulated samples train as well."""
     samples: int
-    """Samples it trains on."""
     of_samples: int
     """Samples that the whole fold trains on."""
 
@@ -45,7 +44,6 @@ class DryRun:
     output: str
     """Text that the candidate printed during its fit, unmodified."""
     samples: int
-    """Samples that it was fitted to."""
     of_samples: int
     """Samples that the whole fold trains on."""
     fit_seconds: float | None
@@ -57,7 +55,6 @@ class DryRun:
     limit_seconds: float
     """The limit of a fit in a try."""
     allowed_seconds: float
-    """The limit of the fit in this dry run."""
 
     def whole_fit_seconds(self) -> float | None:
         """The fit of the whole fold, if its time but for compilation grows as the samples do."""

@@ -61,7 +61,6 @@ class EvaluationData:
 
     folds: tuple[Fold, ...]
     records: tuple[Trajectory, ...]
-    """All training records."""
     context: Context
     """Context of the search: seed and deadline differ by fit."""
     rule: ProtocolRule

@@ -35,7 +35,6 @@ class Fitted:
     reply: FitReply
     model: bytes
     parameters: tuple[tuple[str, float], ...]
-    """Names and values that the model offers."""
     y_hat: tuple[Array, ...]
     """Simulated outputs (H, ny) of each held-out block."""
     train_y_hat: tuple[Array, ...]
@@ -117,7 +116,6 @@ def _held_out_residuals(
 def _errors(
     y: Sequence[Array], y_hat: Sequence[Array], scale: Array, rule: ProtocolRule
 ) -> tuple[float, ...]:
-    """Return the error of each output over all samples, as V averages them."""
     a, b = np.concatenate(list(y)), np.concatenate(list(y_hat))
     return tuple(find_metric(rule.metric).shortfalls(a, b, scale).tolist())
 

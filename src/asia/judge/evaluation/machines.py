@@ -77,7 +77,6 @@ def _instructions() -> str:
 
 
 def _sources() -> str:
-    """12 hexadecimal digits of the sources of this package."""
     digest = hashlib.sha256()
     root = Path(__file__).parents[2]
     for path in sorted(root.rglob("*.py")):

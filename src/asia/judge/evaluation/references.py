@@ -79,9 +79,7 @@ class Reference:
     """A simple reference, scored."""
 
     name: str
-    """Name of the reference model."""
     outcome: Outcome
-    """Score or failure."""
     failed_checks: tuple[str, ...] = ()
     """Diagnostics that raised an exception, a line each."""
 

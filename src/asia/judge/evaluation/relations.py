@@ -91,7 +91,6 @@ class RequestCheck:
 
     simulator: CaseSimulator
     batch: CaseBatch
-    """Request with its scored outputs."""
     scale: Array
     """Standard deviations of the outputs, (ny,)."""
     random: np.random.Generator

@@ -174,7 +174,6 @@ def _open(
 
 @cache
 def _check_isolation(isolation: Isolation, layers: tuple[str, ...], machine: str) -> None:
-    """Tried once in a process, where it works."""
     reason = why_not(isolation)
     if reason is None:
         lost = sorted({*layers} - {layer.value for layer in layers_in_force(isolation)})
@@ -189,7 +188,6 @@ def _check_isolation(isolation: Isolation, layers: tuple[str, ...], machine: str
 
 @contextmanager
 def _watched(worker: Worker, unwanted: Callable[[], bool]) -> Generator[None]:
-    """End the worker once its result is no longer needed."""
     over = threading.Event()
 
     def look() -> None:

@@ -72,7 +72,6 @@ class FoldResult:
     """Step and loss as logged by the candidate, (n, 2)."""
     diagnostics: Diagnostics
     seconds: float
-    """Duration of the fit."""
     validation_scores: int = 0
     """Number of scores on the held-out part that the candidate requested."""
     findings: FoldFindings | None = None
@@ -91,7 +90,6 @@ class FoldEnd:
     result: FoldResult | Failure
     """The result, or why there is none."""
     output: str
-    """Text that the candidate printed."""
     validation_scores: int
     """Number of scores on the held-out part that the candidate requested."""
 
@@ -152,7 +150,6 @@ class Refit:
     fold: int
     """The number of the fold that was fitted again, from 1."""
     again: FoldResult | Failure
-    """The result of that second fit."""
 
 
 def mean_simulation(each: Sequence[tuple[Array, ...] | CandidateError]) -> tuple[Array, ...]:

@@ -39,15 +39,12 @@ class FoldData:
     """
 
     train: tuple[Trajectory, ...]
-    """Records that models are fitted to."""
     cases: tuple[Case, ...]
-    """Cases to simulate."""
     shapes: tuple[tuple[int, int], ...]
     """(H, ny) of each case."""
     requests: tuple[tuple[int, ...], ...]
     """Cases of each request, in order: see `held_out_requests`."""
     rule: ProtocolRule
-    """Rule that cuts records into windows."""
 
     @property
     def blocks(self) -> list[Block]:
@@ -67,11 +64,9 @@ class FoldWork:
     fold: int
     """1-based."""
     source: str = field(repr=False)
-    """The candidate."""
     context: Context = field(repr=False)
     """Context of the candidate, with its seed. The deadline is set on the machine that fits."""
     limits: Limits
-    """Resource limits of a worker."""
     isolation: Isolation
     """The level that must keep the candidate in."""
     layers: tuple[str, ...]
@@ -85,15 +80,12 @@ class FoldAnswer:
     """Answer of the machine that fits."""
 
     result: Fitted | CandidateError
-    """Result of the worker, or its error."""
     printed: str
-    """Text that the candidate printed during its fit."""
     machine: str = ""
     """The machine, "" for the search's own."""
     isolation: str = ""
     """The level that was in force there."""
     spent: Seconds = field(default_factory=dict[Activity, tuple[float, float]])
-    """Seconds by activity."""
 
 
 def fold_data(fold: Fold, rule: ProtocolRule) -> FoldData:

@@ -28,7 +28,6 @@ class Oracle:
     """
 
     open_worker: Callable[[], AbstractContextManager[Worker]]
-    """Starts the worker that simulates."""
     source: str
     context: Context
     fold: Fold

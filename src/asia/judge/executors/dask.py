@@ -72,29 +72,26 @@ class DaskExecutor:
 
     def carry(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
         """Implement `RemoteExecutor.carry`."""
+        trouble: Exception | None = None
         try:
             with self._place():
-                return self._carried(answer, request, digest, data)
+                for _ in range(_ATTEMPTS):
+                    self._check_wanted(request)
+                    try:
+                        self._await_workers()
+                        return self._answered(answer, request, self._data(digest, data))
+                    except UserError:
+                        raise
+                    # Whatever the engine raises: a machine died, and perhaps the data with it.
+                    except Exception as error:  # noqa: BLE001
+                        self._check_wanted(request)
+                        trouble = error
+                        with self._lock:
+                            self._sent.pop(digest, None)
+                        self._check_scheduler()
         finally:
             with self._lock:
                 self._forgotten.discard(request)
-
-    def _carried(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
-        trouble: Exception | None = None
-        for _ in range(_ATTEMPTS):
-            self._check_wanted(request)
-            try:
-                self._await_workers()
-                return self._answered(answer, request, self._data(digest, data))
-            except UserError:
-                raise
-            # Whatever the engine raises: a machine died, and perhaps the data with it.
-            except Exception as error:  # noqa: BLE001
-                self._check_wanted(request)
-                trouble = error
-                with self._lock:
-                    self._sent.pop(digest, None)
-                self._check_scheduler()
         raise SandboxError(
             f"no machine of the cluster at {self._where} has fitted a fold in {_ATTEMPTS} attempts "
             f"({type(trouble).__name__}: {trouble}): see the output of its workers, then give the "

@@ -102,7 +102,6 @@ class Machine:
     user: str
     """`root` or `ordinary`."""
     container: bool
-    """Whether this is a container."""
     landlock: int
     """The kernel's version of it, 0 for none."""
     bubblewrap: str | None
@@ -125,7 +124,6 @@ class LevelState:
 
     level: Isolation
     works: bool
-    """Whether a worker starts at it."""
     layers: tuple[Layer, ...]
     """Those it would really have, none where it does not work."""
     lacks: tuple[Lack, ...]

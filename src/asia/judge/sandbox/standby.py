@@ -89,7 +89,6 @@ class StandbyWorkers:
         self._starter.shutdown()
 
     def _start_next(self, libraries: frozenset[str]) -> None:
-        """Start workers until enough wait for these libraries; others make room."""
         self._wanted = [libraries, *(s for s in self._wanted if s != libraries)][:_MOST_SETS]
         for one in [one for one in self._waiting if one.libraries not in self._wanted]:
             self._waiting.remove(one)

@@ -178,7 +178,6 @@ def _rms_where(e: Array, chosen: Mask) -> Array:
 
 
 def _unit(x: Array) -> Array:
-    """Columns of norm 1."""
     return x / np.maximum(np.sqrt((x**2).sum(axis=0)), 1e-300)
 
 
@@ -278,9 +277,7 @@ class SignedResidual:
     """The mean residual of one output over one part of the data."""
 
     output: int
-    """Index of the output."""
     kind: PartKind
-    """Property that the samples of this part share."""
     signal: int
     """Index of the input for INPUT and STEP, else of the output."""
     part: int
@@ -296,7 +293,6 @@ class SignedResidual:
     error: float
     """Standard error of `mean`; samples that follow each other are not counted as independent."""
     samples: int
-    """Number of samples of the part."""
     share: float
     """The share of the squared residual of this output that would be gone without `mean`."""
     gain: float

@@ -281,7 +281,6 @@ class _Session:
             return b""
 
     def _device(self) -> bytes:
-        """Evidence, as `_parameters`."""
         try:
             device = sys.modules["jax"].devices()[0]
             return f"{device.platform} {device.device_kind}".encode()[: wire.DEVICE_BYTES]

@@ -37,7 +37,6 @@ class EstimateRow(NamedTuple):
     """One parameter."""
 
     name: str
-    """Name of the parameter."""
     unit: str
     """Unit of the parameter; "" where none is given."""
     figures: tuple[float, ...]
@@ -49,11 +48,9 @@ class EstimateRows(NamedTuple):
     """All of a model."""
 
     rows: tuple[EstimateRow, ...]
-    """Parameters of the model."""
     correlation: tuple[float, ...]
     """Correlations of their errors, row after row."""
     equations: tuple[str, ...]
-    """Lines of text."""
 
 
 def pack_parameters(offered: object) -> bytes:

@@ -366,7 +366,6 @@ class Worker:
 
     @contextlib.contextmanager
     def _channel_errors(self, late: Reason) -> Generator[None]:
-        """Translate errors of the channel to the fault that they stand for."""
         try:
             yield
         except (LateError, GoneError, UnsolicitedError) as error:
@@ -387,7 +386,6 @@ class Worker:
         wanted: tuple[ReplyKind, ...] = (ReplyKind.OK,),
         expected: tuple[int, ...] = (),
     ) -> Head:
-        """Send a request and receive the head of its reply."""
         self._send(name, arguments, deadline, late)
         return self._head(deadline, late, wanted, expected)
 
@@ -411,7 +409,6 @@ class Worker:
         raise self._failure(_REASONS[head.status], words)
 
     def _model_bytes(self, head: Head, deadline: float, late: Reason) -> bytes:
-        """A model that follows `head`."""
         if head.length > self._limits.model_mb * 1024 * 1024:
             detail = f"{head.length} bytes, the limit is {self._limits.model_mb} MB"
             raise self._failure(Reason.MODEL_SIZE, detail)

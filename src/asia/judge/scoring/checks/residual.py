@@ -207,9 +207,7 @@ class Groups:
     reach: int
     """Samples that are left out at the start of each block."""
     inputs: list[Array]
-    """The past of all inputs."""
     simulated: list[Array]
-    """The past of the simulated output."""
     bends: list[Array]
     """Bends of the simulated output and of the inputs."""
     turns: list[Array]

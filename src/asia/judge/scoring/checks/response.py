@@ -88,7 +88,6 @@ class LinearResponse:
 
     point: str
     input: str
-    """The input that moves."""
     impulse: Array
     """Change of the outputs (n, ny) for an input of 1 during the first sample."""
 

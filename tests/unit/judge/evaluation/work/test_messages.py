@@ -58,7 +58,8 @@ class Loopback(LocalExecutor):
     def ask_each(
         self, describe: Callable[[bytes], bytes], request: bytes
     ) -> dict[str, tuple[bytes, float, float]]:
-        return {"here": (describe(request), 0.001, time.time())}
+        asked = time.time()
+        return {"here": (describe(request), 0.001, asked)}
 
     def forget(self, request: bytes) -> None:
         self.forgotten.add(request)
