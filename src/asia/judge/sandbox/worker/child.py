@@ -29,13 +29,12 @@ if TYPE_CHECKING:
     from asia.candidate import Context, Model
     from asia.data.trajectory import Array, Mask, Trajectory
     from asia.judge.sandbox.layers import lockdown
-    from asia.judge.sandbox.worker import compilation, curve, figures, portable, wire
+    from asia.judge.sandbox.worker import compilation, figures, portable, wire
 else:
     # Imported by their folders: their package imports modules that only the parent needs.
     _HERE = os.path.dirname(os.path.abspath(__file__))
     sys.path[:0] = [_HERE, os.path.join(os.path.dirname(_HERE), "layers")]
     import compilation
-    import curve
     import figures
     import lockdown
     import portable
@@ -128,6 +127,30 @@ def _as_model(value: object, what: str = "fit returned") -> Model:
     return value  # pyright: ignore[reportReturnType]
 
 
+class _TrainingCurve:
+    """Training curve of bounded size: thinned by two whenever it is full."""
+
+    def __init__(self) -> None:
+        self._stride = 1
+        self._calls = 0
+        self._kept: list[tuple[float, float]] = []
+
+    def log(self, step: float, loss: float) -> None:
+        if self._calls % self._stride == 0:
+            if len(self._kept) == wire.CURVE_ROWS:
+                self._kept = self._kept[::2]
+                self._stride *= 2
+            if self._calls % self._stride == 0:
+                self._kept.append((float(step), float(loss)))
+        self._calls += 1
+
+    def tobytes(self) -> bytes:
+        """Steps and losses as float64, row after row."""
+        import numpy as np
+
+        return np.array(self._kept, dtype="<f8").tobytes()
+
+
 class _Session:
     """Session that handles requests until the parent closes the pipe."""
 
@@ -206,7 +229,7 @@ class _Session:
         fit = getattr(module, "fit", None)
         if not callable(fit):
             raise _RefusedError("the source defines no function fit(trajectories, context)")
-        points = curve.TrainingCurve(wire.CURVE_ROWS)
+        points = _TrainingCurve()
         validation_score = self._validation_score if scored else None
         context = Context(**known, log=points.log, validation_score=validation_score)
         self._reply(wire.ReplyKind.STARTED)

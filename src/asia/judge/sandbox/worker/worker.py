@@ -27,7 +27,6 @@ from asia.judge.sandbox.types import (
 from asia.judge.sandbox.worker.figures import (
     ESTIMATES_BYTES,
     PARAMETERS_BYTES,
-    estimates_of,
     unpack_estimates,
     unpack_parameters,
 )
@@ -239,7 +238,7 @@ class Worker:
         """
         body = self._reply_before_cases("estimates", ESTIMATES_BYTES)
         try:
-            return estimates_of(unpack_estimates(body)) if body else None
+            return unpack_estimates(body) if body else None
         except ValueError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
