@@ -14,9 +14,6 @@ from asia.judge.evaluation.results import score_outputs
 from asia.judge.scoring.outcome import Outcome
 from asia.problem.protocol import Block, Fold
 
-# Constant velocity: the reference that knows how the outputs move, and nothing of the inputs.
-
-
 Rates = tuple[int | None, ...]
 
 
@@ -48,7 +45,6 @@ def constant_velocity(block: Block, rates: Rates, sampling_time: float) -> Array
 
 
 # Simple references that every search scores, to compare V with.
-
 
 TRUTH = "simulated truth"
 LINEAR_REFERENCE = "linear model"

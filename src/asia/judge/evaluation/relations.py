@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from itertools import cycle
+from typing import TypeAlias
 
 import numpy as np
 
@@ -26,9 +27,6 @@ from asia.judge.evaluation.requests import (
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, FoldResult, consistency
 from asia.judge.scoring.outcome import Failure
 from asia.problem.protocol import Block
-
-# Relations between the simulations of one model, each on one request.
-
 
 TINY, COARSE = 1e-6, 1e-2
 STARTS = 4
@@ -72,17 +70,10 @@ class Suspicion:
     later starts over the error from the scored one."""
 
 
-@dataclass(frozen=True)
-class Continuation:
-    """Simulations continued inside a block from simulated outputs up to its end; None where not
-    finite."""
-
-    beginning: Array | None
-    """Outputs for the first inputs of the longer request."""
-    short: Array | None
-    """Outputs of the shorter request."""
-    long: Array | None
-    """Outputs of the longer request."""
+Continuation: TypeAlias = tuple[Array | None, Array | None, Array | None]
+"""Simulations continued inside a block from simulated outputs up to its end: outputs for the first
+inputs of the longer request, of the shorter request, and of the longer one; None where not
+finite."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +154,7 @@ class RequestCheck:
         them."""
         later = self.batch.ending(long)
         beginning, last = self.ask(later.prefix(short)), self.ask(self.batch.ending(short))
-        return Continuation(beginning, last, self.ask(later))
+        return beginning, last, self.ask(later)
 
     def block_end(self, found: Continuation) -> tuple[Suspicion | None, ...]:
         """Test whether a model that continues from its own outputs returns to its own simulation.
@@ -172,12 +163,13 @@ class RequestCheck:
         more than a difference of 1e-6 does; a simulation that is drawn to the data after the block
         deviates from it.
         """
+        beginning, short, long = found
         whole, overall = self.batch.y_hat, self.batch.y_hat - self.batch.y
         if _rms(overall[: self.batch.count] / self.scale) >= 1.0:
             return ()
         first, second = self.nearby
         end = 0.0
-        for answer in (found.short, found.long):
+        for answer in (short, long):
             if answer is None:
                 continue
             length = answer.shape[1]
@@ -188,9 +180,8 @@ class RequestCheck:
             if last > _PARTED and growth > _GROWS * max(usual, 1.0):
                 end = max(end, last)
         ahead = 0.0
-        if found.beginning is not None and found.long is not None:
-            length = found.beginning.shape[1]
-            ahead = self._beyond_rounding(found.beginning, found.long[:, :length])
+        if beginning is not None and long is not None:
+            ahead = self._beyond_rounding(beginning, long[:, : beginning.shape[1]])
         words = "continued from its own outputs, the simulation reaches another end"
         sooner = "the length of a simulation changes its output"
         return (
@@ -304,7 +295,6 @@ def _rms(values: Array) -> float:
 # A lookup table reproduces its own cases and fails on cases close to them. Relations between
 # simulations need no threshold on how good a model may be (Chen et al., ACM Computing Surveys
 # 51(1), 2018).
-
 
 ROUNDING = 1e-6
 # V of sequential fits over V, above which the folds exchanged data.

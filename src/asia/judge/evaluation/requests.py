@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from asia.judge.scoring.outcome import check_reply
 from asia.problem.protocol import Block
 
 MOST_TRAINING_WINDOWS = 256
+
+T = TypeVar("T")
 
 
 class CaseSimulator(Protocol):
@@ -73,10 +75,10 @@ def _in_order(
     return tuple(found[i] for i in range(len(blocks)))
 
 
-def spread(blocks: Sequence[Block], most: int) -> tuple[Block, ...]:
-    """Choose at most `most` of the blocks, evenly spread."""
-    places = np.linspace(0, len(blocks) - 1, min(len(blocks), most)).round().astype(int)
-    return tuple(blocks[place] for place in places.tolist())
+def spread(each: Sequence[T], most: int) -> tuple[T, ...]:
+    """Choose at most `most`, evenly spread."""
+    places = np.linspace(0, len(each) - 1, min(len(each), most)).round().astype(int)
+    return tuple(each[place] for place in places.tolist())
 
 
 def largest(requests: Sequence[Sequence[int]]) -> int:
@@ -161,7 +163,6 @@ def simulate_alone(worker: CaseSimulator, block: Block, row: int, rows: int) -> 
 
 
 # Scored requests, and the changed requests that test whether a model is one.
-
 
 MOST_BATCHES = 6
 _MOTION = 3

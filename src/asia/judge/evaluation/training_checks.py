@@ -12,6 +12,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array, filled
+from asia.judge.evaluation.requests import spread
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
 from asia.judge.scoring.checks.residual import residual_checks
@@ -47,8 +48,8 @@ def training_checks(
     # Blocks evenly spread, each from its start, as many as fit.
     longest = max(len(y) for y in y_hat)
     many = max(1, min(len(blocks), _MOST_SAMPLES // longest))
-    places = np.linspace(0, len(blocks) - 1, many).round().astype(int).tolist()
-    chosen = [(blocks[k], y_hat[k][: _MOST_SAMPLES // many]) for k in places]
+    each = _MOST_SAMPLES // many
+    chosen = [(b, y[:each]) for b, y in spread(list(zip(blocks, y_hat, strict=True)), many)]
     if sum(len(y) for _, y in chosen) < _FEWEST_SAMPLES:
         return ()
     errors = np.concatenate([filled(b.y[: len(y)] - y) for b, y in chosen]) / scale

@@ -22,8 +22,6 @@ from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation, Layer, Limits, Probe
 from asia.judge.sandbox.worker.worker import Worker
 
-# Choice of the isolation level, and workers at a given one.
-
 
 def probe(wanted: Isolation | None = None) -> Probe:
     """The strongest level that works here, found by starting something at it, or the `wanted` one.
@@ -167,7 +165,6 @@ def survey() -> tuple[LevelState, ...]:
 
 
 # Test whether sandboxed workers can compute on a GPU.
-
 
 _LIMITS = Limits(120.0, 60.0, 16384, gpu=True)
 _MOST_WORDS = 200

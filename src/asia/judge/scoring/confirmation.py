@@ -15,9 +15,6 @@ from asia.errors import InternalError
 from asia.judge.scoring.outcome import pooled
 from asia.problem.metrics import find_metric
 
-# Least significant difference of V, given the variance over seeds.
-
-
 _LEVEL = 0.9
 
 
@@ -55,7 +52,6 @@ def least_significant_difference(one: Sequence[float], other: Sequence[float]) -
 # of a winner is estimated by a bootstrap over the blocks that also chooses the winner anew: it is
 # judged on the blocks that had no part in the choice (Tsamardinos, Greasidou and Borboudakis,
 # Machine Learning 107, 2018, "Bootstrapping the out-of-sample predictions").
-
 
 BLOCKS: Final = 8
 _DRAWS = 2000
@@ -269,7 +265,6 @@ def expected_lowest(number: int) -> float:
 
 
 # Attribution of a gain to the model, the training, or both together.
-
 
 _ATTRIBUTION_LEVEL = 0.95
 

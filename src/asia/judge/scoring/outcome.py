@@ -48,7 +48,6 @@ def pooled(parts: Sequence[Array]) -> Array:
 
 # Outcome of an experiment: a Score, finite by construction, or a Failure with a reason.
 
-
 DIVERGED = 1e100
 PARTS = 8
 

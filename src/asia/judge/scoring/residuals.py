@@ -14,9 +14,6 @@ from asia.data.trajectory import Array, Signal
 from asia.errors import CandidateError, Reason
 from asia.judge.scoring.outcome import pooled
 
-# Correlation of residuals with their own past and with the inputs, over several blocks.
-
-
 _LAGS = 40
 QUANTILE = 2.5758293035489004
 
@@ -95,7 +92,6 @@ def _longest(e: Sequence[Array]) -> int:
 
 # Diagnostics of training residuals; agents may see these, and no validation or test output is
 # used.
-
 
 Samples = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -210,7 +206,6 @@ def _pairs(
 
 
 # Mean signed residuals over parts of the data: regions where a model is too high or too low.
-
 
 BINS = 5
 """Parts of equal width into which the range of a signal is cut."""

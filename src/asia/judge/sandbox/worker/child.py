@@ -329,29 +329,27 @@ class _Session:
 
             dimensions = error.shape[: wire.SHAPE_DIMENSIONS]
             return status.SHAPE, np.array(dimensions, dtype="<i8").tobytes()
-        kind = _status_name(error)
+        kind = status.CRASH
+        if isinstance(error, _RefusedError):
+            kind = status.CONTRACT
+        elif isinstance(error, SystemExit):
+            kind = status.EXITED
+        elif isinstance(error, SyntaxError) and error.filename == _SOURCE_NAME:
+            kind = status.SYNTAX
+        elif isinstance(error, MemoryError):
+            kind = status.MEMORY
+        else:
+            with contextlib.suppress(BaseException):
+                start = str(error)[:500]
+                if "RESOURCE_EXHAUSTED" in start or "Cannot allocate memory" in start:
+                    kind = status.MEMORY
         if private:
-            return status[kind], type(error).__name__.encode("ascii", "replace")[:100]
+            return kind, type(error).__name__.encode("ascii", "replace")[:100]
         try:
             text = str(error) if isinstance(error, _RefusedError) else _candidate_traceback(error)
         except BaseException:  # noqa: BLE001 - out of memory, or a __str__ that raises
             text = type(error).__name__
-        return status[kind], text.encode("utf-8", "replace")[-wire.TEXT_BYTES :]
-
-
-def _status_name(error: BaseException) -> str:
-    if isinstance(error, _RefusedError):
-        return "CONTRACT"
-    if isinstance(error, SystemExit):
-        return "EXITED"
-    if isinstance(error, SyntaxError) and error.filename == _SOURCE_NAME:
-        return "SYNTAX"
-    if isinstance(error, MemoryError):
-        return "MEMORY"
-    with contextlib.suppress(BaseException):
-        if "RESOURCE_EXHAUSTED" in str(error)[:500] or "Cannot allocate memory" in str(error)[:500]:
-            return "MEMORY"
-    return "CRASH"
+        return kind, text.encode("utf-8", "replace")[-wire.TEXT_BYTES :]
 
 
 def _candidate_traceback(error: BaseException) -> str:

@@ -44,9 +44,6 @@ from asia.judge.sandbox.worker.wire import (
     ReplyKind,
 )
 
-# One started worker process, as every level of isolation gives it.
-
-
 _EXIT_SECONDS = 0.5
 _KILLED = 128 + signal.SIGKILL
 _PATIENCE_SECONDS = (2.0, 5.0)
@@ -181,7 +178,6 @@ def kill_quietly(pid: int) -> None:
 
 
 # The parent's end of a worker's pipes: framed, bounded, and under one deadline.
-
 
 _KEPT_BEGINNING = 16 * 1024
 # With the line between them all stays within 64 KiB.
@@ -361,7 +357,6 @@ def select_one(fd: int, event: int = select.POLLIN) -> bool:
 
 
 # Timer and memory meter of one worker, measured by the parent.
-
 
 _LOOK_SECONDS = 0.2
 

@@ -185,7 +185,6 @@ def no_bands(reason: str) -> Check:
 
 # Check of the similarity of samples to the training records.
 
-
 _REGION_DOUBT, _REGION_FAIL = 0.1, 0.5
 
 

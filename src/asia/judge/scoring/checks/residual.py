@@ -285,7 +285,6 @@ def _signs(signal: Sequence[Array]) -> list[Array]:
 
 # Checks of the simulation residual, each for one likely cause.
 
-
 Columns = Callable[[Groups], list[Array]]
 
 _CHANCE = 1e-4

@@ -71,7 +71,6 @@ def _ridge(x: Array, y: Array) -> Array:
 # The model as a linear one around operating points, from small steps of a simulator that may be
 # anything.
 
-
 SMALL = 1e-3
 # Share of the largest singular value below which a state is not seen.
 _SEEN = 1e-6
@@ -175,7 +174,6 @@ def check_responses(
 
 
 # The residual by frequency, and the model's frequency response against that of the data.
-
 
 _LONGEST, _SHORTEST = 256, 16
 _COHERENT = 0.8
@@ -357,7 +355,6 @@ def _drawn(
 
 
 # Check that the model stays bounded far beyond the length of its records.
-
 
 HORIZONS = 10
 _FAR = 5.0
