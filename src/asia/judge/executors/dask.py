@@ -198,11 +198,7 @@ class DaskExecutor:
                 self._under_way.pop(future, None)
 
     def _await_workers(self) -> None:
-        """Wait for a worker.
-
-        Raises:
-            UserError: where none appears in time
-        """
+        """Wait for a worker; raise UserError where none appears in time."""
         end = time.monotonic() + _NO_WORKERS_SECONDS
         while not self._client.scheduler_info(n_workers=1)["workers"] and not self._cancelled:
             self._check_scheduler()
@@ -215,11 +211,8 @@ class DaskExecutor:
             time.sleep(_POLL_SECONDS)
 
     def _check_scheduler(self) -> None:
-        """Wait while the engine looks for a scheduler that it has lost.
-
-        Raises:
-            UserError: where it does not find it
-        """
+        """Wait while the engine looks for a scheduler that it has lost; raise UserError where it
+        does not find it."""
         while self._client.status in ("connecting", "closing"):
             time.sleep(_POLL_SECONDS)
         if self._client.status != "running":

@@ -154,11 +154,8 @@ def _sizes(errors: Array, otherwise: Array) -> Array:
 
 
 def _edge(sizes: Sequence[Array], centres: Array, factor: Array, level: float) -> Array:
-    """The lowest values (H,) that a share `level` of all centre + factor * size stays below.
-
-    Args:
-        sizes: sorted, one a fold; centres (K, H)
-    """
+    """The lowest values (H,) that a share `level` of all centre + factor * size stays below; sizes
+    sorted, one a fold; centres (K, H)."""
     total = sum(len(s) for s in sizes)
     wanted = level * total - 1e-9 * total
     if total * centres.shape[1] <= _FEW:
@@ -259,22 +256,16 @@ def region_of(records: Sequence[tuple[Array, Array]]) -> Region:
 
 
 def _features(past_u: Array, u: Array, y: Array, lengths: Sequence[int], usual: Array) -> Array:
-    """Average the inputs over the samples up to each one, and append the outputs there.
-
-    Args:
-        usual: (nu,) assumed inputs before the past window
-    """
+    """Average the inputs over the samples up to each one, with `usual` (nu,) before the past
+    window, and append the outputs there."""
     whole = np.concatenate([past_u, u])
     averages = [_average(whole, length, usual)[len(past_u) :] for length in lengths]
     return np.concatenate([*averages, y], axis=1)
 
 
 def _changes(past_u: Array, u: Array, length: int, usual: Array) -> Array:
-    """Compute the root mean square (H, nu) of the input changes over the last `length` samples.
-
-    Args:
-        usual: (nu,) mean square of the changes, assumed before the past window
-    """
+    """Root mean square (H, nu) of the input changes over the last `length` samples, with the mean
+    square `usual` (nu,) before the past window."""
     whole = np.concatenate([past_u, u])
     squares = np.diff(whole, axis=0, prepend=whole[:1]) ** 2
     squares[0] = usual
@@ -282,11 +273,8 @@ def _changes(past_u: Array, u: Array, length: int, usual: Array) -> Array:
 
 
 def _average(values: Array, length: int, before: Array) -> Array:
-    """Compute the moving average (N, n) over the `length` samples up to each one.
-
-    Args:
-        before: (n,) values in place of the samples before the first
-    """
+    """Moving average (N, n) over the `length` samples up to each one; `before` (n,) stands in for
+    the samples before the first."""
     whole = np.concatenate([np.tile(before, (length - 1, 1)), values])
     total = np.concatenate([np.zeros((1, whole.shape[1])), np.cumsum(whole, axis=0)])
     return (total[length:] - total[:-length]) / length

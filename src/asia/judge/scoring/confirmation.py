@@ -152,11 +152,8 @@ def value_interval(fits: RepeatedFits, level: float) -> Interval:
 
 
 def _around(value: float, means: Sequence[Array], level: float) -> Interval:
-    """Interval by Student's t around a sum of means.
-
-    Args:
-        means: the values of each mean; a single one adds no variance
-    """
+    """Interval by Student's t around a sum of means, each given by its values; a single value adds
+    no variance."""
     each = [(float(v.var(ddof=1)) / v.size, v.size - 1) for v in means if v.size > 1]
     each = [(variance, degrees) for variance, degrees in each if variance > 0.0]
     if not each:

@@ -186,13 +186,8 @@ def _products(a: Array, b: Array) -> Array:
 def _pairs(
     a: Array, b: Array, place: Samples | None, first_lag: int
 ) -> Iterator[tuple[Array, Array]]:
-    """Iterate over the lags, with the samples a(t) and b(t - lag) of one record.
-
-    A lag with too few pairs is skipped.
-
-    Args:
-        place: each sample's number within its record, None where there is but one
-    """
+    """Iterate over the lags that have enough pairs, with the samples a(t) and b(t - lag) of one
+    record; place: each sample's number within its record, None where there is but one."""
     for lag in range(first_lag, 21):
         if place is None:
             if len(a) - lag < 3:

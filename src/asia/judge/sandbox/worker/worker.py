@@ -77,12 +77,8 @@ _LAST_WORDS = 1500
 def _failure_words(
     status: ReplyKind, body: bytes, expected: tuple[int, ...], *, private: bool
 ) -> str:
-    """Detail of a failure the worker reported.
-
-    Args:
-        expected: the shape to name in one
-        private: whether it knows cases, and may not speak freely
-    """
+    """Detail of a failure the worker reported; expected: the shape to name in one; private: whether
+    the worker knows cases, and may not speak freely."""
     if status is ReplyKind.SHAPE:
         # Numbers near the expected ones only.
         dimensions = np.frombuffer(body[: len(body) // 8 * 8], dtype="<i8")[:SHAPE_DIMENSIONS]

@@ -250,11 +250,7 @@ def groups(found: SimulatedBlocks, output: int) -> Groups:
 def _pasts(
     signals: Sequence[Sequence[Array]], lags: Sequence[tuple[int, int]], reach: int
 ) -> list[Array]:
-    """The past of several signals, one array a block.
-
-    Args:
-        signals: (n, c) a signal and block
-    """
+    """The past of several signals (n, c), one array a block."""
     together = zip(*signals, strict=True)
     return [np.concatenate([_past(v, lags) for v in each], axis=1)[reach:] for each in together]
 
@@ -453,12 +449,8 @@ def _judged(
     curves: tuple[CheckCurve, ...] = (),
     axes: tuple[str, str] = ("", ""),
 ) -> Check:
-    """Check for one cause.
-
-    Args:
-        passing, flagged: what no residual does where the check passes, and what that of the worst
-            output does where it does not; "" for a check that passes
-    """
+    """Check for one cause; no residual does `passing`, or that of the worst output does `flagged`,
+    "" for a check that passes."""
     if worst.verdict is Verdict.PASS or not flagged:
         sentence = f"no residual {passing} ({worst.words()} at most)"
         return Check(name, Verdict.PASS, sentence, curves=curves, axes=axes)
