@@ -35,7 +35,8 @@ OURS = """
 import sys
 from asia.agents.library.registry import family
 from asia.candidate import Context
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.problem.load import load_problem
 from asia.problem.protocol import make_folds
@@ -47,8 +48,8 @@ row = family(sys.argv[2])
 context = Context(facts.inputs, facts.outputs, facts.sampling_time, rule.past_inputs,
     rule.past_outputs, rule.horizon, rule.metric, problem.physics, seed=1)
 fold = make_folds(problem.train, rule)[:1]
-evaluator = Evaluator(fold, problem.train, context, rule, problem.budget, probe().level,
-    LocalExecutor(1))
+data = EvaluationData(fold, problem.train, context, rule)
+evaluator = Evaluator(data, WorkerRunner(probe().level, problem.budget, LocalExecutor(1)))
 print("error", evaluator.evaluate(row.trial(facts).source(row.label)).outcome.value)
 """
 

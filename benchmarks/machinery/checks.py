@@ -18,9 +18,10 @@ from statistics import median
 
 from asia.agents.library.registry import all_families
 from asia.candidate import Context
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import Evaluation
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import machine, probe
 from asia.judge.scoring.outcome import Failure
@@ -94,10 +95,9 @@ def evaluator(problem: Problem, without: Collection[SuspicionKind]) -> Evaluator
         facts.inputs, facts.outputs, facts.sampling_time, rule.past_inputs, rule.past_outputs,
         rule.horizon, rule.metric, problem.physics, seed=1,
     )  # fmt: skip
-    return Evaluator(
-        make_folds(problem.train, rule), problem.train, context, rule, problem.budget,
-        probe().level, LocalExecutor(2), "benchmark", without=without,
-    )  # fmt: skip
+    data = EvaluationData(make_folds(problem.train, rule), problem.train, context, rule)
+    workers = WorkerRunner(probe().level, problem.budget, LocalExecutor(2))
+    return Evaluator(data, workers, EvaluatorOptions("benchmark", without))
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from statistics import median
 from types import ModuleType
 from typing import TypeVar, cast
@@ -28,7 +28,8 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.sandbox.availability import probe
 from asia.judge.sandbox.types import FitReply, Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
@@ -177,14 +178,14 @@ class Watched:
         return y
 
 
-class WatchedEvaluator(Evaluator):
-    """An evaluator whose workers add to `clock`."""
+class WatchedRunner(WorkerRunner):
+    """A runner whose workers add to `clock`."""
 
     clock: Clock
 
     @contextmanager
-    def _worker(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
-        with super()._worker(libraries, limits) as worker:
+    def open(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
+        with super().open(libraries, limits) as worker:
             yield cast(Worker, Watched(worker, self.clock))
 
 
@@ -269,29 +270,36 @@ def _measure(level: Isolation, source: str, repeats: int, *, ahead: bool) -> lis
     context = Context((Signal("u"),), (Signal("y"),), 0.1, rule.past_inputs, rule.past_outputs)
     bare = [_bare(source, fold, context, rule) for fold in folds]
     turns = InTurn()
-    evaluator = WatchedEvaluator(folds, records, context, rule, Budget(), level, turns)
+    runner = WatchedRunner(level, Budget(), turns, standby=len(folds))
+    evaluator = Evaluator(EvaluationData(folds, records, context, rule), runner)
     times: list[Times] = []
-    with evaluator.ready_workers() if ahead else nullcontext():
+    with runner.ready_workers() if ahead else nullcontext():
         for _ in range(repeats):
             for fold, alone in zip(folds, bare, strict=True):
-                times.append(_once(evaluator, turns, source, fold, alone))
+                times.append(_once(evaluator, runner, turns, source, fold, alone))
     return times
 
 
 def _once(
-    evaluator: WatchedEvaluator, turns: InTurn, source: str, fold: Fold, bare: float
+    evaluator: Evaluator,
+    runner: WatchedRunner,
+    turns: InTurn,
+    source: str,
+    fold: Fold,
+    bare: float,
 ) -> Times:
     """One fold."""
-    evaluator.folds, evaluator.clock, turns.walls = (fold,), Clock(), []
+    evaluator.data = replace(evaluator.data, folds=(fold,))
+    runner.clock, turns.walls = Clock(), []
     evaluation = evaluator.evaluate(source)
     if not isinstance(evaluation.outcome, Score):
         sys.exit(f"the candidate failed: {evaluation.outcome}")
-    own, imported = evaluator.clock.own, evaluator.clock.imported
-    evaluator.clock = Clock()
+    own, imported = runner.clock.own, runner.clock.imported
+    runner.clock = Clock()
     # The clock in the first output makes the replies differ: the verdict is of no interest.
     evaluator.objection(source, evaluation.folds)
     wall, again = turns.walls
-    return Times(wall, wall - own, imported, again - evaluator.clock.simulate, bare)
+    return Times(wall, wall - own, imported, again - runner.clock.simulate, bare)
 
 
 def _bare(source: str, fold: Fold, context: Context, rule: ProtocolRule) -> float:

@@ -27,8 +27,9 @@ from option_systems import (
     vehicle,
 )
 
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure, Outcome, Score
@@ -293,9 +294,8 @@ def evaluated(name: str, source: str, seed: int) -> Outcome:
     known = search_context(problem, seed)
     budget = Budget(fit_seconds=3600.0, memory_mb=problem.budget.memory_mb)
     folds = make_folds(problem.train, rule)
-    judge = Evaluator(
-        folds, problem.train, known, rule, budget, Isolation.PROCESS, LocalExecutor(2)
-    )
+    data = EvaluationData(folds, problem.train, known, rule)
+    judge = Evaluator(data, WorkerRunner(Isolation.PROCESS, budget, LocalExecutor(2)))
     return judge.evaluate(source).outcome
 
 

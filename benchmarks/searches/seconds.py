@@ -35,7 +35,8 @@ FOLD = """
 import time
 from asia.agents.library.registry import all_families
 from asia.candidate import Context
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.problem.load import load_problem
 from asia.problem.protocol import make_folds
@@ -50,8 +51,8 @@ context = Context(facts.inputs, facts.outputs, facts.sampling_time, rule.past_in
 fold = make_folds(problem.train, rule)[:1]
 level = probe().level
 begin = time.monotonic()
-found = Evaluator(fold, problem.train, context, rule, problem.budget, level, LocalExecutor(1)
-    ).evaluate(source)
+data = EvaluationData(fold, problem.train, context, rule)
+found = Evaluator(data, WorkerRunner(level, problem.budget, LocalExecutor(1))).evaluate(source)
 print(time.monotonic() - begin, found.outcome.value)
 """
 

@@ -316,7 +316,7 @@ class _Ablation:
         }
         different = {variant.digest: variant for variant in variants}
         total, done = len(different) * self.seeds, 0
-        with self.evaluator.ready_workers():
+        with self.evaluator.workers.ready_workers():
             for digest, variant in different.items():
                 before: AblationFit | None = None
                 for repeat in range(1, self.seeds + 1):

@@ -224,7 +224,7 @@ class _Confirmation:
         """Fit all seeds of each candidate in sequence."""
         total, done = len(chosen) * self.seeds, 0
         known = {(event.experiment, event.repeat): event for event in self.chain.view.repeats}
-        with self.evaluator.ready_workers():
+        with self.evaluator.workers.ready_workers():
             for experiment in chosen:
                 source = self.store.text(experiment.proposed.source)
                 for repeat in range(1, self.seeds + 1):
@@ -254,7 +254,7 @@ class _Confirmation:
         assert experiment.result is not None
         return [
             self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.validation])
-            for kept, fold in zip(experiment.result.folds, self.evaluator.folds, strict=True)
+            for kept, fold in zip(experiment.result.folds, self.evaluator.data.folds, strict=True)
         ]
 
     def _blocks(self, y_hats: Sequence[tuple[Array, ...]]) -> tuple[tuple[float, ...], ...]:
@@ -265,7 +265,7 @@ class _Confirmation:
                     [block.y for block in fold.validation], y_hat, fold.scale, self.metric
                 ).tolist()
             )
-            for fold, y_hat in zip(self.evaluator.folds, y_hats, strict=True)
+            for fold, y_hat in zip(self.evaluator.data.folds, y_hats, strict=True)
         )
 
     def tried(self, experiment: Experiment) -> TriedCandidate:

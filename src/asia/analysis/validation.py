@@ -273,11 +273,11 @@ class _Validation:
         basis = self._basis
         pairs = [
             (block, y_hat)
-            for fold, simulated in zip(self.evaluator.folds, basis.simulated, strict=True)
+            for fold, simulated in zip(self.evaluator.data.folds, basis.simulated, strict=True)
             for block, y_hat in zip(fold.validation, simulated, strict=True)
         ]
         found = self._simulations(pairs)
-        windows = self.evaluator.horizon is not None
+        windows = self.evaluator.data.horizon is not None
         return (
             *self._registered_checks(found),
             *_run_check("held-out error", lambda: self._check_overfit(found)),
@@ -298,7 +298,7 @@ class _Validation:
         y_hat = self._simulator(final_members(self.run.view, self.use))(blocks)
         pairs = list(zip(blocks, y_hat, strict=True))
         found, basis = self._simulations(pairs), self._basis
-        windows = self.evaluator.horizon is not None
+        windows = self.evaluator.data.horizon is not None
         return (
             *self._registered_checks(found),
             *(_run_check("steps ahead", lambda: self._check_windows(pairs)) if windows else ()),
@@ -360,14 +360,14 @@ class _Validation:
         def noise() -> list[float | None]:
             return [None if r is None else r.levels.noise for r in responses(self.problem)]
 
-        y = np.concatenate([r.y for r in self.evaluator.records])
+        y = np.concatenate([r.y for r in self.evaluator.data.records])
         data = ValidationData(
             simulations=found,
             linear_responses=linear,
             lowest=y.min(axis=0),
             highest=y.max(axis=0),
             noise=noise,
-            long_run=lambda: long_run(given, self.evaluator.horizon, simulator),
+            long_run=lambda: long_run(given, self.evaluator.data.horizon, simulator),
         )
         checks = [Check("small steps", Verdict.ABSENT, line) for line in failed]
         for name, check in validation_checks().items():
@@ -378,14 +378,14 @@ class _Validation:
     @property
     def _probe_range(self) -> ProbeRange:
         rule = self.problem.protocol
-        return ProbeRange(self.evaluator.records, rule.past_inputs, rule.past_outputs)
+        return ProbeRange(self.evaluator.data.records, rule.past_inputs, rule.past_outputs)
 
     def _check_windows(self, pairs: Sequence[tuple[Block, Array]]) -> Check:
         """Check windows, each of which starts anew."""
         past = self.problem.protocol.past_outputs
         hold = np.stack([filled(b.y - b.case.past_y[-1]) for b, _ in pairs]) if past else None
         errors = np.stack([filled(b.y - y_hat) for b, y_hat in pairs])
-        return check_steps_ahead(errors, hold, self.evaluator.scale)
+        return check_steps_ahead(errors, hold, self.evaluator.data.scale)
 
     def _check_starts(self) -> Check:
         """Each fold's model from starts within what it did not fit."""
@@ -395,7 +395,7 @@ class _Validation:
         member = final_members(self.run.view, "ensemble")[0]
         model_errors: list[Array] = []
         hold_errors: list[Array] = []
-        for fold, name in zip(self.evaluator.folds, member.models, strict=True):
+        for fold, name in zip(self.evaluator.data.folds, member.models, strict=True):
             blocks = starts(self._probe_range, fold.validation)
             if not blocks:
                 continue
@@ -411,7 +411,7 @@ class _Validation:
             return no_steps_ahead(
                 "no held-out part is long enough for a start, or no simulation was finite"
             )
-        scale = self.evaluator.scale
+        scale = self.evaluator.data.scale
         return check_steps_ahead(np.stack(model_errors), np.stack(hold_errors), scale)
 
     def _simulator(self, members: Sequence[FinalMember]) -> Simulator:
@@ -422,7 +422,7 @@ class _Validation:
             for member in members:
                 models = [self.run.store.get(one) for one in member.models]
                 source = self.run.store.text(member.source)
-                for replies in self.evaluator.simulate(source, models, blocks):
+                for replies in self.evaluator.models.simulate(source, models, blocks):
                     for sum_, reply in zip(total, replies, strict=True):
                         sum_ += member.weight / len(models) * reply
             return total

@@ -373,7 +373,7 @@ def lowered_run(run: Run, model: str | None) -> Ready:
     parts: list[tuple[float, LoweredModel]] = []
     for member in members:
         models = [run.store.get(one) for one in member.models]
-        for one in evaluator.lowered(run.store.text(member.source), models):
+        for one in evaluator.models.lowered(run.store.text(member.source), models):
             if isinstance(one, str):
                 raise UserError(f"run '{run.name}': the model cannot be exported: {one}")
             parts.append((member.weight / len(models), one))
@@ -381,7 +381,9 @@ def lowered_run(run: Run, model: str | None) -> Ready:
     each = _windows(evaluator, run, members)
     windows = [measured_window(window, done, inputs, outputs) for window in each]
     named = next((known for known in get_args(Use) if known == use), None)
-    u, y = (np.concatenate([getattr(r, side) for r in evaluator.records]) for side in ("u", "y"))
+    u, y = (
+        np.concatenate([getattr(r, side) for r in evaluator.data.records]) for side in ("u", "y")
+    )
     notes: tuple[str, ...] = ()
     if done.decimate > 1:
         notes = (
@@ -436,7 +438,7 @@ def _windows(
     """First training windows, the last of them cut short."""
     blocks: list[Block] = []
     left = _MOST_SAMPLES
-    for block in evaluator.training_blocks[:_MOST_WINDOWS]:
+    for block in evaluator.data.training_blocks[:_MOST_WINDOWS]:
         case, samples = block.case, min(len(block.y), left)
         if samples < 1:
             break

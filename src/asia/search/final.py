@@ -147,7 +147,7 @@ class _Comparison:
         self._starts: list[RefitStart] = []
         self.causes: list[str] = []
         """Objections against each start, in a few words."""
-        answers = evaluator.simulate_training(source, fold_models)
+        answers = evaluator.models.simulate_training(source, fold_models)
         sound = [one for one in answers if not isinstance(one, CandidateError)]
         self._mean = mean_simulation(sound) if len(sound) == len(answers) else None
         self._fold_errors = tuple(
@@ -184,7 +184,7 @@ class _Comparison:
             self.causes.append(cause_of(model))
             self._starts.append(RefitStart(None, None, f"its fit failed: {model}"))
             return
-        (answers,) = self._evaluator.simulate_training(self._source, [model])
+        (answers,) = self._evaluator.models.simulate_training(self._source, [model])
         if isinstance(answers, CandidateError):
             self.causes.append(cause_of(answers))
             self._starts.append(RefitStart(None, None, f"its simulation failed: {answers}"))
@@ -210,16 +210,16 @@ class _Comparison:
         self._starts.append(RefitStart(error, apart, text))
 
     def _error(self, answers: Answers) -> float | None:
-        y = [block.y for block in self._evaluator.training_blocks]
+        y = [block.y for block in self._evaluator.data.training_blocks]
         try:
-            return score_fold(y, answers, self._evaluator.scale, self._metric).value
+            return score_fold(y, answers, self._evaluator.data.scale, self._metric).value
         except CandidateError:
             return None
 
     def _apart(self, one: Answers, other: Answers) -> float:
         """Root mean square difference over the standard deviation, mean over the outputs."""
         apart = np.concatenate([a - b for a, b in zip(one, other, strict=True)])
-        return float(np.mean(np.sqrt(np.mean(apart**2, axis=0)) / self._evaluator.scale))
+        return float(np.mean(np.sqrt(np.mean(apart**2, axis=0)) / self._evaluator.data.scale))
 
 
 # The rule for the model to use. It knows training data alone; docs/design/model-to-use.md says why
@@ -421,7 +421,7 @@ def _stack_of(
         return np.concatenate(_held_out_answers(store, e, fold))
 
     parts: list[HeldOutPart] = []
-    for fold in evaluator.folds:
+    for fold in evaluator.data.folds:
         y = np.concatenate([block.y for block in fold.validation])
         # Weights need few samples; V of the stack is computed on all of them.
         thin = slice(None, None, -(-len(y) // 2000))
@@ -432,7 +432,7 @@ def _stack_of(
     if np.count_nonzero(weights) < 2:
         return None
     judged: list[float] = []
-    for fold, nested in zip(evaluator.folds, nested_weights(parts, shortfall), strict=True):
+    for fold, nested in zip(evaluator.data.folds, nested_weights(parts, shortfall), strict=True):
         y = np.concatenate([block.y for block in fold.validation])
         y_hat = np.zeros_like(y)
         for place in np.flatnonzero(nested).tolist():
@@ -450,7 +450,7 @@ def _answers_like_a_model(evaluator: Evaluator, experiment: Experiment, store: S
     folds = [
         FoldResult(one, store.get(kept.model), _held_out_answers(store, experiment, fold),
                    np.zeros((0, 2)), kept.diagnostics, kept.fit_seconds)
-        for one, kept, fold in zip(score.folds, result.folds, evaluator.folds, strict=True)
+        for one, kept, fold in zip(score.folds, result.folds, evaluator.data.folds, strict=True)
     ]  # fmt: skip
     return evaluator.objection(store.text(experiment.proposed.source), folds) is None
 
@@ -477,9 +477,9 @@ def refit_winner(
 
     with ExitStack() as opened:
         make = stacked
-        if not evaluator.is_sequential:
+        if not evaluator.workers.is_sequential:
             # It does not depend on the refit.
-            make = opened.enter_context(evaluator.background(stacked)).result
+            make = opened.enter_context(evaluator.workers.background(stacked)).result
         refit: Refit | None = None
         try:
             source = store.text(best.proposed.source)

@@ -39,7 +39,7 @@ def look_at_guard(
         outcome: Outcome
         try:
             source = store.text(experiment.proposed.source)
-            y_hat = mean_simulation(evaluator.simulate_scored(source, models, blocks))
+            y_hat = mean_simulation(evaluator.models.simulate_scored(source, models, blocks))
             outcome = combine([score_fold(y, y_hat, scale, problem.protocol.metric)])
         except CandidateError as error:
             outcome = Failure(error.reason, error.detail)

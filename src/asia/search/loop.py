@@ -70,7 +70,7 @@ def retest_fits(
     if not evaluator.may_fit_ahead:
         yield fit
         return
-    folds = len(evaluator.folds)
+    folds = len(evaluator.data.folds)
     fits: list[BackgroundJob[Evaluation]] = []
     begun: list[threading.Semaphore] = []  # released once for each fold of a fit that has begun
     with ExitStack() as opened:
@@ -89,7 +89,7 @@ def retest_fits(
                     own.release(folds)
 
             begun.append(own)
-            job = evaluator.background(run, JobSettings(on_begin=own.release))
+            job = evaluator.workers.background(run, JobSettings(on_begin=own.release))
             fits.append(opened.enter_context(job))
 
         def take(number: int) -> Evaluation:
@@ -150,7 +150,7 @@ def judge(
     say which one is kept. After an objection the folds stay. evaluation: where its first fit was
     made before; over: as in `Proposed`."""
     if evaluation is None:
-        evaluation = evaluator.evaluate_first(source, over)
+        evaluation = evaluator.evaluate(source, over=over)
     scores, outcome = evaluation.validation_scores, evaluation.outcome
     if isinstance(outcome, Failure):
         status = outcome.reason.status
@@ -160,10 +160,10 @@ def judge(
     best = view.best.score if view.best else None
     lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
     with ExitStack() as opened:
-        if lowest and not evaluator.is_sequential:
+        if lowest and not evaluator.workers.is_sequential:
             # It is checked whatever the retests say.
             check = partial(evaluator.objection_to_answers, source, folds)
-            answers = opened.enter_context(evaluator.background(check))
+            answers = opened.enter_context(evaluator.workers.background(check))
         if view.started.retests:
             judged = _retested(evaluator, source, evaluation, outcome, view)
         else:
@@ -291,7 +291,7 @@ class Loop:
     @property
     def watch(self) -> ActivityTimer:
         """Profile of the search."""
-        return self.evaluator.stopwatch
+        return self.evaluator.workers.stopwatch
 
     @property
     def steering(self) -> Steering:
@@ -496,7 +496,7 @@ class Loop:
                     duplicate_of=twin.number,
                     isolation=known.isolation,
                 )
-        start, before = time.monotonic(), len(self.evaluator.left_behind)
+        start, before = time.monotonic(), len(self.evaluator.workers.left_behind)
         fitted = self.pending_fits.take(experiment)
         begin = time.monotonic()
         if fitted is not None:
@@ -517,8 +517,8 @@ class Loop:
             seconds=now - begin + (0.0 if fitted is None else fitted.seconds),
             deadline=judged.deadline,
             validation_scores=judged.validation_scores,
-            isolation=self.evaluator.isolation.value,
-            left_behind=tuple(self.evaluator.left_behind[before:]),
+            isolation=self.evaluator.workers.isolation.value,
+            left_behind=tuple(self.evaluator.workers.left_behind[before:]),
             retests=judged.retests,
             floor=judged.floor,
             lowest=judged.lowest,

@@ -170,7 +170,7 @@ class PendingFits:
         landed = experiment.landed
         if landed is None:
             return None
-        evaluation = evaluation_of(landed, self._evaluator.folds, self._store)
+        evaluation = evaluation_of(landed, self._evaluator.data.folds, self._store)
         return PendingFit(evaluation, landed.seconds, Lane())
 
     def close(self) -> None:
@@ -178,14 +178,14 @@ class PendingFits:
         if self._pool is None:
             return
         if not all(one.done() for one in self._under_way.values()):
-            self._evaluator.abort()
+            self._evaluator.workers.abort()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _fit(self, proposed: Proposed) -> PendingFit:
         source = self._store.text(proposed.source)
         begin = time.monotonic()
-        with self._evaluator.stopwatch.aside() as lane:
-            evaluation = self._evaluator.evaluate_first(source, proposed.over)
+        with self._evaluator.workers.stopwatch.aside() as lane:
+            evaluation = self._evaluator.evaluate(source, over=proposed.over)
         seconds = time.monotonic() - begin
         self._on_landed(
             Landed(

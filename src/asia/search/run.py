@@ -20,11 +20,12 @@ from asia.agents.relay import check_relay_budget, relay_budget
 from asia.agents.view import Agent
 from asia.candidate import check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.references import LINEAR
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import derive_seed
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor, remote_executor_of
 from asia.judge.sandbox.availability import chosen_gpu, probe
 from asia.judge.sandbox.layers.environment import shown_in
@@ -291,7 +292,9 @@ def search(
             loop.record(Resumed())
         # A standby worker that starts during a fit could receive information through its timing.
         sequential = view.started.isolation_strict or remote_executor_of(executor) is not None
-        ready = nullcontext() if sequential else evaluator.ready_workers(view.started.parallel)
+        ready = (
+            nullcontext() if sequential else evaluator.workers.ready_workers(view.started.parallel)
+        )
         (directory / ERROR).unlink(missing_ok=True)
         try:
             with ready:
@@ -310,22 +313,22 @@ def make_evaluator(
     without: Collection[SuspicionKind] = (),
 ) -> Evaluator:
     """The evaluator of a run, at the isolation its ledger records. folds: in place of the
-    problem's own; without: as in `Evaluator`."""
+    problem's own; without: as in `EvaluatorOptions`."""
+    rule = problem.protocol
     runs_on = executor or LocalExecutor()
-    return Evaluator(
-        folds=make_folds(problem.train, problem.protocol) if folds is None else folds,
-        records=problem.train,
-        context=search_context(problem, derive_seed(view.started.seed, "search")),
-        rule=problem.protocol,
-        budget=problem.budget,
-        isolation=Isolation(view.started.isolation),
-        executor=SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
-        salt=view.started.salt,
-        without=without,
-        problem=view.started.lock_digest,
+    context = search_context(problem, derive_seed(view.started.seed, "search"))
+    chosen = make_folds(problem.train, rule) if folds is None else tuple(folds)
+    workers = WorkerRunner(
+        Isolation(view.started.isolation),
+        problem.budget,
+        SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
+        standby=len(chosen),
         # Elsewhere a finished search is still read: most models simulate without JAX.
         gpu=view.started.device == "gpu" and bool(gpu_nodes()),
     )
+    data = EvaluationData(chosen, problem.train, context, rule)
+    options = EvaluatorOptions(view.started.salt, without, view.started.lock_digest)
+    return Evaluator(data, workers, options)
 
 
 def with_early_stopping(problem: Problem, setting: str) -> Problem:

@@ -138,7 +138,7 @@ def band_basis(evaluator: Evaluator, view: SearchView, store: Store, use: Use) -
     parts = [(view.experiment(number).result, weight) for number, weight in weights.items()]
     simulated: list[tuple[Array, ...]] = []
     errors: list[HeldOutErrors] = []
-    for fold in evaluator.folds:
+    for fold in evaluator.data.folds:
         shapes = [block.y.shape for block in fold.validation]
         total = [np.zeros(shape) for shape in shapes]
         for result, weight in parts:
@@ -148,8 +148,8 @@ def band_basis(evaluator: Evaluator, view: SearchView, store: Store, use: Use) -
         pairs = zip(fold.validation, total, strict=True)
         simulated.append(tuple(total))
         errors.append(HeldOutErrors(tuple(b.y - y for b, y in pairs)))
-    region = region_of([(r.u, r.y) for r in evaluator.records])
-    return BandBasis(tuple(errors), tuple(simulated), region, evaluator.horizon is not None)
+    region = region_of([(r.u, r.y) for r in evaluator.data.records])
+    return BandBasis(tuple(errors), tuple(simulated), region, evaluator.data.horizon is not None)
 
 
 # Use what a search found: simulate with its models, in the sandbox they were made in.
@@ -295,7 +295,7 @@ def simulate_members(
     total = [np.zeros((1, *block.y.shape)) for block in blocks]
     for member in members:
         models = [run.store.get(one) for one in member.models]
-        replies = evaluator.simulate(run.store.text(member.source), models, blocks)
+        replies = evaluator.models.simulate(run.store.text(member.source), models, blocks)
         for place, each in enumerate(zip(*replies, strict=True)):
             total[place] = total[place] + member.weight * np.stack(each)
     return total
@@ -331,14 +331,14 @@ def simulated_excerpts(run: Run, number: int) -> SimulatedCases:
         raise UserError(f"experiment {number} has no score, so there is nothing to draw")
     problem = load_lock(run.directory / LOCK)
     rule, evaluator = problem.protocol, make_evaluator(problem, run.view)
-    parts = (1 + (rule.residuals == "held_out")) * len(evaluator.folds)
+    parts = (1 + (rule.residuals == "held_out")) * len(evaluator.data.folds)
     most = _MOST_VALUES // parts // (2 * len(problem.outputs) + len(problem.inputs))
     source = run.store.text(experiment.proposed.source)
     cases: list[SimulatedCase] = []
-    for index, (fold, kept) in enumerate(zip(evaluator.folds, result.folds, strict=True)):
+    for index, (fold, kept) in enumerate(zip(evaluator.data.folds, result.folds, strict=True)):
         blocks = training_excerpt(fold, rule, most)
         try:
-            (y_hat,) = evaluator.simulate(source, [run.store.get(kept.model)], blocks)
+            (y_hat,) = evaluator.models.simulate(source, [run.store.get(kept.model)], blocks)
         except CandidateError as error:
             raise UserError(
                 f"the model of fold {index + 1} cannot be simulated again: {error.reason.advice}"

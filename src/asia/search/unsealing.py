@@ -146,7 +146,7 @@ def _score(
     measured = _by_record([b.y for b in blocks], blocks)
     bands: TestBands | None = None
     failed: list[str] = []
-    with scorer.evaluator.ready_workers():
+    with scorer.evaluator.workers.ready_workers():
         scores = {
             use: scorer.score(final_members(view, use))
             for use in get_args(Use)
@@ -262,7 +262,7 @@ class _TestScorer:
         if member not in self.simulated:
             source, models = self.store.text(member.source), map(self.store.get, member.models)
             try:
-                each = self.evaluator.simulate_scored(source, list(models), self.blocks)
+                each = self.evaluator.models.simulate_scored(source, list(models), self.blocks)
                 failed = [one for one in each if isinstance(one, CandidateError)]
                 if failed:
                     raise failed[0]

@@ -16,6 +16,7 @@ from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
 from asia.judge.sandbox.availability import layers_in_force, open_worker
 from asia.judge.sandbox.types import Isolation, Layer, Limits
@@ -28,14 +29,14 @@ from asia.search.loop import judge
 # Evaluation of one cheating candidate with the real evaluator, and detection of its traces.
 
 
-class _EvaluatorWithoutLayers(Evaluator):
-    """An evaluator whose workers lack some layers; for an outer sandbox only."""
+class _RunnerWithoutLayers(WorkerRunner):
+    """Runner whose workers lack some layers; for an outer sandbox only."""
 
     without: Collection[Layer] = ()
     """The layers that they lack."""
 
     @contextmanager
-    def _worker(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
+    def open(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
         with open_worker(self.isolation, limits, without=self.without) as worker:
             yield worker
 
@@ -85,7 +86,7 @@ def attack_unchecked(
 def honest_value(name: ProblemName, level: Isolation) -> float:
     """V of the honest candidate on which all attacks are built."""
     problem = small_problem(name)
-    evaluator = problem.evaluator(Evaluator, level, seconds=60.0, memory_mb=2048)
+    evaluator = problem.evaluator(WorkerRunner, level, seconds=60.0, memory_mb=2048)
     with targets(2048) as given:
         outcome = evaluator.evaluate(fill_in(HONEST, given.source, problem)).outcome
     if isinstance(outcome, Failure):
@@ -109,7 +110,7 @@ def _observe(
     elif not at_once:
         executor = SequentialExecutor(executor)
     evaluator = problem.evaluator(
-        _EvaluatorWithoutLayers if without else Evaluator,
+        _RunnerWithoutLayers if without else WorkerRunner,
         level,
         attack.limit,
         attack.memory_mb,
@@ -117,8 +118,8 @@ def _observe(
         executor,
         unchecked,
     )
-    if isinstance(evaluator, _EvaluatorWithoutLayers):
-        evaluator.without = without
+    if isinstance(evaluator.workers, _RunnerWithoutLayers):
+        evaluator.workers.without = without
     with targets(attack.memory_mb) as given:
         source = fill_in(attack.sources[name], given.source, problem)
         begin = time.monotonic()
@@ -195,9 +196,9 @@ class _Known(Evaluator):
     def __init__(self, score: Score, spoil: Spoil | None = None) -> None:
         self._known, self._spoil = score, spoil
 
-    def evaluate(self, source: str, start: int = 0) -> Evaluation:
+    def evaluate(self, source: str, start: int = 0, over: float | None = None) -> Evaluation:
         """The score, from whatever start."""
-        del start
+        del start, over
         return Evaluation(self._known)
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:

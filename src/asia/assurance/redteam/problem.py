@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array, Signal, Trajectory
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.relations import SuspicionKind
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.problem.budget import Budget
 from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds
 
-E = TypeVar("E", bound=Evaluator)
 ProblemName = Literal["simulation", "windows", "weather", "machines", "pulses", "drift"]
 _INPUTS = (Signal("drive"), Signal("measured before"), Signal("sample"))
 # Pole and gain of an honest model of the fleet, and of the drifting record.
@@ -58,30 +58,24 @@ class SmallProblem:
 
     def evaluator(
         self,
-        kind: type[E],
+        kind: type[WorkerRunner],
         level: Isolation,
         seconds: float,
         memory_mb: int,
         folds: int | None = None,
         executor: Executor | None = None,
         without: Collection[SuspicionKind] = (),
-    ) -> E:
-        """The real one, or one of its kind.
+    ) -> Evaluator:
+        """The real one, with a runner of this kind.
 
         Args:
             executor: where folds run; None for one after the other, here
             without: relations that it does not check
         """
-        return kind(
-            make_folds(self.records, self.rule)[:folds],
-            self.records,
-            self.context,
-            self.rule,
-            Budget(1, seconds, memory_mb),
-            level,
-            executor or LocalExecutor(1),
-            without=without,
-        )
+        chosen = make_folds(self.records, self.rule)[:folds]
+        data = EvaluationData(chosen, self.records, self.context, self.rule)
+        workers = kind(level, Budget(1, seconds, memory_mb), executor or LocalExecutor(1))
+        return Evaluator(data, workers, EvaluatorOptions(without=without))
 
 
 def _saturating(slow: bool) -> Trajectory:

@@ -56,7 +56,6 @@ class JobSettings:
     """Settings for the jobs of one thread of the search."""
 
     cancel: CancelFlag = field(default_factory=CancelFlag)
-    """Ends them."""
     on_begin: Callable[[], None] = lambda: None
     """Called as each of them begins."""
 
@@ -73,11 +72,12 @@ class BackgroundJob(Generic[T]):
     ) -> None:
         """cancel: ends the jobs that it gives to the executor."""
         self._cancel, self._watch = cancel, watch
-        self._future: Future[tuple[T, Lane]] = thread.submit(self._run, job)
 
-    def _run(self, job: Callable[[], T]) -> tuple[T, Lane]:
-        with self._watch.aside() as lane:
-            return job(), lane
+        def run() -> tuple[T, Lane]:
+            with watch.aside() as lane:
+                return job(), lane
+
+        self._future: Future[tuple[T, Lane]] = thread.submit(run)
 
     def result(self) -> T:
         """Wait for the result of the job, and return it; raise the exception of the job."""

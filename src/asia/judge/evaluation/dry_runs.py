@@ -3,18 +3,18 @@ records, and on nothing else. It gives no score."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from asia._timer import Activity
-from asia.data.trajectory import Array, spread_of
+from asia.data.trajectory import spread_of
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import FoldResult, same_simulations
+from asia.judge.evaluation.requests import spread
+from asia.judge.evaluation.results import same_simulations
 from asia.judge.scoring.outcome import Failure
-from asia.problem.protocol import Block, Fold, ProtocolRule, whole
+from asia.problem.protocol import Fold, ProtocolRule, whole
 
 _LONGEST_SECONDS = 120.0
 _SHARE = 0.25
@@ -31,7 +31,6 @@ class DryFold:
     fold: Fold
     """Short fold for the trial; its simulated samples train as well."""
     samples: int
-    """Samples it trains on."""
     of_samples: int
     """Samples that the whole fold trains on."""
 
@@ -45,7 +44,6 @@ class DryRun:
     output: str
     """Text that the candidate printed during its fit, unmodified."""
     samples: int
-    """Samples that it was fitted to."""
     of_samples: int
     """Samples that the whole fold trains on."""
     fit_seconds: float | None
@@ -57,7 +55,6 @@ class DryRun:
     limit_seconds: float
     """The limit of a fit in a try."""
     allowed_seconds: float
-    """The limit of the fit in this dry run."""
 
     def whole_fit_seconds(self) -> float | None:
         """The fit of the whole fold, if its time but for compilation grows as the samples do."""
@@ -75,13 +72,15 @@ def short_fold(fold: Fold, rule: ProtocolRule) -> DryFold:
     full = sum(len(record) for record in fold.train)
     wanted = max(_FEWEST_SAMPLES, min(int(_SHARE * full), _MOST_SAMPLES))
     chosen = fold.train[:_MOST_RECORDS]
-    size = max(-(-wanted // len(chosen)), _least(rule))
+    # A record must hold a past window and some cases.
+    size = max(-(-wanted // len(chosen)), rule.past + max(4 * (rule.horizon or 1), 50))
     records = [record[: min(size, len(record))] for record in chosen]
     if not all(np.ptp(np.concatenate([r.y for r in records]), axis=0) > 0):
         records = list(fold.train)
-    blocks = _spread(whole(records, rule))
+    blocks = spread(whole(records, rule), _MOST_WINDOWS)
     scale = spread_of(np.concatenate([block.y for block in blocks]))
-    short = Fold(0, tuple(records), blocks, _nonzero(scale), (False,) * len(blocks))
+    scale = np.where(scale > 0, scale, 1.0)
+    short = Fold(0, tuple(records), blocks, scale, (False,) * len(blocks))
     return DryFold(short, sum(map(len, records)), full)
 
 
@@ -98,52 +97,29 @@ def dry_run(evaluator: Evaluator, short: DryFold, source: str, limit_seconds: fl
             relations that only a search checks, so that no candidate can rehearse them
         limit_seconds: time limit of a fit in a search
     """
-    evaluator.stopwatch.take()
+    stopwatch = evaluator.workers.stopwatch
+    stopwatch.take()
     evaluation = evaluator.evaluate(source)
-    spent = {one.activity: one.wall for one in evaluator.stopwatch.take()}
-    failure = evaluation.outcome if isinstance(evaluation.outcome, Failure) else None
-    if failure is None:
-        failure = _reloaded(evaluator, short, source, evaluation.folds[0])
+    spent = {one.activity: one.wall for one in stopwatch.take()}
+    failure = None
+    if isinstance(evaluation.outcome, Failure):
+        failure = replace(evaluation.outcome, fold=None)
+    else:
+        first = evaluation.folds[0]
+        try:
+            again = evaluator.models.simulate(source, [first.model], short.fold.validation)
+            if not same_simulations(again, [first.y_hat]):
+                failure = Failure(Reason.NOT_REPRODUCIBLE)
+        except CandidateError as error:
+            failure = Failure(Reason.NOT_REPRODUCIBLE, error.detail or error.reason.advice)
     return DryRun(
-        failure=None if failure is None else replace(failure, fold=None),
+        failure=failure,
         output=evaluation.output,
         samples=short.samples,
         of_samples=short.of_samples,
         fit_seconds=evaluation.folds[0].seconds if evaluation.folds else None,
-        compile_seconds=_seconds(spent, Activity.TRACE, Activity.COMPILE),
-        simulate_seconds=_seconds(spent, Activity.SIMULATE),
+        compile_seconds=sum(spent.get(a, 0.0) for a in (Activity.TRACE, Activity.COMPILE)),
+        simulate_seconds=spent.get(Activity.SIMULATE, 0.0),
         limit_seconds=limit_seconds,
         allowed_seconds=allowed_seconds(limit_seconds),
     )
-
-
-def _reloaded(
-    evaluator: Evaluator, short: DryFold, source: str, result: FoldResult
-) -> Failure | None:
-    try:
-        (again,) = evaluator.simulate(source, [result.model], short.fold.validation)
-    except CandidateError as error:
-        return Failure(Reason.NOT_REPRODUCIBLE, error.detail or error.reason.advice)
-    same = same_simulations([again], [result.y_hat])
-    return None if same else Failure(Reason.NOT_REPRODUCIBLE)
-
-
-def _least(rule: ProtocolRule) -> int:
-    """Samples of a record that holds a past window and some cases."""
-    return rule.past + max(4 * (rule.horizon or 1), 50)
-
-
-def _spread(blocks: Sequence[Block]) -> tuple[Block, ...]:
-    """Some of them, evenly over all."""
-    if len(blocks) <= _MOST_WINDOWS:
-        return tuple(blocks)
-    places = np.linspace(0, len(blocks) - 1, _MOST_WINDOWS).round().astype(int)
-    return tuple(blocks[place] for place in places.tolist())
-
-
-def _nonzero(scale: Array) -> Array:
-    return np.where(scale > 0, scale, 1.0)
-
-
-def _seconds(spent: Mapping[Activity, float], *activities: Activity) -> float:
-    return sum(spent.get(activity, 0.0) for activity in activities)

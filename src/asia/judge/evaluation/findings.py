@@ -25,9 +25,6 @@ from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 from asia.problem.protocol import Fold, ProtocolRule, whole
 
-# Score and diagnostics from the simulations of one fold.
-
-
 _MOST_RESIDUALS = 120
 
 
@@ -36,11 +33,8 @@ class Fitted:
     """Results from the worker of one fold."""
 
     reply: FitReply
-    """The reply to the fit."""
     model: bytes
-    """The fitted model."""
     parameters: tuple[tuple[str, float], ...]
-    """Names and values that the model offers."""
     y_hat: tuple[Array, ...]
     """Simulated outputs (H, ny) of each held-out block."""
     train_y_hat: tuple[Array, ...]
@@ -73,7 +67,7 @@ def fold_result(
     score = score_fold(y, fitted.y_hat, fold.scale, rule.metric, in_parts=in_parts)
     train = score_fold(train_y, fitted.train_y_hat, fold.scale, rule.metric)
     inputs = [b.case.u for b in inside]
-    whole_y = _without_gaps(train_y, fitted.train_y_hat)
+    whole_y = [without_gaps(a, b) for a, b in zip(train_y, fitted.train_y_hat, strict=True)]
     failed: list[str] = []
     evidence = Diagnostics(train.value, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     signed: tuple[SignedResidual, ...] = ()
@@ -115,19 +109,14 @@ def _held_out_residuals(
     if rule.residuals == "train":
         return ()
     u = [b.case.u for b in fold.validation]
-    y = _without_gaps([b.y for b in fold.validation], fitted.y_hat)
+    y = [without_gaps(b.y, one) for b, one in zip(fold.validation, fitted.y_hat, strict=True)]
     return signed_residuals(u, y, fitted.y_hat, fold.scale, ranges)[:_MOST_RESIDUALS]
-
-
-def _without_gaps(y: Sequence[Array], y_hat: Sequence[Array]) -> list[Array]:
-    return [without_gaps(a, b) for a, b in zip(y, y_hat, strict=True)]
 
 
 def _errors(
     y: Sequence[Array], y_hat: Sequence[Array], scale: Array, rule: ProtocolRule
 ) -> tuple[float, ...]:
-    """Return the error of each output over all samples, as V averages them."""
-    a, b = (np.concatenate(list(parts)) for parts in (y, y_hat))
+    a, b = np.concatenate(list(y)), np.concatenate(list(y_hat))
     return tuple(find_metric(rule.metric).shortfalls(a, b, scale).tolist())
 
 
@@ -135,15 +124,14 @@ def _step_errors(fold: Fold, y_hat: Sequence[Array], rule: ProtocolRule) -> tupl
     """Return the errors at the steps that the table of the test lists too."""
     if rule.horizon is None:
         return ()
-    y = [block.y for block in fold.validation]
     found: list[StepErrors] = []
     for step in rule.test.horizons:
-        a, b = ([one[step - 1 : step] for one in parts] for parts in (y, y_hat))
-        found.append(StepErrors(step, _errors(a, b, fold.scale, rule)))
+        y, simulated = (
+            [one[step - 1 : step] for one in parts]
+            for parts in ((block.y for block in fold.validation), y_hat)
+        )
+        found.append(StepErrors(step, _errors(y, simulated, fold.scale, rule)))
     return tuple(found)
-
-
-# Context of all candidates of a search.
 
 
 def search_context(problem: Problem, seed: int) -> Context:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import json
-import os
 import platform
 import socket
 import time
@@ -16,26 +15,31 @@ from pathlib import Path
 
 from asia.candidate import installed_libraries
 from asia.errors import SandboxError, UserError
-from asia.judge.executors import RemoteExecutor
+from asia.judge.executors import RemoteExecutor, local_cores
 from asia.judge.sandbox.availability import probe
 from asia.judge.sandbox.layers.gpu import gpu_description
 from asia.judge.sandbox.types import Limits
 
-_PACKAGES = ("cloudpickle", "jaxlib")
 _GPU = "GPU"
-_FLAGS = ("flags", "Features")
 
 
 @cache
 def installation() -> Mapping[str, str]:
     """Python, the packages that candidates may import, ASIA's own sources and the instructions of
     the processor, on which rounding depends."""
-    names = sorted({*installed_libraries(), *_PACKAGES})
+    names = sorted({*installed_libraries(), "cloudpickle", "jaxlib"})
+
+    def version(name: str) -> str:
+        try:
+            return importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            return "missing"
+
     return {
         "python": platform.python_version(),
         "processor": f"{platform.machine()} {_instructions()}",
         "asia": _sources(),
-        **{name: _version(name) for name in names},
+        **{name: version(name) for name in names},
     }
 
 
@@ -60,13 +64,6 @@ def check_installation(there: Mapping[str, str], machine: str) -> None:
         )
 
 
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return "missing"
-
-
 def _instructions() -> str:
     """Return 12 hexadecimal digits of the processor's instruction sets, where the system lists
     them."""
@@ -74,13 +71,12 @@ def _instructions() -> str:
         lines = Path("/proc/cpuinfo").read_text("utf-8", "replace").splitlines()
     except OSError:
         return platform.processor()
-    found = next((line for line in lines if line.startswith(_FLAGS)), "")
+    found = next((line for line in lines if line.startswith(("flags", "Features"))), "")
     flags = " ".join(sorted(found.partition(":")[2].split()))
     return hashlib.sha256(flags.encode()).hexdigest()[:12]
 
 
 def _sources() -> str:
-    """12 hexadecimal digits of the sources of this package."""
     digest = hashlib.sha256()
     root = Path(__file__).parents[2]
     for path in sorted(root.rglob("*.py")):
@@ -93,15 +89,11 @@ class MachineState:
     """State of one worker of an executor, for `asia doctor`."""
 
     worker: str
-    """Name of the worker in the executor."""
     machine: str
-    """Name of its machine."""
     cores: int
-    """Cores of the machine."""
     isolation: str
     """The strongest level that works there; "" for none."""
     layers: tuple[str, ...]
-    """Sandbox layers of the worker."""
     round_trip: float
     """Seconds of a message there and back."""
     clock: float
@@ -152,10 +144,9 @@ def described(request: bytes) -> bytes:
         level, layers = found.level.value, " ".join(layer.value for layer in found.layers)
     except SandboxError:
         level, layers = "", ""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     said = {
         "machine": machine,
-        "cores": cores or 1,
+        "cores": local_cores(),
         "isolation": level,
         "layers": layers,
         "time": now,

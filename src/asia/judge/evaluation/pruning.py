@@ -44,14 +44,11 @@ class FoldPruner:
         if isinstance(end.result, FoldResult):
             with self._lock:
                 self._parts[index] = end.result.score.value
-            self._cancel_pruned()
+            failure = self.failure()
+            if failure is not None:
+                for flag in self.cancels[failure.fold :]:
+                    flag.cancel()
         return end
-
-    def _cancel_pruned(self) -> None:
-        failure = self.failure()
-        if failure is not None:
-            for flag in self.cancels[failure.fold :]:
-                flag.cancel()
 
     def failure(self) -> Failure | None:
         """Return the reason why the candidate has no V: its last fold that counts, and the bound

@@ -14,9 +14,6 @@ from asia.judge.evaluation.results import score_outputs
 from asia.judge.scoring.outcome import Outcome
 from asia.problem.protocol import Block, Fold
 
-# Constant velocity: the reference that knows how the outputs move, and nothing of the inputs.
-
-
 Rates = tuple[int | None, ...]
 
 
@@ -49,7 +46,6 @@ def constant_velocity(block: Block, rates: Rates, sampling_time: float) -> Array
 
 # Simple references that every search scores, to compare V with.
 
-
 TRUTH = "simulated truth"
 LINEAR_REFERENCE = "linear model"
 MEAN_REFERENCE = "training mean"
@@ -79,9 +75,7 @@ class Reference:
     """A simple reference, scored."""
 
     name: str
-    """Name of the reference model."""
     outcome: Outcome
-    """Score or failure."""
     failed_checks: tuple[str, ...] = ()
     """Diagnostics that raised an exception, a line each."""
 
@@ -98,19 +92,29 @@ def score_references(
     Args:
         truth: one (T, ny) array a training record
     """
-    folds = evaluator.folds
+    folds, horizon = evaluator.data.folds, evaluator.data.horizon
+    past = len(folds[0].validation[0].case.past_y)
+    simulations: dict[str, Callable[[Fold, Block], Array]] = {
+        MEAN_REFERENCE: _training_mean,
+        # The training mean where the protocol gives no past output.
+        "last output held": (
+            (lambda _, block: np.tile(block.case.past_y[-1], (len(block.y), 1)))
+            if past
+            else _training_mean
+        ),
+    }
+    if horizon is not None and past:
+        rates = [find_rates(fold, horizon) for fold in folds]
+        # A single past output tells no velocity where no output is another's rate.
+        if past > 1 or any(rate is not None for found in rates for rate in found):
+            simulations["constant velocity"] = lambda fold, block: constant_velocity(
+                block, rates[fold.index], fold.train[0].sampling_time
+            )
 
     def score(simulate: Callable[[Fold, Block], Array]) -> Outcome:
         outputs = [[simulate(fold, block) for block in fold.validation] for fold in folds]
         return score_outputs(folds, outputs, metric)
 
-    simulations: dict[str, Callable[[Fold, Block], Array]] = {
-        MEAN_REFERENCE: _training_mean,
-        "last output held": _last_output,
-    }
-    at_constant_velocity = _constant_velocity_simulation(evaluator)
-    if at_constant_velocity is not None:
-        simulations["constant velocity"] = at_constant_velocity
     for name, simulate in simulations.items():
         if name not in known:
             yield Reference(name, score(simulate))
@@ -127,24 +131,3 @@ def _training_mean(fold: Fold, block: Block) -> Array:
     y = np.concatenate([t.measured_y for t in fold.train])
     mean = np.nanmean(y, axis=0) if np.isnan(y).any() else y.mean(axis=0)
     return np.tile(mean, (len(block.y), 1))
-
-
-def _last_output(fold: Fold, block: Block) -> Array:
-    """The training mean where the protocol gives no past output."""
-    past = block.case.past_y
-    return np.tile(past[-1], (len(block.y), 1)) if len(past) else _training_mean(fold, block)
-
-
-def _constant_velocity_simulation(evaluator: Evaluator) -> Callable[[Fold, Block], Array] | None:
-    """Simulation at constant velocity, None where nothing gives one: in long simulations, without
-    past outputs, and where one past output is all and no output is another's rate."""
-    horizon, folds = evaluator.horizon, evaluator.folds
-    past = len(folds[0].validation[0].case.past_y)
-    if horizon is None or past == 0:
-        return None
-    rates = [find_rates(fold, horizon) for fold in folds]
-    if past == 1 and all(rate is None for found in rates for rate in found):
-        return None
-    return lambda fold, block: constant_velocity(
-        block, rates[fold.index], fold.train[0].sampling_time
-    )

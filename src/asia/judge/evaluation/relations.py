@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import cycle
+from typing import TypeAlias
 
 import numpy as np
 
@@ -26,9 +27,6 @@ from asia.judge.evaluation.requests import (
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, FoldResult, consistency
 from asia.judge.scoring.outcome import Failure
 from asia.problem.protocol import Block
-
-# Relations between the simulations of one model, each on one request.
-
 
 TINY, COARSE = 1e-6, 1e-2
 STARTS = 4
@@ -64,7 +62,6 @@ class Suspicion:
     """A relation that a model breaks."""
 
     kind: SuspicionKind
-    """The relation."""
     words: str
     """Description of the violation without a number. Agents receive this text alone: a figure would
     leak held-out data."""
@@ -73,17 +70,10 @@ class Suspicion:
     later starts over the error from the scored one."""
 
 
-@dataclass(frozen=True)
-class Continuation:
-    """Simulations continued inside a block from simulated outputs up to its end; None where not
-    finite."""
-
-    beginning: Array | None
-    """Outputs for the first inputs of the longer request."""
-    short: Array | None
-    """Outputs of the shorter request."""
-    long: Array | None
-    """Outputs of the longer request."""
+Continuation: TypeAlias = tuple[Array | None, Array | None, Array | None]
+"""Simulations continued inside a block from simulated outputs up to its end: outputs for the first
+inputs of the longer request, of the shorter request, and of the longer one; None where not
+finite."""
 
 
 @dataclass(frozen=True)
@@ -91,9 +81,7 @@ class RequestCheck:
     """The relations on one request."""
 
     simulator: CaseSimulator
-    """Simulator under test."""
     batch: CaseBatch
-    """Request with its scored outputs."""
     scale: Array
     """Standard deviations of the outputs, (ny,)."""
     random: np.random.Generator
@@ -161,13 +149,12 @@ class RequestCheck:
         words = "inputs after a sample change the output before it"
         return Suspicion(SuspicionKind.CAUSALITY, words, change)
 
-    def ask_continuation(self, lengths: tuple[int, int]) -> Continuation:
+    def ask_continuation(self, short: int, long: int) -> Continuation:
         """Simulate the last samples of the block, started from the simulated outputs before
         them."""
-        short, long = lengths
         later = self.batch.ending(long)
         beginning, last = self.ask(later.prefix(short)), self.ask(self.batch.ending(short))
-        return Continuation(beginning, last, self.ask(later))
+        return beginning, last, self.ask(later)
 
     def block_end(self, found: Continuation) -> tuple[Suspicion | None, ...]:
         """Test whether a model that continues from its own outputs returns to its own simulation.
@@ -176,42 +163,39 @@ class RequestCheck:
         more than a difference of 1e-6 does; a simulation that is drawn to the data after the block
         deviates from it.
         """
+        beginning, short, long = found
         whole, overall = self.batch.y_hat, self.batch.y_hat - self.batch.y
         if _rms(overall[: self.batch.count] / self.scale) >= 1.0:
             return ()
-        parts = [
-            self._parting(answer, whole[:, -answer.shape[1] :])
-            for answer in (found.short, found.long)
-            if answer is not None
-        ]
+        first, second = self.nearby
+        end = 0.0
+        for answer in (short, long):
+            if answer is None:
+                continue
+            length = answer.shape[1]
+            last, growth = _last_and_growth(self._apart(answer, whole[:, -length:]))
+            usual = 1.0
+            if first is not None and second is not None:
+                usual = _last_and_growth(self._apart(first, second)[:, :length])[1]
+            if last > _PARTED and growth > _GROWS * max(usual, 1.0):
+                end = max(end, last)
         ahead = 0.0
-        if found.beginning is not None and found.long is not None:
-            length = found.beginning.shape[1]
-            ahead = self._beyond_rounding(found.beginning, found.long[:, :length])
-        last = max(parts, default=0.0)
+        if beginning is not None and long is not None:
+            ahead = self._beyond_rounding(beginning, long[:, : beginning.shape[1]])
         words = "continued from its own outputs, the simulation reaches another end"
         sooner = "the length of a simulation changes its output"
         return (
-            Suspicion(SuspicionKind.BLOCK_END, words, last) if last > 0 else None,
+            Suspicion(SuspicionKind.BLOCK_END, words, end) if end > 0 else None,
             Suspicion(SuspicionKind.CAUSALITY, sooner, ahead) if ahead > _SAME else None,
         )
-
-    def _parting(self, answer: Array, known: Array) -> float:
-        """The difference in the last part, 0 where it has not grown by more than it may."""
-        apart = self._apart(answer, known)
-        length = apart.shape[1]
-        last, growth = _last_and_growth(apart)
-        near = [a for a in self.nearby if a is not None]
-        usual = _last_and_growth(self._apart(near[0], near[1])[:, :length])[1] if near[1:] else 1.0
-        return last if last > _PARTED and growth > _GROWS * max(usual, 1.0) else 0.0
 
     def _beyond_rounding(self, one: Array, other: Array) -> float:
         """Return the largest difference beyond the growth of rounding errors: less than that of
         1e-6, at that sample or the few before it."""
         apart = self._apart(one, other)
-        near = [a for a in self.nearby if a is not None]
-        if len(near) == 2:
-            grown = self._apart(near[0], near[1])[:, : apart.shape[1]]
+        first, second = self.nearby
+        if first is not None and second is not None:
+            grown = self._apart(first, second)[:, : apart.shape[1]]
             grown = np.pad(grown, ((0, 0), (_RECENT, 0)))
             recent = np.lib.stride_tricks.sliding_window_view(grown, _RECENT + 1, axis=1)
             apart = np.where(apart > recent.max(axis=2), apart, 0.0)
@@ -250,23 +234,19 @@ class RequestCheck:
                 others.append(float(np.mean(np.square(rows))))
         return own, others
 
-    def lengths(self, fractions: tuple[float, float, float]) -> tuple[int, int, int] | None:
-        """Lengths of prefixes, None where a case is too short to have any."""
+    def length(self, fraction: float) -> int:
+        """Length of a prefix, shorter than the cases."""
         whole = self.batch.u.shape[1]
-        if whole < 2:
-            return None
-        short, middle, long = (min(max(int(part * whole), 1), whole - 1) for part in fractions)
-        return short, middle, long
+        return min(max(int(fraction * whole), 1), whole - 1)
 
     def ask(self, batch: CaseBatch) -> Array | None:
         """Simulate a request; None where the outputs are not finite."""
         try:
-            answer = self.simulator.simulate(batch.past_u, batch.past_y, batch.u)
+            return self.simulator.simulate(batch.past_u, batch.past_y, batch.u)
         except CandidateError as error:
             if error.reason is Reason.NOT_FINITE:
                 return None
             raise
-        return answer
 
     def _apart(self, one: Array, other: Array) -> Array:
         """(rows, H): largest difference over the outputs, of the rows that count."""
@@ -315,7 +295,6 @@ def _rms(values: Array) -> float:
 # A lookup table reproduces its own cases and fails on cases close to them. Relations between
 # simulations need no threshold on how good a model may be (Chen et al., ACM Computing Surveys
 # 51(1), 2018).
-
 
 ROUNDING = 1e-6
 # V of sequential fits over V, above which the folds exchanged data.
@@ -368,16 +347,20 @@ def suspicions(
             out. An output that is not finite breaks `perturbation`, `restart`, `replay`,
             `strangers` and `causality`, and is ignored by the others.
     """
-    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, followed, without)
-    continued = inquiry.continuations() if SuspicionKind.BLOCK_END not in without else []
-    found = inquiry.dependences()
-    checks = inquiry.checks
-    for check in checks:
+    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, followed)
+    # Continuations come before all other requests: a longer one would reveal where they start.
+    continued = [
+        (check, check.ask_continuation(*map(check.length, inquiry.fractions[1:])))
+        for check in (inquiry.longer if SuspicionKind.BLOCK_END not in without else ())
+        if check.batch.followed
+    ]
+    found = inquiry.dependences(ahead=SuspicionKind.CAUSALITY not in without)
+    for check in inquiry.checks:
         found += check.perturbation(), check.table()
-    found += [check.replay() for check in reversed(checks)]
+    found += [check.replay() for check in reversed(inquiry.checks)]
     for check, answers in continued:
         found += check.block_end(answers)
-    found.append(restart_suspicion(checks))
+    found.append(restart_suspicion(inquiry.checks))
     return _worst(found, without)
 
 
@@ -400,8 +383,9 @@ def dependences(
     cases (`strangers`: an output changes by more than rounding). So a simulation cannot depend on
     the cases before it in the scored order, after it, or in the same request.
     """
-    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, without=without)
-    return _worst(inquiry.dependences(), without)
+    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding)
+    found = inquiry.dependences(ahead=SuspicionKind.CAUSALITY not in without)
+    return _worst(found, without)
 
 
 def strangers(
@@ -474,63 +458,45 @@ class _Inquiry:
         seed: int,
         rounding: float,
         followed: Collection[int] = (),
-        without: Collection[SuspicionKind] = (),
     ) -> None:
-        self._ahead_is_asked = SuspicionKind.CAUSALITY not in without
         random = np.random.default_rng(seed)
         chosen = batches(blocks, y_hat, horizon, random, followed)
         further = np.sort(random.uniform(*_FURTHER, size=2))
         self.fractions = (float(random.uniform(*_SHORT)), float(further[0]), float(further[1]))
         self._more_fractions = random.uniform(_SHORT[0], 1.0, size=_MORE).tolist()
-        self._slowest = 0.0
         self.checks = [RequestCheck(simulator, batch, scale, random) for batch in chosen]
-        self._strangers = partial(
-            strangers, simulator, blocks, y_hat, scale, horizon, int(random.integers(2**31)),
-            rounding,
-        )  # fmt: skip
+        self.longer = [check for check in self.checks if check.batch.u.shape[1] >= 2]
+        strangers_seed = int(random.integers(2**31))
+        self._strangers = lambda: strangers(
+            simulator, blocks, y_hat, scale, horizon, strangers_seed, rounding
+        )
 
-    def dependences(self) -> list[Suspicion | None]:
-        """Prefixes come before any whole case, and are compared when 1e-6 was tried too."""
-        lengths = self._prefixes() if self._ahead_is_asked else ()
+    def dependences(self, *, ahead: bool) -> list[Suspicion | None]:
+        """Prefixes, where `ahead` asks for them, come before any whole case, and are compared when
+        1e-6 was tried too."""
         asked: list[tuple[RequestCheck, int, Array | None]] = []
-        for check, length in lengths:
-            answer = self._prefix(check, length)
+        checks = self.longer if ahead else []
+        slowest = 0.0
+
+        def ask(check: RequestCheck, fraction: float) -> None:
+            nonlocal slowest
+            begin, length = time.monotonic(), check.length(fraction)
+            answer = check.ask(check.batch.prefix(length))
+            slowest = max(slowest, time.monotonic() - begin)
             # Equal outputs are dropped: long ones are large.
             if answer is None or not check.begins_with(answer):
                 asked.append((check, length, answer))
-        return [self._strangers(), *(check.causality(k, answer) for check, k, answer in asked)]
 
-    def _prefixes(self) -> Iterator[tuple[RequestCheck, int]]:
-        """Yield requests and lengths: the same three lengths for all, for which a model compiles;
-        then as many others as a model without compilation simulates in a second."""
-        checks = [check for check in self.checks if check.lengths(self.fractions) is not None]
+        # The same three lengths for all, for which a model compiles.
         for place in range(max(len(checks), len(self.fractions)) if checks else 0):
-            check = checks[place % len(checks)]
-            lengths = check.lengths(self.fractions)
-            assert lengths is not None
-            yield check, lengths[place % len(lengths)]
+            ask(checks[place % len(checks)], self.fractions[place % len(self.fractions)])
+        # Then as many others as a model without compilation simulates in a second.
         end = time.monotonic() + _MORE_SECONDS
-        for check, part in zip(cycle(checks), self._more_fractions, strict=False):
-            if self._slowest > _COMPILES or time.monotonic() > end:
-                return
-            whole = check.batch.u.shape[1]
-            yield check, min(max(int(part * whole), 1), whole - 1)
-
-    def _prefix(self, check: RequestCheck, length: int) -> Array | None:
-        begin = time.monotonic()
-        answer = check.ask(check.batch.prefix(length))
-        self._slowest = max(self._slowest, time.monotonic() - begin)
-        return answer
-
-    def continuations(self) -> list[tuple[RequestCheck, Continuation]]:
-        """Simulate continuations before all other requests: a longer request would reveal where
-        they start."""
-        return [
-            (check, check.ask_continuation(lengths[1:]))
-            for check in self.checks
-            for lengths in [check.lengths(self.fractions)]
-            if check.batch.followed and lengths is not None
-        ]
+        for check, fraction in zip(cycle(checks), self._more_fractions, strict=False):
+            if slowest > _COMPILES or time.monotonic() > end:
+                break
+            ask(check, fraction)
+        return [self._strangers(), *(check.causality(k, answer) for check, k, answer in asked)]
 
 
 def sequential_objection(

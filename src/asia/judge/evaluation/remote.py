@@ -6,14 +6,13 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache, partial
 
-from asia._timer import Activity, ActivityTimer
+from asia._timer import Activity
 from asia.candidate import Context, imported_libraries
 from asia.errors import CandidateError, SandboxError, UserError
-from asia.judge.evaluation.background import CancelFlag
 from asia.judge.evaluation.findings import Fitted
 from asia.judge.evaluation.machines import check_installation, installation_for
 from asia.judge.evaluation.requests import largest, simulate_requests, simulate_training
@@ -34,10 +33,10 @@ from asia.judge.evaluation.transport import (
     local_answer,
 )
 from asia.judge.evaluation.validation_score import Oracle
-from asia.judge.executors import RemoteExecutor
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.sandbox.availability import layers_in_force, open_worker, why_not
 from asia.judge.sandbox.standby import StandbyWorkers
-from asia.judge.sandbox.types import FitReply, Isolation, Limits
+from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
 from asia.problem.protocol import Fold, ProtocolRule, whole
 
@@ -59,43 +58,27 @@ def fit_fold(
     Raises:
         SandboxError: for a failure that the candidate did not cause
     """
-    printed: list[str] = []
+    printed = ""
     try:
-        fitted = _fitted(work, data, open_worker, oracle, printed)
+        with open_worker(imported_libraries(work.source, fitting=True), work.limits) as worker:
+            context = replace(work.context, deadline=time.monotonic() + work.limits.fit_seconds)
+            try:
+                with oracle or nullcontext():
+                    reply = worker.fit(work.source, data.train, context, oracle)
+            finally:
+                printed = worker.printed
+            device = worker.device() if work.limits.gpu else ""
+            parameters, model = worker.parameters(), worker.dump()
+            found = simulate_requests(worker, data.blocks, data.requests, largest(data.requests))
+            inside = whole(data.train, data.rule)
+            train_y_hat = simulate_training(worker, inside, data.rule.horizon)
+            memory = worker.peak_memory_mb
     except CandidateError as error:
-        return FoldAnswer(error, "".join(printed))
-    return FoldAnswer(fitted, "".join(printed))
-
-
-def _fitted(
-    work: FoldWork,
-    data: FoldData,
-    open_worker: OpenWorker,
-    oracle: Oracle | None,
-    printed: list[str],
-) -> Fitted:
-    inside, horizon = whole(data.train, data.rule), data.rule.horizon
-    with open_worker(imported_libraries(work.source, fitting=True), work.limits) as worker:
-        try:
-            reply = _fit(worker, work, data, oracle)
-        finally:
-            printed.append(worker.printed)
-        device = worker.device() if work.limits.gpu else ""
-        parameters, model = worker.parameters(), worker.dump()
-        found = simulate_requests(worker, data.blocks, data.requests, largest(data.requests))
-        y_hat = tuple(found[i] for i in range(len(data.cases)))
-        train_y_hat = simulate_training(worker, inside, horizon)
-        memory = worker.peak_memory_mb
+        return FoldAnswer(error, printed)
     seconds = [worker.spent.get(a, (0.0, 0.0))[0] for a in (Activity.TRACE, Activity.COMPILE)]
-    return Fitted(reply, model, parameters, y_hat, train_y_hat, memory, sum(seconds), device)
-
-
-def _fit(worker: Worker, work: FoldWork, data: FoldData, oracle: Oracle | None) -> FitReply:
-    context = replace(work.context, deadline=time.monotonic() + work.limits.fit_seconds)
-    if oracle is None:
-        return worker.fit(work.source, data.train, context)
-    with oracle:
-        return worker.fit(work.source, data.train, context, oracle)
+    y_hat = tuple(found[i] for i in range(len(data.cases)))
+    fitted = Fitted(reply, model, parameters, y_hat, train_y_hat, memory, sum(seconds), device)
+    return FoldAnswer(fitted, printed)
 
 
 class StandbyPool:
@@ -191,7 +174,6 @@ def _open(
 
 @cache
 def _check_isolation(isolation: Isolation, layers: tuple[str, ...], machine: str) -> None:
-    """Tried once in a process, where it works."""
     reason = why_not(isolation)
     if reason is None:
         lost = sorted({*layers} - {layer.value for layer in layers_in_force(isolation)})
@@ -206,7 +188,6 @@ def _check_isolation(isolation: Isolation, layers: tuple[str, ...], machine: str
 
 @contextmanager
 def _watched(worker: Worker, unwanted: Callable[[], bool]) -> Generator[None]:
-    """End the worker once its result is no longer needed."""
     over = threading.Event()
 
     def look() -> None:
@@ -228,43 +209,31 @@ class FoldFitter:
     """Fits the folds of one search on this machine or on remote ones."""
 
     def __init__(
-        self,
-        rule: ProtocolRule,
-        context: Context,
-        isolation: Isolation,
-        carrier: RemoteExecutor | None,
-        problem: str,
-        alone: bool,
+        self, rule: ProtocolRule, context: Context, workers: WorkerRunner, problem: str
     ) -> None:
-        """context: the part that is the same for all folds; carrier: transport to other machines,
-        None where folds are fitted here; problem: sha256 of the run's lock file; alone: whether
-        no two workers may run at once. Raises UserError where candidates may ask for their
-        score, which takes the held-out outputs to the machine that fits."""
-        if carrier is not None and rule.early_stopping != "inner":
+        """context: the part that is the same for all folds; problem: sha256 of the run's lock
+        file. Raises UserError where folds are fitted on other machines and candidates may ask for
+        their score, which takes the held-out outputs to the machine that fits."""
+        if workers.remote is not None and rule.early_stopping != "inner":
             raise UserError(
                 "validation early stopping needs the held-out outputs where a candidate is fitted, "
                 "and other machines do not get them: use --executor local"
             )
         self._rule, self._context = rule, context
-        self._isolation, self._carrier, self._problem = isolation, carrier, problem
-        self._alone = alone
+        self._workers, self._problem = workers, problem
         self._data: dict[int, tuple[FoldData, str, bytes]] = {}
 
-    def fit(
-        self,
-        source: str,
-        fold: Fold,
-        start: int,
-        open_worker: OpenWorker,
-        oracle: Oracle | None,
-        watch: ActivityTimer,
-        cancel: CancelFlag,
-        limits: Limits,
-    ) -> FoldAnswer:
-        """Fit `source` on a fold; start: another one has another seed; cancel: ends it on a remote
-        machine too; limits: of its worker. Raises SandboxError, and UserError where a machine is
-        not fit for the work."""
-        data, digest, raw = self._data_of(fold)
+    def fit(self, source: str, fold: Fold, start: int, oracle: Oracle | None) -> FoldAnswer:
+        """Fit `source` on a fold; start: another one has another seed. The cancel flag of this
+        thread ends it on a remote machine too. Raises SandboxError, and UserError where a machine
+        is not fit for the work."""
+        workers, carrier = self._workers, self._workers.remote
+        if fold.index not in self._data:
+            data = fold_data(fold, self._rule)
+            digest, raw = ("", b"") if carrier is None else encode_data(data)
+            self._data[fold.index] = data, digest, raw
+        data, digest, raw = self._data[fold.index]
+        limits = workers.limits_for(source)
         work = FoldWork(
             problem=self._problem,
             data=digest,
@@ -272,27 +241,19 @@ class FoldFitter:
             source=source,
             context=replace(self._context, seed=derive_seed(self._context.seed, fold.index, start)),
             limits=limits,
-            isolation=self._isolation,
-            layers=tuple(layer.value for layer in layers_in_force(self._isolation)),
-            alone=self._alone,
+            isolation=workers.isolation,
+            layers=tuple(layer.value for layer in layers_in_force(workers.isolation)),
+            alone=workers.is_sequential,
         )
         train = [(b.y.shape[0], b.y.shape[1]) for b in whole(fold.train, self._rule)]
-        if self._carrier is None:
+        if carrier is None:
             request = encode_work(work, {})
-            fitted = fit_fold(decode_work(request), data, open_worker, oracle)
+            fitted = fit_fold(decode_work(request), data, workers.open, oracle)
             return local_answer(fitted, data, train)
         request = encode_work(work, installation_for(limits))
-        with cancel.on_cancel(partial(self._carrier.forget, request)):
-            reply = self._carrier.carry(answer, request, digest, raw)
+        with workers.settings.cancel.on_cancel(partial(carrier.forget, request)):
+            reply = carrier.carry(answer, request, digest, raw)
         found = decode_answer(reply, data, train)
         for activity, (wall, processor) in found.spent.items():
-            watch.add(activity, wall, processor)
+            workers.stopwatch.add(activity, wall, processor)
         return found
-
-    def _data_of(self, fold: Fold) -> tuple[FoldData, str, bytes]:
-        """The data of a fold, with digest and bytes where they are sent."""
-        if fold.index not in self._data:
-            data = fold_data(fold, self._rule)
-            digest, raw = ("", b"") if self._carrier is None else encode_data(data)
-            self._data[fold.index] = data, digest, raw
-        return self._data[fold.index]

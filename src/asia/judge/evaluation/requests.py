@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -13,10 +13,9 @@ from asia.data.trajectory import Array, filled
 from asia.judge.scoring.outcome import check_reply
 from asia.problem.protocol import Block
 
-# Order and batches of the cases that go to a worker.
-
-
 MOST_TRAINING_WINDOWS = 256
+
+T = TypeVar("T")
 
 
 class CaseSimulator(Protocol):
@@ -41,9 +40,7 @@ def simulate_held_out(
     Raises:
         CandidateError: when the worker fails
     """
-    requests = held_out_requests(blocks, horizon)
-    found = simulate_requests(worker, blocks, requests, largest(requests))
-    return tuple(found[i] for i in range(len(blocks)))
+    return _in_order(worker, blocks, held_out_requests(blocks, horizon))
 
 
 def held_out_requests(blocks: Sequence[Block], horizon: int | None) -> list[list[int]]:
@@ -67,15 +64,21 @@ def simulate_training(
     if horizon is None:
         return simulate_held_out(worker, blocks, None)
     count = -(-len(blocks) // MOST_TRAINING_WINDOWS)
-    requests = [part.tolist() for part in np.array_split(np.arange(len(blocks)), max(count, 1))]
+    parts = np.array_split(np.arange(len(blocks)), max(count, 1))
+    return _in_order(worker, blocks, [part.tolist() for part in parts])
+
+
+def _in_order(
+    worker: CaseSimulator, blocks: Sequence[Block], requests: Sequence[Sequence[int]]
+) -> tuple[Array, ...]:
     found = simulate_requests(worker, blocks, requests, largest(requests))
     return tuple(found[i] for i in range(len(blocks)))
 
 
-def spread(blocks: Sequence[Block], most: int) -> tuple[Block, ...]:
-    """Choose at most `most` of the blocks, evenly spread."""
-    places = np.linspace(0, len(blocks) - 1, min(len(blocks), most)).round().astype(int)
-    return tuple(blocks[place] for place in places.tolist())
+def spread(each: Sequence[T], most: int) -> tuple[T, ...]:
+    """Choose at most `most`, evenly spread."""
+    places = np.linspace(0, len(each) - 1, min(len(each), most)).round().astype(int)
+    return tuple(each[place] for place in places.tolist())
 
 
 def largest(requests: Sequence[Sequence[int]]) -> int:
@@ -161,7 +164,6 @@ def simulate_alone(worker: CaseSimulator, block: Block, row: int, rows: int) -> 
 
 # Scored requests, and the changed requests that test whether a model is one.
 
-
 MOST_BATCHES = 6
 _MOTION = 3
 
@@ -171,11 +173,11 @@ class CaseBatch:
     """Request with its simulated outputs."""
 
     past_u: Array
-    """Past inputs, (B, n_past_u, nu)."""
+    """(B, n_past_u, nu)."""
     past_y: Array
-    """Past outputs, (B, n_past_y, ny)."""
+    """(B, n_past_y, ny)."""
     u: Array
-    """Inputs, (B, H, nu)."""
+    """(B, H, nu)."""
     y: Array
     """Measured outputs, (B, H, ny)."""
     y_hat: Array
@@ -218,38 +220,31 @@ class CaseBatch:
         at rest than in motion. Each part of the first half therefore gives the sample at which
         the outputs move most nearly as fast as at the scored start. After the last input it is
         held."""
-        motion = self._motion(scale)
-        half = self.u.shape[1] // 2
+        length, half = self.u.shape[1], self.u.shape[1] // 2
+        # (B, half + 1): mean absolute step of the outputs over the few samples from each one on.
+        y = np.concatenate([self.past_y[:, -1:], self.y], axis=1)
+        steps = (np.abs(np.diff(y, axis=1)) / scale).mean(axis=2)
+        near = steps[:, : half + 1].copy()
+        for ahead in range(1, _MOTION):
+            later = steps[:, ahead : half + 1 + ahead]
+            near[:, : later.shape[1]] += later
+        motion = near / np.minimum(steps.shape[1] - np.arange(half + 1), _MOTION) + 1e-3
         for part in np.array_split(np.arange(1, half + 1), number):
             unlike = np.abs(np.log(motion[:, part] / motion[:, :1]))
             starts = part[unlike.argmin(axis=1)].tolist()
-            yield self._from(starts), starts
+            u = np.empty_like(self.u)
+            for row, known, start in zip(u, self.u, starts, strict=True):
+                row[: length - start], row[length - start :] = known[start:], known[-1]
+            past_u, past_y = (
+                _pasts(self.past_u, self.u, starts),
+                _pasts(self.past_y, self.y, starts),
+            )
+            yield replace(self, past_u=past_u, past_y=past_y, u=u), starts
 
-    def _motion(self, scale: Array) -> Array:
-        """(B, H // 2 + 1): mean absolute step of the outputs over the samples from each one on."""
-        y = np.concatenate([self.past_y[:, -1:], self.y], axis=1)
-        steps = (np.abs(np.diff(y, axis=1)) / scale).mean(axis=2)
-        wanted, length = self.u.shape[1] // 2 + 1, steps.shape[1]
-        near = steps[:, :wanted].copy()
-        for ahead in range(1, _MOTION):
-            later = steps[:, ahead : wanted + ahead]
-            near[:, : later.shape[1]] += later
-        return near / np.minimum(length - np.arange(wanted), _MOTION) + 1e-3
 
-    def _from(self, starts: Sequence[int]) -> CaseBatch:
-        """Each row from its own later start on."""
-
-        def past(before: Array, values: Array) -> Array:
-            rows = zip(before[:, None], values[:, None], starts, strict=True)
-            return np.concatenate([_past(*row) for row in rows])
-
-        length = self.u.shape[1]
-        u = np.empty_like(self.u)
-        for row, known, start in zip(u, self.u, starts, strict=True):
-            row[: length - start], row[length - start :] = known[start:], known[-1]
-        return replace(
-            self, past_u=past(self.past_u, self.u), past_y=past(self.past_y, self.y), u=u
-        )
+def _pasts(before: Array, values: Array, starts: Sequence[int]) -> Array:
+    rows = zip(before[:, None], values[:, None], starts, strict=True)
+    return np.concatenate([_past(*row) for row in rows])
 
 
 def _past(before: Array, values: Array, start: int) -> Array:
@@ -276,29 +271,22 @@ def batches(
     requests = held_out_requests(blocks, horizon)
     count = min(len(requests), MOST_BATCHES)
     places = np.sort(random.choice(len(requests), count, replace=False))
-    return tuple(
-        _batch(blocks, y_hat, requests[place], largest(requests), followed) for place in places
-    )
+    most = largest(requests)
 
+    def batch(request: Sequence[int]) -> CaseBatch:
+        rows = [*request, *[request[0]] * (most - len(request))]
+        cases = [blocks[i].case for i in rows]
+        return CaseBatch(
+            past_u=np.stack([case.past_u for case in cases]),
+            past_y=np.stack([case.past_y for case in cases]),
+            u=np.stack([case.u for case in cases]),
+            y=_stacked([filled(blocks[i].y) for i in rows]),
+            y_hat=_stacked([y_hat[i] for i in rows]),
+            count=len(request),
+            followed=all(i in followed for i in request),
+        )
 
-def _batch(
-    blocks: Sequence[Block],
-    y_hat: Sequence[Array],
-    request: Sequence[int],
-    rows_sent: int,
-    followed: Collection[int],
-) -> CaseBatch:
-    rows = [*request, *[request[0]] * (rows_sent - len(request))]
-    cases = [blocks[i].case for i in rows]
-    return CaseBatch(
-        past_u=np.stack([case.past_u for case in cases]),
-        past_y=np.stack([case.past_y for case in cases]),
-        u=np.stack([case.u for case in cases]),
-        y=_stacked([filled(blocks[i].y) for i in rows]),
-        y_hat=_stacked([y_hat[i] for i in rows]),
-        count=len(request),
-        followed=all(i in followed for i in request),
-    )
+    return tuple(batch(requests[place]) for place in places)
 
 
 def _stacked(rows: Sequence[Array]) -> Array:

@@ -24,9 +24,9 @@ class StepErrors:
     """The errors on the held-out windows at one step."""
 
     step: int
-    """The step within the window, from 1."""
+    """Step within the window, from 1."""
     errors: tuple[float, ...]
-    """The metric of each output, as it enters V."""
+    """Metric of each output, as it enters V."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +71,10 @@ class FoldResult:
     curve: Array
     """Step and loss as logged by the candidate, (n, 2)."""
     diagnostics: Diagnostics
-    """Residuals on the training records."""
     seconds: float
-    """Duration of the fit."""
     validation_scores: int = 0
     """Number of scores on the held-out part that the candidate requested."""
     findings: FoldFindings | None = None
-    """Diagnostics of the model."""
     machine: str = ""
     """The machine that fitted it; "" for the search's own."""
     isolation: str = ""
@@ -93,7 +90,6 @@ class FoldEnd:
     result: FoldResult | Failure
     """The result, or why there is none."""
     output: str
-    """Text that the candidate printed."""
     validation_scores: int
     """Number of scores on the held-out part that the candidate requested."""
 
@@ -103,7 +99,6 @@ class Evaluation:
     """The evaluation of one candidate."""
 
     outcome: Outcome
-    """Score or failure."""
     folds: tuple[FoldResult, ...] = ()
     """The results of all folds; empty if one of them failed."""
     output: str = ""
@@ -155,7 +150,6 @@ class Refit:
     fold: int
     """The number of the fold that was fitted again, from 1."""
     again: FoldResult | Failure
-    """The result of that second fit."""
 
 
 def mean_simulation(each: Sequence[tuple[Array, ...] | CandidateError]) -> tuple[Array, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array, filled
+from asia.judge.evaluation.requests import spread
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
 from asia.judge.scoring.checks.residual import residual_checks
@@ -27,13 +28,11 @@ class TrainingCheck:
     """A check that does not pass on the training records of a fold."""
 
     name: str
-    """Name of the check, as in `asia validate`."""
     verdict: Verdict
     """`doubt` or `fail`."""
     sentence: str
     """Finding, with numbers."""
     weight: float
-    """Weight among the checks that do not pass."""
 
 
 def training_checks(
@@ -46,7 +45,11 @@ def training_checks(
     Args:
         y_hat: (H, ny) a block
     """
-    chosen = _spread(blocks, y_hat)
+    # Blocks evenly spread, each from its start, as many as fit.
+    longest = max(len(y) for y in y_hat)
+    many = max(1, min(len(blocks), _MOST_SAMPLES // longest))
+    each = _MOST_SAMPLES // many
+    chosen = [(b, y[:each]) for b, y in spread(list(zip(blocks, y_hat, strict=True)), many)]
     if sum(len(y) for _, y in chosen) < _FEWEST_SAMPLES:
         return ()
     errors = np.concatenate([filled(b.y[: len(y)] - y) for b, y in chosen]) / scale
@@ -67,12 +70,3 @@ def training_checks(
     raised = [c for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)]
     raised.sort(key=lambda c: -c.weight)
     return tuple(TrainingCheck(c.name, c.verdict, c.sentence, round(c.weight, 4)) for c in raised)
-
-
-def _spread(blocks: Sequence[Block], y_hat: Sequence[Array]) -> list[tuple[Block, Array]]:
-    """Blocks evenly spread, each from its start, as many as fit."""
-    longest = max(len(y) for y in y_hat)
-    many = max(1, min(len(blocks), _MOST_SAMPLES // longest))
-    places = np.linspace(0, len(blocks) - 1, many).round().astype(int).tolist()
-    each = _MOST_SAMPLES // many
-    return [(blocks[k], y_hat[k][:each]) for k in places]

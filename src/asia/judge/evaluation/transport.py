@@ -39,15 +39,12 @@ class FoldData:
     """
 
     train: tuple[Trajectory, ...]
-    """Records that models are fitted to."""
     cases: tuple[Case, ...]
-    """Cases to simulate."""
     shapes: tuple[tuple[int, int], ...]
     """(H, ny) of each case."""
     requests: tuple[tuple[int, ...], ...]
     """Cases of each request, in order: see `held_out_requests`."""
     rule: ProtocolRule
-    """Rule that cuts records into windows."""
 
     @property
     def blocks(self) -> list[Block]:
@@ -67,11 +64,9 @@ class FoldWork:
     fold: int
     """1-based."""
     source: str = field(repr=False)
-    """The candidate."""
     context: Context = field(repr=False)
     """Context of the candidate, with its seed. The deadline is set on the machine that fits."""
     limits: Limits
-    """Resource limits of a worker."""
     isolation: Isolation
     """The level that must keep the candidate in."""
     layers: tuple[str, ...]
@@ -85,15 +80,12 @@ class FoldAnswer:
     """Answer of the machine that fits."""
 
     result: Fitted | CandidateError
-    """Result of the worker, or its error."""
     printed: str
-    """Text that the candidate printed during its fit."""
     machine: str = ""
     """The machine, "" for the search's own."""
     isolation: str = ""
     """The level that was in force there."""
     spent: Seconds = field(default_factory=dict[Activity, tuple[float, float]])
-    """Seconds by activity."""
 
 
 def fold_data(fold: Fold, rule: ProtocolRule) -> FoldData:
@@ -175,15 +167,24 @@ def _parts(answer: FoldAnswer) -> tuple[dict[str, Any], list[Blob]]:
         "device": result.device,
         "train": len(result.train_y_hat),
     }
-    arrays = (reply.curve, *result.y_hat, *result.train_y_hat)
-    return head, [result.model, *(_raw(array) for array in arrays)]
+    raw = (
+        np.ascontiguousarray(array, "<f8").reshape(-1).view(np.uint8).data
+        for array in (reply.curve, *result.y_hat, *result.train_y_hat)
+    )
+    return head, [result.model, *raw]
+
+
+_TROUBLES: dict[str, type[SandboxError | UserError]] = {
+    "user": UserError,
+    "killed": WorkerKilledError,
+    "sandbox": SandboxError,
+}
 
 
 def encode_trouble(error: SandboxError | UserError) -> bytes:
     """Encode an error in place of an answer: a worker that was killed, or a machine that cannot do
     the work."""
-    kind = "user" if isinstance(error, UserError) else "sandbox"
-    kind = "killed" if isinstance(error, WorkerKilledError) else kind
+    kind = next(kind for kind, error_type in _TROUBLES.items() if isinstance(error, error_type))
     return _packed({"trouble": kind, "words": str(error)}, [])
 
 
@@ -200,7 +201,7 @@ def decode_answer(reply: bytes, data: FoldData, train: Sequence[tuple[int, int]]
     try:
         head, blobs = _unpacked(reply)
         if "trouble" in head:
-            raise _trouble(head["trouble"], str(head["words"]))
+            raise _TROUBLES.get(head["trouble"], SandboxError)(str(head["words"]))
         return _answer(head, blobs, data, train)
     except (ValueError, KeyError, TypeError, IndexError) as error:
         raise SandboxError(f"a worker machine answered what is no answer: {error}") from None
@@ -231,16 +232,6 @@ def _answer(
         )
     spent = {Activity(k): (float(a), float(b)) for k, (a, b) in head["spent"].items()}
     return FoldAnswer(result, head["printed"], head["machine"], head["isolation"], spent)
-
-
-def _trouble(kind: str, words: str) -> SandboxError | UserError:
-    if kind == "user":
-        return UserError(words)
-    return WorkerKilledError(words) if kind == "killed" else SandboxError(words)
-
-
-def _raw(array: Array) -> memoryview:
-    return np.ascontiguousarray(array, "<f8").reshape(-1).view(np.uint8).data
 
 
 def _floats(raw: Blob, shape: tuple[int, int]) -> Array:

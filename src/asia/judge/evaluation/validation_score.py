@@ -28,17 +28,11 @@ class Oracle:
     """
 
     open_worker: Callable[[], AbstractContextManager[Worker]]
-    """Starts the worker that simulates."""
     source: str
-    """The candidate."""
     context: Context
-    """The context of its fit."""
     fold: Fold
     """The fold on whose held-out part models are scored."""
     rule: ProtocolRule
-    """Protocol of the score."""
-    most: int = VALIDATION_SCORES
-    """Number of scores that a fit may request."""
     calls: int = 0
     """Number of scores requested so far."""
     _worker: Worker | None = None
@@ -56,31 +50,28 @@ class Oracle:
 
         Raises:
             CandidateError: for any other failure of the model
-            ScoreRefusedError: after `most` calls
+            ScoreRefusedError: after VALIDATION_SCORES calls
         """
-        if self.calls >= self.most:
+        if self.calls >= VALIDATION_SCORES:
             raise ScoreRefusedError(
-                f"validation_score was called {self.most} times, all that a fit may: "
+                f"validation_score was called {VALIDATION_SCORES} times, all that a fit may: "
                 "call it less often"
             )
         self.calls += 1
         try:
-            return self._score(model, deadline)
+            if self._worker is None:
+                self._worker = self._stack.enter_context(self.open_worker())
+            self._worker.answer_by(deadline)
+            self._worker.load(self.source, model, self.context)
+            blocks = self.fold.validation
+            y_hat = simulate_held_out(self._worker, blocks, self.rule.horizon)
+            score = score_fold([b.y for b in blocks], y_hat, self.fold.scale, self.rule.metric)
+            return rounded_score(score.value)
         except CandidateError as error:
             if error.reason is Reason.NOT_FINITE:
                 return float("inf")
             detail = f"in a call of validation_score: {error.detail or error.reason.advice}"
             raise CandidateError(error.reason, detail) from None
-
-    def _score(self, model: bytes, deadline: float) -> float:
-        if self._worker is None:
-            self._worker = self._stack.enter_context(self.open_worker())
-        self._worker.answer_by(deadline)
-        self._worker.load(self.source, model, self.context)
-        blocks = self.fold.validation
-        y_hat = simulate_held_out(self._worker, blocks, self.rule.horizon)
-        score = score_fold([b.y for b in blocks], y_hat, self.fold.scale, self.rule.metric)
-        return rounded_score(score.value)
 
 
 def rounded_score(value: float) -> float:

@@ -19,6 +19,7 @@ from asia.judge.sandbox.availability import open_worker
 from asia.judge.sandbox.standby import StandbyWorkers
 from asia.judge.sandbox.types import Isolation, Limits, WorkerKilledError
 from asia.judge.sandbox.worker.worker import Worker
+from asia.problem.budget import Budget
 
 T = TypeVar("T")
 
@@ -31,40 +32,41 @@ class WorkerRunner:
     def __init__(
         self,
         isolation: Isolation,
-        limits: Limits,
+        budget: Budget,
         executor: Executor,
-        most_ready: int,
         *,
+        standby: int = 1,
         gpu: bool = False,
     ) -> None:
-        """most_ready: how many workers are started before they are needed; gpu: whether those that
+        """standby: how many workers are started before they are needed; gpu: whether those that
         train networks compute on the GPU."""
         self.isolation = isolation
-        self._gpu = gpu
-        self._limits = limits
-        self._executor = executor
-        self._most_ready = most_ready
+        self.fit_seconds = budget.fit_seconds
+        self.remote = remote_executor_of(executor)
+        self.is_sequential = isinstance(executor, SequentialExecutor)
+        """Whether no two workers may run at once."""
+        self.stopwatch = ActivityTimer()
         # Processes that the kernel does not let die, by pid: they keep their core and memory.
         self.left_behind: list[int] = []
+        self._limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
+        self._gpu = gpu
+        self._executor = executor
+        self._standby = standby
         self._open: set[Worker] = set()
         self._interrupted = self._aborted = False
         self._runs, self._counting = 0, threading.Lock()
         self._ready: StandbyWorkers | None = None
         self._here = threading.local()
         # With remote folds the executor does not limit the remaining local work.
-        remote = remote_executor_of(executor) is not None
-        self._own = threading.BoundedSemaphore(local_cores()) if remote else nullcontext()
-        self.stopwatch = ActivityTimer()
+        self._own = threading.BoundedSemaphore(local_cores()) if self.remote else nullcontext()
 
     @property
     def settings(self) -> JobSettings:
         """Settings of the jobs that this thread gives."""
-        found: JobSettings | None = getattr(self._here, "settings", None)
-        return JobSettings() if found is None else found
+        return getattr(self._here, "settings", None) or JobSettings()
 
     @contextmanager
-    def with_settings(self, settings: JobSettings) -> Generator[None]:
-        """Use these settings in this thread until this is closed."""
+    def _with_settings(self, settings: JobSettings) -> Generator[None]:
         before = self.settings
         self._here.settings = settings
         try:
@@ -74,7 +76,7 @@ class WorkerRunner:
 
     def cancellable(self, cancel: CancelFlag, job: Callable[[], T]) -> T:
         """Do a job whose workers `cancel` ends."""
-        with self.with_settings(replace(self.settings, cancel=cancel)):
+        with self._with_settings(replace(self.settings, cancel=cancel)):
             return job()
 
     @contextmanager
@@ -84,17 +86,12 @@ class WorkerRunner:
         Args:
             at_once: experiments in flight
         """
-        most = self._most_ready * at_once
+        most = self._standby * at_once
         with StandbyWorkers(self.isolation, self._limits, most) as self._ready:
             try:
                 yield
             finally:
                 self._ready = None
-
-    @property
-    def is_sequential(self) -> bool:
-        """Whether no two workers may run at once."""
-        return isinstance(self._executor, SequentialExecutor)
 
     @contextmanager
     def background(
@@ -105,7 +102,7 @@ class WorkerRunner:
         chosen = settings or JobSettings()
 
         def with_settings() -> T:
-            with self.with_settings(chosen):
+            with self._with_settings(chosen):
                 return job()
 
         thread = ThreadPoolExecutor(1, "background")
@@ -120,7 +117,7 @@ class WorkerRunner:
             one.cancel()
             thread.shutdown(wait=False)
 
-    def _run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
+    def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Run the jobs and return their results; a job whose worker fails through no fault of the
         candidate is tried once more.
 
@@ -132,20 +129,33 @@ class WorkerRunner:
         """
         settings = self.settings
 
-        def with_settings(job: Callable[[], T]) -> T:
+        def with_one_retry(job: Callable[[], T]) -> T:
             settings.on_begin()
-            with self.with_settings(settings):
-                return self._with_one_retry(job)
+            with self._with_settings(settings):
+                try:
+                    return job()
+                except SandboxError:
+                    if self._interrupted or settings.cancel.cancelled:
+                        raise
+                try:
+                    return job()
+                except WorkerKilledError as error:
+                    if self._interrupted or settings.cancel.cancelled:
+                        raise
+                    raise CandidateError(
+                        Reason.MEMORY,
+                        f"{error}, twice, as a machine does whose memory has run out",
+                    ) from None
 
         with self._counting:
             self._runs += 1
         try:
             return self.stopwatch.run(
-                self._executor.run, [partial(with_settings, job) for job in jobs]
+                self._executor.run, [partial(with_one_retry, job) for job in jobs]
             )
         except BaseException as error:
-            if not isinstance(error, Exception):
-                self._cancel_elsewhere()
+            if self.remote is not None and not isinstance(error, Exception):
+                self.remote.cancel()
             raise
         finally:
             with self._counting:
@@ -159,47 +169,25 @@ class WorkerRunner:
         """End all workers, for good, from another thread than those that run jobs: these end with
         an error."""
         self._interrupted = self._aborted = True
-        self._cancel_elsewhere()
+        if self.remote is not None:
+            self.remote.cancel()
         self._abort_open()
-
-    def _cancel_elsewhere(self) -> None:
-        carrier = remote_executor_of(self._executor)
-        if carrier is not None:
-            carrier.cancel()
 
     def _abort_open(self) -> None:
         for worker in list(self._open):
             worker.abort()
 
-    def _with_one_retry(self, job: Callable[[], T]) -> T:
-        cancel = self.settings.cancel
-        try:
-            return job()
-        except SandboxError:
-            if self._interrupted or cancel.cancelled:
-                raise
-        try:
-            return job()
-        except WorkerKilledError as error:
-            if self._interrupted or cancel.cancelled:
-                raise
-            raise CandidateError(
-                Reason.MEMORY, f"{error}, twice, as a machine does whose memory has run out"
-            ) from None
-
     def limits_for(self, source: str) -> Limits:
-        """Those of workers that run a candidate."""
-        return replace(self._limits, gpu=True) if self.on_gpu(source) else self._limits
+        """Limits of workers that run a candidate; those that train networks may use the GPU."""
+        return replace(self._limits, gpu=self._gpu and trains_network(source))
 
-    def on_gpu(self, source: str) -> bool:
-        """Return whether workers that run a candidate compute on the GPU."""
-        return self._gpu and trains_network(source)
-
-    def _worker_for(self, source: str, *, fitting: bool) -> AbstractContextManager[Worker]:
-        return self._worker(imported_libraries(source, fitting=fitting), self.limits_for(source))
+    def open_for(self, source: str, *, fitting: bool) -> AbstractContextManager[Worker]:
+        """Open a worker for a candidate, to fit it or to load its models."""
+        return self.open(imported_libraries(source, fitting=fitting), self.limits_for(source))
 
     @contextmanager
-    def _worker(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
+    def open(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
+        """Open a worker, a standby one where one fits; `abort` and the cancel flag end it."""
         if len(self.left_behind) >= _MOST_LEFT_BEHIND:
             pids = ", ".join(str(pid) for pid in self.left_behind)
             raise UserError(
@@ -210,28 +198,23 @@ class WorkerRunner:
         if cancel.cancelled:
             raise SandboxError("the result of this fit is not wanted any more")
         with self._own:
-            yield from self._opened(libraries, limits, cancel)
-
-    def _opened(
-        self, libraries: frozenset[str], limits: Limits, cancel: CancelFlag
-    ) -> Generator[Worker]:
-        with self.stopwatch.activity(Activity.START):
-            ready = self._ready if limits == self._limits else None
-            waiting = ready.take(libraries) if ready else None
-            worker = waiting or open_worker(self.isolation, limits)
-        try:
-            with worker:
-                self._open.add(worker)
-                try:
-                    if self._interrupted:
-                        raise SandboxError("the search was interrupted")
-                    with cancel.on_cancel(worker.abort):
-                        yield worker
-                    worker.count_compiling()
-                finally:
-                    self._open.discard(worker)
-        finally:
-            for activity, (wall, processor) in worker.spent.items():
-                self.stopwatch.add(activity, wall, processor)
-            if worker.left_behind is not None:
-                self.left_behind.append(worker.left_behind)
+            with self.stopwatch.activity(Activity.START):
+                ready = self._ready if limits == self._limits else None
+                waiting = ready.take(libraries) if ready else None
+                worker = waiting or open_worker(self.isolation, limits)
+            try:
+                with worker:
+                    self._open.add(worker)
+                    try:
+                        if self._interrupted:
+                            raise SandboxError("the search was interrupted")
+                        with cancel.on_cancel(worker.abort):
+                            yield worker
+                        worker.count_compiling()
+                    finally:
+                        self._open.discard(worker)
+            finally:
+                for activity, (wall, processor) in worker.spent.items():
+                    self.stopwatch.add(activity, wall, processor)
+                if worker.left_behind is not None:
+                    self.left_behind.append(worker.left_behind)

@@ -6,9 +6,10 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, TypeVar, cast, runtime_checkable
 
-from asia._plugins import Part, parts_of
+from asia._plugins import parts_of
 from asia._text import suggestion
 from asia.errors import UserError
 
@@ -106,7 +107,6 @@ class SequentialExecutor:
     """Another executor that is given one job at a time: no two workers of ours run at once."""
 
     executor: Executor
-    """Executor of the jobs."""
 
     def run(self, jobs: Sequence[Callable[[], T]]) -> list[T]:
         """Results in the order of `jobs`."""
@@ -148,9 +148,9 @@ def _dask(setting: str) -> Executor:
 
 
 def _dask_slurm(setting: str) -> Executor:
-    from asia.judge.executors.slurm import slurm_executor
+    from asia.judge.executors.slurm import SlurmExecutor
 
-    return slurm_executor(setting)
+    return SlurmExecutor(Path(setting) if setting else None)
 
 
 EXECUTORS: dict[str, Callable[[str], Executor]] = {
@@ -180,22 +180,19 @@ def make_executor(name: str) -> Executor:
         return EXECUTORS[built_in](setting)
     for part in parts_of(_GROUP):
         if part.name == name:
-            return _made(part)
+            make = part.load()
+            found = make() if callable(make) else None
+            if not callable(getattr(found, "run", None)):
+                raise UserError(
+                    f"{part.target} of package {part.package} {part.version} is {make!r}, expected "
+                    "a class or function without arguments that gives an "
+                    "asia.judge.executors.Executor"
+                )
+            return cast("Executor", found)
     raise UserError(
         f"there is no executor '{name}'{suggestion(name, executor_names())} (installed are "
         f"{', '.join(executor_names())}): install the package that brings it"
     )
-
-
-def _made(part: Part) -> Executor:
-    make = part.load()
-    found = make() if callable(make) else None
-    if not callable(getattr(found, "run", None)):
-        raise UserError(
-            f"{part.target} of package {part.package} {part.version} is {make!r}, expected a class "
-            "or function without arguments that gives an asia.judge.executors.Executor"
-        )
-    return cast("Executor", found)
 
 
 def local_cores() -> int:

@@ -72,29 +72,26 @@ class DaskExecutor:
 
     def carry(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
         """Implement `RemoteExecutor.carry`."""
+        trouble: Exception | None = None
         try:
             with self._place():
-                return self._carried(answer, request, digest, data)
+                for _ in range(_ATTEMPTS):
+                    self._check_wanted(request)
+                    try:
+                        self._await_workers()
+                        return self._answered(answer, request, self._data(digest, data))
+                    except UserError:
+                        raise
+                    # Whatever the engine raises: a machine died, and perhaps the data with it.
+                    except Exception as error:  # noqa: BLE001
+                        self._check_wanted(request)
+                        trouble = error
+                        with self._lock:
+                            self._sent.pop(digest, None)
+                        self._check_scheduler()
         finally:
             with self._lock:
                 self._forgotten.discard(request)
-
-    def _carried(self, answer: Answer, request: bytes, digest: str, data: bytes) -> bytes:
-        trouble: Exception | None = None
-        for _ in range(_ATTEMPTS):
-            self._check_wanted(request)
-            try:
-                self._await_workers()
-                return self._answered(answer, request, self._data(digest, data))
-            except UserError:
-                raise
-            # Whatever the engine raises: a machine died, and perhaps the data with it.
-            except Exception as error:  # noqa: BLE001
-                self._check_wanted(request)
-                trouble = error
-                with self._lock:
-                    self._sent.pop(digest, None)
-                self._check_scheduler()
         raise SandboxError(
             f"no machine of the cluster at {self._where} has fitted a fold in {_ATTEMPTS} attempts "
             f"({type(trouble).__name__}: {trouble}): see the output of its workers, then give the "
@@ -201,11 +198,7 @@ class DaskExecutor:
                 self._under_way.pop(future, None)
 
     def _await_workers(self) -> None:
-        """Wait for a worker.
-
-        Raises:
-            UserError: where none appears in time
-        """
+        """Wait for a worker; raise UserError where none appears in time."""
         end = time.monotonic() + _NO_WORKERS_SECONDS
         while not self._client.scheduler_info(n_workers=1)["workers"] and not self._cancelled:
             self._check_scheduler()
@@ -218,11 +211,8 @@ class DaskExecutor:
             time.sleep(_POLL_SECONDS)
 
     def _check_scheduler(self) -> None:
-        """Wait while the engine looks for a scheduler that it has lost.
-
-        Raises:
-            UserError: where it does not find it
-        """
+        """Wait while the engine looks for a scheduler that it has lost; raise UserError where it
+        does not find it."""
         while self._client.status in ("connecting", "closing"):
             time.sleep(_POLL_SECONDS)
         if self._client.status != "running":

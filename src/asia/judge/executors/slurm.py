@@ -19,8 +19,6 @@ from asia.judge.executors.dask import DaskExecutor
 _POLL_SECONDS = 0.2
 # A worker that has lost its search ends by then.
 _DEATH_SECONDS = 60
-_SETTINGS: dict[str, Any] = {"cores": 1, "processes": 1, "memory": "5GB"}
-_JOBS = 4
 
 
 class SlurmExecutor(DaskExecutor):
@@ -44,12 +42,20 @@ class SlurmExecutor(DaskExecutor):
                     f"--executor dask-slurm needs the package {name.replace('_', '-')}: "
                     "pip install '.[slurm]' in a clone of ASIA"
                 )
-        given = {} if file is None else _read(file)
-        jobs = given.pop("jobs", _JOBS)
+        given: dict[str, Any] = {}
+        try:
+            given = {} if file is None else tomllib.loads(file.read_text("utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise UserError(
+                f"--executor dask-slurm:{file}: {getattr(error, 'strerror', None) or error}; "
+                'expected a TOML file such as jobs = 8, memory = "5GB", walltime = "08:00:00"'
+            ) from None
+        jobs = given.pop("jobs", 4)
         if not isinstance(jobs, int) or jobs < 1:
             raise UserError(f"{file}: jobs = {jobs!r}: expected a number of Slurm jobs, 1 or more")
+        settings = {"cores": 1, "processes": 1, "memory": "5GB"}
         # Kept: its jobs end with it.
-        self._cluster: Any = _cluster(_SETTINGS | given, file)
+        self._cluster: Any = _cluster(settings | given, file)
         _started(self._cluster, jobs)
         super().__init__(self._cluster.scheduler_address)
 
@@ -57,25 +63,6 @@ class SlurmExecutor(DaskExecutor):
         """Leave the cluster, and end its jobs."""
         super().close()
         self._cluster.close()
-
-
-def slurm_executor(setting: str) -> SlurmExecutor:
-    """Make the executor for a Slurm cluster.
-
-    Args:
-        setting: text after `dask-slurm:`, the path of a file or nothing
-    """
-    return SlurmExecutor(Path(setting) if setting else None)
-
-
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(file.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UserError(
-            f"--executor dask-slurm:{file}: {getattr(error, 'strerror', None) or error}; expected "
-            'a TOML file such as jobs = 8, memory = "5GB", walltime = "08:00:00"'
-        ) from None
 
 
 def _cluster(settings: dict[str, Any], file: Path | None) -> Any:
@@ -94,7 +81,6 @@ def _cluster(settings: dict[str, Any], file: Path | None) -> Any:
 
 
 def _started(cluster: Any, jobs: int) -> None:
-    """Ask Slurm for the jobs, and wait for the first worker."""
     say(f"slurm    asked for {jobs} jobs; waiting for the first worker", file=sys.stderr)
     try:
         cluster.scale(jobs=jobs)

@@ -7,7 +7,8 @@ import os
 import platform
 import shutil
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass
 
 from asia.candidate import Context
@@ -21,8 +22,6 @@ from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation, Layer, Limits, Probe
 from asia.judge.sandbox.worker.worker import Worker
 
-# Choice of the isolation level, and workers at a given one.
-
 
 def probe(wanted: Isolation | None = None) -> Probe:
     """The strongest level that works here, found by starting something at it, or the `wanted` one.
@@ -34,25 +33,17 @@ def probe(wanted: Isolation | None = None) -> Probe:
         SandboxError: where `wanted` does not work
     """
     compileall.compile_dir(package_folder(), quiet=2)
-    if wanted is not None:
-        reason = why_not(wanted)
-        if reason is not None:
-            raise SandboxError(f"isolation level '{wanted}' cannot run here: {reason}")
-        return _found(LEVELS[wanted], ("requested by the user",))
-    notes: list[str] = []
-    for level in fitting_levels():
-        reason = level.why_not()
+    notes = [] if wanted is None else ["requested by the user"]
+    for level in fitting_levels() if wanted is None else (LEVELS[wanted],):
+        name, reason = level.isolation, level.why_not()
         if reason is None:
-            return _found(level, notes)
-        notes.append(f"{level.isolation}: {reason}")
+            notes += [f"{name} without {layer}: {why}" for layer, why in level.missing().items()]
+            notes += [f"{name}: {level.caveat}"] if level.caveat else []
+            return Probe(name, tuple(notes), layers_in_force(name))
+        if wanted is not None:
+            raise SandboxError(f"isolation level '{wanted}' cannot run here: {reason}")
+        notes.append(f"{name}: {reason}")
     raise SandboxError("no isolation level works on this machine")
-
-
-def _found(level: Level, notes: Sequence[str]) -> Probe:
-    name, absent = level.isolation, level.missing()
-    said = [f"{name} without {layer}: {why}" for layer, why in absent.items()]
-    said += [f"{name}: {level.caveat}"] if level.caveat else []
-    return Probe(name, (*notes, *said), layers_in_force(name))
 
 
 def fitting_levels() -> tuple[Level, ...]:
@@ -102,17 +93,13 @@ class Machine:
     system: str
     """The kernel's name and release."""
     architecture: str
-    """Architecture of the processor."""
     python: str
-    """Version of the running one."""
     cores: int
-    """Number of cores of the machine."""
     memory_mb: int | None
     """Physical memory, None where the system does not say."""
     user: str
     """`root` or `ordinary`."""
     container: bool
-    """Whether this is a container."""
     landlock: int
     """The kernel's version of it, 0 for none."""
     bubblewrap: str | None
@@ -126,9 +113,7 @@ class Lack:
     what: str
     """The level or the layer."""
     reason: str
-    """Reason why it does not work."""
     remedy: str
-    """Remedy."""
 
 
 @dataclass(frozen=True)
@@ -136,9 +121,7 @@ class LevelState:
     """One level, tried out here."""
 
     level: Isolation
-    """The level."""
     works: bool
-    """Whether a worker starts at it."""
     layers: tuple[Layer, ...]
     """Those it would really have, none where it does not work."""
     lacks: tuple[Lack, ...]
@@ -147,60 +130,46 @@ class LevelState:
 
 def machine() -> Machine:
     """Facts of this machine."""
+    memory_mb = None
+    with suppress(ValueError, OSError):
+        memory_mb = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // (1024 * 1024)
+    landlock_version = 0
+    with suppress(OSError):
+        landlock_version = landlock.abi() if sys.platform == "linux" else 0
     return Machine(
         system=f"{platform.system()} {platform.release()}",
         architecture=platform.machine(),
         python=platform.python_version(),
         cores=os.cpu_count() or 1,
-        memory_mb=_memory_mb(),
+        memory_mb=memory_mb,
         user="root" if os.geteuid() == 0 else "ordinary",
         container=in_container(),
-        landlock=_landlock_version(),
+        landlock=landlock_version,
         bubblewrap=shutil.which("bwrap"),
     )
 
 
 def survey() -> tuple[LevelState, ...]:
     """Every level tried out here, strongest first."""
-    return tuple(_state(level) for level in fitting_levels())
-
-
-def _state(level: Level) -> LevelState:
-    name, reason = level.isolation, level.why_not()
-    if reason is not None:
-        return LevelState(name, False, (), (Lack(name.value, reason, level.remedy()),))
-    absent = level.missing().items()
-    lacks = tuple(Lack(layer.value, why, layer_remedy(layer)) for layer, why in absent)
-    return LevelState(name, True, layers_in_force(name), lacks)
-
-
-def _landlock_version() -> int:
-    if sys.platform != "linux":
-        return 0
-    try:
-        return landlock.abi()
-    except OSError:
-        return 0
-
-
-def _memory_mb() -> int | None:
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // (1024 * 1024)
-    except (ValueError, OSError):
-        return None
+    states: list[LevelState] = []
+    for level in fitting_levels():
+        name, reason = level.isolation, level.why_not()
+        if reason is not None:
+            lack = Lack(name.value, reason, level.remedy())
+            states.append(LevelState(name, False, (), (lack,)))
+            continue
+        absent = level.missing().items()
+        lacks = tuple(Lack(layer.value, why, layer_remedy(layer)) for layer, why in absent)
+        states.append(LevelState(name, True, layers_in_force(name), lacks))
+    return tuple(states)
 
 
 # Test whether sandboxed workers can compute on a GPU.
-
 
 _LIMITS = Limits(120.0, 60.0, 16384, gpu=True)
 _MOST_WORDS = 200
 DEVICES = ("auto", "cpu", "gpu")
 """Devices that a search may request."""
-_OPEN = (
-    "gpu: workers that train networks reach its driver at level {level}, through a filter that "
-    "allows its commands, and have a limit on resident memory instead of addresses"
-)
 # Return JAX's name of the card, after a computation on it.
 _TRIAL = """
 import jax
@@ -241,7 +210,11 @@ def chosen_gpu(asked: str, level: Isolation) -> tuple[str, tuple[str, ...]]:
     if asked == "cpu" or (asked == "auto" and not gpu_nodes()):
         return "", ()
     try:
-        return gpu_here(level), (_OPEN.format(level=level),)
+        note = (
+            f"gpu: workers that train networks reach its driver at level {level}, through a filter "
+            "that allows its commands, and have a limit on resident memory instead of addresses"
+        )
+        return gpu_here(level), (note,)
     except SandboxError as error:
         if asked == "auto":
             return "", (f"gpu: not used, {error}",)

@@ -47,15 +47,12 @@ class Jail:
     are bounded."""
 
     workspace: Path
-    """The folder that the agent writes in."""
     socket: Path
-    """The folder that holds the search's socket."""
     mounts: tuple[Path, ...] = ()
     """Paths mounted read-only, each at its own place."""
     configs: tuple[Path, ...] = ()
     """Folders of the agent, writable, below its home."""
     network: bool = False
-    """Whether it has the machine's network."""
 
     @staticmethod
     def why_not() -> str | None:
@@ -92,7 +89,6 @@ class Jail:
 
 
 def _programs(mounts: tuple[Path, ...]) -> str:
-    """Return the search path for programs inside: mounts before the machine's own."""
     places = [str(Path(interpreter()).parent)]
     for path in mounts:
         places += [str(p) for p in (path / "bin", path) if p.is_dir()]

@@ -16,7 +16,6 @@ class Level(ABC):
     """A way to keep candidates in."""
 
     isolation: ClassVar[Isolation]
-    """Name of the level."""
     layers: ClassVar[tuple[Layer, ...]]
     """Layers of the level where the kernel supports all."""
     confined: ClassVar[bool] = True

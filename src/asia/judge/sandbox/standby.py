@@ -21,12 +21,10 @@ _MOST_WAITING = 4
 
 @dataclass(frozen=True)
 class _Waiting:
-    """A worker that has been asked nothing."""
+    """A worker that has been asked nothing, once it has been started."""
 
     libraries: frozenset[str]
-    """Libraries that it loads."""
     worker: Future[Worker]
-    """The worker, once it has been started."""
 
 
 class StandbyWorkers:
@@ -67,8 +65,16 @@ class StandbyWorkers:
             if found is not None:
                 self._waiting.remove(found)
             if not self._closed and libraries not in self._failed:
-                self._order(libraries)
-        return None if found is None else self._usable(found)
+                self._start_next(libraries)
+        if found is None:
+            return None
+        if found.worker.exception() is None:
+            with suppress(SandboxError):
+                found.worker.result().wait()
+                return found.worker.result()
+        with self._lock:
+            self._failed.add(found.libraries)
+        return None
 
     def close(self) -> None:
         """End all that wait, then the thread that started those which were taken."""
@@ -82,8 +88,7 @@ class StandbyWorkers:
             _end(one.worker)
         self._starter.shutdown()
 
-    def _order(self, libraries: frozenset[str]) -> None:
-        """Start workers until enough wait for these; others make room."""
+    def _start_next(self, libraries: frozenset[str]) -> None:
         self._wanted = [libraries, *(s for s in self._wanted if s != libraries)][:_MOST_SETS]
         for one in [one for one in self._waiting if one.libraries not in self._wanted]:
             self._waiting.remove(one)
@@ -91,16 +96,6 @@ class StandbyWorkers:
         for _ in range(self._most - sum(one.libraries == libraries for one in self._waiting)):
             started = self._starter.submit(self._open, libraries)
             self._waiting.append(_Waiting(libraries, started))
-
-    def _usable(self, one: _Waiting) -> Worker | None:
-        """The worker once it is ready, None where it does not get there."""
-        if one.worker.exception() is None:
-            with suppress(SandboxError):
-                one.worker.result().wait()
-                return one.worker.result()
-        with self._lock:
-            self._failed.add(one.libraries)
-        return None
 
 
 def _end(worker: Future[Worker]) -> None:

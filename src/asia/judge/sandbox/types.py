@@ -34,7 +34,6 @@ class Probe:
     """The strongest level that works here."""
 
     level: Isolation
-    """The level."""
     notes: tuple[str, ...] = ()
     """Reasons in plain words for a weaker level, or for missing layers of this one."""
     layers: tuple[Layer, ...] = ()

@@ -49,7 +49,6 @@ class ErrorSizes:
     """For each output and each step of a window (one where errors do not depend on the step): the
     sizes of each fold's errors, the smallest first."""
     independent: tuple[float, ...]
-    """Equivalent number of independent errors of each output."""
 
 
 def error_sizes(folds: Sequence[HeldOutErrors], *, by_step: bool = False) -> ErrorSizes:
@@ -62,7 +61,16 @@ def error_sizes(folds: Sequence[HeldOutErrors], *, by_step: bool = False) -> Err
     independent: list[float] = []
     for channel in range(folds[0].blocks[0].shape[1]):
         errors = [[block[:, channel] for block in fold.blocks] for fold in folds]
-        parts.append(_parts(errors, by_step=by_step))
+        if by_step:
+            # The errors at a step count with those of a few steps around it.
+            length = min(len(block) for blocks in errors for block in blocks)
+            near = int(_NEIGHBOURS * length)
+            stacked = [np.stack([block[:length] for block in blocks]) for blocks in errors]
+            around = [slice(max(0, step - near), step + near + 1) for step in range(length)]
+            parts.append(tuple(tuple(_sizes(s[:, part], s) for s in stacked) for part in around))
+        else:
+            whole = [np.concatenate(blocks) for blocks in errors]
+            parts.append((tuple(_sizes(one, np.zeros(1)) for one in whole),))
         complete = [[filled(block[:, None])[:, 0] for block in blocks] for blocks in errors]
         independent.append(independent_errors(complete))
     return ErrorSizes(tuple(parts), tuple(independent))
@@ -139,17 +147,6 @@ def raised_level(level: float, errors: float) -> float:
     return min(1.0, level * (1.0 + 1.0 / max(errors, 1.0)))
 
 
-def _parts(errors: Sequence[Sequence[Array]], *, by_step: bool) -> tuple[tuple[Array, ...], ...]:
-    """Return each fold's sorted error sizes for each step that has its own errors."""
-    if not by_step:
-        return (tuple(_sizes(np.concatenate(list(b)), np.zeros(1)) for b in errors),)
-    length = min(len(block) for blocks in errors for block in blocks)
-    near = int(_NEIGHBOURS * length)
-    stacked = [np.stack([block[:length] for block in blocks]) for blocks in errors]
-    around = [slice(max(0, step - near), step + near + 1) for step in range(length)]
-    return tuple(tuple(_sizes(s[:, part], s) for s in stacked) for part in around)
-
-
 def _sizes(errors: Array, otherwise: Array) -> Array:
     """Sizes of the errors that are known, the smallest first; of `otherwise` where none is."""
     known = errors[~np.isnan(errors)]
@@ -157,11 +154,8 @@ def _sizes(errors: Array, otherwise: Array) -> Array:
 
 
 def _edge(sizes: Sequence[Array], centres: Array, factor: Array, level: float) -> Array:
-    """The lowest values (H,) that a share `level` of all centre + factor * size stays below.
-
-    Args:
-        sizes: sorted, one a fold; centres (K, H)
-    """
+    """The lowest values (H,) that a share `level` of all centre + factor * size stays below; sizes
+    sorted, one a fold; centres (K, H)."""
     total = sum(len(s) for s in sizes)
     wanted = level * total - 1e-9 * total
     if total * centres.shape[1] <= _FEW:
@@ -203,7 +197,6 @@ class Region:
     range of each signal; and how fast the inputs change."""
 
     centre: Array
-    """(features,)."""
     whiten: Array
     """(features, features): (x - centre) @ whiten has unit covariance over the cloud."""
     edge: float
@@ -263,22 +256,16 @@ def region_of(records: Sequence[tuple[Array, Array]]) -> Region:
 
 
 def _features(past_u: Array, u: Array, y: Array, lengths: Sequence[int], usual: Array) -> Array:
-    """Average the inputs over the samples up to each one, and append the outputs there.
-
-    Args:
-        usual: (nu,) assumed inputs before the past window
-    """
+    """Average the inputs over the samples up to each one, with `usual` (nu,) before the past
+    window, and append the outputs there."""
     whole = np.concatenate([past_u, u])
     averages = [_average(whole, length, usual)[len(past_u) :] for length in lengths]
     return np.concatenate([*averages, y], axis=1)
 
 
 def _changes(past_u: Array, u: Array, length: int, usual: Array) -> Array:
-    """Compute the root mean square (H, nu) of the input changes over the last `length` samples.
-
-    Args:
-        usual: (nu,) mean square of the changes, assumed before the past window
-    """
+    """Root mean square (H, nu) of the input changes over the last `length` samples, with the mean
+    square `usual` (nu,) before the past window."""
     whole = np.concatenate([past_u, u])
     squares = np.diff(whole, axis=0, prepend=whole[:1]) ** 2
     squares[0] = usual
@@ -286,11 +273,8 @@ def _changes(past_u: Array, u: Array, length: int, usual: Array) -> Array:
 
 
 def _average(values: Array, length: int, before: Array) -> Array:
-    """Compute the moving average (N, n) over the `length` samples up to each one.
-
-    Args:
-        before: (n,) values in place of the samples before the first
-    """
+    """Moving average (N, n) over the `length` samples up to each one; `before` (n,) stands in for
+    the samples before the first."""
     whole = np.concatenate([np.tile(before, (length - 1, 1)), values])
     total = np.concatenate([np.zeros((1, whole.shape[1])), np.cumsum(whole, axis=0)])
     return (total[length:] - total[:-length]) / length

@@ -15,9 +15,6 @@ from asia.errors import InternalError
 from asia.judge.scoring.outcome import pooled
 from asia.problem.metrics import find_metric
 
-# Least significant difference of V, given the variance over seeds.
-
-
 _LEVEL = 0.9
 
 
@@ -55,7 +52,6 @@ def least_significant_difference(one: Sequence[float], other: Sequence[float]) -
 # of a winner is estimated by a bootstrap over the blocks that also chooses the winner anew: it is
 # judged on the blocks that had no part in the choice (Tsamardinos, Greasidou and Borboudakis,
 # Machine Learning 107, 2018, "Bootstrapping the out-of-sample predictions").
-
 
 BLOCKS: Final = 8
 _DRAWS = 2000
@@ -96,11 +92,8 @@ class Interval:
     """An estimate and the interval around it."""
 
     value: float
-    """The estimate."""
     low: float
-    """The lower end."""
     high: float
-    """The upper end."""
 
 
 @dataclass(frozen=True)
@@ -108,11 +101,9 @@ class ExpectedError:
     """The error on new records to expect of a winner, in the measure of V."""
 
     value: float
-    """The estimate."""
     low: float
     """The lower end of the interval for one new record as long as a fold."""
     high: float
-    """The upper end."""
     optimism: float
     """Optimism: difference between V of a winner and its error on samples that had no part in the
     choice."""
@@ -148,21 +139,29 @@ def paired_difference(one: RepeatedFits, other: RepeatedFits, level: float) -> I
     Satterthwaite's. A candidate with one seed is one whose fits do not depend on it.
     """
     gaps = one.blocks.mean(axis=0) - other.blocks.mean(axis=0)
-    seeds = _over_seeds(one, other)
-    variance, degrees = _sum_of_variances(
-        ((gaps.var(ddof=1) if gaps.size > 1 else 0.0, gaps.size), seeds)
-    )
-    return _around(one.value - other.value, variance, degrees, level)
+    fewest, count = sorted((len(one.values), len(other.values)))
+    if fewest > 1:
+        count = fewest
+    over_seeds = one.by_seed[:count] - other.by_seed[:count]
+    return _around(one.value - other.value, (gaps, over_seeds), level)
 
 
 def value_interval(fits: RepeatedFits, level: float) -> Interval:
     """V of one candidate, with an interval as that of `paired_difference`."""
-    parts = fits.blocks.mean(axis=0)
-    seeds = fits.by_seed.var(ddof=1) if len(fits.values) > 1 else 0.0
-    variance, degrees = _sum_of_variances(
-        ((parts.var(ddof=1) if parts.size > 1 else 0.0, parts.size), (seeds, len(fits.values)))
-    )
-    return _around(fits.value, variance, degrees, level)
+    return _around(fits.value, (fits.blocks.mean(axis=0), fits.by_seed), level)
+
+
+def _around(value: float, means: Sequence[Array], level: float) -> Interval:
+    """Interval by Student's t around a sum of means, each given by its values; a single value adds
+    no variance."""
+    each = [(float(v.var(ddof=1)) / v.size, v.size - 1) for v in means if v.size > 1]
+    each = [(variance, degrees) for variance, degrees in each if variance > 0.0]
+    if not each:
+        return Interval(value, value, value)
+    total = sum(variance for variance, _ in each)
+    degrees = total**2 / sum(variance**2 / degrees for variance, degrees in each)
+    half = student_quantile(level, degrees) * math.sqrt(total)
+    return Interval(value, value - half, value + half)
 
 
 def corrected_level(level: float, comparisons: int) -> float:
@@ -220,8 +219,11 @@ def expected_error(winner: RepeatedFits, tried: Array, level: float, seed: int) 
     optimism = selection_optimism(tried, seed)
     centre = winner.value + optimism
     parts = winner.blocks.mean(axis=0)
+    folds, blocks = parts.shape
+    within = float(parts.var(axis=1, ddof=1).mean()) / blocks if blocks > 1 else 0.0
+    between = float(parts.mean(axis=1).var(ddof=1)) if folds > 1 else 0.0
     seeds = 0.0 if winner.spread is None else winner.spread**2
-    total = _variance_of_a_fold(parts) * (1.0 + 1.0 / len(parts)) + seeds
+    total = max(within, between) * (1.0 + 1.0 / folds) + seeds
     if centre <= 0.0 or total == 0.0:
         return ExpectedError(centre, centre, centre, optimism)
     half = student_quantile(level, max(1, parts.size - 1)) * math.sqrt(total) / centre
@@ -259,47 +261,7 @@ def expected_lowest(number: int) -> float:
     return float(np.trapezoid(x * density, x))
 
 
-def _variance_of_a_fold(parts: Array) -> float:
-    """Return the variance of the mean over a fold's blocks.
-
-    Args:
-        parts: (folds, blocks)
-    """
-    folds, blocks = parts.shape
-    within = float(parts.var(axis=1, ddof=1).mean()) / blocks if blocks > 1 else 0.0
-    between = float(parts.mean(axis=1).var(ddof=1)) if folds > 1 else 0.0
-    return max(within, between)
-
-
-def _over_seeds(one: RepeatedFits, other: RepeatedFits) -> tuple[float, int]:
-    """Variance of the paired differences over the seeds, and how many there are."""
-    count = max(len(one.values), len(other.values))
-    if min(len(one.values), len(other.values)) not in (1, count):
-        count = min(len(one.values), len(other.values))
-    gaps = one.by_seed[:count] - other.by_seed[:count]
-    return (float(gaps.var(ddof=1)), count) if count > 1 else (0.0, 1)
-
-
-def _sum_of_variances(parts: Sequence[tuple[float, int]]) -> tuple[float, float]:
-    """Return the variance of a sum of means and its degrees of freedom.
-
-    Args:
-        parts: variance and number of values of each mean
-    """
-    each = [(float(variance) / n, n - 1) for variance, n in parts if n > 1 and variance > 0.0]
-    total = sum(variance for variance, _ in each)
-    if total == 0.0:
-        return 0.0, 1.0
-    return total, total**2 / sum(variance**2 / degrees for variance, degrees in each)
-
-
-def _around(value: float, variance: float, degrees: float, level: float) -> Interval:
-    half = student_quantile(level, degrees) * math.sqrt(variance) if variance > 0.0 else 0.0
-    return Interval(value, value - half, value + half)
-
-
 # Attribution of a gain to the model, the training, or both together.
-
 
 _ATTRIBUTION_LEVEL = 0.95
 
@@ -331,8 +293,7 @@ def attribute(
         baseline, model_alone, training_alone, winner: V over the seeds, (seeds,); a single
             value where fits do not depend on the seed
     """
-    each = _paired(baseline, model_alone, training_alone, winner)
-    base, model, training, both = each
+    base, model, training, both = _paired(baseline, model_alone, training_alone, winner)
     return Attribution(
         _gain_over_seeds(base - both),
         _gain_over_seeds(base - model),
@@ -348,7 +309,6 @@ def gain(before: Array, after: Array) -> Interval:
 
 
 def _gain_over_seeds(values: Array) -> Interval:
-    """The mean over the seeds, with an interval by Student's t."""
     mean, half = float(values.mean()), 0.0
     if len(values) > 1:
         error = float(values.std(ddof=1)) / len(values) ** 0.5
@@ -357,7 +317,6 @@ def _gain_over_seeds(values: Array) -> Interval:
 
 
 def _paired(*each: Array) -> tuple[Array, ...]:
-    """Broadcast all to the same number of seeds."""
     counts = [len(values) for values in each if len(values) != 1]
     if not all(len(values) for values in each):
         raise InternalError("a crossing without a score was about to be attributed")

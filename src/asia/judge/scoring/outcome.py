@@ -48,7 +48,6 @@ def pooled(parts: Sequence[Array]) -> Array:
 
 # Outcome of an experiment: a Score, finite by construction, or a Failure with a reason.
 
-
 DIVERGED = 1e100
 PARTS = 8
 
@@ -115,7 +114,6 @@ class Failure:
     """Reason for a missing score."""
 
     reason: Reason
-    """The kind of failure."""
     detail: str = ""
     """Exception text or measurement, of any length."""
     fold: int | None = None
@@ -135,9 +133,7 @@ class TestScore:
     """One metric on the sealed test, in the metric's own unit."""
 
     metric: str
-    """The name of the metric."""
     value: float
-    """Mean of `per_channel`."""
     per_channel: tuple[float, ...]
     """Score of each output, over the samples of all trajectories."""
     per_trajectory: tuple[float, ...]
@@ -282,6 +278,7 @@ def mee_table(
 
     Raises:
         CandidateError: for a reply of the wrong size or not finite
+        UserError: for a step that no window measures
     """
     for measured, simulated in zip(y, y_hat, strict=True):
         check_reply(simulated, measured.shape)
@@ -291,22 +288,14 @@ def mee_table(
         columns = [list(outputs).index(name) for name in group.outputs]
         measure = geodesic if group.distance == "geodesic" else euclidean
         distance = measure(a[..., columns], b[..., columns])
-        found.append(GroupError(group.name, tuple(_mean_of_steps(distance).tolist())))
+        # Over the windows in which all outputs of the group were measured.
+        missing = np.isnan(distance)
+        never = missing.all(axis=0)
+        if never.any():
+            raise UserError(f"step {int(np.argmax(never)) + 1} is measured in no window")
+        mean = np.nanmean if missing.any() else np.mean
+        found.append(GroupError(group.name, tuple(mean(distance, axis=0).tolist())))
     return MeeTable(tuple(horizons) or (a.shape[1],), tuple(found))
-
-
-def _mean_of_steps(distance: Array) -> Array:
-    """(windows, H) -> (H,), over the windows in which all outputs of the group were measured.
-
-    Raises:
-        UserError: where a step has none
-    """
-    if not np.isnan(distance).any():
-        return distance.mean(axis=0)
-    never = np.isnan(distance).all(axis=0)
-    if never.any():
-        raise UserError(f"step {int(np.argmax(never)) + 1} is measured in no window")
-    return np.nanmean(distance, axis=0)
 
 
 def euclidean(a: Array, b: Array) -> Array:

@@ -14,9 +14,6 @@ from asia.data.trajectory import Array, Signal
 from asia.errors import CandidateError, Reason
 from asia.judge.scoring.outcome import pooled
 
-# Correlation of residuals with their own past and with the inputs, over several blocks.
-
-
 _LAGS = 40
 QUANTILE = 2.5758293035489004
 
@@ -29,11 +26,13 @@ def cross_correlation(a: Sequence[Array], b: Sequence[Array], most: int) -> Arra
     """
     total = np.zeros(2 * most + 1)
     energy_a = energy_b = 0.0
-    for x, y in _stacked(a, b):
+    # Blocks of one length together: windows come in hundreds.
+    for length in dict.fromkeys(len(x) for x in a):
+        x = np.stack([x for x in a if len(x) == length])
+        y = np.stack([y for x, y in zip(a, b, strict=True) if len(x) == length])
         x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
         energy_a += float(np.sum(x * x))
         energy_b += float(np.sum(y * y))
-        length = x.shape[1]
         reach = min(most, length - 1)
         for lag in range(-reach, reach + 1):
             early = y[:, max(0, -lag) : length - max(0, lag)]
@@ -41,18 +40,6 @@ def cross_correlation(a: Sequence[Array], b: Sequence[Array], most: int) -> Arra
             total[most + lag] += float(np.sum(late * early))
     floor = np.finfo(np.float64).tiny
     return total / np.sqrt(max(energy_a * energy_b, floor))
-
-
-def _stacked(a: Sequence[Array], b: Sequence[Array]) -> list[tuple[Array, Array]]:
-    """Blocks of one length as one (blocks, H) array each: windows come in hundreds."""
-    lengths = dict.fromkeys(len(x) for x in a)
-    return [
-        (
-            np.stack([x for x in a if len(x) == length]),
-            np.stack([y for x, y in zip(a, b, strict=True) if len(x) == length]),
-        )
-        for length in lengths
-    ]
 
 
 def white_band(samples: int) -> float:
@@ -106,8 +93,8 @@ def _longest(e: Sequence[Array]) -> int:
 # Diagnostics of training residuals; agents may see these, and no validation or test output is
 # used.
 
-
 Samples = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -146,67 +133,61 @@ def diagnose(
         CandidateError: when the residual is too large to analyse
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        found = _analyse(u, y, y_hat, scale, train_error)
+        residual = [a - b for a, b in zip(y, y_hat, strict=True)]
+        for one in residual:
+            one /= scale
+        e, out = pooled(residual), pooled(y)
+        rms = np.sqrt(np.mean(e**2, axis=0)) + 1e-300
+        starts = np.concatenate([r[: max(1, len(r) // 20)] for r in residual])
+        place = np.concatenate([np.arange(len(r)) for r in residual]) if len(residual) > 1 else None
+        del residual
+        centred, inputs = e - e.mean(axis=0), pooled(u)
+        inputs = inputs - inputs.mean(axis=0)
+        own_past = [
+            float(np.abs(_products(late, early)).max())
+            for late, early in _pairs(centred, centred, place, 1)
+        ]
+        past_inputs = [
+            float(np.abs(_unit(late).T @ _unit(early)).max())
+            for late, early in _pairs(centred, inputs, place, 0)
+        ]
+        bend = (out - out.mean(axis=0)) ** 2
+        top, bottom = np.quantile(out, 0.9, axis=0), np.quantile(out, 0.1, axis=0)
+        found = Diagnostics(
+            train_error=train_error,
+            bias=float(np.max(np.abs(e.mean(axis=0)))),
+            whiteness=max(own_past, default=0.0),
+            input_correlation=max(past_inputs, default=0.0),
+            top_error=float(np.max(_rms_where(e, out >= top) / rms)),
+            bottom_error=float(np.max(_rms_where(e, out <= bottom) / rms)),
+            start_error=float(np.max(np.sqrt(np.mean(starts**2, axis=0)) / rms)),
+            curvature=float(np.max(np.abs(_products(centred, bend - bend.mean(axis=0))))),
+        )
     if not all(math.isfinite(value) for value in astuple(found)):
         raise CandidateError(Reason.NOT_FINITE, "the simulation of the training data diverged")
     return found
 
 
-def _analyse(
-    u: Sequence[Array],
-    y: Sequence[Array],
-    y_hat: Sequence[Array],
-    scale: Array,
-    train_error: float,
-) -> Diagnostics:
-    residual = [_error(a, b, scale) for a, b in zip(y, y_hat, strict=True)]
-    e, out = pooled(residual), pooled(y)
-    rms = np.sqrt(np.mean(e**2, axis=0)) + 1e-300
-    high, low = np.quantile(out, 0.9, axis=0), np.quantile(out, 0.1, axis=0)
-    starts = np.concatenate([r[: max(1, len(r) // 20)] for r in residual])
-    place = np.concatenate([np.arange(len(r)) for r in residual]) if len(residual) > 1 else None
-    del residual
-    return Diagnostics(
-        train_error=train_error,
-        bias=float(np.max(np.abs(e.mean(axis=0)))),
-        whiteness=_whiteness(e, place),
-        input_correlation=_input_correlation(e, pooled(u), place),
-        top_error=float(np.max(_rms_where(e, (out >= high).astype(np.float64)) / rms)),
-        bottom_error=float(np.max(_rms_where(e, (out <= low).astype(np.float64)) / rms)),
-        start_error=float(np.max(np.sqrt(np.mean(starts**2, axis=0)) / rms)),
-        curvature=float(np.max(np.abs(_correlation(e, (out - out.mean(axis=0)) ** 2)))),
-    )
-
-
-def _rms_where(e: Array, weight: Array) -> Array:
+def _rms_where(e: Array, chosen: Mask) -> Array:
+    weight = chosen.astype(np.float64)
     return np.sqrt((e**2 * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0))
 
 
 def _unit(x: Array) -> Array:
-    """Columns of norm 1."""
     return x / np.maximum(np.sqrt((x**2).sum(axis=0)), 1e-300)
 
 
-def _correlation(a: Array, b: Array) -> Array:
-    return _products(a - a.mean(axis=0), b - b.mean(axis=0))
-
-
-def _error(y: Array, y_hat: Array, scale: Array) -> Array:
-    found = y - y_hat
-    found /= scale
-    return found
+def _products(a: Array, b: Array) -> Array:
+    found = _unit(a)
+    found *= _unit(b)
+    return found.sum(axis=0)
 
 
 def _pairs(
     a: Array, b: Array, place: Samples | None, first_lag: int
 ) -> Iterator[tuple[Array, Array]]:
-    """Iterate over the lags, with the samples a(t) and b(t - lag) of one record.
-
-    A lag with too few pairs is skipped.
-
-    Args:
-        place: each sample's number within its record, None where there is but one
-    """
+    """Iterate over the lags that have enough pairs, with the samples a(t) and b(t - lag) of one
+    record; place: each sample's number within its record, None where there is but one."""
     for lag in range(first_lag, 21):
         if place is None:
             if len(a) - lag < 3:
@@ -219,29 +200,7 @@ def _pairs(
         yield a[late], b[late - lag]
 
 
-def _whiteness(e: Array, place: Samples | None) -> float:
-    a = e - e.mean(axis=0)
-    values = [float(np.abs(_products(late, early)).max()) for late, early in _pairs(a, a, place, 1)]
-    return max(values, default=0.0)
-
-
-def _products(a: Array, b: Array) -> Array:
-    found = _unit(a)
-    found *= _unit(b)
-    return found.sum(axis=0)
-
-
-def _input_correlation(e: Array, u: Array, place: Samples | None) -> float:
-    """Largest |correlation| of e(t) with u(t - lag)."""
-    a, b = e - e.mean(axis=0), u - u.mean(axis=0)
-    values = [
-        float(np.abs(_unit(late).T @ _unit(early)).max()) for late, early in _pairs(a, b, place, 0)
-    ]
-    return max(values, default=0.0)
-
-
 # Mean signed residuals over parts of the data: regions where a model is too high or too low.
-
 
 BINS = 5
 """Parts of equal width into which the range of a signal is cut."""
@@ -257,8 +216,6 @@ _MOST_OF_IT = 0.8
 _STEP = 0.25
 _MOST_STEPS = 0.1
 _TURN = 0.1
-
-Mask = NDArray[np.bool_]
 
 
 class PartKind(StrEnum):
@@ -310,9 +267,7 @@ class SignedResidual:
     """The mean residual of one output over one part of the data."""
 
     output: int
-    """Index of the output."""
     kind: PartKind
-    """Property that the samples of this part share."""
     signal: int
     """Index of the input for INPUT and STEP, else of the output."""
     part: int
@@ -328,7 +283,6 @@ class SignedResidual:
     error: float
     """Standard error of `mean`; samples that follow each other are not counted as independent."""
     samples: int
-    """Number of samples of the part."""
     share: float
     """The share of the squared residual of this output that would be gone without `mean`."""
     gain: float
@@ -341,7 +295,28 @@ class SignedResidual:
         """`tank2_level above 8 V: the model is too low by 0.21 ± 0.05 s.d.`"""
         signals = inputs if self.kind in (PartKind.INPUT, PartKind.STEP) else outputs
         name, own = signals[self.signal].name, outputs[self.output].name
-        where = _where(self, name, signals[self.signal].unit)
+        unit = signals[self.signal].unit
+        unit = f" {unit}" if unit and unit != "-" else ""
+        match self.kind:
+            case PartKind.TIME:
+                where = f"{_TIME_PARTS[self.part]} third of the simulation"
+            case PartKind.START:
+                where = "start, the first 5 % of a simulation"
+            case PartKind.ALL:
+                where = "mean over all samples"
+            case PartKind.CHANGE:
+                where = f"while {name} {('falls', 'rises')[self.part]} fast"
+            case PartKind.STEP:
+                where = f"after {name} steps {('down', 'up')[self.part]}"
+            case PartKind.TURN:
+                where = f"after a {('minimum', 'maximum')[self.part]} of {name}"
+            case PartKind.OUTPUT | PartKind.INPUT:
+                if self.low is None:
+                    where = f"{name} below {self.high:g}{unit}"
+                elif self.high is None:
+                    where = f"{name} above {self.low:g}{unit}"
+                else:
+                    where = f"{name} {self.low:g} to {self.high:g}{unit}"
         apart = self.kind in (PartKind.TIME, PartKind.START, PartKind.ALL)
         whose = "the model" if name == own and not apart else own
         return f"{where}: {whose} is too {'low' if self.mean > 0 else 'high'} by {self.size}"
@@ -401,7 +376,31 @@ def signed_residuals(
     """
     ranges = ranges or ranges_of(u, y)
     records = _Records(u, y, y_hat, scale)
-    found = [one for output in range(len(scale)) for one in _of_output(records, output, ranges)]
+    found: list[SignedResidual] = []
+    for output in range(len(scale)):
+        residual = records.residual[:, output]
+        memory = records.memory(residual, 0.1)
+        square = float((residual**2).mean())
+        for kind, signal, part, low, high, chosen in _parts(records, output, ranges):
+            samples = int(chosen.sum())
+            partial = kind is PartKind.ALL or samples < len(residual)
+            if samples < _FEWEST_SAMPLES or not partial or square <= 0:
+                continue
+            mean = float(residual[chosen].mean())
+            error = float(np.sqrt(square / records.segments(chosen, memory)))
+            # A drift over a whole record looks like noise with a long memory: along time a mean
+            # that is most of the residual counts too.
+            least, rms = _STANDARD_ERRORS * error, float(np.sqrt(square))
+            if kind is PartKind.TIME:
+                least = min(least, _MOST_OF_IT * rms)
+            notable = abs(mean) > max(least, _SMALLEST_MEAN * rms)
+            gain = samples / len(residual) * mean**2
+            found.append(
+                SignedResidual(
+                    output, kind, signal, part, low, high, mean, error, samples, gain / square,
+                    gain, notable,
+                )
+            )  # fmt: skip
     return tuple(sorted(found, key=lambda one: -one.gain))
 
 
@@ -442,7 +441,7 @@ class _Records:
         since = here - last
         return (last >= 0) & (since < length) & (since <= self.place)
 
-    def stretches(self, chosen: Mask, length: int) -> int:
+    def segments(self, chosen: Mask, length: int) -> int:
         """Count the segments of `length` samples that the chosen samples fall into, at least 1: as
         many of them count as independent where the residual has a memory of `length` samples."""
         if self.alone:
@@ -471,54 +470,16 @@ class _Records:
         return _LONGEST_MEMORY
 
 
-def _of_output(records: _Records, output: int, ranges: Ranges) -> Iterator[SignedResidual]:
-    residual = records.residual[:, output]
-    memory = records.memory(residual, 0.1)
-    square = float((residual**2).mean())
-    for kind, signal, part, low, high, chosen in _parts(records, output, ranges):
-        samples = int(chosen.sum())
-        partial = kind is PartKind.ALL or samples < len(residual)
-        if samples < _FEWEST_SAMPLES or not partial or square <= 0:
-            continue
-        mean = float(residual[chosen].mean())
-        error = float(np.sqrt(square / records.stretches(chosen, memory)))
-        notable = _notable(kind, mean, error, float(np.sqrt(square)))
-        gain = samples / len(residual) * mean**2
-        yield SignedResidual(
-            output,
-            kind,
-            signal,
-            part,
-            low,
-            high,
-            mean,
-            error,
-            samples,
-            gain / square,
-            gain,
-            notable,
-        )
-
-
 _Part = tuple[PartKind, int, int, float | None, float | None, Mask]
 
 
 def _parts(records: _Records, output: int, ranges: Ranges) -> Iterator[_Part]:
-    for kind, signal, part, low, high, chosen in _parts_behind_the_start(records, output, ranges):
-        yield kind, signal, part, low, high, chosen & records.begun
-    yield PartKind.START, output, 0, None, None, ~records.begun
-    yield PartKind.ALL, output, 0, None, None, np.ones(len(records.place), dtype=np.bool_)
-    for part in range(len(_TIME_PARTS)):
-        yield PartKind.TIME, output, part, None, None, records.third == part
-
-
-def _parts_behind_the_start(records: _Records, output: int, ranges: Ranges) -> Iterator[_Part]:
-    simulated = records.y_hat[:, output]
+    begun, simulated = records.begun, records.y_hat[:, output]
     for part, low, high, chosen in _cut(simulated, ranges.outputs[output]):
-        yield PartKind.OUTPUT, output, part, low, high, chosen
+        yield PartKind.OUTPUT, output, part, low, high, chosen & begun
     for i, edges in enumerate(ranges.inputs):
         for part, low, high, chosen in _cut(records.u[:, i], edges):
-            yield PartKind.INPUT, i, part, low, high, chosen
+            yield PartKind.INPUT, i, part, low, high, chosen & begun
     time = records.memory(simulated, 0.5)
     change = simulated - records.shifted(simulated, 1)
     fast = 0.5 * np.sqrt((change**2).mean())
@@ -526,21 +487,21 @@ def _parts_behind_the_start(records: _Records, output: int, ranges: Ranges) -> I
     before, after = (simulated - records.shifted(simulated, lag) for lag in (near, -near))
     least = _TURN * records.scale[output]
     for part, way in enumerate((-1.0, 1.0)):
-        yield PartKind.CHANGE, output, part, None, None, way * change > fast
+        yield PartKind.CHANGE, output, part, None, None, (way * change > fast) & begun
         turns = (way * before > least) & (way * after > least)
-        yield PartKind.TURN, output, part, None, None, records.follows(turns, near)
+        yield PartKind.TURN, output, part, None, None, records.follows(turns, near) & begun
     for i in range(records.u.shape[1]):
-        for part, steps in enumerate(_steps(records, i)):
-            yield PartKind.STEP, i, part, None, None, records.follows(steps, time)
-
-
-def _steps(records: _Records, i: int) -> tuple[Mask, Mask]:
-    """Find the downward and upward steps of an input; none where it moves all the time."""
-    u = records.u[:, i]
-    change = u - records.shifted(u, 1)
-    large = np.abs(change) > _STEP * max(float(np.ptp(u)), 1e-300)
-    large &= large.mean() <= _MOST_STEPS
-    return large & (change < 0), large & (change > 0)
+        u = records.u[:, i]
+        change = u - records.shifted(u, 1)
+        # An input that moves all the time has no steps.
+        large = np.abs(change) > _STEP * max(float(np.ptp(u)), 1e-300)
+        large &= large.mean() <= _MOST_STEPS
+        for part, steps in enumerate((large & (change < 0), large & (change > 0))):
+            yield PartKind.STEP, i, part, None, None, records.follows(steps, time) & begun
+    yield PartKind.START, output, 0, None, None, ~begun
+    yield PartKind.ALL, output, 0, None, None, np.ones(len(records.place), dtype=np.bool_)
+    for part in range(len(_TIME_PARTS)):
+        yield PartKind.TIME, output, part, None, None, records.third == part
 
 
 def _cut(
@@ -564,34 +525,3 @@ def _edges(x: Array) -> tuple[tuple[float, ...], ...]:
         digits = 1 - int(np.floor(np.log10(width)))
         found.append(tuple(round(first + k * width, digits) for k in range(1, BINS)))
     return tuple(found)
-
-
-def _notable(kind: PartKind, mean: float, error: float, rms: float) -> bool:
-    """A drift over a whole record looks like noise with a long memory: along time a mean that is
-    most of the residual counts too."""
-    least = _STANDARD_ERRORS * error
-    if kind is PartKind.TIME:
-        least = min(least, _MOST_OF_IT * rms)
-    return abs(mean) > max(least, _SMALLEST_MEAN * rms)
-
-
-def _where(one: SignedResidual, name: str, unit: str) -> str:
-    if one.kind is PartKind.TIME:
-        return f"{_TIME_PARTS[one.part]} third of the simulation"
-    if one.kind is PartKind.START:
-        return "start, the first 5 % of a simulation"
-    if one.kind is PartKind.ALL:
-        return "mean over all samples"
-    words = {
-        PartKind.CHANGE: (f"while {name} falls fast", f"while {name} rises fast"),
-        PartKind.STEP: (f"after {name} steps down", f"after {name} steps up"),
-        PartKind.TURN: (f"after a minimum of {name}", f"after a maximum of {name}"),
-    }
-    if one.kind in words:
-        return words[one.kind][one.part]
-    unit = f" {unit}" if unit and unit != "-" else ""
-    if one.low is None:
-        return f"{name} below {one.high:g}{unit}"
-    if one.high is None:
-        return f"{name} above {one.low:g}{unit}"
-    return f"{name} {one.low:g} to {one.high:g}{unit}"

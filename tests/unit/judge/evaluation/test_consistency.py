@@ -8,9 +8,10 @@ import pytest
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.errors import CandidateError, Reason
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import Evaluation
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Score
@@ -71,10 +72,9 @@ def evaluator(without: tuple[SuspicionKind, ...] = ()) -> Evaluator:
     record = Trajectory(u, y + 0.01 * rng.normal(size=400), 1.0, "r")
     rule = ProtocolRule(past_inputs=1, past_outputs=1)
     context = Context((Signal("u"),), (Signal("y"),), 1.0, 1, 1)
-    return Evaluator(
-        make_folds([record], rule), [record], context, rule, Budget(fit_seconds=30.0),
-        Isolation.PROCESS, LocalExecutor(2), without=without,
-    )  # fmt: skip
+    data = EvaluationData(make_folds([record], rule), (record,), context, rule)
+    workers = WorkerRunner(Isolation.PROCESS, Budget(fit_seconds=30.0), LocalExecutor(2))
+    return Evaluator(data, workers, EvaluatorOptions(without=without))
 
 
 def source(folder: Path | None) -> str:
@@ -108,9 +108,9 @@ def test_remotely_scored_candidates_get_the_same_checks() -> None:
     ahead = source(None).replace("u[:, k]\n", "u[:, min(k + 1, u.shape[1] - 1)]\n")
     for text, fine in ((source(None), True), (ahead, False)):
         models = [fold.model for fold in judge.evaluate(text).folds]
-        blocks = judge.folds[0].validation
-        assert len(judge.simulate(text, models, blocks)) == 2
-        for found in judge.simulate_scored(text, models, blocks):
+        blocks = judge.data.folds[0].validation
+        assert len(judge.models.simulate(text, models, blocks)) == 2
+        for found in judge.models.simulate_scored(text, models, blocks):
             assert isinstance(found, CandidateError) is not fine
             if isinstance(found, CandidateError):
                 assert found.reason is Reason.SUSPECT

@@ -16,7 +16,7 @@ from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.errors import Reason, UserError
 from asia.judge.evaluation import workers as workers_module
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import open_worker, probe, why_not
 from asia.judge.sandbox.types import Isolation, Limits
@@ -59,8 +59,8 @@ def evaluator(level: Isolation, fit_seconds: float = 30.0) -> Evaluator:
     rule = ProtocolRule(past_inputs=2, past_outputs=2)
     context = Context((Signal("u"),), (Signal("y"),), 0.1, 2, 2)
     budget = Budget(fit_seconds=fit_seconds)
-    folds = make_folds(records, rule)
-    return Evaluator(folds, records, context, rule, budget, level, LocalExecutor())
+    data = EvaluationData(make_folds(records, rule), records, context, rule)
+    return Evaluator(data, workers_module.WorkerRunner(level, budget, LocalExecutor()))
 
 
 def named(name: str) -> list[int]:
@@ -122,7 +122,7 @@ def test_a_worker_that_is_ended_again_is_a_failure_and_the_evaluator_goes_on(
     assert isinstance(outcome, Failure)
     assert outcome.reason is Reason.MEMORY
     assert "another process ended the worker by signal 9, twice" in outcome.detail
-    assert len(killed) <= 2 * len(judge.folds)
+    assert len(killed) <= 2 * len(judge.data.folds)
     assert isinstance(judge.evaluate(source).outcome, Score)
 
 
@@ -132,7 +132,7 @@ def test_a_worker_stuck_in_c_is_ended_at_its_deadline(level: Isolation) -> None:
     outcome = judge.evaluate(STUCK).outcome
     assert isinstance(outcome, Failure)
     assert outcome.reason is Reason.FIT_TIMEOUT
-    assert judge.left_behind == []
+    assert judge.workers.left_behind == []
 
 
 def test_a_process_that_does_not_die_is_left_behind_and_no_more_than_a_few(
@@ -156,7 +156,7 @@ def test_a_process_that_does_not_die_is_left_behind_and_no_more_than_a_few(
         outcome = judge.evaluate(STUCK).outcome
         assert isinstance(outcome, Failure)
         assert outcome.reason is Reason.FIT_TIMEOUT
-        first = list(judge.left_behind)
+        first = list(judge.workers.left_behind)
         assert sorted(first) == sorted(w._process.process.pid for w in workers)
         assert len(first) == 2
         judge.evaluate(STUCK)
@@ -183,4 +183,4 @@ def test_a_code_that_looks_like_a_kill_buys_no_second_fit(
     outcome = judge.evaluate("import os\n\n\ndef fit(t, c):\n    os._exit(137)\n").outcome
     assert isinstance(outcome, Failure)
     assert outcome.reason is Reason.EXITED
-    assert len(opened) == len(judge.folds)
+    assert len(opened) == len(judge.data.folds)

@@ -9,9 +9,10 @@ import pytest
 from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.errors import Reason
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import Evaluation
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure, score_fold
@@ -80,10 +81,9 @@ def records() -> tuple[Trajectory, ...]:
 def evaluator(without: Sequence[SuspicionKind] = ()) -> Evaluator:
     rule = ProtocolRule(kind="windows", past_inputs=3, past_outputs=3, horizon=HORIZON)
     context = Context((Signal("u"),), (Signal("y"),), 1.0, 3, 3, HORIZON)
-    return Evaluator(
-        make_folds(records(), rule), records(), context, rule, Budget(fit_seconds=30.0),
-        Isolation.PROCESS, LocalExecutor(), without=without,
-    )  # fmt: skip
+    data = EvaluationData(make_folds(records(), rule), records(), context, rule)
+    workers = WorkerRunner(Isolation.PROCESS, Budget(fit_seconds=30.0), LocalExecutor())
+    return Evaluator(data, workers, EvaluatorOptions(without=without))
 
 
 def value(evaluation: Evaluation) -> float:
@@ -97,7 +97,7 @@ def all_at_once(source: str) -> float:
     names: dict[str, object] = {}
     exec(source, names)
     scores: list[float] = []
-    for fold in evaluator().folds:
+    for fold in evaluator().data.folds:
         model = names["fit"]([], None)  # type: ignore[operator]
         given = ("past_u", "past_y", "u")
         y_hat = model.simulate(*(stacked(fold.validation, what) for what in given))

@@ -11,7 +11,7 @@ from asia.candidate import VALIDATION_SCORES, Context
 from asia.data import Signal, Trajectory
 from asia.errors import Reason
 from asia.judge.evaluation import workers as workers_module
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.evaluation.results import Evaluation, RefitModel
 from asia.judge.evaluation.validation_score import rounded_score
 from asia.judge.executors import LocalExecutor
@@ -93,10 +93,9 @@ def evaluator(
     if horizon is not None:
         rule = replace(rule, kind="windows", horizon=horizon)
     context = Context((Signal("u"),), (Signal("y"),), 1.0, 3, 3, horizon)
-    return Evaluator(
-        make_folds(records(), rule), records(), context, rule,
-        Budget(fit_seconds=fit_seconds), isolation, LocalExecutor(),
-    )  # fmt: skip
+    data = EvaluationData(make_folds(records(), rule), records(), context, rule)
+    budget = Budget(fit_seconds=fit_seconds)
+    return Evaluator(data, workers_module.WorkerRunner(isolation, budget, LocalExecutor()))
 
 
 def value(evaluation: Evaluation) -> float:
@@ -163,7 +162,7 @@ def test_the_worker_that_trains_gets_a_number_and_no_case(
     for requests in fits:
         names = [name for name, _, _ in requests]
         assert names[:15] == ["fit", *["score"] * 12, "parameters", "dump"]
-        fold = next(f for f in judge.folds if f.train[0].y.tobytes() in requests[0][2])
+        fold = next(f for f in judge.data.folds if f.train[0].y.tobytes() in requests[0][2])
         for name, arguments, body in requests[:13]:
             if name == "score":
                 (number,) = arguments
@@ -173,7 +172,7 @@ def test_the_worker_that_trains_gets_a_number_and_no_case(
                 for block in fold.validation
                 for part in (block.y[:4], block.y[-4:], block.case.u[:4], block.case.u[-4:])
             )
-    targets = [b.y[-8:].tobytes() for f in judge.folds for b in f.validation]
+    targets = [b.y[-8:].tobytes() for f in judge.data.folds for b in f.validation]
     for requests in oracles:
         names = [name for name, _, _ in requests]
         # one case of each record; the last asks for times and brings none of them

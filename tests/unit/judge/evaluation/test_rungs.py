@@ -7,8 +7,9 @@ import pytest
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.evaluation.references import constant_velocity, find_rates, score_references
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Score
@@ -52,8 +53,8 @@ def evaluator(rule: ProtocolRule, records: list[Trajectory]) -> Evaluator:
         metric=rule.metric,
     )
     budget, level = Budget(fit_seconds=60.0), Isolation.PROCESS
-    folds = make_folds(records, rule)
-    return Evaluator(folds, records, context, rule, budget, level, LocalExecutor())
+    data = EvaluationData(make_folds(records, rule), tuple(records), context, rule)
+    return Evaluator(data, WorkerRunner(level, budget, LocalExecutor()))
 
 
 def windows(past: int) -> ProtocolRule:

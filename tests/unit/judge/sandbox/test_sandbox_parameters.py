@@ -155,8 +155,8 @@ def estimates(count: int, equations: tuple[str, ...] = ()) -> ParameterEstimates
 def test_estimates_come_back_as_they_were_packed():
     body = pack_estimates(estimates(70, ("a = b",) * 2000))
     found = unpack_estimates(body)
-    assert len(found.rows) == PARAMETERS
-    assert found.correlation == tuple(np.eye(PARAMETERS).ravel().tolist())
+    assert len(found.parameters) == PARAMETERS
+    assert np.array_equal(found.correlation, np.eye(PARAMETERS))
     assert len("\n".join(found.equations)) <= 8000
 
 

@@ -10,7 +10,8 @@ import pytest
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
-from asia.judge.sandbox.types import Isolation, Limits
+from asia.judge.sandbox.types import Isolation
+from asia.problem.budget import Budget
 from asia.search.loop import retest_fits
 
 SECONDS = 20.0
@@ -22,7 +23,8 @@ class Runner(WorkerRunner):
     folds = (1, 2)
 
     def __init__(self, executor: Executor) -> None:
-        super().__init__(Isolation.PROCESS, Limits(1.0, 1.0, 100), executor, 1)
+        super().__init__(Isolation.PROCESS, Budget(fit_seconds=1.0), executor)
+        self.workers = self.data = self
         self.begun: list[tuple[int, int]] = []
         self.stopped: list[tuple[int, int]] = []
         self.over: dict[tuple[int, int], threading.Event] = {}
@@ -33,7 +35,7 @@ class Runner(WorkerRunner):
         return not self.is_sequential
 
     def fit(self, number: int) -> Any:
-        return self._run([partial(self._fold, number, fold) for fold in self.folds])
+        return self.run([partial(self._fold, number, fold) for fold in self.folds])
 
     def _fold(self, number: int, fold: int) -> tuple[int, int]:
         place = number, fold
@@ -135,7 +137,7 @@ def test_what_a_fit_raises_is_raised_where_it_is_asked_for() -> None:
     runner = Runner(LocalExecutor(4))
 
     def fails(number: int) -> Any:
-        return runner._run([partial(int, "no number")])
+        return runner.run([partial(int, "no number")])
 
     evaluator: Evaluator = runner  # type: ignore[assignment]
     with retest_fits(evaluator, fails, 2) as fit, pytest.raises(ValueError, match="no number"):

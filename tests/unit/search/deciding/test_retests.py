@@ -14,6 +14,7 @@ import asia
 from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, FoldResult
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.scoring.confirmation import least_significant_difference
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.events import Evaluated, Event, Proposed, Retest, Started
@@ -46,12 +47,13 @@ def fit(trajectories, context):
 class Fits(Evaluator):
     """V of the fits of one candidate, one after the other."""
 
-    is_sequential, may_fit_ahead = True, False
+    may_fit_ahead = False
 
     def __init__(self, *outcomes: float | Failure) -> None:
         self.outcomes, self.starts = outcomes, list[int]()
+        self.workers = cast(WorkerRunner, SimpleNamespace(is_sequential=True))
 
-    def evaluate(self, source: str, start: int = 0) -> Evaluation:
+    def evaluate(self, source: str, start: int = 0, over: float | None = None) -> Evaluation:
         """The next one."""
         self.starts.append(start)
         outcome = self.outcomes[len(self.starts) - 1]

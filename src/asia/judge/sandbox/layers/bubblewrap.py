@@ -43,7 +43,6 @@ def bubblewrap_options(
 
 
 def _gpu_options() -> list[str]:
-    """Return the bubblewrap options for a GPU; files in /proc are there already."""
     options = [word for node in gpu_nodes() for word in ("--dev-bind-try", node, node)]
     for place in GPU_FACTS:
         if not place.startswith("/proc/"):

@@ -18,9 +18,6 @@ from asia.judge.sandbox.layers import landlock, seccomp
 from asia.judge.sandbox.layers.gpu import GPU_FACTS, gpu_environment, gpu_nodes
 from asia.judge.sandbox.types import Layer, Limits
 
-# Environment of a worker: command line, variables, folders to read.
-
-
 SYSTEM_FILES = ("/etc/ld.so.cache", "/etc/localtime", "/etc/alternatives")
 _CONTAINERS = (Path("/.dockerenv"), Path("/run/.containerenv"))
 _SYSTEM_CODE = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64")
@@ -175,7 +172,6 @@ def _within(place: str, folders: list[str]) -> bool:
 
 # The layers that a worker puts on itself: whether this kernel gives them, and how to get them.
 
-
 ANOTHER_SYSTEM = "use a Linux machine, or a Linux virtual machine on this one"
 
 
@@ -202,7 +198,6 @@ def layer_remedy(layer: Layer) -> str:
 
 
 # Trial start of a program at a level.
-
 
 START_SECONDS = 20.0
 _LONGEST_LINE = 200

@@ -208,7 +208,6 @@ def _unless(argument: int, value: int) -> bytes:
 
 
 def _only(argument: int, values: tuple[int, ...]) -> bytes:
-    """Allow for these values of the argument."""
     code = _step(_LOAD, _low(argument))
     for value in values:
         code += _step(_JUMP_EQUAL, value, 0, 1) + _allow()

@@ -7,7 +7,6 @@ ending it ends all. It can still learn that a file exists, its size and its age.
 
 from __future__ import annotations
 
-import os
 import subprocess
 from collections.abc import Collection
 
@@ -24,9 +23,7 @@ from asia.judge.sandbox.layers.environment import (
 )
 from asia.judge.sandbox.level import Level
 from asia.judge.sandbox.types import Isolation, Layer, Limits
-from asia.judge.sandbox.worker.process import PipePairs, WorkerProcess, parent_ends, start
-
-_NOWHERE = "/"
+from asia.judge.sandbox.worker.process import WorkerProcess, start
 
 
 class Landlock(Level):
@@ -59,19 +56,18 @@ class Landlock(Level):
         if absent:
             reasons = "; ".join(absent.values())
             raise SandboxError(f"isolation level '{self.isolation}' cannot run here: {reasons}")
-        pipes = PipePairs(os.pipe(), os.pipe())
-        command = child_command(*pipes.child_ends, limits, layers, libraries)
-        process = start(command, pipes, env=environment(_NOWHERE, gpu=limits.gpu), cwd=_NOWHERE)
+        process, pipes = start(
+            lambda requests, replies: child_command(requests, replies, limits, layers, libraries),
+            env=environment("/", gpu=limits.gpu),
+            cwd="/",
+        )
         return WorkerProcess(
             process=process,
-            pipes=parent_ends(process, pipes),
+            pipes=pipes,
             kill=process.kill,
             force=process.kill,
-            tidy=_nothing,
+            # There is no folder and no other process besides the worker.
+            tidy=lambda: None,
             beyond_reach=False,
             find=lambda: process.pid,
         )
-
-
-def _nothing() -> None:
-    """Do nothing: there is no folder and no other process besides the worker."""

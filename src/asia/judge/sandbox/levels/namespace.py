@@ -16,7 +16,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from pathlib import Path
 
 from asia.errors import SandboxError
@@ -34,15 +34,12 @@ from asia.judge.sandbox.level import Level
 from asia.judge.sandbox.types import Isolation, Layer, Limits
 from asia.judge.sandbox.worker.process import (
     OrphanWatch,
-    PipePairs,
     WorkerProcess,
     first_child,
     kill_quietly,
-    parent_ends,
     start,
 )
 
-_OLDEST = (0, 8)
 _APPARMOR = Path("/proc/sys/kernel/apparmor_restrict_unprivileged_userns")
 _CLONE = Path("/proc/sys/kernel/unprivileged_userns_clone")
 _MOST = Path("/proc/sys/user/max_user_namespaces")
@@ -65,7 +62,7 @@ class Namespace(Level):
         try:
             version = run_trial([bwrap, "--version"])
             found = re.search(r"(\d+)\.(\d+)", version.stdout)
-            if found is None or (int(found[1]), int(found[2])) < _OLDEST:
+            if found is None or (int(found[1]), int(found[2])) < (0, 8):
                 return f"bubblewrap 0.8 or newer is needed, found '{version.stdout.strip()}'"
             python = [interpreter(), "-I", "-S", "-c", "pass"]
             trial = run_trial([bwrap, *bubblewrap_options(), "--", *python])
@@ -106,42 +103,45 @@ class Namespace(Level):
         if bwrap is None:
             raise SandboxError("bubblewrap is not installed")
         watch = OrphanWatch()
-
-        def command(ends: tuple[int, int]) -> list[str]:
-            return child_command(*ends, limits, layers, libraries)
-
         try:
-            return _open(bwrap, watch, command, gpu=limits.gpu)
+            return _open(bwrap, watch, limits, layers, libraries)
         except BaseException:
             watch.end_orphans()
             raise
 
 
 def _open(
-    bwrap: str, watch: OrphanWatch, worker: Callable[[tuple[int, int]], list[str]], *, gpu: bool
+    bwrap: str,
+    watch: OrphanWatch,
+    limits: Limits,
+    layers: Collection[Layer],
+    libraries: Collection[str],
 ) -> WorkerProcess:
-    """worker: the command line inside, for the child's ends of the pipes; gpu: whether it computes
-    on the GPU."""
-    pipes = PipePairs(os.pipe(), os.pipe())
     info, info_write = os.pipe()
-    inside = ["--info-fd", str(info_write), "--", *worker(pipes.child_ends)]
-    command = [watch.mark, *bubblewrap_options(gpu=gpu), *inside]
+
+    def command(requests: int, replies: int) -> list[str]:
+        worker = child_command(requests, replies, limits, layers, libraries)
+        inside = ["--info-fd", str(info_write), "--", *worker]
+        return [watch.mark, *bubblewrap_options(gpu=limits.gpu), *inside]
+
     try:
         # env={}: bwrap stays process 1 inside, where its environment can be read.
-        process = start(command, pipes, env={}, cwd="/", also_pass=(info_write,), program=bwrap)
-    except SandboxError:
+        process, pipes = start(command, env={}, cwd="/", also_pass=(info_write,), program=bwrap)
+    except BaseException:
         os.close(info)
         raise
     finally:
         os.close(info_write)
-    ends = parent_ends(process, pipes)
     try:
         first, init = _process_one(info)
     except BaseException as error:
-        said = _last_words(ends.output)
+        said = ""
+        os.set_blocking(pipes.output, False)
+        with contextlib.suppress(OSError):
+            said = os.read(pipes.output, 500).decode("utf-8", "replace").strip()
         process.kill()
         process.wait()
-        for fd in (ends.requests, ends.replies, ends.output):
+        for fd in (pipes.requests, pipes.replies, pipes.output):
             os.close(fd)
         if not isinstance(error, SandboxError):
             raise
@@ -159,7 +159,7 @@ def _open(
 
     return WorkerProcess(
         process=process,
-        pipes=ends,
+        pipes=pipes,
         kill=kill,
         force=lambda: kill_quietly(process.pid),
         tidy=tidy,
@@ -171,9 +171,9 @@ def _open(
 def _process_one(info: int) -> tuple[int, int]:
     """Process id and pidfd of the namespace's first process: its end is the end of all inside."""
     text = b""
+    poller = select.poll()
+    poller.register(info, select.POLLIN)
     while b"}" not in text:
-        poller = select.poll()
-        poller.register(info, select.POLLIN)
         if not poller.poll(START_SECONDS * 1000):
             raise SandboxError("no answer in time")
         part = os.read(info, 4096)
@@ -185,13 +185,6 @@ def _process_one(info: int) -> tuple[int, int]:
         return first, os.pidfd_open(first)
     except OSError as error:
         raise SandboxError(str(error)) from error
-
-
-def _last_words(output: int) -> str:
-    os.set_blocking(output, False)
-    with contextlib.suppress(OSError):
-        return os.read(output, 500).decode("utf-8", "replace").strip()
-    return ""
 
 
 def _number(place: Path) -> int | None:

@@ -29,13 +29,12 @@ if TYPE_CHECKING:
     from asia.candidate import Context, Model
     from asia.data.trajectory import Array, Mask, Trajectory
     from asia.judge.sandbox.layers import lockdown
-    from asia.judge.sandbox.worker import compilation, curve, figures, portable, wire
+    from asia.judge.sandbox.worker import compilation, figures, portable, wire
 else:
     # Imported by their folders: their package imports modules that only the parent needs.
     _HERE = os.path.dirname(os.path.abspath(__file__))
     sys.path[:0] = [_HERE, os.path.join(os.path.dirname(_HERE), "layers")]
     import compilation
-    import curve
     import figures
     import lockdown
     import portable
@@ -47,10 +46,6 @@ _SOURCE_NAME = "candidate.py"
 _LARGEST_FILE = 64 * 1024 * 1024
 _OPEN_FILES = 256
 _MESSAGE_CHARACTERS = 1000
-_NOT_PORTABLE = (
-    "the fitted model holds bytes that name a folder of this machine, so it could not be "
-    "published: keep no path, and no compiled program, in the model"
-)
 
 
 def _restrict(memory_mb: int) -> None:
@@ -132,6 +127,30 @@ def _as_model(value: object, what: str = "fit returned") -> Model:
     return value  # pyright: ignore[reportReturnType]
 
 
+class _TrainingCurve:
+    """Training curve of bounded size: thinned by two whenever it is full."""
+
+    def __init__(self) -> None:
+        self._stride = 1
+        self._calls = 0
+        self._kept: list[tuple[float, float]] = []
+
+    def log(self, step: float, loss: float) -> None:
+        if self._calls % self._stride == 0:
+            if len(self._kept) == wire.CURVE_ROWS:
+                self._kept = self._kept[::2]
+                self._stride *= 2
+            if self._calls % self._stride == 0:
+                self._kept.append((float(step), float(loss)))
+        self._calls += 1
+
+    def tobytes(self) -> bytes:
+        """Steps and losses as float64, row after row."""
+        import numpy as np
+
+        return np.array(self._kept, dtype="<f8").tobytes()
+
+
 class _Session:
     """Session that handles requests until the parent closes the pipe."""
 
@@ -156,7 +175,7 @@ class _Session:
             "fit": self._fit,
             "load": self._load,
             "simulate": self._simulate,
-            "dump": self._dump,
+            "dump": lambda: self._pickled(self._model),
             "parameters": self._parameters,
             "estimates": self._estimates,
             "lower": self._lower,
@@ -191,15 +210,28 @@ class _Session:
         known: dict[str, Any],
         scored: bool,
     ) -> bytes:
+        import numpy as np
+
+        from asia.candidate import Context
+        from asia.data.trajectory import Trajectory
+
         trajectories: list[Trajectory] = []
         while records:  # each is let go once it is taken over
-            trajectories.append(_trajectory(*records.pop(0)))
+            u, y, sampling_time, name, missing = records.pop(0)
+            # A record may not be written to, so that it takes the array that came, without a copy.
+            for values in (u, y):
+                place: object = values
+                while isinstance(place, np.ndarray):
+                    place.setflags(write=False)
+                    place = place.base
+            trajectories.append(Trajectory(u, y, sampling_time, name, missing))
         module = _execute(source)
         fit = getattr(module, "fit", None)
         if not callable(fit):
             raise _RefusedError("the source defines no function fit(trajectories, context)")
-        points = curve.TrainingCurve(wire.CURVE_ROWS)
-        context = _context(known, points.log, self._validation_score if scored else None)
+        points = _TrainingCurve()
+        validation_score = self._validation_score if scored else None
+        context = Context(**known, log=points.log, validation_score=validation_score)
         self._reply(wire.ReplyKind.STARTED)
         self._fitting = True
         self._model = _as_model(fit(trajectories, context))
@@ -251,9 +283,6 @@ class _Session:
 
         return lowered_bytes(self._model, n_past_u, n_past_y, nu, ny)
 
-    def _dump(self) -> bytes:
-        return self._pickled(self._model)
-
     def _parameters(self) -> bytes:
         """Those that the model names. They are evidence and no part of the contract: a model
         without them, or with something else of that name, is none the worse."""
@@ -275,7 +304,6 @@ class _Session:
             return b""
 
     def _device(self) -> bytes:
-        """Evidence, as `_parameters`."""
         try:
             device = sys.modules["jax"].devices()[0]
             return f"{device.platform} {device.device_kind}".encode()[: wire.DEVICE_BYTES]
@@ -288,7 +316,10 @@ class _Session:
         try:
             return portable.portable(cloudpickle.dumps(model, protocol=5), self._places)
         except portable.PlaceError:
-            raise _RefusedError(_NOT_PORTABLE) from None
+            raise _RefusedError(
+                "the fitted model holds bytes that name a folder of this machine, so it could not "
+                "be published: keep no path, and no compiled program, in the model"
+            ) from None
 
     def _describe(self, error: BaseException, *, private: bool) -> tuple[int, bytes]:
         """ReplyKind and words for an error; `private` gives away the class name only."""
@@ -298,38 +329,37 @@ class _Session:
 
             dimensions = error.shape[: wire.SHAPE_DIMENSIONS]
             return status.SHAPE, np.array(dimensions, dtype="<i8").tobytes()
-        kind = _status_name(error)
+        kind = status.CRASH
+        if isinstance(error, _RefusedError):
+            kind = status.CONTRACT
+        elif isinstance(error, SystemExit):
+            kind = status.EXITED
+        elif isinstance(error, SyntaxError) and error.filename == _SOURCE_NAME:
+            kind = status.SYNTAX
+        elif isinstance(error, MemoryError):
+            kind = status.MEMORY
+        else:
+            with contextlib.suppress(BaseException):
+                start = str(error)[:500]
+                if "RESOURCE_EXHAUSTED" in start or "Cannot allocate memory" in start:
+                    kind = status.MEMORY
         if private:
-            return status[kind], type(error).__name__.encode("ascii", "replace")[:100]
+            return kind, type(error).__name__.encode("ascii", "replace")[:100]
         try:
             text = str(error) if isinstance(error, _RefusedError) else _candidate_traceback(error)
         except BaseException:  # noqa: BLE001 - out of memory, or a __str__ that raises
             text = type(error).__name__
-        return status[kind], text.encode("utf-8", "replace")[-wire.TEXT_BYTES :]
-
-
-def _status_name(error: BaseException) -> str:
-    if isinstance(error, _RefusedError):
-        return "CONTRACT"
-    if isinstance(error, SystemExit):
-        return "EXITED"
-    if isinstance(error, SyntaxError) and error.filename == _SOURCE_NAME:
-        return "SYNTAX"
-    if isinstance(error, MemoryError):
-        return "MEMORY"
-    with contextlib.suppress(BaseException):
-        if "RESOURCE_EXHAUSTED" in str(error)[:500] or "Cannot allocate memory" in str(error)[:500]:
-            return "MEMORY"
-    return "CRASH"
+        return kind, text.encode("utf-8", "replace")[-wire.TEXT_BYTES :]
 
 
 def _candidate_traceback(error: BaseException) -> str:
     """Return the candidate's own frames and the last two of its callees, then the message."""
     frames = traceback.extract_tb(error.__traceback__)
+    own = [place for place, frame in enumerate(frames) if frame.filename == _SOURCE_NAME]
     kept = [
         frame
         for place, frame in enumerate(frames)
-        if frame.filename == _SOURCE_NAME or (place >= len(frames) - 2 and _called(frames, place))
+        if place in own or (own and place > own[0] and place >= len(frames) - 2)
     ]
     message = "".join(traceback.format_exception_only(error))
     if len(message) > _MESSAGE_CHARACTERS:
@@ -337,43 +367,18 @@ def _candidate_traceback(error: BaseException) -> str:
     return "".join(traceback.format_list(kept)) + message
 
 
-def _called(frames: traceback.StackSummary, place: int) -> bool:
-    return any(frame.filename == _SOURCE_NAME for frame in frames[:place])
-
-
-def _trajectory(
-    u: Array, y: Array, sampling_time: float, name: str, missing: Mask | None
-) -> Trajectory:
-    import numpy as np
-
-    from asia.data.trajectory import Trajectory
-
-    # A record may not be written to, so that it takes the array that came, without a copy.
-    for values in (u, y):
-        place: object = values
-        while isinstance(place, np.ndarray):
-            place.setflags(write=False)
-            place = place.base
-    return Trajectory(u, y, sampling_time, name, missing)
-
-
-def _context(
-    known: dict[str, Any],
-    log: Callable[[float, float], None],
-    validation_score: Callable[[Model], float] | None,
-) -> Context:
-    from asia.candidate import Context
-
-    return Context(**known, log=log, validation_score=validation_score)
-
-
 def main(arguments: list[str]) -> NoReturn:
     requests, replies, memory_mb = (int(word) for word in arguments[:3])
     layers = arguments[3].split(",")
-    libraries, rest = _counted(arguments[4:])
-    folders, rest = _counted(rest)
-    packages, rest = _counted(rest)
-    devices, readable = _counted(rest)
+    readable = arguments[4:]
+
+    def counted() -> list[str]:
+        """Take a list that is preceded by its length from the remaining words."""
+        count = int(readable.pop(0))
+        taken, readable[:] = readable[:count], readable[count:]
+        return taken
+
+    libraries, folders, packages, devices = counted(), counted(), counted(), counted()
     if lockdown.RLIMITS in layers:
         _restrict(memory_mb)
     # Before numpy, whose threads Landlock would not bind.
@@ -388,12 +393,6 @@ def main(arguments: list[str]) -> NoReturn:
     for name in ("asia.candidate", *libraries):
         importlib.import_module(name)
     session.serve()
-
-
-def _counted(words: list[str]) -> tuple[list[str], list[str]]:
-    """Split a list that is preceded by its length from the remaining words."""
-    end = 1 + int(words[0])
-    return words[1:end], words[end:]
 
 
 if __name__ == "__main__":

@@ -68,21 +68,14 @@ class JaxFinder(importlib.abc.MetaPathFinder):
         sys.meta_path.remove(self)
         spec = importlib.util.find_spec(fullname)
         if spec is not None and spec.loader is not None:
-            spec.loader = _Listening(spec.loader, self._meter)
+            loader: Any = spec.loader
+            execute = loader.exec_module
+
+            def exec_module(module: ModuleType) -> None:
+                execute(module)
+                register = getattr(module, "register_event_duration_secs_listener", None)
+                if callable(register):
+                    register(self._meter.heard)
+
+            loader.exec_module = exec_module
         return spec
-
-
-class _Listening(importlib.abc.Loader):
-    """A loader that also makes the module it loads call a meter."""
-
-    def __init__(self, loader: Any, meter: Meter) -> None:
-        self._loader, self._meter = loader, meter
-
-    def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType | None:
-        return self._loader.create_module(spec)
-
-    def exec_module(self, module: ModuleType) -> None:
-        self._loader.exec_module(module)
-        register = getattr(module, "register_event_duration_secs_listener", None)
-        if callable(register):
-            register(self._meter.heard)

@@ -11,7 +11,7 @@ import math
 import re
 import struct
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from asia.candidate import ParameterEstimates
@@ -31,29 +31,6 @@ _TEXT_BYTES = 8000
 ESTIMATES_BYTES = (
     _HEAD.size + PARAMETERS * (_ESTIMATE.size + PARAMETERS * _NUMBER.size) + _TEXT_BYTES
 )
-
-
-class EstimateRow(NamedTuple):
-    """One parameter."""
-
-    name: str
-    """Name of the parameter."""
-    unit: str
-    """Unit of the parameter; "" where none is given."""
-    figures: tuple[float, ...]
-    """Value, standard error, both ends of the interval, both ends of the range, share of data,
-    error by a missing effect."""
-
-
-class EstimateRows(NamedTuple):
-    """All of a model."""
-
-    rows: tuple[EstimateRow, ...]
-    """Parameters of the model."""
-    correlation: tuple[float, ...]
-    """Correlations of their errors, row after row."""
-    equations: tuple[str, ...]
-    """Lines of text."""
 
 
 def pack_parameters(offered: object) -> bytes:
@@ -103,12 +80,17 @@ def pack_estimates(offered: Any) -> bytes:
     return b"".join(body)
 
 
-def unpack_estimates(body: bytes) -> EstimateRows:
+def unpack_estimates(body: bytes) -> ParameterEstimates:
     """Unpack the result of `pack_estimates`.
 
     Raises:
         ValueError: where `body` cannot be a result of `pack_estimates`
     """
+    # Here, as the worker reads nothing: it imports this module without these.
+    import numpy as np
+
+    from asia.candidate import ParameterEstimate, ParameterEstimates
+
     if not _HEAD.size <= len(body) <= ESTIMATES_BYTES:
         raise ValueError(f"{len(body)} bytes of estimates")
     (count,) = _HEAD.unpack_from(body)
@@ -116,31 +98,19 @@ def unpack_estimates(body: bytes) -> EstimateRows:
     text = table + count * count * _NUMBER.size
     if count > PARAMETERS or text > len(body) or len(body) - text > _TEXT_BYTES:
         raise ValueError(f"{len(body)} bytes of {count} estimates")
-    rows: dict[str, EstimateRow] = {}
-    for raw, unit, *figures in _ESTIMATE.iter_unpack(body[_HEAD.size : table]):
-        if not math.isfinite(figures[0]):
+    rows: dict[str, ParameterEstimate] = {}
+    for raw, raw_unit, value, error, low, high, *others in _ESTIMATE.iter_unpack(
+        body[_HEAD.size : table]
+    ):
+        if not math.isfinite(value):
             raise ValueError("a parameter that is not finite")
-        name = _name(raw)
-        rows[name] = EstimateRow(name, _NO_UNIT.sub("_", _plain(unit)), tuple(figures))
+        name, unit = _name(raw), _NO_UNIT.sub("_", _plain(raw_unit))
+        rows[name] = ParameterEstimate(name, value, error, low, high, unit, *others)
     if len(rows) != count:
         raise ValueError("a parameter that is named twice")
-    correlation = tuple(value for (value,) in _NUMBER.iter_unpack(body[table:text]))
+    correlation = np.frombuffer(body[table:text], "<f8").astype(np.float64).reshape(count, count)
     words = _NO_TEXT.sub("_", body[text:].decode("ascii", "replace"))
-    return EstimateRows(tuple(rows.values()), correlation, tuple(words.splitlines()))
-
-
-def estimates_of(said: EstimateRows) -> ParameterEstimates:
-    """Convert the rows to the form that the parent passes on."""
-    import numpy as np
-
-    from asia.candidate import ParameterEstimate, ParameterEstimates
-
-    rows: list[ParameterEstimate] = []
-    for row in said.rows:
-        value, error, low, high, *others = row.figures
-        rows.append(ParameterEstimate(row.name, value, error, low, high, row.unit, *others))
-    correlation = np.array(said.correlation).reshape(len(rows), len(rows))
-    return ParameterEstimates(tuple(rows), correlation, said.equations)
+    return ParameterEstimates(tuple(rows.values()), correlation, tuple(words.splitlines()))
 
 
 def _raw(word: object, size: int) -> bytes:

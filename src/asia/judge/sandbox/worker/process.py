@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import math
 import os
@@ -45,9 +44,6 @@ from asia.judge.sandbox.worker.wire import (
     ReplyKind,
 )
 
-# One started worker process, as every level of isolation gives it.
-
-
 _EXIT_SECONDS = 0.5
 _KILLED = 128 + signal.SIGKILL
 _PATIENCE_SECONDS = (2.0, 5.0)
@@ -55,14 +51,11 @@ _PATIENCE_SECONDS = (2.0, 5.0)
 
 @dataclass(frozen=True)
 class Pipes:
-    """The parent's ends."""
+    """File descriptors of the parent's ends: to write requests, to read replies and output."""
 
     requests: int
-    """File descriptor for writing requests."""
     replies: int
-    """File descriptor for reading replies."""
     output: int
-    """File descriptor for reading the worker's output."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +75,6 @@ class WorkerProcess:
     process: subprocess.Popen[bytes]
     """The process to wait for: the worker, or one that ends with it."""
     pipes: Pipes
-    """The way to speak to the worker."""
     kill: Callable[[], None]
     """Ends the candidate with everything it started."""
     force: Callable[[], None]
@@ -131,83 +123,61 @@ class WorkerProcess:
         return True
 
 
-@dataclass(frozen=True)
-class PipePairs:
-    """Both ends of the two pipes of a worker about to start."""
-
-    requests: tuple[int, int]
-    """(the child reads, the parent writes)."""
-    replies: tuple[int, int]
-    """(the parent reads, the child writes)."""
-
-    @property
-    def child_ends(self) -> tuple[int, int]:
-        """(requests to read, replies to write)."""
-        return self.requests[0], self.replies[1]
-
-    def close_child_ends(self) -> None:
-        """The parent must not hold them: end of file is how each side learns of the other's end."""
-        for fd in self.child_ends:
-            os.close(fd)
-
-    def close_parent_ends(self) -> None:
-        """Close the parent's ends of the pipes when the worker could not be started."""
-        os.close(self.requests[1])
-        os.close(self.replies[0])
-
-
 def start(
-    command: list[str],
-    pipes: PipePairs,
+    command: Callable[[int, int], list[str]],
     *,
     env: dict[str, str],
     cwd: str,
     also_pass: tuple[int, ...] = (),
     program: str | None = None,
-) -> subprocess.Popen[bytes]:
-    """Start `command` in a session of its own, with the child's pipe ends and nothing else.
+) -> tuple[subprocess.Popen[bytes], Pipes]:
+    """Start a command in a session of its own, with its ends of two pipes and nothing else.
 
     Raises SandboxError.
 
     Args:
+        command: its words, for the file descriptors to read requests from and write replies to
         program: file to run, where it is not the first word
     """
+    read_requests, requests = os.pipe()
+    replies, write_replies = os.pipe()
     try:
-        return subprocess.Popen(
-            command,
+        process = subprocess.Popen(
+            command(read_requests, write_replies),
             executable=program,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            pass_fds=(*pipes.child_ends, *also_pass),
+            pass_fds=(read_requests, write_replies, *also_pass),
             start_new_session=True,
             bufsize=0,
             env=env,
             cwd=cwd,
         )
-    except OSError as error:
-        pipes.close_parent_ends()
+    except BaseException as error:
+        os.close(requests)
+        os.close(replies)
+        if not isinstance(error, OSError):
+            raise
         raise SandboxError(f"a worker process could not be started: {error}") from error
     finally:
-        pipes.close_child_ends()
-
-
-def parent_ends(process: subprocess.Popen[bytes], pipes: PipePairs) -> Pipes:
-    """The parent's ends, taken out of `process` so that one owner closes them."""
+        # End of file is how each side learns of the other's end.
+        os.close(read_requests)
+        os.close(write_replies)
+    # Taken out of `process`, so that one owner closes it.
     assert process.stdout is not None
     output = os.dup(process.stdout.fileno())
     process.stdout.close()
-    return Pipes(pipes.requests[1], pipes.replies[0], output)
+    return process, Pipes(requests, replies, output)
 
 
 def kill_quietly(pid: int) -> None:
     """SIGKILL; a process that has ended already is no error."""
-    with contextlib.suppress(ProcessLookupError):
+    with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
 
 
 # The parent's end of a worker's pipes: framed, bounded, and under one deadline.
-
 
 _KEPT_BEGINNING = 16 * 1024
 # With the line between them all stays within 64 KiB.
@@ -217,7 +187,6 @@ _SLICE_SECONDS = 0.1
 # Messages of libraries about a system call that the sandbox denies; not from a candidate.
 _OF_THE_SANDBOX = re.compile(r"^\[mutex\.cc : \d+\] RAW: .*\n?", re.MULTILINE)
 _PIPE_BYTES = 1024 * 1024
-_F_SETPIPE_SZ = getattr(fcntl, "F_SETPIPE_SZ", None)
 
 
 class LateError(Exception):
@@ -259,10 +228,10 @@ class Channel:
         self._keep_output = True
         for fd in (pipes.requests, pipes.replies, pipes.output):
             os.set_blocking(fd, False)
-        if _F_SETPIPE_SZ is not None:
+        if sys.platform == "linux":
             for fd in (pipes.requests, pipes.replies):
-                with contextlib.suppress(OSError):
-                    fcntl.fcntl(fd, _F_SETPIPE_SZ, _PIPE_BYTES)
+                with suppress(OSError):
+                    fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
     def new_token(self) -> bytes:
         """Token for the next request. Raises UnsolicitedError, GoneError."""
@@ -389,10 +358,6 @@ def select_one(fd: int, event: int = select.POLLIN) -> bool:
 
 # Timer and memory meter of one worker, measured by the parent.
 
-
-# Activity of a compiling request without its compilation.
-_COUNTED_AS = {"fit": Activity.FIT, "load": Activity.IMPORT, "simulate": Activity.SIMULATE}
-_OF_A_PROCESS = 2
 _LOOK_SECONDS = 0.2
 
 
@@ -413,7 +378,7 @@ class WorkerClock:
         try:
             yield
         finally:
-            self._processor = max(self._processor, self._now())
+            self._processor = max(self._processor, self._processor_seconds())
             add_seconds(self.spent, activity, time.monotonic() - begin, self._processor - before)
 
     @contextmanager
@@ -433,12 +398,11 @@ class WorkerClock:
         """
         if len(said) != COMPILED_BYTES:
             return
-        numbers = struct.unpack(f"<{2 * len(COMPILED)}d", said)
-        for place, request in enumerate(COMPILED):
-            activity = _COUNTED_AS[request]
-            for part, seconds in zip(
-                (Activity.TRACE, Activity.COMPILE), numbers[2 * place :], strict=False
-            ):
+        # The activities of compiling requests without their compilation.
+        counted_as = {"fit": Activity.FIT, "load": Activity.IMPORT, "simulate": Activity.SIMULATE}
+        for request, times in zip(COMPILED, struct.iter_unpack("<2d", said), strict=True):
+            activity = counted_as[request]
+            for part, seconds in zip((Activity.TRACE, Activity.COMPILE), times, strict=True):
                 wall, processor = self.spent.get(activity, (0.0, 0.0))
                 if not (math.isfinite(seconds) and seconds > 0 and wall > 0):
                     continue
@@ -447,14 +411,15 @@ class WorkerClock:
                 add_seconds(self.spent, part, *moved)
                 self.spent[activity] = (wall - moved[0], processor - moved[1])
 
-    def _now(self) -> float:
+    def _processor_seconds(self) -> float:
         """Processor seconds that the worker has used; 0 where the system does not say."""
         if sys.platform != "linux":
             return 0.0
         with suppress(OSError):
             self._pid = self._pid or self._find()
             if self._pid is not None:
-                return time.clock_gettime(~self._pid << 3 | _OF_A_PROCESS)
+                # The kernel's clock of the processor time of a process.
+                return time.clock_gettime(~self._pid << 3 | 2)
         return 0.0
 
 
@@ -522,38 +487,35 @@ def start_kept(
     """Start a worker below a keeper. libraries: to load ahead; inside: words put before its command
     line. Raises SandboxError."""
     home = tempfile.mkdtemp(prefix="asia-worker-")
-    pipes = PipePairs(os.pipe(), os.pipe())
-    requests, replies = pipes.child_ends
     keeper = str(package_folder() / "judge" / "sandbox" / "worker" / "keeper.py")
-    command = [interpreter(), "-I", "-S", "-B", keeper, str(requests), str(replies), home]
-    command += [*inside, *child_command(requests, replies, limits, layers, libraries)]
+
+    def command(requests: int, replies: int) -> list[str]:
+        own = [interpreter(), "-I", "-S", "-B", keeper, str(requests), str(replies), home]
+        return [*own, *inside, *child_command(requests, replies, limits, layers, libraries)]
+
     try:
-        process = start(command, pipes, env=environment(home, gpu=limits.gpu), cwd=home)
+        process, pipes = start(command, env=environment(home, gpu=limits.gpu), cwd=home)
     except BaseException:
         shutil.rmtree(home, ignore_errors=True)
         raise
+
+    def force() -> None:
+        # The keeper does not respond: a candidate can stop it, as both have one user.
+        while process.poll() is None and (offspring := descendants(process.pid, alive=True)):
+            for pid in offspring:
+                kill_quietly(pid)
+        kill_quietly(process.pid)
+
     return WorkerProcess(
         process=process,
-        pipes=parent_ends(process, pipes),
-        kill=_closing_is_enough,
-        force=lambda: _force(process),
+        pipes=pipes,
+        # The keeper ends the worker when the request pipe closes, also if this process is killed.
+        kill=lambda: None,
+        force=force,
         tidy=lambda: shutil.rmtree(home, ignore_errors=True),
         beyond_reach=False,
         find=lambda: first_child(process.pid),
     )
-
-
-def _closing_is_enough() -> None:
-    """The keeper ends the worker when the request pipe closes, also if this process is killed."""
-
-
-def _force(process: subprocess.Popen[bytes]) -> None:
-    """Kill the process when the supervisor does not respond: a candidate can stop it, as both have
-    one user."""
-    while process.poll() is None and (offspring := descendants(process.pid, alive=True)):
-        for pid in offspring:
-            kill_quietly(pid)
-    kill_quietly(process.pid)
 
 
 # Cleanup of orphan processes of bubblewrap when this process is killed during the start of a
@@ -599,19 +561,16 @@ class OrphanWatch:
         except OSError as error:
             raise SandboxError(f"a worker's watch could not be started: {error}") from error
         assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):
+        with suppress(BrokenPipeError):
             self._process.stdin.write(self.mark.encode() + b"\n")
 
     def dismiss(self) -> None:
         """The worker has ended with all of bubblewrap."""
         self._process.kill()
-        self._end()
+        self.end_orphans()
 
     def end_orphans(self) -> None:
         """The outer half has ended, and perhaps alone; takes a second."""
-        self._end()
-
-    def _end(self) -> None:
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait()

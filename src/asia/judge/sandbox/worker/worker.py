@@ -7,7 +7,7 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
@@ -27,7 +27,6 @@ from asia.judge.sandbox.types import (
 from asia.judge.sandbox.worker.figures import (
     ESTIMATES_BYTES,
     PARAMETERS_BYTES,
-    estimates_of,
     unpack_estimates,
     unpack_parameters,
 )
@@ -54,13 +53,9 @@ from asia.judge.sandbox.worker.wire import (
 from asia.lowering.program import LoweredModel
 from asia.lowering.wire import LARGEST_BYTES, FormatError, unpack_for
 
-# Messages of the parent about a failed worker.
-#
 # Once a worker knows cases, its own words could contain them: only the messages in this module are
 # passed on.
-
-
-REASONS = {
+_REASONS = {
     ReplyKind.SYNTAX: Reason.SYNTAX,
     ReplyKind.CONTRACT: Reason.CONTRACT,
     ReplyKind.CRASH: Reason.CRASH,
@@ -68,48 +63,34 @@ REASONS = {
     ReplyKind.MEMORY: Reason.MEMORY,
     ReplyKind.SHAPE: Reason.WRONG_LENGTH,
 }
-"""Reason of each reply that reports a failure."""
-KNOWN_ERRORS = frozenset(
+_KNOWN_ERRORS = frozenset(
     name
     for name, value in vars(builtins).items()
     if isinstance(value, type) and issubclass(value, BaseException)
 ) | {"LinAlgError", "JaxRuntimeError", "XlaRuntimeError", "EquinoxRuntimeError", "UnpicklingError"}
-OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot allocate memory")
+_OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot allocate memory")
+_START_SECONDS = 60.0
+_COUNT_SECONDS = 1.0
+_LAST_WORDS = 1500
 
 
-def failure_words(
+def _failure_words(
     status: ReplyKind, body: bytes, expected: tuple[int, ...], *, private: bool
 ) -> str:
-    """Detail of a failure the worker reported.
-
-    Args:
-        expected: the shape to name in one
-        private: whether it knows cases, and may not speak freely
-    """
+    """Detail of a failure the worker reported; expected: the shape to name in one; private: whether
+    the worker knows cases, and may not speak freely."""
     if status is ReplyKind.SHAPE:
-        return f"got shape {shape_words(body, expected)}, expected {expected}"
+        # Numbers near the expected ones only.
+        dimensions = np.frombuffer(body[: len(body) // 8 * 8], dtype="<i8")[:SHAPE_DIMENSIONS]
+        likely = {0, 1, *(n + shift for n in expected for shift in (-1, 0, 1))}
+        words = ", ".join(str(n) if n in likely else "?" for n in dimensions.tolist())
+        return f"got shape ({words}), expected {expected}"
     text = printable(body.decode("utf-8", "replace")).strip()
     if not private:
         return text
     if status is ReplyKind.CONTRACT:
         return "no array of numbers, or no model with simulate"
-    return text if text in KNOWN_ERRORS else "an exception of its own"
-
-
-def shape_words(body: bytes, expected: tuple[int, ...]) -> str:
-    """The shape a candidate returned, in numbers near the expected ones only."""
-    dimensions = np.frombuffer(body[: len(body) // 8 * 8], dtype="<i8")[:SHAPE_DIMENSIONS]
-    likely = {0, 1, *(n + shift for n in expected for shift in (-1, 0, 1))}
-    words = [str(n) if n in likely else "?" for n in dimensions.tolist()]
-    return f"({', '.join(words)})"
-
-
-# A worker as the evaluation sees it: fit, load, simulate, dump.
-
-
-_START_SECONDS = 60.0
-_COUNT_SECONDS = 1.0
-_LAST_WORDS = 1500
+    return text if text in _KNOWN_ERRORS else "an exception of its own"
 
 
 class Worker:
@@ -122,11 +103,15 @@ class Worker:
     """
 
     def __init__(self, process: WorkerProcess, limits: Limits) -> None:
+        self.printed = ""
+        """Text that the candidate printed until its fit ended or failed; later output is dropped,
+        because it could contain cases."""
+        self.left_behind: int | None = None
+        """Process id of a worker that the kernel does not end."""
         self._process = process
         self._limits = limits
         self._channel = Channel(process.pipes, process.running)
         self._clock = WorkerClock(process.find)
-        self.left_behind: int | None = None
         self._closed = False
         self._ending = threading.Lock()
         self._ready = False
@@ -136,7 +121,6 @@ class Worker:
         self._ny = 0
         self._model_loaded = False
         self._cases_seen = False
-        self._printed = ""
         self._memory: MemoryWatch | None = None
         if limits.gpu:
             self._memory = MemoryWatch(process.find, limits.memory_mb, self.abort)
@@ -162,40 +146,37 @@ class Worker:
         deadline = time.monotonic() + self._limits.fit_seconds
         context = replace(context, deadline=min(context.deadline, deadline))
         records = [(t.u, t.y, t.sampling_time, t.name, t.missing) for t in trajectories]
+        # The worker has these functions of its own.
+        own = ("log", "validation_score")
+        plain = {f.name: getattr(context, f.name) for f in fields(context) if f.name not in own}
         with self._clock.activity(Activity.IMPORT):
-            self._send("fit", (source, records, _plain(context), score is not None), deadline, late)
-            self._head(deadline, late, (ReplyKind.STARTED,))
+            arguments = (source, records, plain, score is not None)
+            self._ask("fit", arguments, deadline, late, wanted=(ReplyKind.STARTED,))
         with self._clock.activity(Activity.FIT):
-            return self._fitted(context, score, deadline)
-
-    def _fitted(self, context: Context, score: ScoreModel | None, deadline: float) -> FitReply:
-        late = Reason.FIT_TIMEOUT
-        begin = time.monotonic()
-        wanted = (ReplyKind.OK,) if score is None else (ReplyKind.OK, ReplyKind.SCORE)
-        head = self._head(deadline, late, wanted)
-        while score is not None and head.status is ReplyKind.SCORE:
-            self._answer(score, self._model_bytes(head, deadline, late), deadline)
+            begin = time.monotonic()
+            wanted = (ReplyKind.OK,) if score is None else (ReplyKind.OK, ReplyKind.SCORE)
             head = self._head(deadline, late, wanted)
-        seconds = time.monotonic() - begin
-        if head.length > CURVE_ROWS * CURVE_ROW_BYTES or head.length % CURVE_ROW_BYTES:
-            raise self._failure(Reason.UNSOLICITED, "a training curve of an impossible size")
-        curve = _floats(self._body(head, deadline, late)).reshape(-1, 2)
-        self._ny, self._model_loaded = context.ny, True
-        self._printed = self._channel.take_output()
-        return FitReply(curve, self._printed, seconds)
+            while score is not None and head.status is ReplyKind.SCORE:
+                self._answer(score, self._model_bytes(head, deadline, late), deadline)
+                head = self._head(deadline, late, wanted)
+            seconds = time.monotonic() - begin
+            if head.length > CURVE_ROWS * CURVE_ROW_BYTES or head.length % CURVE_ROW_BYTES:
+                raise self._failure(Reason.UNSOLICITED, "a training curve of an impossible size")
+            curve = np.frombuffer(self._body(head, deadline, late), "<f8").astype(np.float64)
+            self._ny, self._model_loaded = context.ny, True
+            self.printed = self._channel.take_output()
+            return FitReply(curve.reshape(-1, 2), self.printed, seconds)
 
     def load(self, source: str, model: bytes, context: Context) -> None:
         """Execute the source and take up the model that `dump` gave, in at most fit_seconds. May
         be called again with another model of the same source, which is executed once."""
-        late = Reason.SIMULATE_TIMEOUT
         self._cases_seen = True
         if self._closed or self._loaded_source != source:
             self._start()
             self._loaded_source = source
-        deadline = self._by(self._limits.fit_seconds)
+        deadline = min(time.monotonic() + self._limits.fit_seconds, self._latest)
         with self._clock.activity(Activity.IMPORT):
-            self._send("load", (source, model), deadline, late)
-            if self._head(deadline, late).length:
+            if self._ask("load", (source, model), deadline, Reason.SIMULATE_TIMEOUT).length:
                 raise self._failure(Reason.UNSOLICITED)
         self._ny, self._model_loaded = context.ny, True
 
@@ -205,14 +186,15 @@ class Worker:
         late = Reason.SIMULATE_TIMEOUT
         self._cases_seen = True
         shape = (u.shape[0], u.shape[1], self._ny)
-        deadline = self._by(self._limits.simulate_seconds)
+        deadline = min(time.monotonic() + self._limits.simulate_seconds, self._latest)
         with self._clock.activity(Activity.SIMULATE):
-            self._send("simulate", (past_u, past_y, u, self._ny), deadline, late)
-            head = self._head(deadline, late, expected=shape)
+            arguments = (past_u, past_y, u, self._ny)
+            head = self._ask("simulate", arguments, deadline, late, expected=shape)
             if head.length != math.prod(shape) * 8:
                 raise self._failure(Reason.WRONG_LENGTH, f"expected shape {shape}")
             y = np.empty(shape, "<f8")
-            self._body_into(y.reshape(-1).view(np.uint8).data, deadline, late)
+            with self._channel_errors(late):
+                self._channel.receive_into(y.reshape(-1).view(np.uint8).data, deadline)
         if not np.isfinite(y).all():
             raise CandidateError(Reason.NOT_FINITE)
         return y
@@ -221,7 +203,7 @@ class Worker:
         """The model as a program to be printed, or why there is none."""
         sizes = context.n_past_u, context.n_past_y, context.nu, context.ny
         try:
-            return unpack_for(self._said("lower", sizes, LARGEST_BYTES), sizes)
+            return unpack_for(self._reply("lower", sizes, LARGEST_BYTES), sizes)
         except FormatError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
@@ -231,15 +213,14 @@ class Worker:
         late = Reason.FIT_TIMEOUT
         deadline = time.monotonic() + self._limits.fit_seconds
         with self._clock.activity(Activity.FIT):
-            self._send("dump", (), deadline, late)
-            return self._model_bytes(self._head(deadline, late), deadline, late)
+            return self._model_bytes(self._ask("dump", (), deadline, late), deadline, late)
 
     def parameters(self) -> tuple[tuple[str, float], ...]:
         """Return the named parameters that the fitted model offers, at most `figures.PARAMETERS`.
 
         Call it before any case: later output of a model could contain cases.
         """
-        body = self._said_of_parameters("parameters", PARAMETERS_BYTES)
+        body = self._reply_before_cases("parameters", PARAMETERS_BYTES)
         try:
             return unpack_parameters(body)
         except ValueError as error:
@@ -251,9 +232,9 @@ class Worker:
 
         Call it before any case, as `parameters`.
         """
-        body = self._said_of_parameters("estimates", ESTIMATES_BYTES)
+        body = self._reply_before_cases("estimates", ESTIMATES_BYTES)
         try:
-            return estimates_of(unpack_estimates(body)) if body else None
+            return unpack_estimates(body) if body else None
         except ValueError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
@@ -262,30 +243,24 @@ class Worker:
 
         Call it before any case, as `parameters`.
         """
-        said = self._said_of_parameters("device", DEVICE_BYTES)
-        return printable(said.decode("utf-8", "replace"))
+        return printable(
+            self._reply_before_cases("device", DEVICE_BYTES).decode("utf-8", "replace")
+        )
 
-    def _said_of_parameters(self, request: str, most: int) -> bytes:
+    def _reply_before_cases(self, request: str, most: int) -> bytes:
         if self._cases_seen:
             raise SandboxError(f"the worker has received cases: request {request} before them")
-        return self._said(request, (), most)
+        return self._reply(request, (), most)
 
-    def _said(self, request: str, arguments: tuple[object, ...], most: int) -> bytes:
+    def _reply(self, request: str, arguments: tuple[object, ...], most: int) -> bytes:
         self._need_model()
         late = Reason.FIT_TIMEOUT
         deadline = time.monotonic() + self._limits.fit_seconds
         with self._clock.activity(Activity.FIT):
-            self._send(request, arguments, deadline, late)
-            head = self._head(deadline, late)
+            head = self._ask(request, arguments, deadline, late)
             if head.length > most:
                 raise self._failure(Reason.UNSOLICITED, f"too many bytes of {request}")
             return self._body(head, deadline, late)
-
-    @property
-    def printed(self) -> str:
-        """Text that the candidate printed until its fit ended or failed; later output is dropped,
-        because it could contain cases."""
-        return self._printed
 
     @property
     def peak_memory_mb(self) -> float | None:
@@ -351,23 +326,19 @@ class Worker:
         try:
             with self._clock.activity(Activity.START):
                 head = self._channel.receive_head(time.monotonic() + _START_SECONDS)
-            ready = head == Head(ReplyKind.STARTED, 0)
+            self._ready = head == Head(ReplyKind.STARTED, 0)
         except (LateError, GoneError, UnsolicitedError):
-            ready = False
-        if not ready:
+            pass
+        if not self._ready:
             said = self._channel.take_output()[-500:].strip()
             self.close()
             raise SandboxError(f"a worker did not start: {said or 'no message'}")
-        self._ready = True
 
     def _start(self) -> None:
         if self._started or self._closed:
             raise SandboxError("a worker takes one fit, or models of one source; open a fresh one")
         self._started = True
         self.wait()
-
-    def _by(self, seconds: float) -> float:
-        return min(time.monotonic() + seconds, self._latest)
 
     def _answer(self, score: ScoreModel, model: bytes, deadline: float) -> None:
         """Score a model that the candidate is training. Both processes end with a failure."""
@@ -388,54 +359,59 @@ class Worker:
         if self._closed or not self._model_loaded:
             raise SandboxError("the worker has no model: call fit or load first")
 
-    def _send(
-        self, name: str, arguments: tuple[object, ...], deadline: float, late: Reason
-    ) -> None:
+    @contextlib.contextmanager
+    def _channel_errors(self, late: Reason) -> Generator[None]:
         try:
-            token = self._channel.new_token()
-            self._channel.send((token, name, arguments), deadline)
+            yield
         except (LateError, GoneError, UnsolicitedError) as error:
             raise self._translated(error, late) from None
 
-    def _head(
+    def _send(
+        self, name: str, arguments: tuple[object, ...], deadline: float, late: Reason
+    ) -> None:
+        with self._channel_errors(late):
+            self._channel.send((self._channel.new_token(), name, arguments), deadline)
+
+    def _ask(
         self,
+        name: str,
+        arguments: tuple[object, ...],
         deadline: float,
         late: Reason,
         wanted: tuple[ReplyKind, ...] = (ReplyKind.OK,),
         expected: tuple[int, ...] = (),
     ) -> Head:
+        self._send(name, arguments, deadline, late)
+        return self._head(deadline, late, wanted, expected)
+
+    def _head(
+        self,
+        deadline: float,
+        late: Reason,
+        wanted: tuple[ReplyKind, ...],
+        expected: tuple[int, ...] = (),
+    ) -> Head:
         """Head of a reply that is no failure; `expected` is the shape to name in one."""
-        try:
+        with self._channel_errors(late):
             head = self._channel.receive_head(deadline)
             if head.status in wanted:
                 return head
-            if head.status not in REASONS:
+            if head.status not in _REASONS:
                 raise UnsolicitedError
             length = head.length if head.length <= TEXT_BYTES else 0
             body = self._channel.receive(length, deadline)
-        except (LateError, GoneError, UnsolicitedError) as error:
-            raise self._translated(error, late) from None
-        words = failure_words(head.status, body, expected, private=self._cases_seen)
-        raise self._failure(REASONS[head.status], words)
+        words = _failure_words(head.status, body, expected, private=self._cases_seen)
+        raise self._failure(_REASONS[head.status], words)
 
     def _model_bytes(self, head: Head, deadline: float, late: Reason) -> bytes:
-        """A model that follows `head`."""
         if head.length > self._limits.model_mb * 1024 * 1024:
             detail = f"{head.length} bytes, the limit is {self._limits.model_mb} MB"
             raise self._failure(Reason.MODEL_SIZE, detail)
         return self._body(head, deadline, late)
 
     def _body(self, head: Head, deadline: float, late: Reason) -> bytes:
-        try:
+        with self._channel_errors(late):
             return self._channel.receive(head.length, deadline)
-        except (LateError, GoneError) as error:
-            raise self._translated(error, late) from None
-
-    def _body_into(self, room: memoryview, deadline: float, late: Reason) -> None:
-        try:
-            self._channel.receive_into(room, deadline)
-        except (LateError, GoneError) as error:
-            raise self._translated(error, late) from None
 
     def _translated(self, error: Exception, late: Reason) -> CandidateError | SandboxError:
         if isinstance(error, LateError):
@@ -457,7 +433,7 @@ class Worker:
         if self._cases_seen:
             return self._failure(Reason.EXITED)
         said = self._channel.take_output()[-_LAST_WORDS:].strip()
-        starved = any(words in said.lower() for words in OUT_OF_MEMORY)
+        starved = any(words in said.lower() for words in _OUT_OF_MEMORY)
         how = "" if ending.code is None else f"exit code {ending.code}; "
         detail = f"{how}last printed: {said or 'nothing'}"
         return self._failure(Reason.MEMORY if starved else Reason.EXITED, detail)
@@ -465,16 +441,6 @@ class Worker:
     def _failure(self, reason: Reason, detail: str = "") -> CandidateError:
         """End the worker; the error is the caller's to raise."""
         if not (self._closed or self._cases_seen or self._model_loaded):
-            self._printed = self._channel.take_output()
+            self.printed = self._channel.take_output()
         self.close()
         return CandidateError(reason, detail)
-
-
-def _plain(context: Context) -> dict[str, object]:
-    """The context's fields but its functions, which the worker has its own of."""
-    own = ("log", "validation_score")
-    return {f.name: getattr(context, f.name) for f in fields(context) if f.name not in own}
-
-
-def _floats(data: bytes) -> Array:
-    return np.frombuffer(data, dtype="<f8").astype(np.float64)

@@ -38,7 +38,6 @@ class CheckCurve:
     """One line to draw."""
 
     name: str
-    """Name of the curve."""
     x: Array
     """(n,)."""
     y: Array
@@ -54,7 +53,6 @@ class Check:
     name: str
     """A few words, unique within a dossier."""
     verdict: Verdict
-    """Verdict of the check."""
     sentence: str
     """Finding, with numbers."""
     cause: Cause | None = None
@@ -63,9 +61,7 @@ class Check:
     """Weight among the checks that do not pass: the share of the residual that it explains, above 1
     for a model that must not be used."""
     curves: tuple[CheckCurve, ...] = ()
-    """Curves to draw."""
     axes: tuple[str, str] = ("", "")
-    """Names of the axes."""
 
 
 def summary(checks: tuple[Check, ...]) -> str:

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from asia.data.trajectory import Array
 from asia.judge.scoring.bands import Region
 from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
-from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks, listed, percent
+from asia.judge.scoring.checks.records import SimulatedBlocks, listed, percent
 
 # Errors some steps after a start from measured samples, against holding the last output.
 
@@ -32,9 +32,12 @@ def check_steps_ahead(model: Array, hold: Array | None, deviation: Array) -> Che
     ]
     shown = dict.fromkeys(k for k in (1, 5, 20, len(steps)) if k <= len(steps))
     words = ", ".join(f"{size[k - 1]:.3g} at step {k}" for k in shown)
+    whole = np.sqrt(np.mean(each**2, axis=1))
+    middle, far = np.quantile(whole, (0.5, _WORST_TENTH)).tolist()
     sentence = (
         f"normalised error after a start from measured samples: {words}; over all steps "
-        f"{_spread(each)}"
+        f"{middle:.3g} in the middle of {len(whole)} starts, {far:.3g} or more in the worst tenth, "
+        f"{float(whole.max()):.3g} at most"
     )
     if hold is None:
         return Check(_NAME, Verdict.SHOWN, f"{sentence}; there is no measured output before the "
@@ -55,16 +58,6 @@ def no_steps_ahead(why: str) -> Check:
 
 def _sizes(errors: Array, deviation: Array) -> Array:
     return np.sqrt(np.mean((errors / deviation) ** 2, axis=(0, 2)))
-
-
-def _spread(each: Array) -> str:
-    """each (n, K): the normalised error of each simulation."""
-    whole = np.sqrt(np.mean(each**2, axis=1))
-    middle, far = np.quantile(whole, (0.5, _WORST_TENTH)).tolist()
-    return (
-        f"{middle:.3g} in the middle of {len(whole)} starts, {far:.3g} or more in the worst tenth, "
-        f"{float(whole.max()):.3g} at most"
-    )
 
 
 # Check of the error on held-out against training records, and its likely cause.
@@ -146,7 +139,14 @@ def _corrected(found: SimulatedBlocks) -> float | None:
     """
     before = after = 0.0
     for block in found.blocks:
-        columns = _correction(block)
+        # Regressors (H, columns) of a change of parameters.
+        signals = block.y_hat - block.y_hat.mean(axis=0)
+        signals = signals / np.maximum(signals.std(axis=0), 1e-300)
+        lagged = [
+            np.asarray(lfilter([1.0 - pole], [1.0, -pole], signals, axis=0))
+            for pole in (float(np.exp(-1.0 / memory)) for memory in _MEMORIES)
+        ]
+        columns = np.concatenate([np.ones((len(signals), 1)), signals, *lagged], axis=1)
         half = len(columns) // 2
         if half < 5 * columns.shape[1]:
             continue
@@ -157,17 +157,6 @@ def _corrected(found: SimulatedBlocks) -> float | None:
             before += float((e[judge] ** 2).sum())
             after += float(((e[judge] - columns[judge] @ gains) ** 2).sum())
     return max(0.0, 1.0 - after / before) if before > 0 else None
-
-
-def _correction(block: SimulatedBlock) -> Array:
-    """Regressors (H, columns) of a change of parameters."""
-    signals = block.y_hat - block.y_hat.mean(axis=0)
-    signals = signals / np.maximum(signals.std(axis=0), 1e-300)
-    lagged = list[Array]()
-    for memory in _MEMORIES:
-        pole = float(np.exp(-1.0 / memory))
-        lagged.append(np.asarray(lfilter([1.0 - pole], [1.0, -pole], signals, axis=0)))
-    return np.concatenate([np.ones((len(signals), 1)), signals, *lagged], axis=1)
 
 
 # Check of the coverage of the output bands.
@@ -185,13 +174,7 @@ def check_bands(held: Array, outputs: Sequence[str], level: float) -> Check:
     rest = " at least" if len(each) > _MOST_NAMED else ""
     sentence = f"{percent(level)} output bands contained{rest}: {words}"
     short = level - each[0][0]
-    verdict = (
-        Verdict.FAIL
-        if short > _BANDED_FAIL
-        else Verdict.DOUBT
-        if short > _BANDED_DOUBT
-        else Verdict.PASS
-    )
+    verdict = _verdict(short, _BANDED_DOUBT, _BANDED_FAIL)
     return Check("output bands", verdict, sentence, weight=max(0.0, short))
 
 
@@ -202,14 +185,12 @@ def no_bands(reason: str) -> Check:
 
 # Check of the similarity of samples to the training records.
 
-
 _REGION_DOUBT, _REGION_FAIL = 0.1, 0.5
-_NO_PAST = 0
 
 
 def check_region(found: SimulatedBlocks, region: Region) -> Check:
     """The share of samples outside the region of validity; the edge is at 1."""
-    distances = [region.distance(b.u[:_NO_PAST], b.u, b.y_hat) for b in found.blocks]
+    distances = [region.distance(b.u[:0], b.u, b.y_hat) for b in found.blocks]
     every = np.concatenate(distances)
     share = float(np.mean(every > 1.0))
     first = next((k for k, d in enumerate(distances) if (d > 1.0).any()), None)
@@ -219,12 +200,12 @@ def check_region(found: SimulatedBlocks, region: Region) -> Check:
         block = found.blocks[first]
         begin = block.start + int(np.argmax(distances[first] > 1.0))
         words += f", first at {begin * found.sampling_time:.4g} s"
-    verdict = (
-        Verdict.FAIL
-        if share > _REGION_FAIL
-        else Verdict.DOUBT
-        if share > _REGION_DOUBT
-        else Verdict.PASS
-    )
+    verdict = _verdict(share, _REGION_DOUBT, _REGION_FAIL)
     return Check("region of validity", verdict, words, None, share / 2.0, curves,
                  ("sample", "distance over that of the edge [-]"))  # fmt: skip
+
+
+def _verdict(value: float, doubt: float, fail: float) -> Verdict:
+    if value > fail:
+        return Verdict.FAIL
+    return Verdict.DOUBT if value > doubt else Verdict.PASS

@@ -44,9 +44,7 @@ class SimulatedBlocks:
     blocks: tuple[SimulatedBlock, ...]
     """Simulated blocks, at least one."""
     inputs: tuple[str, ...]
-    """Names."""
     outputs: tuple[str, ...]
-    """Names."""
     sampling_time: float
     """s."""
 

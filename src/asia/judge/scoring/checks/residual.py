@@ -10,7 +10,7 @@ import numpy as np
 
 from asia.data.trajectory import Array
 from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
-from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks, listed, percent
+from asia.judge.scoring.checks.records import SimulatedBlocks, listed, percent
 from asia.judge.scoring.outcome import fit_index, pooled
 from asia.judge.scoring.residuals import QUANTILE, with_input, with_own_past
 from asia.problem.metrics import find_metric
@@ -53,7 +53,11 @@ def explained(
     """
     lengths = [len(e) for e in residual]
     if sum(lengths) > _MOST_ROWS:
-        residual, base, added = _thinned(residual, base, added)
+        # Blocks, evenly spread, or the start of each where there are few.
+        many = max(1, min(len(residual), _MOST_ROWS // max(lengths)))
+        places = np.linspace(0, len(residual) - 1, many).round().astype(int).tolist()
+        each = _MOST_ROWS // many
+        residual, base, added = ([p[k][:each] for k in places] for p in (residual, base, added))
         lengths = [len(e) for e in residual]
     e = np.concatenate(list(residual))
     constant = np.ones((len(e), 1))
@@ -69,8 +73,8 @@ def explained(
     loss = float(left0 @ left0)
     kept = (float(left @ left) / free) / max(loss / max(len(e) - x0.shape[1], 1), 1e-300)
     filters = _autoregression(left, lengths)
-    white = [_filtered(v, filters, lengths) for v in (e[:, None], x0, x1)]
-    chance = _f_chance(white[0][:, 0], *_bases(white[1], white[2]))
+    white_e, white0, white1 = (_filtered(v, filters, lengths) for v in (e[:, None], x0, x1))
+    chance = _f_chance(white_e[:, 0], *_bases(white0, white1))
     total = max(float(np.sum((e - e.mean()) ** 2)), 1e-300)
     share = max(0.0, 1.0 - kept) * min(loss / total, 1.0)
     return Explained(chance, share, size, _again(e, *bases))
@@ -179,16 +183,6 @@ def _scaled(x: Array) -> Array:
     return x[:, moves] / size[moves]
 
 
-def _thinned(*parts: Sequence[Array]) -> tuple[list[Array], ...]:
-    """Blocks, evenly spread, or the middle of each where there are few, of `_MOST_ROWS` at most."""
-    count = len(parts[0])
-    longest = max(len(e) for e in parts[0])
-    many = max(1, min(count, _MOST_ROWS // longest))
-    places = np.linspace(0, count - 1, many).round().astype(int).tolist()
-    each = _MOST_ROWS // many
-    return tuple([p[k][:each] for k in places] for p in parts)
-
-
 # Regressors of residuals, one group for each kind of missing dynamics.
 #
 # Each group of columns is for one block. All columns of a block have the same rows: the samples
@@ -213,9 +207,7 @@ class Groups:
     reach: int
     """Samples that are left out at the start of each block."""
     inputs: list[Array]
-    """The past of all inputs."""
     simulated: list[Array]
-    """The past of the simulated output."""
     bends: list[Array]
     """Bends of the simulated output and of the inputs."""
     turns: list[Array]
@@ -242,6 +234,7 @@ def groups(found: SimulatedBlocks, output: int) -> Groups:
             each = _bends([b.u[:, number : number + 1] for b in blocks])
             bent.append([_past(v, few) for v in each])
     signs = [_signs(y_hat), _signs(rate)]
+    end = max(b.start + len(b.y) for b in blocks)
     return Groups(
         reach,
         [_past(b.u, lags)[reach:] for b in blocks],
@@ -249,18 +242,15 @@ def groups(found: SimulatedBlocks, output: int) -> Groups:
         [np.concatenate(parts, axis=1)[reach:] for parts in zip(*bent, strict=True)],
         _pasts(signs, long, reach),
         _pasts(signs, few, reach),
-        [_time(b)[reach:] / _longest(blocks) for b in blocks],
+        # In samples from the start of the record.
+        [(b.start + np.arange(len(b.y), dtype=np.float64))[reach:, None] / end for b in blocks],
     )
 
 
 def _pasts(
     signals: Sequence[Sequence[Array]], lags: Sequence[tuple[int, int]], reach: int
 ) -> list[Array]:
-    """The past of several signals, one array a block.
-
-    Args:
-        signals: (n, c) a signal and block
-    """
+    """The past of several signals (n, c), one array a block."""
     together = zip(*signals, strict=True)
     return [np.concatenate([_past(v, lags) for v in each], axis=1)[reach:] for each in together]
 
@@ -289,17 +279,7 @@ def _signs(signal: Sequence[Array]) -> list[Array]:
     return [np.tanh(v / (_STILL * size)) for v in signal]
 
 
-def _longest(blocks: Sequence[SimulatedBlock]) -> int:
-    return max(b.start + len(b.y) for b in blocks)
-
-
-def _time(block: SimulatedBlock) -> Array:
-    """(n, 1), in samples from the start of the record."""
-    return (block.start + np.arange(len(block.y), dtype=np.float64))[:, None]
-
-
 # Checks of the simulation residual, each for one likely cause.
-
 
 Columns = Callable[[Groups], list[Array]]
 
@@ -378,31 +358,31 @@ def check_inputs(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
 
     The cross-correlations name the lags, with bands that hold for all of them together.
     """
-    worst = _worst(found, columns, lambda g: g.inputs, lambda g: [x[:, :0] for x in g.inputs])
+    from scipy.special import ndtri  # only where statistics are asked for
+
+    worst = _worst(found, columns, lambda g: g.inputs, _nothing)
     pairs = len(found.inputs) * len(found.outputs)
     curves: list[CheckCurve] = []
-    best, lags_of_best = (0.0, 0, 0), ""
+    largest, follows = 0.0, ""
     for output, name in enumerate(found.outputs):
         for number, other in enumerate(found.inputs):
             one = with_input(found.residuals(output), found.input(number))
-            band = one.band * _wider(pairs * len(one.lags))
+            # From a 99 % band of one value to one of all together.
+            wider = float(ndtri(1.0 - 0.005 / (pairs * len(one.lags)))) / QUANTILE
+            band = one.band * wider
             lags = np.array(one.lags, dtype=np.float64)
             curves.append(CheckCurve(f"{name} with {other}", lags, one.values, band))
             past = lags >= 0
             peak = float(np.max(np.abs(one.values[past])) / max(band, 1e-300))
-            if output == worst.output and peak > best[0]:
-                best = (peak, output, number)
-                lags_of_best = _range(lags[past], np.abs(one.values[past]), band)
+            if output == worst.output and peak > largest:
+                largest = peak
+                where = _range(lags[past], np.abs(one.values[past]), band)
+                follows = f"follows {other} at {where}" if where else ""
     axes = ("lag of the input [samples]", "correlation [-]")
-    if worst.verdict is Verdict.PASS or not lags_of_best:
-        sentence = f"no residual depends on the past of an input ({worst.words()} at most)"
-        return Check("inputs", Verdict.PASS, sentence, curves=tuple(curves), axes=axes)
-    sentence = (
-        f"the residual of {found.outputs[best[1]]} follows {found.inputs[best[2]]} at "
-        f"{lags_of_best}: {Cause.DYNAMICS} ({worst.words()})"
-    )
-    return Check("inputs", worst.verdict, sentence, Cause.DYNAMICS, worst.alone,
-                 tuple(curves), axes)  # fmt: skip
+    return _judged(
+        "inputs", found, worst, "depends on the past of an input", follows, Cause.DYNAMICS,
+        worst.alone, tuple(curves), axes,
+    )  # fmt: skip
 
 
 def check_whiteness(found: SimulatedBlocks) -> Check:
@@ -424,56 +404,67 @@ def check_whiteness(found: SimulatedBlocks) -> Check:
 def check_time(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     """Test for a drift: the share that a slow function of time explains."""
     worst = _worst(found, columns, lambda g: g.time, _linear)
-    curves = tuple(_along_time(found, k) for k in range(len(found.outputs)))
+    t = np.concatenate([b.start + np.arange(len(b.y)) for b in found.blocks]) * found.sampling_time
+    curves = tuple(_means(found, k, t.astype(np.float64)) for k in range(len(found.outputs)))
     axes = ("time in the record [s]", "mean residual over deviation [-]")
-    if worst.verdict is Verdict.PASS:
-        sentence = f"no residual drifts with time ({worst.words()} at most)"
-        return Check("time", Verdict.PASS, sentence, curves=curves, axes=axes)
-    sentence = f"the residual of {found.outputs[worst.output]} drifts with time: {Cause.DRIFT} "
-    return Check("time", worst.verdict, f"{sentence}({worst.words()})", Cause.DRIFT,
-                 worst.alone, curves, axes)  # fmt: skip
+    words = "drifts with time"
+    return _judged("time", found, worst, words, words, Cause.DRIFT, worst.alone, curves, axes)
 
 
 def check_amplitude(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     """Test for a missing static nonlinearity: the share that piecewise linear functions of the
     simulated output and of the inputs explain beyond linear dynamics."""
     worst = _worst(found, columns, lambda g: g.bends, _linear)
-    curves = tuple(_against_amplitude(found, k) for k in range(len(found.outputs)))
+    y_hat = np.concatenate([b.y_hat for b in found.blocks]) / found.deviation
+    curves = tuple(_means(found, k, y_hat[:, k]) for k in range(len(found.outputs)))
     axes = ("simulated output over deviation [-]", "mean residual over deviation [-]")
-    if worst.verdict is Verdict.PASS:
-        sentence = f"no residual depends on the amplitude ({worst.words()} at most)"
-        return Check("amplitude", Verdict.PASS, sentence, curves=curves, axes=axes)
-    sentence = (
-        f"the residual of {found.outputs[worst.output]} depends on the amplitude: {Cause.STATIC} "
-        f"({worst.words()})"
-    )
-    return Check("amplitude", worst.verdict, sentence, Cause.STATIC, worst.alone,
-                 curves, axes)  # fmt: skip
+    words = "depends on the amplitude"
+    return _judged("amplitude", found, worst, words, words, Cause.STATIC, worst.alone, curves, axes)
 
 
 def check_motion(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     """Test for friction or hysteresis: the share that the signs of the output and of its rate
     explain beyond linear dynamics."""
     worst = _worst(found, columns, lambda g: g.turns, _linear)
-    if worst.verdict is Verdict.PASS:
-        sentence = f"no residual changes with the direction of motion ({worst.words()} at most)"
-        return Check("motion", Verdict.PASS, sentence)
-    sentence = (
-        f"the residual of {found.outputs[worst.output]} changes at reversals of the motion: "
-        f"{Cause.FRICTION} ({worst.words()})"
-    )
-    # With a long past the signs approximate linear dynamics as well: weigh by a short past.
-    columns_of = columns[worst.output]
-    e = [r[columns_of.reach :] for r in found.residuals(worst.output)]
-    nothing = [x[:, :0] for x in columns_of.inputs]
-    recent = explained(e, nothing, columns_of.recent_turns).share
-    weight = max(worst.found.share, recent)
-    return Check("motion", worst.verdict, sentence, Cause.FRICTION, weight)
+    weight = worst.found.share
+    if worst.verdict is not Verdict.PASS:
+        # With a long past the signs approximate linear dynamics as well: weigh by a short past.
+        group = columns[worst.output]
+        e = [r[group.reach :] for r in found.residuals(worst.output)]
+        weight = max(weight, explained(e, _nothing(group), group.recent_turns).share)
+    return _judged(
+        "motion", found, worst, "changes with the direction of motion",
+        "changes at reversals of the motion", Cause.FRICTION, weight,
+    )  # fmt: skip
+
+
+def _judged(
+    name: str,
+    found: SimulatedBlocks,
+    worst: _Found,
+    passing: str,
+    flagged: str,
+    cause: Cause,
+    weight: float,
+    curves: tuple[CheckCurve, ...] = (),
+    axes: tuple[str, str] = ("", ""),
+) -> Check:
+    """Check for one cause; no residual does `passing`, or that of the worst output does `flagged`,
+    "" for a check that passes."""
+    if worst.verdict is Verdict.PASS or not flagged:
+        sentence = f"no residual {passing} ({worst.words()} at most)"
+        return Check(name, Verdict.PASS, sentence, curves=curves, axes=axes)
+    sentence = f"the residual of {found.outputs[worst.output]} {flagged}: {cause} ({worst.words()})"
+    return Check(name, worst.verdict, sentence, cause, weight, curves, axes)
 
 
 def _linear(columns: Groups) -> list[Array]:
     pairs = zip(columns.inputs, columns.simulated, strict=True)
     return [np.concatenate(pair, axis=1) for pair in pairs]
+
+
+def _nothing(columns: Groups) -> list[Array]:
+    return [x[:, :0] for x in columns.inputs]
 
 
 def _worst(
@@ -484,26 +475,16 @@ def _worst(
     for output, (group, deviation) in enumerate(zip(columns, found.deviation, strict=True)):
         e = [r[group.reach :] for r in found.residuals(output)]
         one = explained(e, base(group), added(group))
-        nothing = [x[:, :0] for x in group.inputs]
-        alone = explained(e, nothing, added(group)).share
+        alone = explained(e, _nothing(group), added(group)).share
         each.append(_Found(output, one, one.size / float(deviation), alone))
     return max(each, key=lambda f: (f.verdict is not Verdict.PASS, f.found.share))
 
 
-def _wider(tests: int) -> float:
-    """Return the factor that widens a 99 % band of one value to a band of `tests` values
-    together."""
-    from scipy.special import ndtri  # only where statistics are asked for
-
-    return float(ndtri(1.0 - 0.005 / tests)) / QUANTILE
-
-
 def _range(lags: Array, sizes: Array, band: float) -> str:
     """The lags around the largest value that are beyond the band; "" where none is."""
-    peak = int(np.argmax(sizes))
-    if sizes[peak] <= band:
+    first = last = int(np.argmax(sizes))
+    if sizes[first] <= band:
         return ""
-    first = last = peak
     while first > 0 and sizes[first - 1] > band:
         first -= 1
     while last < len(sizes) - 1 and sizes[last + 1] > band:
@@ -513,22 +494,9 @@ def _range(lags: Array, sizes: Array, band: float) -> str:
     return f"lags {lags[first]:.0f} to {lags[last]:.0f}"
 
 
-def _along_time(found: SimulatedBlocks, output: int) -> CheckCurve:
+def _means(found: SimulatedBlocks, output: int, x: Array) -> CheckCurve:
+    """Mean residuals of one output over parts of as many samples, in the order of x."""
     e = np.concatenate(found.residuals(output)) / found.deviation[output]
-    t = np.concatenate([b.start + np.arange(len(b.y)) for b in found.blocks]) * found.sampling_time
-    return _means(found.outputs[output], t.astype(np.float64), e)
-
-
-def _against_amplitude(found: SimulatedBlocks, output: int) -> CheckCurve:
-    deviation = found.deviation[output]
-    e = np.concatenate(found.residuals(output)) / deviation
-    y_hat = np.concatenate([b.y_hat[:, output] for b in found.blocks]) / deviation
-    return _means(found.outputs[output], y_hat, e)
-
-
-def _means(name: str, x: Array, e: Array) -> CheckCurve:
-    """Means over parts of as many samples, in the order of x."""
     order = np.array_split(np.argsort(x, kind="stable"), min(_PARTS, len(x)))
-    return CheckCurve(
-        name, np.array([x[o].mean() for o in order]), np.array([e[o].mean() for o in order])
-    )
+    means, places = ([v[o].mean() for o in order] for v in (e, x))
+    return CheckCurve(found.outputs[output], np.array(places), np.array(means))

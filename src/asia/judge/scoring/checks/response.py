@@ -21,60 +21,43 @@ _LEAST_PART = 0.15
 _AGAINST = -0.3
 
 
-@dataclass(frozen=True)
-class _Direction:
-    """One input's part of one output, measured and simulated."""
-
-    names: tuple[str, str]
-    """Input, output."""
-    agreement: float
-    """Correlation of the two parts."""
-
-
 def check_gain(found: SimulatedBlocks) -> Check:
     """The part of each output that the past of an input explains, in the data and in the
     simulation: the two must not point in opposite directions."""
-    judged: list[_Direction] = []
-    for output in range(len(found.outputs)):
-        judged += _directions(found, output)
+    title, inputs = "direction of gain", len(found.inputs)
+    # Correlation of the two parts, input, output.
+    judged: list[tuple[float, str, str]] = []
+    for output, label in enumerate(found.outputs):
+        columns = groups(found, output)
+        x = np.concatenate(columns.inputs)
+        x = x - x.mean(axis=0)
+        measured = np.concatenate([b.complete_y[columns.reach :, output] for b in found.blocks])
+        simulated = np.concatenate([b.y_hat[columns.reach :, output] for b in found.blocks])
+        fits = [_ridge(x, y - y.mean()) for y in (measured, simulated)]
+        for number, name in enumerate(found.inputs):
+            # The columns of one input: every `inputs`-th.
+            own = slice(number, None, inputs)
+            data, model = (x[:, own] @ fit[own] for fit in fits)
+            sizes = (part.std() / max(whole.std(), 1e-300)
+                     for part, whole in ((data, measured), (model, simulated)))  # fmt: skip
+            if min(sizes) >= _LEAST_PART:
+                agreement = float(np.mean(data * model) / (data.std() * model.std()))
+                judged.append((agreement, name, label))
     if not judged:
-        return Check("direction of gain", Verdict.SHOWN, "no single input affects an output "
-                     "enough to "
-                     "judge the direction of its gain")  # fmt: skip
-    worst = min(judged, key=lambda d: d.agreement)
-    name, output = worst.names
-    if worst.agreement >= _AGAINST:
+        sentence = "no single input affects an output enough to judge the direction of its gain"
+        return Check(title, Verdict.SHOWN, sentence)
+    agreement, name, output_name = min(judged, key=lambda d: d[0])
+    if agreement >= _AGAINST:
         sentence = (
             f"the gain of every input has the sign of the data (least correlation "
-            f"{worst.agreement:.2f}, {name} on {output})"
+            f"{agreement:.2f}, {name} on {output_name})"
         )
-        return Check("direction of gain", Verdict.PASS, sentence)
+        return Check(title, Verdict.PASS, sentence)
     sentence = (
-        f"the gain from {name} to {output} has the opposite sign of the data "
-        f"(correlation {worst.agreement:.2f}): {Cause.SIGN}"
+        f"the gain from {name} to {output_name} has the opposite sign of the data "
+        f"(correlation {agreement:.2f}): {Cause.SIGN}"
     )
-    return Check("direction of gain", Verdict.FAIL, sentence, Cause.SIGN, 2.0)
-
-
-def _directions(found: SimulatedBlocks, output: int) -> list[_Direction]:
-    columns = groups(found, output)
-    reach, inputs = columns.reach, len(found.inputs)
-    x = np.concatenate(columns.inputs)
-    centre = x.mean(axis=0)
-    measured = np.concatenate([b.complete_y[reach:, output] for b in found.blocks])
-    simulated = np.concatenate([b.y_hat[reach:, output] for b in found.blocks])
-    fits = [_ridge(x - centre, y - y.mean()) for y in (measured, simulated)]
-    parts: list[_Direction] = []
-    for number in range(inputs):
-        # The columns of one input: every `inputs`-th.
-        own = slice(number, None, inputs)
-        data, model = ((x - centre)[:, own] @ fit[own] for fit in fits)
-        sizes = data.std() / max(measured.std(), 1e-300), model.std() / max(simulated.std(), 1e-300)
-        if min(sizes) < _LEAST_PART:
-            continue
-        agreement = float(np.mean(data * model) / (data.std() * model.std()))
-        parts.append(_Direction((found.inputs[number], found.outputs[output]), agreement))
-    return parts
+    return Check(title, Verdict.FAIL, sentence, Cause.SIGN, 2.0)
 
 
 def _ridge(x: Array, y: Array) -> Array:
@@ -87,7 +70,6 @@ def _ridge(x: Array, y: Array) -> Array:
 
 # The model as a linear one around operating points, from small steps of a simulator that may be
 # anything.
-
 
 SMALL = 1e-3
 # Share of the largest singular value below which a state is not seen.
@@ -104,9 +86,7 @@ class LinearResponse:
     """Response of one model to a small impulse of one input around an operating point."""
 
     point: str
-    """Operating point."""
     input: str
-    """The input that moves."""
     impulse: Array
     """Change of the outputs (n, ny) for an input of 1 during the first sample."""
 
@@ -137,8 +117,7 @@ def impulse_response(up: Array, down: Array, size: float) -> Array:
 
 def frequency_response_of(impulse: Array, omega: Array) -> NDArray[np.complex128]:
     """H(e^jw) (F, ny) of an impulse response (n, ny); omega (F,) in rad per sample."""
-    times = np.arange(len(impulse))
-    angles = np.outer(omega, times)
+    angles = np.outer(omega, np.arange(len(impulse)))
     return np.asarray(np.exp(-1j * angles) @ impulse, np.complex128)
 
 
@@ -182,23 +161,19 @@ def check_responses(
             f"{value:.3g} on {output}"
             for value, output in zip(one.step[-1].tolist(), outputs, strict=True)
         ]
-        slowest = poles(one.impulse)
         what = "static gain" if one.settled else "step response, not settled,"
-        pole = f", slowest pole {_pole(slowest[0])}" if len(slowest) else ""
+        pole = ""
+        for slowest in poles(one.impulse)[:1].tolist():
+            pole = f", slowest pole {slowest.real:.4g}"
+            if abs(slowest.imag) >= 1e-9 * max(abs(slowest), 1e-300):
+                pole += f" ± {abs(slowest.imag):.4g}j"
         if len(outputs) > _MOST_GAINS:
             gains = [f"of {len(outputs)} outputs in the curves"]
         words.append(f"{one.input} at {one.point}: {what} {listed(gains)}{pole}")
     return Check(name, Verdict.SHOWN, "; ".join(words), curves=tuple(curves), axes=axes)
 
 
-def _pole(value: complex) -> str:
-    if abs(value.imag) < 1e-9 * max(abs(value), 1e-300):
-        return f"{value.real:.4g}"
-    return f"{value.real:.4g} ± {abs(value.imag):.4g}j"
-
-
 # The residual by frequency, and the model's frequency response against that of the data.
-
 
 _LONGEST, _SHORTEST = 256, 16
 _COHERENT = 0.8
@@ -210,9 +185,6 @@ _TOO_SHORT = (
     "does not apply: the simulations are too short for a spectrum, which needs "
     f"{_SHORTEST} samples of eight windows or more, or {4 * _SHORTEST} of fewer"
 )
-
-# Relative difference, frequency, coherence, and which input and output.
-_Worst = tuple[float, str, float, str]
 
 
 @dataclass(frozen=True)
@@ -300,8 +272,10 @@ def check_spectrum(found: SimulatedBlocks, noise: Sequence[float | None]) -> Che
 def check_frequency_response(found: SimulatedBlocks, linear: Sequence[LinearResponse]) -> Check:
     """Gain of the data against gain of the simulation, input by input, where the coherence is high
     enough; the linearised model is drawn with them."""
-    curves: list[CheckCurve] = []
-    worst: _Worst | None = None
+    title, axes = "frequency response", ("frequency [Hz]", "gain")
+    drawn: list[CheckCurve] = []
+    # Relative difference, frequency, coherence, and which input and output.
+    worst: tuple[float, str, float, str] | None = None
     for number, name in enumerate(found.inputs):
         for k, output in enumerate(found.outputs):
             y, e = [b.complete_y[:, k] for b in found.blocks], found.residuals(k)
@@ -309,20 +283,13 @@ def check_frequency_response(found: SimulatedBlocks, linear: Sequence[LinearResp
             if one is None:
                 continue
             pair = f"{name} to {output}"
-            curves += _drawn(one, linear, pair, name, k, found.sampling_time)
+            drawn += _drawn(one, linear, pair, name, k, found.sampling_time)
             off = _off(one)
             if off is not None and (worst is None or off[0] > worst[0]):
                 worst = (*off, pair)
-    title, axes = "frequency response", ("frequency [Hz]", "gain")
-    if not curves:
+    if not drawn:
         return Check(title, Verdict.ABSENT, _TOO_SHORT)
-    return _judged(worst, title, tuple(curves), axes)
-
-
-def _judged(
-    worst: _Worst | None, title: str, curves: tuple[CheckCurve, ...],
-    axes: tuple[str, str],
-) -> Check:  # fmt: skip
+    curves = tuple(drawn)
     if worst is None:
         sentence = f"the coherence of every input and output is at most {_COHERENT:g}"
         return Check(title, Verdict.SHOWN, sentence, curves=curves, axes=axes)
@@ -330,8 +297,7 @@ def _judged(
     if size == 0.0:
         sentence = (
             "the gain of the simulation agrees with the data within statistical error where the "
-            "coherence "
-            f"is above {_COHERENT:g}"
+            f"coherence is above {_COHERENT:g}"
         )
         return Check(title, Verdict.PASS, sentence, curves=curves, axes=axes)
     words = (
@@ -389,7 +355,6 @@ def _drawn(
 
 
 # Check that the model stays bounded far beyond the length of its records.
-
 
 HORIZONS = 10
 _FAR = 5.0

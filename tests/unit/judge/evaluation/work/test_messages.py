@@ -11,7 +11,7 @@ import pytest
 
 from asia.errors import Reason, SandboxError, UserError
 from asia.judge.evaluation import remote
-from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.machines import check_installation, installation, survey_machines
 from asia.judge.evaluation.remote import answer
@@ -24,6 +24,7 @@ from asia.judge.evaluation.transport import (
     encode_work,
     fold_data,
 )
+from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation, Limits, WorkerKilledError
 from asia.ledger.run import open_run
@@ -57,7 +58,8 @@ class Loopback(LocalExecutor):
     def ask_each(
         self, describe: Callable[[bytes], bytes], request: bytes
     ) -> dict[str, tuple[bytes, float, float]]:
-        return {"here": (describe(request), 0.001, time.time())}
+        asked = time.time()
+        return {"here": (describe(request), 0.001, asked)}
 
     def forget(self, request: bytes) -> None:
         self.forgotten.add(request)
@@ -73,9 +75,8 @@ def problem(tmp_path_factory: pytest.TempPathFactory) -> Problem:
 def evaluator(problem: Problem, executor: LocalExecutor) -> Evaluator:
     context = search_context(problem, derive_seed(0, "search"))
     folds = make_folds(problem.train, problem.protocol)
-    return Evaluator(
-        folds, problem.train, context, problem.protocol, problem.budget, Isolation.PROCESS, executor
-    )
+    data = EvaluationData(folds, problem.train, context, problem.protocol)
+    return Evaluator(data, WorkerRunner(Isolation.PROCESS, problem.budget, executor))
 
 
 @pytest.mark.slow
