@@ -1,6 +1,8 @@
 """No file of the package imports itself by way of others, imports inside functions included."""
 
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from importlib.util import resolve_name
@@ -94,3 +96,37 @@ def test_imports_for_type_checkers_make_no_cycle(tmp_path: Path) -> None:
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import toy.first\n"
     )
     assert first_cycle(import_graph(package)) == []
+
+
+EXTRAS = (
+    *("openai", "httpx2", "mcp", "mcp_types", "starlette", "uvicorn", "equinox", "onnx", "casadi"),
+    *("fmpy", "control", "h5py", "pyarrow", "openpyxl", "distributed", "pandas", "asammdf"),
+)
+
+
+def test_a_search_needs_no_extra() -> None:
+    """What `asia run`, `show` and `report` import exists where ASIA was installed alone."""
+    names = [
+        f"asia.interfaces.cli.{path.stem}" for path in (SOURCE / "interfaces/cli").glob("*.py")
+    ]
+    names += [
+        "asia.agents.registry",
+        "asia.search.run",
+        "asia.search.final",
+        "asia.analysis.validation",
+    ]
+    names += [
+        "asia.report.page",
+        "asia.report.files",
+        "asia.export.pipeline",
+        "asia.interfaces.python",
+    ]
+    script = f"""
+import sys
+from importlib import import_module
+sys.modules.update(dict.fromkeys({EXTRAS!r}))
+for name in {sorted(names)!r}:
+    import_module(name.removesuffix(".__init__"))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

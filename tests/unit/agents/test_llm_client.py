@@ -14,7 +14,8 @@ from asia.agents import (
     LlmAgent,
     LlmSettings,
 )
-from asia.agents.llm.client import Answer, ChatClient
+from asia.agents.llm.client import ChatClient
+from asia.agents.llm.reply import Answer
 from asia.errors import UserError
 
 from .fake_llm import PROMPT_TOKENS, REPLY_TOKENS, FakeServer, Told, fake_llm

@@ -9,7 +9,6 @@ import pytest
 
 from asia.agents import AgentView, LlmAgent, LlmSettings, Trial
 from asia.agents.library.registry import families
-from asia.agents.llm.client import Answer
 from asia.agents.llm.prompt import (
     Task,
     anonymous,
@@ -19,6 +18,7 @@ from asia.agents.llm.prompt import (
     search_text,
     task_of,
 )
+from asia.agents.llm.reply import Answer
 from asia.data import Signal
 from asia.ledger.text import error_line
 from asia.problem import Prior

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import email.utils
-import json
 import time
 import urllib.request
-from dataclasses import dataclass
 from typing import Any, NoReturn, TypeGuard
 from urllib.parse import urlsplit
 
@@ -15,6 +13,7 @@ import openai
 
 from asia._text import one_line
 from asia.agents.llm.cassette import Cassette, may_have_cost
+from asia.agents.llm.reply import Answer, json_object, read_answer
 from asia.agents.llm.settings import LlmSettings
 from asia.agents.view import AgentStoppedError, InterruptedWaitError, Journal
 from asia.errors import UserError
@@ -23,18 +22,6 @@ from asia.ledger.events import Usage
 Message = dict[str, str]
 
 _BUSY = frozenset({408, 409, 425, 429, 500, 502, 503, 504, 520, 522, 524, 529})
-
-
-@dataclass(frozen=True)
-class Answer:
-    """Answer of the model.
-
-    Attributes:
-        cut: whether it ended at the limit of tokens
-    """
-
-    text: str
-    cut: bool = False
 
 
 class ChatClient:
@@ -167,11 +154,11 @@ class ChatClient:
         return (prompt * s.price_input + reply * s.price_output) / 1e6
 
     def _usage(self, content: bytes) -> Usage | None:
-        usage = _object(_object(content).get("usage"))
+        usage = json_object(json_object(content).get("usage"))
         prompt, reply = usage.get("prompt_tokens"), usage.get("completion_tokens")
         if not _is_count(prompt) or not _is_count(reply):
             return None
-        cached = _object(usage.get("prompt_tokens_details")).get("cached_tokens")
+        cached = json_object(usage.get("prompt_tokens_details")).get("cached_tokens")
         cost = self._price(prompt, reply)
         return Usage(prompt, reply, cached if _is_count(cached) else 0, cost, turns=1)
 
@@ -217,7 +204,7 @@ class ChatClient:
         raise AgentStoppedError("agent", f"the server of the model does not answer: {what}")
 
     def _said(self, error: openai.APIStatusError) -> str:
-        body = _object(error.body)
+        body = json_object(error.body)
         message = body.get("message")
         text = message if isinstance(message, str) else error.message
         return one_line(text.replace(self._key, "[key]"), 300)
@@ -246,27 +233,6 @@ def _asked_wait(header: str | None) -> float | None:
         return max(0.0, email.utils.parsedate_to_datetime(header).timestamp() - time.time())
     except ValueError:
         return None
-
-
-def read_answer(content: bytes) -> Answer:
-    """The text of a chat completion; "" where it has none."""
-    choices = _object(content).get("choices")
-    choice = _object(choices[0]) if isinstance(choices, list) and choices else {}
-    text = _object(choice.get("message")).get("content")
-    said = text if isinstance(text, str) else ""
-    # Half a surrogate pair could not be sent back.
-    clean = said.encode("utf-8", "replace").decode()
-    return Answer(clean, choice.get("finish_reason") == "length")
-
-
-def _object(value: Any) -> dict[str, Any]:
-    """A JSON object, from bytes too; empty for anything else."""
-    if isinstance(value, bytes):
-        try:
-            value = json.loads(value)
-        except (ValueError, RecursionError):
-            return {}
-    return value if isinstance(value, dict) else {}
 
 
 def _is_count(value: Any) -> TypeGuard[int]:

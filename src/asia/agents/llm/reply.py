@@ -2,18 +2,52 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from asia._text import one_line
-from asia.agents.llm.client import read_answer
 from asia.agents.llm.prompt import NO_CANDIDATE
 from asia.candidate import check_source
 from asia.errors import CandidateError
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer of the model.
+
+    Attributes:
+        cut: whether it ended at the limit of tokens
+    """
+
+    text: str
+    cut: bool = False
+
+
+def read_answer(content: bytes) -> Answer:
+    """The text of a chat completion; "" where it has none."""
+    choices = json_object(content).get("choices")
+    choice = json_object(choices[0]) if isinstance(choices, list) and choices else {}
+    text = json_object(choice.get("message")).get("content")
+    said = text if isinstance(text, str) else ""
+    # Half a surrogate pair could not be sent back.
+    clean = said.encode("utf-8", "replace").decode()
+    return Answer(clean, choice.get("finish_reason") == "length")
+
+
+def json_object(value: Any) -> dict[str, Any]:
+    """A JSON object, from bytes too; empty for anything else."""
+    if isinstance(value, bytes):
+        try:
+            value = json.loads(value)
+        except (ValueError, RecursionError):
+            return {}
+    return value if isinstance(value, dict) else {}
+
 
 # Parser of a language model's answer into a candidate with its rationale; tolerant of the form.
 

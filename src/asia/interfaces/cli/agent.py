@@ -363,7 +363,7 @@ def mcp(
     Coding agents start this command themselves: asia agent config prints their configuration. The
     search is a separate process and outlives this one; asia status and asia steer work on it.
     """
-    from asia.interfaces.mcp import AGENT, open_search, require_sdk, serve_http, serve_stdio
+    from asia.interfaces.mcp.opened import AGENT, open_search, require_sdk
 
     require_sdk()
     request = options.request(problem, AGENT)
@@ -371,11 +371,15 @@ def mcp(
         raise UserError("--token-env belongs to --http: stdio uses no token")
     opened = open_search(request, runs, options.name)
     if http is not None:
-        serve_http(opened, http, token_env)
+        from asia.interfaces.mcp.http import serve
+
+        serve(opened, http, token_env)
     else:
         # A thread that waits for a line on stdin would keep a process that leaves by itself.
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        serve_stdio(opened)
+        from asia.interfaces.mcp.server import make_server
+
+        make_server(opened).run()
 
 
 def mcp_config(

@@ -14,7 +14,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.mcp import Opened
+from asia.interfaces.mcp.opened import Opened
 from asia.interfaces.mcp.server import make_server
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -41,7 +41,16 @@ class BearerOnly:
 
 
 def serve(opened: Opened, address: str, token_variable: str | None) -> None:
-    """See `asia.interfaces.mcp.serve_http`."""
+    """Serve until interrupted.
+
+    Args:
+        address: HOST:PORT on this machine, port 0 for any free one
+        token_variable: environment variable with the bearer token, which is removed from the
+            environment; None for a new token, printed on stderr
+
+    Raises:
+        UserError: for another host, or a token that is too short
+    """
     host, colon, port = address.rpartition(":")
     host = host.strip("[]")
     if not colon or not port.isdecimal() or int(port) > 65535:

@@ -180,7 +180,7 @@ def score_fold(
         parts = tuple(one for one in found if not math.isnan(one))
     indices = _defined(fit_index(a, b)), _defined(r2(a, b))
     rmse, mae = (_t(METRICS[name].values(a, b)) for name in ("rmse", "mae"))
-    other = () if metric in METRICS else _t(judge.values(a, b))
+    other = () if metric in ("rmse", "mae") else _t(judge.values(a, b))
     return FoldScore(value, rmse, mae, *indices, parts, other)
 
 

@@ -14,7 +14,8 @@ from mcp import Client, StdioServerParameters
 from mcp.client.streamable_http import streamable_http_client
 
 from asia.errors import UserError
-from asia.interfaces.mcp import client_configuration, serve_http
+from asia.interfaces.mcp.config import client_configuration
+from asia.interfaces.mcp.http import serve
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from tests.unit.interfaces.workspace.desks import searches
@@ -175,7 +176,7 @@ def test_a_token_is_made_up_and_told_once(setting: Setting) -> None:
 )
 def test_an_address_must_be_of_this_machine(setting: Setting, address: str, words: str) -> None:
     with pytest.raises(UserError, match=words):
-        serve_http(setting.opened(), address, None)
+        serve(setting.opened(), address, None)
 
 
 def test_a_token_from_the_environment_must_be_one(
@@ -184,4 +185,4 @@ def test_a_token_from_the_environment_must_be_one(
     for value in ("", "short", "not\tprintable, but long enough"):
         monkeypatch.setenv("ASIA_TEST_TOKEN", value)
         with pytest.raises(UserError, match="expected a token of at least 16"):
-            serve_http(setting.opened(), "127.0.0.1:0", "ASIA_TEST_TOKEN")
+            serve(setting.opened(), "127.0.0.1:0", "ASIA_TEST_TOKEN")
