@@ -103,7 +103,7 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     last = asia("try", "-m", "three lags", "--plot", "--dir", folder)
     assert "picture plots/004.png" in last.out
     assert (folder / "plots" / "004-residuals.png").is_file()
-    assert "to #02, the best before; noise of repeats not measured" in last.out
+    assert "against #02, the previous best; standard deviation over seeds not measured" in last.out
     assert "fold 2  block 2 of 2: samples 123 to 240 of train  V " in last.out
     assert "0 of 4 experiments left" in last.out
     assert len((folder / "results.tsv").read_text().splitlines()) == 5
