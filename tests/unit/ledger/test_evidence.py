@@ -1,4 +1,4 @@
-"""What is shown of an experiment: bounded, in words, and nothing that the scores do not tell."""
+"""Evidence of an experiment: bounded, in words, without held-out information beyond scores."""
 
 from dataclasses import replace
 from pathlib import Path
