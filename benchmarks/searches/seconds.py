@@ -136,7 +136,7 @@ def timed(command: list[str | Path], place: Path, *, own_clock: bool = False) ->
 
 
 def processor_seconds() -> float:
-    """Processor time of the whole machine, because a killed worker does not count for its parent."""
+    """Processor time of the whole machine: a killed worker does not count for its parent."""
     user, nice, system = (int(word) for word in Path("/proc/stat").read_text().split()[1:4])
     return (user + nice + system) / os.sysconf("SC_CLK_TCK")
 

@@ -41,7 +41,7 @@ def says(code: str, format_: StreamFormat = "claude", *arguments: str) -> Preset
 
 
 def with_config(problem: Path) -> CommandRules:
-    """Return rules with a configuration folder, so that a session outlives its process in a jail."""
+    """Return rules with a configuration folder: a session in a jail outlives its process."""
     config = problem.parent / ".claude"
     config.mkdir()
     (config / "login").write_text("a token")
