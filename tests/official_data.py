@@ -119,4 +119,4 @@ WRITERS = {
     "parallel_wiener_hammerstein": write_parallel_wiener_hammerstein,
     "f16": write_f16,
 }
-"""What writes the files of a benchmark below a folder that ASIA_DATA_DIR can name."""
+"""Writer of the files of a benchmark below a folder that ASIA_DATA_DIR can name."""

@@ -113,8 +113,8 @@ def last_error(command: list[str], most: float) -> Run:
 
 
 def write_fold(file: Path, target: float, seed: int) -> None:
-    """What a peer gets: train_u, train_y (T, 1), past_u, past_y (5, 1), u, y (H, 1), scale of the
-    error, target error, seed."""
+    """Write the arguments of a peer: train_u, train_y (T, 1), past_u, past_y (5, 1), u, y (H, 1),
+    scale of the error, target error, seed."""
     problem = load_problem(PROBLEM)
     fold = make_folds(problem.train, problem.protocol)[0]
     block = fold.validation[0]

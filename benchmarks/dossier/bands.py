@@ -69,7 +69,7 @@ PROTOCOLS = (
 
 @dataclass(frozen=True)
 class Seen:
-    """What one system came to."""
+    """Result of one system."""
 
     held: Array
     """Share of the samples that the bands held: (models, shifts, levels)."""
@@ -80,7 +80,7 @@ class Seen:
 
 
 def simulated(model: Model, blocks: Sequence[Block]) -> list[Array]:
-    """Of each block (H, ny); those of one length at once."""
+    """Simulation of each block (H, ny); those of one length at once."""
     found: list[Array] = [np.zeros(0)] * len(blocks)
     for length in {len(b.y) for b in blocks}:
         alike = [k for k, b in enumerate(blocks) if len(b.y) == length]

@@ -43,7 +43,7 @@ SYSTEMS = (
 
 @dataclass(frozen=True)
 class Defect:
-    """What the system has and the model does not."""
+    """Effect that the system has and the model does not."""
 
     delay: int = 0
     lag: float = 0.0
@@ -51,7 +51,7 @@ class Defect:
     ceiling: float | None = None
     drift: float = 0.0
     change: float = 0.0
-    """Of the gain and the damping, over the record."""
+    """Drift of the gain and the damping over the record."""
 
 
 def excitation(system: Motion, random: np.random.Generator) -> Array:

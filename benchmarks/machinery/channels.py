@@ -1,4 +1,4 @@
-"""What two workers that run at the same time can tell each other by the machine they share.
+"""Information that two parallel workers can exchange through the machine that they share.
 
 python benchmarks/machinery/channels.py [--bits 64] [--level namespace]
 
@@ -77,9 +77,9 @@ class Channel:
     slot: float
     """Seconds for each bit."""
     speak: str
-    """What the speaker does for a one, until `end`."""
+    """Send a one, until `end`."""
     listen: str
-    """What the listener returns, a number that a one makes larger."""
+    """Listen, and return a number that is larger after a one."""
     prepare: str = ""
     """Definitions of both."""
 
@@ -226,7 +226,7 @@ def measure(channel: Channel, level: Isolation, without: Layer | None, bits: int
 
 
 def entropy(share: float) -> float:
-    """Of one bit that is wrong with this probability, in bits."""
+    """Capacity of one bit that is wrong with this probability, in bits."""
     if share in (0.0, 1.0):
         return 0.0
     return -share * math.log2(share) - (1 - share) * math.log2(1 - share)

@@ -1,4 +1,4 @@
-"""What the checks on answers cost a scored evaluation, and a new best.
+"""Cost of the checks on answers for a scored evaluation and for a new best.
 
 python benchmarks/machinery/checks.py [--problems two_tanks_sim cascaded_tanks] [--repeats 3]
 

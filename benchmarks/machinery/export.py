@@ -1,4 +1,4 @@
-"""What exported code costs: a SUBNET of 4 states and 32 units as C, ONNX and FMU in one run.
+"""Cost of exported code: a SUBNET of 4 states and 32 units as C, ONNX and FMU in one run.
 
 The weights are drawn, not fitted: cost and agreement do not depend on them. Prints the largest
 difference from the model's own simulation, microseconds a sample, bytes, RAM and code of the C,

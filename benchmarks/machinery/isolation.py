@@ -1,4 +1,4 @@
-"""What each isolation level costs over a bare child process.
+"""Cost of each isolation level over a bare child process.
 
 python benchmarks/machinery/isolation.py [--repeats 40]
 

@@ -82,7 +82,7 @@ class KillCluster:
 
     @property
     def file(self) -> Path:
-        """Where the scheduler says how to reach it."""
+        """File in which the scheduler writes its address."""
         return self.folder / "scheduler.json"
 
     def start(self) -> None:

@@ -1,4 +1,4 @@
-"""What `kill.py` and `kill_cluster.py` share: a search as a process, and what it must leave."""
+"""Code of both `kill.py` and `kill_cluster.py`: a search as a process, and checks of its files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DIE_SECONDS = 5.0
 
 @dataclass
 class Bench:
-    """What all searches share, and what went wrong."""
+    """Settings of all searches, and the errors found."""
 
     command: tuple[str, ...]
     out: Path
@@ -53,7 +53,7 @@ class Bench:
 
 
 def check_prefix(bench: Bench, runs: Path, before: list[bytes]) -> None:
-    """What was recorded before stands, byte by byte: nothing was redone in its place."""
+    """Check that the earlier records are unchanged, byte by byte: nothing was redone."""
     if whole_lines(runs)[: len(before)] != before:
         bench.fault(runs, "records that were on disk at a kill have changed")
 

@@ -1,4 +1,4 @@
-"""What an experiment costs beyond the candidate's own work, per fold.
+"""Cost of an experiment beyond the candidate's own work, per fold.
 
 python benchmarks/machinery/overhead.py [--repeats 5]
 
@@ -142,7 +142,7 @@ class Clock:
 
     @property
     def own(self) -> float:
-        """What is the candidate's own work."""
+        """Time of the candidate's own work."""
         return self.fit + self.simulate
 
 

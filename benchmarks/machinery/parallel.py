@@ -162,7 +162,7 @@ def _connected(name: str) -> DaskExecutor:
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """What starts in here has one core: the search, its worker and those that wait."""
+    """Limit processes started in here to one core: the search, its worker and standby workers."""
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     try:

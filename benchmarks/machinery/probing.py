@@ -145,7 +145,7 @@ def regression(desk: Attacked, start: Outputs, queries: int, size: float) -> Out
 
 
 def climbing(desk: Attacked, start: Outputs, queries: int, size: float) -> Outputs:
-    """What is told to be a new best stays: one pattern after the other, in one fold, up or down."""
+    """Keep each change that is reported as a new best, one pattern of one fold after the other."""
     count = len(desk.folds)
     moves = [np.eye(count)[f] * sign for f in range(count) for sign in (size, -size)]
     tries = (pattern(desk.folds, k, move) for k in range(queries) for move in moves)

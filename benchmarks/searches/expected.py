@@ -113,7 +113,7 @@ def search(number: int, seed: int) -> tuple[float, ...]:
     scale = np.array([y.std()])
 
     def errors(inputs: Array, outputs: Array) -> tuple[list[float], float]:
-        """Of each fold model and of their mean."""
+        """Error of each fold model and of their mean."""
         answers = [model(inputs, outputs[:PAST]) for model in tried[best][1]]
         found = [
             score_fold([outputs[PAST:, None]], [y_hat[:, None]], scale, "rmse").value

@@ -53,13 +53,13 @@ class Task:
     kind: str
     """The kind of system."""
     seed: int
-    """Of the system and of the search."""
+    """Seed of the system and of the search."""
     experiments: int
     """The budget."""
     folds: int
     """How many contiguous folds."""
     out: Path
-    """Where problems, runs and results are."""
+    """Folder of problems, runs and results."""
 
     @property
     def run(self) -> str:
@@ -69,7 +69,7 @@ class Task:
 
     @property
     def result(self) -> Path:
-        """What is kept of it."""
+        """File with its result."""
         return self.out / "results" / f"{self.run}.json"
 
 
@@ -205,7 +205,7 @@ def _bands(one: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def _band_lines(found: Sequence[dict[str, Any]]) -> list[str]:
-    """What the output bands held on the sealed records, everywhere and near the training data."""
+    """Coverage of the output bands on the sealed records, everywhere and near the training data."""
     if not found:
         return ["No search kept output bands."]
     rows: list[list[str]] = []
@@ -225,7 +225,7 @@ def _band_lines(found: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def _named(one: dict[str, Any]) -> str:
-    """What the rule of this version names, by what the ledger knew."""
+    """Model that the rule of this version names, from the content of the ledger."""
     return choose_model(_EVIDENCE.validate_python(one["evidence"])).model
 
 

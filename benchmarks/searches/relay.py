@@ -51,7 +51,7 @@ class Task:
     problem: str
     """Name of the problem."""
     arm: str
-    """Who searches: an agent by name, or a relay such as `expert*5+bayes`."""
+    """Searching agents: an agent by name, or a relay such as `expert*5+bayes`."""
     seed: int
     """Seed of the search, and of a synthetic system."""
     experiments: int
@@ -59,7 +59,7 @@ class Task:
     isolation: str | None
     """The level of isolation; None for the strongest."""
     out: Path
-    """Where problems and runs are."""
+    """Folder of problems and runs."""
 
     @property
     def run(self) -> str:
@@ -70,7 +70,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Found:
-    """What a search came to."""
+    """Result of a search."""
 
     task: Task
     """The search."""
@@ -206,7 +206,7 @@ def _place(found: Found) -> tuple[int, str]:
 def _ratios(
     values: dict[tuple[str, str, int], float | None], problem: str, relay: str, other: str
 ) -> list[float]:
-    """Of the seeds for which both have a score."""
+    """Ratios for the seeds for which both have a score."""
     seeds = sorted({seed for name, _, seed in values if name == problem})
     pairs = [(values.get((problem, relay, s)), values.get((problem, other, s))) for s in seeds]
     return [a / b for a, b in pairs if a is not None and b is not None]

@@ -1,4 +1,4 @@
-"""What ranking by V says, on eleven repeated searches that were published with their test errors.
+"""Value of a ranking by V, on eleven repeated searches that were published with their test errors.
 
 Each search is one trial: its V, and the error of its winner on the sealed test [V]. The same
 statistics as `asia validate --repeat` uses for candidates: how low the best of as many equal

@@ -59,7 +59,7 @@ print(time.monotonic() - begin, found.outcome.value)
 
 @dataclass(frozen=True)
 class Seconds:
-    """What one run took, and what it found."""
+    """Duration and result of one run."""
 
     wall: float
     processor: float
@@ -136,7 +136,7 @@ def timed(command: list[str | Path], place: Path, *, own_clock: bool = False) ->
 
 
 def processor_seconds() -> float:
-    """Of the whole machine: a worker that is killed is not counted with who started it."""
+    """Processor time of the whole machine: a killed worker does not count for its parent."""
     user, nice, system = (int(word) for word in Path("/proc/stat").read_text().split()[1:4])
     return (user + nice + system) / os.sysconf("SC_CLK_TCK")
 

@@ -43,7 +43,7 @@ LINEAR = "linear model"
 
 @dataclass(frozen=True)
 class Found:
-    """What one search came to. `ratio`: test error against the noise-free truth over the standard
+    """Result of one search. `ratio`: test error against the noise-free truth over the standard
     deviation of the noise, mean over the channels; None when no candidate had a score. `named`: the
     same of the model that the search names, and `use`, which one that is. `curve`: best V so far
     after each experiment, infinite before the first score."""
@@ -126,7 +126,7 @@ def _search(system: System, problem: Problem, agent: str, seed: int, runs: Path)
 def _errors_over_noise(
     system: System, problem: Problem, directory: Path, view: SearchView
 ) -> tuple[float | None, float | None, str]:
-    """Of the ensemble and of the model that the search names, and which one that is."""
+    """Errors of the ensemble and of the model that the search names, and its name."""
     named = model_to_use(view)
     if named is None:
         return None, None, "-"

@@ -41,7 +41,7 @@ PHYSICS = {
 
 @dataclass(frozen=True)
 class Planted:
-    """What the equations do not know."""
+    """Effect that the equations lack."""
 
     bend: bool = False
     """Whether the sensor reads FULL * (level / FULL) ** 1.5."""
@@ -72,7 +72,7 @@ def _steps(random: np.random.Generator, length: int) -> Array:
 
 
 def _levels(u: Array, late: float, k: Array) -> Array:
-    """Of the lower tank at each sample."""
+    """Level of the lower tank at each sample."""
     upper, lower, flow, step = 2.0, 2.0, float(u[0]), 1.0 / SUBSTEPS
     found = np.empty(len(u))
     for i, voltage in enumerate(u):

@@ -40,7 +40,7 @@ def fit(trajectories, context):
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the residuals of one fold say, on the records it trains on."""
+    """Findings from the residuals of one fold, on its training records."""
 
     along_output: float
     """Share of the squared residual that is a function of the simulated output."""
@@ -61,9 +61,9 @@ class Settings:
     """Arguments of the candidate, as source."""
 
     config: tuple[str, ...] = ()
-    """Of `greybox.Config`."""
+    """Options of `greybox.Config`."""
     method: tuple[str, ...] = ()
-    """Of the method that fits it, beside its iterations and starts."""
+    """Options of the method that fits it, beside its iterations and starts."""
 
     def source(self, words: str) -> str:
         """The candidate."""
@@ -76,7 +76,7 @@ class Move:
     """One change."""
 
     words: str
-    """What it changes."""
+    """Text of the change."""
     config: tuple[str, ...] = ()
     """Arguments to add to `greybox.Config`."""
     method: tuple[str, ...] = ()
@@ -93,14 +93,14 @@ class Move:
 
 @dataclass(frozen=True)
 class Rule:
-    """What to do about something that the residuals show."""
+    """Reaction to a finding in the residuals."""
 
     seen: str
-    """What they show."""
+    """Text of the finding."""
     shown: Callable[[Evidence], bool]
     """Whether they show it, in the mean over the folds."""
     moves: tuple[Move, ...]
-    """What to change, the first one first."""
+    """Changes, the first one first."""
     factor: float
     """A move is kept where V falls below this factor of the best V."""
 

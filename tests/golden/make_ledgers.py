@@ -79,7 +79,7 @@ def _steered(problem: Path, runs: Path) -> None:
 
 
 def recorded(run: Run) -> dict[str, object]:
-    """What a reader must find in the record, in plain values."""
+    """Return the content of a record in plain values."""
     view = run.view
     usage = view.usage
     unsealed = view.unsealed

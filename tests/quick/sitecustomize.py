@@ -1,5 +1,5 @@
-"""What the processes that tests start do as tests/conftest.py and tests/unit/painting.py have it in
-ours: the quick linear rung, and pictures that are drawn but not painted.
+"""Settings of tests/conftest.py and tests/unit/painting.py for the processes that tests start:
+the quick linear rung, and pictures that are drawn but not painted.
 
 Python imports this module where PYTHONPATH names its folder. Workers of the sandbox have an
 environment of their own and do not.

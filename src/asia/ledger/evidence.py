@@ -290,7 +290,7 @@ class ComparedScore:
     experiment: int
     """The other one."""
     role: str
-    """`parent`, `best before` or `parent and best before`."""
+    """`parent`, `previous best` or `parent and previous best`."""
     value: float
     """V of this one less V of the other."""
     share: float
@@ -400,12 +400,12 @@ def _differences(experiment: Experiment, view: SearchView) -> tuple[ComparedScor
     before = next((e for e in reversed(view.bests) if e.number < experiment.number), None)
     others: list[tuple[str, Experiment]] = []
     if before is not None and parent == before.number:
-        others.append(("parent and best before", before))
+        others.append(("parent and previous best", before))
     else:
         if parent is not None and parent != experiment.number:
             others.append(("parent", view.experiment(parent)))
         if before is not None:
-            others.append(("best before", before))
+            others.append(("previous best", before))
     return tuple(
         ComparedScore(
             e.number, role, value - e.score.value, (value - e.score.value) / e.score.value

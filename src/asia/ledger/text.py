@@ -128,15 +128,18 @@ def method_note(view: SearchView) -> str:
 
 
 def floor_words(view: SearchView) -> str:
-    """`0.0031 below 0.1312, the mean of #07 over 3 seeds`; "" where it is not known."""
+    """The mean V that a candidate needs in order to be kept; "" where it is not known."""
     held, floor = view.incumbent, significance_threshold(view)
     if held is None or floor is None:
         return ""
     values = held.seed_values
     if len(values) == 1:
-        return f"0: #{held.number:02d} does not depend on the seed"
+        return f"0: the fits of #{held.number:02d} do not depend on the seed"
     mean = error_value(fmean(values))
-    return f"{floor:.2g} below {mean}, the mean of #{held.number:02d} over {len(values)} seeds"
+    return (
+        f"a candidate is kept if its mean V is more than {floor:.2g} below {mean}, the mean of "
+        f"#{held.number:02d} over {len(values)} seeds"
+    )
 
 
 def describe_result(e: Experiment, view: SearchView) -> str:
@@ -156,10 +159,10 @@ def describe_result(e: Experiment, view: SearchView) -> str:
             text += "; equal with another seed"
         else:
             values = [r.failed if r.value is None else error_value(r.value) for r in result.retests]
-            text += f"; repeated fits {', '.join(values)}" if values else ""
+            text += f"; other seeds {', '.join(values)}" if values else ""
             text += f", {mean}" if (mean := seed_mean_words(e)) else ""
         if result.floor:
-            text += f"; required: a mean {result.floor:.2g} below the incumbent's"
+            text += f"; required: a mean {result.floor:.2g} below that of the candidate kept before"
     elif e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
         message = error_line(e.failure.detail)
@@ -184,7 +187,9 @@ def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Itera
     if not found.parameters:
         return
     yield "parameters, fitted to all training records:"
-    heads = ("", "value", "unit", "s.e.", "s.e. by folds", "95 % interval", "decided by", "")
+    heads = (
+        "", "value", "unit", "std. error", "by folds", "95 % interval", "interval decided by", "",
+    )  # fmt: skip
     rows = [heads, *map(_parameter_row, found.parameters)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
@@ -277,11 +282,11 @@ def evidence_lines(evidence: ExperimentEvidence, *, measured: bool = True) -> li
     lines: list[str] = []
     if evidence.differences:
         parts = [
-            f"{d.value:+.4f} ({100 * d.share:+.1f} %) to #{d.experiment:02d}, the {d.role}"
+            f"{d.value:+.4f} ({100 * d.share:+.1f} %) against #{d.experiment:02d}, the {d.role}"
             for d in evidence.differences
         ]
         noise = "not measured" if evidence.noise is None else f"{evidence.noise:.2g}"
-        lines.append(f"V: {'; '.join(parts)}; noise of repeats {noise}")
+        lines.append(f"V: {'; '.join(parts)}; standard deviation over seeds {noise}")
     lines += _fold_lines(evidence, measured=measured)
     lines += _output_lines(evidence)
     if evidence.failed_fold:
@@ -303,14 +308,16 @@ def _fold_lines(evidence: ExperimentEvidence, *, measured: bool) -> Iterator[str
     width = max(map(len, names), default=0)
     for number, (fold, name) in enumerate(zip(evidence.folds, names, strict=True), 1):
         parts = [] if fold.value is None else [f"V {error_value(fold.value)}"]
-        parts.append(f"training {error_value(fold.diagnostics.train_error)}")
+        parts.append(f"training error {error_value(fold.diagnostics.train_error)}")
         if measured:
-            spent = f"fit {fold.fit_seconds:.1f} of {setting.fit_seconds:g} s"
+            spent = f"fit {fold.fit_seconds:.1f} s, limit {setting.fit_seconds:g} s"
             if fold.findings is not None and fold.findings.compile_seconds > 0:
-                spent += f" (compiling {fold.findings.compile_seconds:.1f} s)"
+                spent += f" (compilation {fold.findings.compile_seconds:.1f} s)"
             parts.append(spent)
             if fold.findings is not None and fold.findings.memory_mb is not None:
-                parts.append(f"{fold.findings.memory_mb:.0f} of {setting.memory_mb} MB")
+                parts.append(
+                    f"memory {fold.findings.memory_mb:.0f} MB, limit {setting.memory_mb} MB"
+                )
         where = f"{name:<{width}}  " if width else ""
         yield f"fold {number}  {where}{'  '.join(parts)}"
 
@@ -396,7 +403,7 @@ def _residual_lines(
     if not kept:
         yield f"{where} no mean residual exceeds its standard error"
         return
-    yield f"mean residuals {where} (mean ± standard error, share of the MSE):"
+    yield f"mean residuals {where} (mean ± standard error, share of the mean squared error):"
     for one in kept:
         text = one_line(one.residual.words(setting.inputs, setting.outputs), 90)
         yield f"  {text}, {_folds_text(one.folds, evidence)}, {100 * one.residual.share:.0f} %"
@@ -407,7 +414,7 @@ def _folds_text(numbers: Sequence[int], evidence: ExperimentEvidence) -> str:
         return "all folds" if len(numbers) > 2 else "both folds"
     if len(numbers) > 1:
         return f"folds {', '.join(map(str, numbers))}"
-    return f"fold {numbers[0]} alone" if numbers else "no single fold"
+    return f"fold {numbers[0]} only" if numbers else "no single fold"
 
 
 def _printed_lines(evidence: ExperimentEvidence) -> Iterator[str]:

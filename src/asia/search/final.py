@@ -273,7 +273,7 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
     kept = check.starts[(check.kept or 0) - 1]
     errors = f"{number(kept.error)}, that of the ensemble {number(check.ensemble_error)}"
     if is_worthy(check):
-        text = f"It is fitted on all training records; its error there is {errors}."
+        text = f"Its error on all training records is {errors}."
         return ModelToUse("refit", text)
     if is_as_good(check):
         text = f"{number(kept.disagreement)} against {number(check.fold_disagreement)}"

@@ -569,6 +569,6 @@ def _baseline(source: str) -> Proposal:
         source=source,
         family="baseline",
         title="baseline",
-        hypothesis="The problem's own baseline, untouched, is where every search starts.",
-        expected="A reference value that the rest must beat.",
+        hypothesis="Every search starts with the unchanged baseline of the problem.",
+        expected="A V to compare the other candidates with.",
     )

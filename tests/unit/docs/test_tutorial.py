@@ -30,13 +30,15 @@ def smaller(text: str) -> str:
 
 def shape(line: str) -> str:
     """A line without its numbers, times, digests, titles and texts of candidates."""
-    line = re.sub(r"sha256:\w+", "sha256", line)
+    line = re.sub(r"sha256[: ]\w+", "sha256", line)
     line = re.sub(r"\b(\d+h)?(\d+m)?\d+s\b", "TIME", line)
     line = re.sub(r"\s+", " ", NUMBER.sub("N", line.removesuffix(" ..."))).strip()
-    line = re.sub(r"^#N \w+ (V=N min fit N % TIME).*", r"#N STATUS \1", line)
+    line = re.sub(r"^#N \w+ V=N min fit <?N % TIME.*", "#N STATUS", line)
     line = re.sub(r"^#N (?!STATUS).*", "#N TITLE", line)
-    line = re.sub(r"^(best #N V=N \(folds N(, N)*\)).*", r"\1", line)
+    line = re.sub(r"^((best #N V=|result V = )N \(folds N(, N)*\)).*", r"\1", line)
     line = re.sub(r"\b(refit|ensemble): .*", "MODEL", line)
+    # The page cuts these lines at a width, which the digits of the numbers move.
+    line = re.sub(r"^((in|out)put \w+: .{20}).*", r"\1", line)
     line = re.sub(r"\b(noise|folds|missing effect)$", "SOURCE", line)
     return re.sub(r"^(hypothesis|expected|decision|picture) .*", r"\1", line)
 

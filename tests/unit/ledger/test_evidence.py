@@ -1,4 +1,4 @@
-"""What is shown of an experiment: bounded, in words, and nothing that the scores do not tell."""
+"""Evidence of an experiment: bounded, in words, without held-out information beyond scores."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -101,11 +101,11 @@ def test_a_screen_says_what_an_engineer_asks(store: Store) -> None:
     better = Score(0.27, SCORE.folds)
     text = "\n".join(lines(store, view(store, SCORE, better), 2))
     for words in (
-        "-0.0300 (-10.0 %) to #01, the parent",
-        "noise of repeats not measured",
-        "fold 1  block 1 of 2  V 0.2900  training 0.2000",
-        "fit 2.5 of 120 s (compiling 1.5 s)",
-        "1400 of 4096 MB",
+        "-0.0300 (-10.0 %) against #01, the parent",
+        "standard deviation over seeds not measured",
+        "fold 1  block 1 of 2  V 0.2900  training error 0.2000",
+        "fit 2.5 s, limit 120 s (compilation 1.5 s)",
+        "memory 1400 MB, limit 4096 MB",
         "step 10",
         "x above 8 m: the model is too low by 0.3 ± 0.04 s.d., both folds",
         "k2  1, -1, of opposite sign",
@@ -147,7 +147,7 @@ def test_a_suspect_experiment_shows_no_held_out_figure(store: Store) -> None:
     text = "\n".join(lines(store, seen, 1))
     assert "V " not in text
     assert "step 10" not in text
-    assert "training 0.2000" in text
+    assert "training error 0.2000" in text
     assert "held-out samples" not in text
     assert "it failed in fold 1, block 1 of 2" in text
 

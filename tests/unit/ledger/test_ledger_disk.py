@@ -93,7 +93,7 @@ def test_short_writes_are_gone_on_with(whole: Path, monkeypatch: pytest.MonkeyPa
 def test_an_interrupt_in_the_middle_of_a_record_does_not_break_the_chain(
     whole: Path, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
-    """What is recorded on the way out, such as the end of a session, comes behind it."""
+    """Events recorded at the exit, such as the end of a session, follow it."""
     original = getattr(os, where)
 
     def interrupted(fd: int, *data: bytes) -> int:

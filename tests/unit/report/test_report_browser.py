@@ -43,7 +43,7 @@ pytestmark = [
 
 
 def look(page: Path, folder: Path, width: int, *, dark: bool) -> tuple[dict[str, object], str]:
-    """What the page is like in a frame of a width, and what the browser complains of."""
+    """Layout of the page in a frame of a width, and the complaints of the browser."""
     assert CHROMIUM is not None
     harness = folder / f"look-{width}-{dark}.html"
     harness.write_text(LOOK.format(width=width, page=escape(page.read_text("utf-8"))), "utf-8")

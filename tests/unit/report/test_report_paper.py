@@ -1,4 +1,4 @@
-"""What a paper takes from a run: figures, tables, and the paragraph on methods."""
+"""Parts of a paper from a run: figures, tables, and the paragraph on methods."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ WIDE = Shape(
 
 
 def visible_texts(figure: Figure) -> list[tuple[str, Bbox]]:
-    """What is written in the figure, and where, in pixels; tick labels out of view left out."""
+    """Texts of the figure and their places in pixels; tick labels out of view left out."""
     canvas = FigureCanvasAgg(figure)
     figure.draw_without_rendering()
     hidden: set[int] = set()

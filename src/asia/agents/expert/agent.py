@@ -174,7 +174,7 @@ def _first(
         family=row.name,
         title=title or row.label,
         hypothesis=sentence,
-        expected="A first value for this family, to compare with the others.",
+        expected="A first V of this family, to compare it with the others.",
     )
 
 

@@ -87,7 +87,7 @@ class Allocation:
         if self.spent[name] >= max(1, self.budget // 2) and not self.leads(name):
             return (
                 f"No family gets more than half of the {self.budget} experiments after the "
-                f"baseline unless its V is {LEAD:.0%} below that of every other family: "
-                f"{label} has had {self.spent[name]}."
+                f"baseline, unless its V is {LEAD:.0%} below all others. {label} has had "
+                f"{self.spent[name]}."
             ).replace("%", " %")
         return ""

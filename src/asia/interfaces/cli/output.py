@@ -123,10 +123,10 @@ def again_words(view: SearchView) -> str:
     again = view.refitted.again if view.refitted else None
     if again is None or again.ratio == 1.0:
         return ""
-    found = f"fails ({again.failed})"
+    found = f"failed ({again.failed})"
     if again.ratio is not None:
-        found = f"has {again.ratio:.4g} times its error"
-    return f"fold {again.fold}, fitted a second time, {found}: V varies over repeated fits"
+        found = f"has {again.ratio:.4g} times the error of the first"
+    return f"a second fit of fold {again.fold} {found}: V varies over repeated fits"
 
 
 def use_lines(view: SearchView) -> list[str]:
@@ -139,17 +139,18 @@ def use_lines(view: SearchView) -> list[str]:
     best = view.best.score if view.best is not None else None
     if best is not None and isinstance(mean, Score) and best.value >= _BETTER * mean.value:
         lines.append(
-            f"doubt   nothing is clearly better than the mean of the data, whose {view.v_name} is "
-            f"{error_value(mean.value)}: do the inputs act on the outputs, was the plant in closed "
-            "loop, is it unstable? Read asia check; for an unstable plant use short windows, "
-            'kind = "windows" in [protocol]'
+            f"doubt   no candidate is clearly better than the training mean ({view.v_name} "
+            f"{error_value(mean.value)}). Do the inputs act on the outputs? Was the plant in "
+            "closed loop? Is it unstable? Read the output of asia check. For an unstable plant use "
+            'short windows: kind = "windows" in [protocol]'
         )
     if refitted.model is None and refitted.detail and named.model != "ensemble":
         lines.append(f"refit   none: {refitted.detail}")
     if refitted.stack is not None:
         stack = refitted.stack
         lines.append(
-            f"stack   nested {view.v_name}={error_value(stack.value)} {stack_words(stack)}"
+            f"stack   {view.v_name}={error_value(stack.value)} (nested cross-validation), weights "
+            f"{stack_words(stack)}"
         )
     return lines
 

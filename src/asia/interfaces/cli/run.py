@@ -406,11 +406,11 @@ class TextDisplay:
         samples = sum(len(r) for r in problem.train)
         self._print(
             f"ASIA {__version__}  run {start.run}  problem {problem.name}  "
-            f"u:{len(problem.inputs)} y:{len(problem.outputs)}  N={samples}  "
-            f"Ts={problem.sampling_time:g} s  isolation {start.isolation_words}"
+            f"inputs {len(problem.inputs)}  outputs {len(problem.outputs)}  samples {samples}  "
+            f"sampling time {problem.sampling_time:g} s  isolation {start.isolation_words}"
         )
         sealed = f"sealed sha256:{start.test_digest[:8]}" if start.test_digest else "none"
-        at_once = f"{start.parallel} in flight  " if start.parallel > 1 else ""
+        at_once = f"{start.parallel} parallel experiments  " if start.parallel > 1 else ""
         folds = problem.protocol.folds.count
         self._print(
             f"agent {start.agent}  seed {start.seed}  {at_once}{folds} folds  "
@@ -490,14 +490,14 @@ class TextDisplay:
             word, _, words = line.partition(" ")
             self._print(f"{word:<9}{words.strip()}")
         if view.refitted is not None:
-            self._print("models   asia.simulate(run, ...) uses the one named above")
+            self._print("models   asia.simulate(run, ...) uses the model of the line `use`")
         run = directory.name if directory.parent == DEFAULT_RUNS else str(directory)
         show, unseal = f"asia show {run}", f"asia unseal {run}"
         width = len(unseal) + 4
         if best is None:
             self._print(f"next     {show:<{width}}why the last candidate failed")
             return
-        self._print(f"next     {show:<{width}}the winner: source, folds, evidence")
+        self._print(f"next     {show:<{width}}the best candidate: source, folds, evidence")
         if view.started.test_digest and view.unsealed is None:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
 
@@ -523,15 +523,15 @@ class TextDisplay:
             self._print(f"control  {control_text(compared, view.started)}")
         for name, words in (
             ("method", method_note(view)),
-            ("floor", floor_words(view)),
-            ("again", again_words(view)),
+            ("threshold", floor_words(view)),
+            ("second fit", again_words(view)),
         ):
             if words:
                 self._print(f"{name:<8} {words}")
         if view.looks:
             self._print(f"guard    {guard_words(view)}")
         references = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.rungs)
-        self._print(f"references {references}")
+        self._print(f"references V: {references}")
 
     def profile(self, events: Sequence[Event], unrecorded: Sequence[TimeSpent]) -> None:
         """Print the time of each activity. unrecorded: seconds that the ledger does not record."""
@@ -556,7 +556,7 @@ class TextDisplay:
     def _print_reference(self, reference: RungScored) -> None:
         from asia.judge.evaluation.references import TRUTH
 
-        note = "   the noise floor" if reference.name == TRUTH else ""
+        note = "   the true system: the noise floor" if reference.name == TRUTH else ""
         value = value_words(reference.outcome)
         self._print(f"reference {reference.name:<18} V={value}{note}", style="cyan")
         if isinstance(reference.outcome, Failure):
@@ -565,7 +565,7 @@ class TextDisplay:
     def _update_footer(self, view: SearchView) -> None:
         if self.footer is None:
             return
-        doing = "scoring the rungs"
+        doing = "scoring the reference models"
         if view.stopped is not None:
             doing = "refitting the winner on all training data"
         elif view.running:
@@ -573,7 +573,7 @@ class TextDisplay:
         done = f"{len(view.finished)}/{view.budget} experiments · {duration(view.seconds)}"
         floor = significance_threshold(view)
         if floor is not None:
-            done += f" · floor {floor:.2g}"
+            done += f" · threshold {floor:.2g}"
         self.footer.update(Text(f"{done} · {printable_line(doing)}"))
 
     def _print(self, text: str, style: str = "") -> None:

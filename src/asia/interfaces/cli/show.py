@@ -32,10 +32,12 @@ from asia.problem.metrics import metric_label
 # With more, each output gets a row of its own.
 _MOST_OUTPUTS_AS_COLUMNS = 3
 _COLUMNS = """\
-fit %: 100 (1 - |y - y_hat| / |y - mean of y|). Of the training records, worst output: train: error
-as in V; bias: mean residual in s.d.; white, u-corr: largest correlation of the residual with its
-own past and with past inputs; top, start: RMS residual in the highest tenth of the output and in
-the first 5 % of a record, over that of all samples."""
+V to fit %: on the held-out part. fit %: 100 (1 - |y - y_hat| / |y - mean of y|).
+train to start: on the training records, for the worst output.
+train: error, scaled as V. bias: mean residual, in standard deviations of the output.
+white: largest correlation of the residual with its own past. u-corr: the same with past inputs.
+top: RMS residual in the highest tenth of the output, divided by that of all samples.
+start: the same for the first 5 % of a record. fit s: duration of the fit in seconds."""
 
 
 def show(
@@ -135,7 +137,7 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     view, p, r = run.view, experiment.proposed, experiment.result
     parent = f", derived from #{p.parent:02d}" if p.parent else ""
     title = Text(printable_line(f"#{p.experiment:02d} {p.title}"), style="bold")
-    console.print(title, printable_line(f"({p.family}, {phase_text(p.phase)}{parent})"))
+    console.print(title, printable_line(f"(family {p.family}, {phase_text(p.phase)}{parent})"))
     if p.leg:
         agent = p.agent or "none: the baseline"
         row("agent", f"{agent}, in leg {p.leg} of {len(view.started.legs)}")
@@ -154,8 +156,8 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     for line in (*r.failed_checks, *(refitted.failed_checks if refitted else ())):
         row("note", line)
     if refitted and refitted.again:
-        same = f"fold {refitted.again.fold}, fitted a second time, gives the same result"
-        row("again", again_words(view) or same)
+        same = f"a second fit of fold {refitted.again.fold} gave the same result"
+        row("second fit", again_words(view) or same)
     if view.confirmed is not None:
         for line in confirmation_lines(view.confirmed, view.v_name, experiment.number):
             row("confirmed", line)
@@ -200,7 +202,7 @@ def _print_folds(console: Terminal, run: Run, experiment: Experiment) -> None:
     errors = [[f"{value:.4g}" for value in fold.per_channel(metric)] for fold in score.folds]
     fits = [["-" if v is None else f"{v:.1f}" for v in fold.fit_index] for fold in score.folds]
 
-    table = Table(title="validation and training-side evidence", title_justify="left", box=None)
+    table = Table(title="results of the folds", title_justify="left", box=None)
     for head in (
         *("fold", "V"),
         *(() if wide else (f"{head} {name}" for head in heads for name in names)),
@@ -243,4 +245,4 @@ def _print_folds(console: Terminal, run: Run, experiment: Experiment) -> None:
         text += ", suspiciously low"
         if result.status == "keep":
             text += "; V was the same when the folds were fitted again, one at a time"
-    console.print(f"\nV over the training error: {text}")
+    console.print(f"\nV divided by the training error: {text}")

@@ -138,8 +138,8 @@ def _print_status(directory: Path, found: Brief) -> None:
         pruned, cancelled = pruned_folds(view), cancelled_folds(view)
         ran = f", {cancelled} of them ended while they ran" if cancelled else ""
         say(
-            f"folds   {sum(pruned)} passed over{ran}, in {len(pruned)} experiments far behind the "
-            "best"
+            f"folds   {sum(pruned)} pruned{ran}, in {len(pruned)} experiments with V far above "
+            "the best"
         )
     for event in view.handed_over:
         say(f"relay   {hand_over_text(event)}")
@@ -157,8 +157,8 @@ def _print_status(directory: Path, found: Brief) -> None:
     # Evidence for the best candidate other than V.
     for name, words in (
         ("method", method_note(view)),
-        ("floor", floor_words(view)),
-        ("again", again_words(view)),
+        ("threshold", floor_words(view)),
+        ("second fit", again_words(view)),
     ):
         if words:
             say(f"{name:<7} {words}")
@@ -167,7 +167,9 @@ def _print_status(directory: Path, found: Brief) -> None:
     if view.looks:
         say(f"guard   {guard_words(view)}")
     if view.confirmed is not None:
-        say(f"confirm {verdict(view.confirmed)}; noise floor {noise_words(view.confirmed)}")
+        say(
+            f"confirm {verdict(view.confirmed)}; variance over seeds: {noise_words(view.confirmed)}"
+        )
     for validation in view.validated:
         say(f"valid   {validation_summary(validation)}")
     for line in view.failed_checks:
@@ -181,7 +183,10 @@ def _print_status(directory: Path, found: Brief) -> None:
         say(f"reference {reference.name:<18} V={value_words(reference.outcome)}")
     shown = view.finished[-_EXPERIMENTS_SHOWN:]
     if shown:
-        say("min fit: over folds and outputs the least 100 (1 - |y - y_hat| / |y - mean of y|) %")
+        say(
+            "min fit: lowest fit index over folds and outputs, "
+            "100 (1 - |y - y_hat| / |y - mean of y|) %"
+        )
     if found.finished > len(shown):
         say(f"the last {len(shown)} of {found.finished} experiments; all are in results.tsv")
     for experiment in shown:

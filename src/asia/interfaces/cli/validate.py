@@ -141,10 +141,13 @@ def validate(
         return
     for one in found.checks:
         say(f"{one.verdict.upper():6}{one.name}: {one.sentence}")
-    records = found.record or "training records"
+    records = found.record or "the held-out parts of the training records"
     if not found.recorded:
         say("the search is not finished: its ledger does not keep this report", file=sys.stderr)
-    say(f"experiment {found.experiment}, {found.model}, on {records}; the sealed test was not used")
+    say(
+        f"checked: {found.model} of experiment {found.experiment}, on {records}; the sealed test "
+        "was not used"
+    )
     say(found.summary)
 
 
@@ -182,7 +185,7 @@ def _repeat(directory: Path, top: int, seeds: int, *, json: bool) -> None:
 def confirmation_lines(
     found: Confirmed, v_name: str = "V", experiment: int | None = None
 ) -> Iterator[str]:
-    """Yield a line per candidate and per pair, the noise floor, the expected error, the verdict.
+    """Yield a line per candidate and per pair, variance over seeds, expected error, verdict.
 
     experiment: yield only the lines about it; none if it was not repeated.
     """
@@ -197,14 +200,14 @@ def confirmation_lines(
     if experiment is None:
         if found.pairs:
             yield (
-                f"simultaneous level {found.level:.0%}".replace("%", " %")
-                + f", corrected for the {found.tried} candidates of the search"
+                f"all intervals hold together at {found.level:.0%}".replace("%", " %")
+                + f"; they are corrected for the {found.tried} candidates of the search"
             )
-        yield f"noise floor: {noise_words(found)}"
+        yield f"variance over seeds: {noise_words(found)}"
     if found.expected is not None and experiment in (None, found.winner):
         level = f"{found.expected_level:.0%}".replace("%", " %")
         yield (
-            f"expected of #{found.winner:02d} on a new record, as {v_name}: "
+            f"expected error of #{found.winner:02d} on a new record, scaled as {v_name}: "
             f"{error_value(found.expected.value)}, {level} between "
             f"{error_value(found.expected.low)} and {error_value(found.expected.high)}"
         )
@@ -214,9 +217,12 @@ def confirmation_lines(
                 f"{error_value(found.ensemble.low)} and {error_value(found.ensemble.high)}"
             )
         yield (
-            f"    of that {found.expected.optimism:.2g} for being the best of {found.tried}; it "
-            "assumes a record of the same kind, as long as a fold, and is of a fold model as the "
-            "search fitted it"
+            f"    includes {found.expected.optimism:.2g} for the selection from "
+            f"{found.tried} candidates"
+        )
+        yield (
+            "    is the error of one fold model of the search; the new record is of the same kind "
+            "and as long as a fold"
         )
     if experiment is None:
         yield verdict(found)
@@ -249,12 +255,12 @@ def verdict(found: Confirmed) -> str:
 
 
 def noise_words(found: Confirmed) -> str:
-    """Return the noise floor."""
+    """Return the standard deviation of V over seeds."""
     if found.noise is None:
         return "not known: needs two seeds with a score"
     if found.noise == 0.0:
-        return "0, the fits do not depend on the seed"
-    return f"{found.noise:.2g}, standard deviation of V from seed to seed"
+        return "0, because the fits do not depend on the seed"
+    return f"standard deviation of V {found.noise:.2g}"
 
 
 def _pair_line(pair: ConfirmedPair) -> str:

@@ -390,7 +390,7 @@ class Overlay:
 
 def overlay_legend(*, banded: bool = False) -> Html:
     """Legend of the curves. banded: true if output bands are among them."""
-    entries = [("measured", "measured"), ("model", "simulated"), ("error", "difference")]
+    entries = [("measured", "measured"), ("model", "simulated"), ("error", "error")]
     return legend([*entries, *([("outputs", "output bands")] if banded else [])])
 
 

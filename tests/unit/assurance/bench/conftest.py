@@ -15,7 +15,7 @@ def unpainted_pictures() -> Iterator[None]:
 
 @pytest.fixture
 def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where made-up files belong, which no digest refuses."""
+    """Folder of made-up files, which no digest refuses."""
     monkeypatch.setenv("ASIA_DATA_DIR", str(tmp_path / "data"))
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setattr(PublishedFile, "is_digest", lambda self, found: True)

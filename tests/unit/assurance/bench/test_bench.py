@@ -53,7 +53,7 @@ REFERENCES = Arm("references", "references", lambda: FixedAgent((("RNN-4", arx(2
 
 @dataclass
 class Log:
-    """What a comparison reported."""
+    """Report of a comparison."""
 
     runs: list[str] = field(default_factory=list[str])
     events: int = 0

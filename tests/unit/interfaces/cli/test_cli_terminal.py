@@ -1,4 +1,4 @@
-"""What comes from outside and is shown on a real terminal, where escape sequences are obeyed."""
+"""External text on a real terminal, where escape sequences have an effect."""
 
 import os
 import pty
@@ -19,7 +19,7 @@ ASIA = "from asia.interfaces.cli import main; main()"
 
 
 def on_terminal(words: Sequence[object]) -> str:
-    """What `asia WORDS` writes to a terminal, both outputs together."""
+    """Return both outputs of `asia WORDS` on a terminal."""
     ours, theirs = pty.openpty()
     env = os.environ | {"TERM": "xterm-256color", "COLUMNS": "150"}
     command = [sys.executable, "-c", ASIA, *(str(word) for word in words)]

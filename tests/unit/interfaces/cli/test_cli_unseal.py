@@ -1,4 +1,4 @@
-"""What `asia unseal` asks before it opens a test."""
+"""Questions of `asia unseal` before it opens a test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the commands say of a search with validation early stopping."""
+"""Output of the commands about a search with validation early stopping."""
 
 import json
 from pathlib import Path

@@ -62,11 +62,11 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     (folder / "candidate.py").write_text(lasting(arx(2)))
     dry = asia("try", "--dry-run", "--dir", folder)
     assert dry.code == 0, dry.err
-    assert "nothing fails on 118 of the 118 samples" in dry.out
+    assert "passed on 118 of the 118 samples" in dry.out
     assert "V" not in dry.out
     both = asia("try", "--dry-run", "--plot", "--dir", folder)
     assert both.code == 2
-    assert "leave one out" in both.err
+    assert "leave one of them out" in both.err
     without_comments = asia("try", "--dir", folder)
     assert without_comments.code == 2
     assert 'asia try -m "what you changed' in without_comments.err
@@ -103,7 +103,7 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     last = asia("try", "-m", "three lags", "--plot", "--dir", folder)
     assert "picture plots/004.png" in last.out
     assert (folder / "plots" / "004-residuals.png").is_file()
-    assert "to #02, the best before; noise of repeats not measured" in last.out
+    assert "against #02, the previous best; standard deviation over seeds not measured" in last.out
     assert "fold 2  block 2 of 2: samples 123 to 240 of train  V " in last.out
     assert "0 of 4 experiments left" in last.out
     assert len((folder / "results.tsv").read_text().splitlines()) == 5

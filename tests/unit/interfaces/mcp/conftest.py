@@ -18,7 +18,7 @@ SLOW = arx(3).replace("n = 3\n    rows", "__import__('time').sleep(1.5)\n    n =
 
 @dataclass(frozen=True)
 class Agent:
-    """What a coding agent does with the tools."""
+    """Calls of the tools by a coding agent."""
 
     client: Client
 
@@ -33,7 +33,7 @@ class Agent:
         return result.structured_content
 
     async def refused(self, tool: str, **arguments: object) -> str:
-        """What a call that fails says."""
+        """Return the message of a call that fails."""
         result = await self.client.call_tool(f"asia_{tool}", arguments)
         assert result.is_error
         return result.content[0].text  # pyright: ignore

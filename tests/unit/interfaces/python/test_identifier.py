@@ -23,7 +23,7 @@ STEP = 0.5
 
 
 def a_record(seed: int, samples: int = 160) -> tuple[Array, Array]:
-    """Of a first-order system, nearly free of noise."""
+    """Records of a first-order system, nearly free of noise."""
     rng = np.random.default_rng(seed)
     u, y = rng.normal(size=samples), np.zeros(samples)
     for k in range(1, samples):

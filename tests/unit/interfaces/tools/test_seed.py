@@ -1,4 +1,4 @@
-"""What `tools.py` prints of seeds and folds."""
+"""Seeds and folds in the output of `tools.py`."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Who may ask for pages and steer a search."""
+"""Permission to read pages and to steer a search."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
 
 @pytest.fixture
 def places(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path, str | None, int]]:
-    """What would have been served."""
+    """Arguments of the server that would have started."""
     found: list[tuple[Path, str | None, int]] = []
 
     def serve(folder: Path, run: str | None, port: int, on_start: object) -> None:

@@ -1,4 +1,4 @@
-"""What stands on the live pages."""
+"""Content of the live pages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an open page is sent as the ledger grows."""
+"""Updates of an open page as the ledger grows."""
 
 from __future__ import annotations
 

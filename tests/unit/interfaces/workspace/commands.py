@@ -41,7 +41,7 @@ def says(code: str, format_: StreamFormat = "claude", *arguments: str) -> Preset
 
 
 def with_config(problem: Path) -> CommandRules:
-    """What lets a session outlive its process in a jail."""
+    """Return rules with a configuration folder: a session in a jail outlives its process."""
     config = problem.parent / ".claude"
     config.mkdir()
     (config / "login").write_text("a token")

@@ -70,7 +70,7 @@ def main() -> None:
 
 
 def probe() -> None:
-    """What can be seen and reached from here."""
+    """List the files and hosts that this process can reach."""
     found = {
         "home": os.path.exists(ARGUMENTS[0]),
         "ledger": os.path.exists(ARGUMENTS[1]),

@@ -1,4 +1,4 @@
-"""What a coding agent must not reach, and what of it must not be written down."""
+"""Places that a coding agent must not reach, and secrets that must not be written down."""
 
 from dataclasses import replace
 from pathlib import Path

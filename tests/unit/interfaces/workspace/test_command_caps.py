@@ -1,4 +1,4 @@
-"""What a coding agent has spent, whatever cut it off, and caps that hold at any time."""
+"""Tokens and money that a coding agent has spent, and caps that hold at any time."""
 
 from dataclasses import replace
 from pathlib import Path

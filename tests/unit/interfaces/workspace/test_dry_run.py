@@ -67,7 +67,7 @@ def test_a_dry_run_names_what_a_try_would_fail_with(place: Place, source: str, r
 
 
 def test_a_dry_run_gives_nothing_that_could_be_a_score() -> None:
-    """What it says of a good candidate are times and sizes."""
+    """The report on a good candidate has times and sizes."""
     assert set(DryRunResult.__dataclass_fields__) == {
         "reason", "advice", "detail", "printed", "samples", "of_samples", "fit_seconds",
         "compile_seconds", "simulate_seconds", "whole_fit_seconds", "limit_seconds",

@@ -219,6 +219,6 @@ def test_a_fold_that_runs_is_ended_and_said(parallel: int, tmp_path: Path) -> No
     assert result.seconds < 40.0
     assert (result.ended_folds, cancelled_folds(view)) == (1, 1)
     done = command_line("status", ready.directory.name, "--runs", tmp_path / "runs")
-    assert "1 passed over, 1 of them ended while they ran, in 1 experiments" in done.out
+    assert "1 pruned, 1 of them ended while they ran, in 1 experiments" in done.out
     verify(ready.directory)
     assert replay_run(ready.directory, lambda item: None).agrees

@@ -1,4 +1,4 @@
-"""What a search ends with: a refit that was checked, a stack, and the model to use."""
+"""Results at the end of a search: a refit that was checked, a stack, and the model to use."""
 
 from __future__ import annotations
 

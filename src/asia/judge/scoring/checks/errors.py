@@ -35,13 +35,12 @@ def check_steps_ahead(model: Array, hold: Array | None, deviation: Array) -> Che
     whole = np.sqrt(np.mean(each**2, axis=1))
     middle, far = np.quantile(whole, (0.5, _WORST_TENTH)).tolist()
     sentence = (
-        f"normalised error after a start from measured samples: {words}; over all steps "
-        f"{middle:.3g} in the middle of {len(whole)} starts, {far:.3g} or more in the worst tenth, "
-        f"{float(whole.max()):.3g} at most"
+        f"normalised error after {len(whole)} starts from measured samples: {words}; over all "
+        f"steps, median {middle:.3g}, 90 % quantile {far:.3g}, maximum {float(whole.max()):.3g}"
     )
     if hold is None:
-        return Check(_NAME, Verdict.SHOWN, f"{sentence}; there is no measured output before the "
-                     "first sample to hold", curves=tuple(curves), axes=_AXES)  # fmt: skip
+        return Check(_NAME, Verdict.SHOWN, f"{sentence}; no output is measured before the "
+                     "first sample", curves=tuple(curves), axes=_AXES)  # fmt: skip
     held = _sizes(hold, deviation)
     curves.append(CheckCurve("last output", steps, held))
     worse = bool(size[-1] >= held[-1])
@@ -92,9 +91,7 @@ def check_overfit(
     least = float(np.min(b / np.maximum(a, 1e-300)))
     folds = np.arange(1, len(a) + 1, dtype=np.float64)
     curves = (CheckCurve("training", folds, a), CheckCurve("held out", folds, b))
-    words = (
-        f"the error is {ratio:.2f} times that of the fit ({b.mean():.3g} against {a.mean():.3g})"
-    )
+    words = f"the error is {ratio:.2f} times the training error ({b.mean():.3g} and {a.mean():.3g})"
     axes = ("fold", "normalised error [-]")
     if ratio < _DOUBT or least < _EVERY:
         return Check("held-out error", Verdict.PASS, f"on held-out samples {words}",
@@ -195,14 +192,14 @@ def check_region(found: SimulatedBlocks, region: Region) -> Check:
     share = float(np.mean(every > 1.0))
     first = next((k for k, d in enumerate(distances) if (d > 1.0).any()), None)
     curves = (CheckCurve("distance", np.arange(len(every), dtype=np.float64), every),)
-    words = f"{percent(share)} of the samples are outside the region of the training records"
+    words = f"{percent(share)} of the samples are outside the region of validity"
     if first is not None and share > _REGION_DOUBT:
         block = found.blocks[first]
         begin = block.start + int(np.argmax(distances[first] > 1.0))
         words += f", first at {begin * found.sampling_time:.4g} s"
     verdict = _verdict(share, _REGION_DOUBT, _REGION_FAIL)
     return Check("region of validity", verdict, words, None, share / 2.0, curves,
-                 ("sample", "distance over that of the edge [-]"))  # fmt: skip
+                 ("sample", "distance / distance of the edge [-]"))  # fmt: skip
 
 
 def _verdict(value: float, doubt: float, fail: float) -> Verdict:

@@ -316,7 +316,7 @@ class _Found:
     def words(self) -> str:
         """Describe the size of the contribution."""
         return (
-            f"{percent(self.found.share)} of the residual's variance, "
+            f"{percent(self.found.share)} of the residual's variance explained, "
             f"{percent(self.size)} of the output's standard deviation"
         )
 
@@ -346,9 +346,9 @@ def check_fit(found: SimulatedBlocks) -> Check:
     )
     finite = fits[np.isfinite(fits)]
     bad = bool(len(finite)) and float(finite.min()) <= 0.0
-    sentence = f"fit index in free run: {words}"
+    sentence = f"fit index of the simulation: {words}"
     if bad:
-        sentence += "; below 0 % the mean of the output is more accurate"
+        sentence += "; below 0 % the mean of the output has a smaller error"
         return Check("fit in free run", Verdict.FAIL, sentence, weight=0.5)
     return Check("fit in free run", Verdict.PASS, sentence)
 
@@ -380,7 +380,7 @@ def check_inputs(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
                 follows = f"follows {other} at {where}" if where else ""
     axes = ("lag of the input [samples]", "correlation [-]")
     return _judged(
-        "inputs", found, worst, "depends on the past of an input", follows, Cause.DYNAMICS,
+        "inputs", found, worst, "depends on past inputs", follows, Cause.DYNAMICS,
         worst.alone, tuple(curves), axes,
     )  # fmt: skip
 
@@ -396,7 +396,7 @@ def check_whiteness(found: SimulatedBlocks) -> Check:
         peak = float(np.max(np.abs(one.values[1:])))
         if peak > largest:
             largest, name = peak, label
-    words = f"largest correlation of a residual with its own past: {largest:.2f} ({name})"
+    words = f"largest autocorrelation of a residual: {largest:.2f} ({name})"
     return Check("whiteness", Verdict.SHOWN, words, curves=tuple(curves),
                  axes=("lag [samples]", "correlation [-]"))  # fmt: skip
 
@@ -406,7 +406,7 @@ def check_time(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     worst = _worst(found, columns, lambda g: g.time, _linear)
     t = np.concatenate([b.start + np.arange(len(b.y)) for b in found.blocks]) * found.sampling_time
     curves = tuple(_means(found, k, t.astype(np.float64)) for k in range(len(found.outputs)))
-    axes = ("time in the record [s]", "mean residual over deviation [-]")
+    axes = ("time in the record [s]", "mean residual / standard deviation [-]")
     words = "drifts with time"
     return _judged("time", found, worst, words, words, Cause.DRIFT, worst.alone, curves, axes)
 
@@ -417,7 +417,7 @@ def check_amplitude(found: SimulatedBlocks, columns: Sequence[Groups]) -> Check:
     worst = _worst(found, columns, lambda g: g.bends, _linear)
     y_hat = np.concatenate([b.y_hat for b in found.blocks]) / found.deviation
     curves = tuple(_means(found, k, y_hat[:, k]) for k in range(len(found.outputs)))
-    axes = ("simulated output over deviation [-]", "mean residual over deviation [-]")
+    axes = ("simulated output / standard deviation [-]", "mean residual / standard deviation [-]")
     words = "depends on the amplitude"
     return _judged("amplitude", found, worst, words, words, Cause.STATIC, worst.alone, curves, axes)
 
@@ -452,7 +452,7 @@ def _judged(
     """Check for one cause; no residual does `passing`, or that of the worst output does `flagged`,
     "" for a check that passes."""
     if worst.verdict is Verdict.PASS or not flagged:
-        sentence = f"no residual {passing} ({worst.words()} at most)"
+        sentence = f"no residual significantly {passing} (at most {worst.words()})"
         return Check(name, Verdict.PASS, sentence, curves=curves, axes=axes)
     sentence = f"the residual of {found.outputs[worst.output]} {flagged}: {cause} ({worst.words()})"
     return Check(name, worst.verdict, sentence, cause, weight, curves, axes)

@@ -49,8 +49,8 @@ def check_gain(found: SimulatedBlocks) -> Check:
     agreement, name, output_name = min(judged, key=lambda d: d[0])
     if agreement >= _AGAINST:
         sentence = (
-            f"the gain of every input has the sign of the data (least correlation "
-            f"{agreement:.2f}, {name} on {output_name})"
+            f"the gain of every input has the sign of the data (lowest correlation "
+            f"{agreement:.2f}, {name} to {output_name})"
         )
         return Check(title, Verdict.PASS, sentence)
     sentence = (
@@ -164,7 +164,7 @@ def check_responses(
         what = "static gain" if one.settled else "step response, not settled,"
         pole = ""
         for slowest in poles(one.impulse)[:1].tolist():
-            pole = f", slowest pole {slowest.real:.4g}"
+            pole = f", slowest pole z = {slowest.real:.4g}"
             if abs(slowest.imag) >= 1e-9 * max(abs(slowest), 1e-300):
                 pole += f" ± {abs(slowest.imag):.4g}j"
         if len(outputs) > _MOST_GAINS:
@@ -257,10 +257,10 @@ def check_spectrum(found: SimulatedBlocks, noise: Sequence[float | None]) -> Che
         above = one.frequency[one.residual > 0.5 * one.output]
         part = float(np.sqrt(one.residual.sum() / max(float(one.output.sum()), 1e-300)))
         floor = noise[k]
-        line = f"{name}: residual {percent(part)} of the output"
+        line = f"{name}: RMS residual {percent(part)} of the RMS output"
         line += "" if floor is None else f", noise {percent(floor)}"
         if len(above):
-            line += f", above half its power from {above[0]:.3g} Hz on"
+            line += f"; from {above[0]:.3g} Hz its power is above half that of the output"
         words.append(line)
     if not words:
         return Check("error spectrum", Verdict.ABSENT, _TOO_SHORT)
@@ -372,7 +372,10 @@ def check_long_run(y_hat: Array | None, lowest: Array, highest: Array) -> Check:
             not finite
         lowest, highest: (ny,) range of the training outputs
     """
-    name, axes = "ten horizons", ("horizon", "distance over half the training range [-]")
+    name, axes = (
+        "ten horizons",
+        ("horizon", "distance from the middle / half the training range [-]"),
+    )
     if y_hat is None:
         sentence = f"over ten horizons the simulation diverges: {Cause.UNSTABLE}"
         return Check(name, Verdict.FAIL, sentence, Cause.UNSTABLE, 3.0)
@@ -392,9 +395,12 @@ def check_long_run(y_hat: Array | None, lowest: Array, highest: Array) -> Check:
                      Cause.UNSTABLE, 3.0, curves, axes)  # fmt: skip
     if last > _FAR:
         sentence = (
-            f"over ten horizons the simulation goes to {last:.3g} times half the training range, "
-            "steadily, as an integrator does"
+            "over ten horizons the simulation grows steadily, as that of an integrator, to "
+            f"{last:.3g} times half the training range"
         )
         return Check(name, Verdict.DOUBT, sentence, None, 0.3, curves, axes)
-    sentence = f"over ten horizons the simulation stays within {last:.2g} times half the training"
-    return Check(name, Verdict.PASS, f"{sentence} range", curves=curves, axes=axes)
+    sentence = (
+        "the simulation stays bounded: in the last of ten horizons it is at most "
+        f"{last:.2g} times half the training range from the middle of that range"
+    )
+    return Check(name, Verdict.PASS, sentence, curves=curves, axes=axes)

@@ -107,7 +107,8 @@ def _write_confirmation(subject: Subject) -> Html | None:
         "p",
         "After the search the candidates with the lowest V were refitted on every fold, with ",
         subject.number(found, "seeds", "count"),
-        " seeds chosen by the evaluator; once if their fits do not depend on the seed.",
+        " seeds chosen by the evaluator. If the fits of a candidate do not depend on the seed, "
+        "it was refitted once.",
     )
     after = used_no_test(found.after_unsealing)
     return join((text, _candidates(subject, found), _pairs(subject, found),
@@ -162,7 +163,7 @@ def _pairs(subject: Subject, found: Confirmed) -> Html | None:
 def _expected(subject: Subject, found: Confirmed) -> Html:
     noise: tuple[str, ...] = ()
     if found.noise is not None:
-        text = "The noise floor, the standard deviation of V from seed to seed, is "
+        text = "The standard deviation of V over seeds is "
         noise = (text, subject.number(found, "noise", "sig2"), ". ")
     if found.expected is None:
         return tag("p", *noise, "The expected error of the winner is unknown: its repeats failed.")
@@ -201,15 +202,15 @@ def _write_identified(subject: Subject) -> Html | None:
         parts.append(tag("pre", tag("code", lines), tabindex="0"))
     if found.parameters:
         head = ["parameter", "value", "unit", "standard error", "standard error by folds",
-                "interval", "decided by", "remark"]  # fmt: skip
+                "interval", "interval decided by", "remark"]  # fmt: skip
         rows = [_parameter(run, f"parameters.{k}", one) for k, one in enumerate(found.parameters)]
         parts.append(table(head, rows, "Parameters, fitted to all training records"))
         parts += [tag("p", tag("b", said(line), ".")) for line in disagreement_lines(found)]
         text = (
-            ": the widest of what noise, the spread of the fold models, and a missing effect that "
-            "the residuals show would give."
+            ". It is the widest of three intervals: from the noise, from the spread of the fold "
+            "models, and from a missing effect."
         )
-        parts.append(tag("p", "The intervals are those of ", fixed("95 %"), text))
+        parts.append(tag("p", "Each interval has a level of ", fixed("95 %"), text))
     if found.entangled:
         names = [one.fitted.name for one in found.parameters]
         pairs = [
@@ -314,13 +315,13 @@ def _validation(subject: Subject, found: Validated) -> Html:
         title = join(("On the new record ", said(found.record)))
     counts = tag(
         "p",
-        "Checks that pass: ",
+        "Checks passed: ",
         subject.number(found, "passed", "count"),
         "; in doubt: ",
         subject.number(found, "doubtful", "count"),
-        "; that fail: ",
+        "; failed: ",
         subject.number(found, "failed", "count"),
-        ". What was checked is the ",
+        ". The checked model is the ",
         found.model,
         " of experiment ",
         subject.number(found, "experiment", "number"),

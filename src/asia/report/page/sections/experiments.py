@@ -32,7 +32,9 @@ def _write(subject: Subject) -> Html | None:
         return None
     note = None
     if len(subject.listed) < len(subject.view.experiments):
-        text = "Listed are the kept experiments, the lineage of the winner and the last ones."
+        text = (
+            "The list has the kept experiments, the lineage of the winner and the last experiments."
+        )
         note = tag("p", text)
     return join((note, tag("div", *(_experiment(subject, e) for e in subject.listed),
                            class_="experiments")))  # fmt: skip
@@ -74,13 +76,13 @@ def experiment_story(subject: Subject, e: Experiment) -> Html:
     pairs = (
         ("hypothesis", said(p.hypothesis, 2000)),
         ("expected", said(p.expected, 1000)),
-        ("seen", _seen(subject, e)),
-        ("made from", parent),
+        ("observed", _seen(subject, e)),
+        ("derived from", parent),
         ("family", said(p.family)),
-        ("when", phase_text(p.phase)),
+        ("phase", phase_text(p.phase)),
         ("agent", said(p.agent) if p.agent else None),
-        ("folds", folds),
-        ("took", None if result is None else subject.number(result, "seconds", "duration")),
+        ("V of the folds", folds),
+        ("duration", None if result is None else subject.number(result, "seconds", "duration")),
     )
     parts: list[Html | None] = [facts(pairs)]
     if e.failure is not None:
@@ -91,14 +93,14 @@ def experiment_story(subject: Subject, e: Experiment) -> Html:
 
 
 def _seen(subject: Subject, e: Experiment) -> Html | str:
-    """V beside that of the best before and of the parent."""
+    """V compared with that of the previous best and of the parent."""
     if e.result is None:
         return "It is being evaluated."
     if e.score is None:
         return "no score"
     parts: list[str] = ["V = ", subject.v(e)]
     kept = [o for o in subject.view.bests if o.number < e.number]
-    others = [("the best before", kept[-1])] if kept else []
+    others = [("the previous best", kept[-1])] if kept else []
     parent = e.proposed.parent
     if parent is not None and parent != e.number and (not kept or parent != kept[-1].number):
         others.append(("its parent", subject.view.experiment(parent)))
@@ -106,7 +108,7 @@ def _seen(subject: Subject, e: Experiment) -> Html | str:
         if other.score is not None and other.score.value:
             pair = (e.result, "outcome.value"), (result_of(other), "outcome.value")
             gap = subject.made("change", "signed_share", *pair)
-            parts += ["; ", gap, f" beside {text}, ", subject.name(other)]
+            parts += ["; ", gap, f" compared with {text}, ", subject.name(other)]
     return join(parts)
 
 
@@ -141,7 +143,7 @@ def _write_lineage(subject: Subject) -> Html | None:
         made_from = None
         if parent is not None:
             source = subject.number(e.proposed, "parent", "number")
-            made_from = tag("span", " made from ", source, class_="unseen")
+            made_from = tag("span", " derived from ", source, class_="unseen")
         title = tag("a", subject.name(e), " ", said(e.proposed.title, 80), href=f"#e{e.number}")
         value = tag("span", subject.v(e) if e.score else _status(e), class_="value")
         items.append(tag("li", title, made_from, value, class_="won" if won else None))
@@ -165,7 +167,7 @@ def _write_model(subject: Subject) -> Html | None:
     pairs = (
         ("candidate", join((subject.name(best), " ", said(p.title)))),
         ("family", said(p.family)),
-        ("idea", said(p.hypothesis, 600)),
+        ("hypothesis", said(p.hypothesis, 600)),
     )
     parts: list[Html] = [facts(pairs)]
     if subject.problem is not None and subject.problem.physics is not None:
@@ -173,7 +175,7 @@ def _write_model(subject: Subject) -> Html | None:
             tag("div", tag("span", kind, class_="kind"), formula, class_="equation")
             for kind, formula in equations(subject.problem.physics)
         ]
-        text = "The equations that the problem gives. The code of the winner shows its additions."
+        text = "The equations of the problem file. The code of the winner shows its additions."
         parts += [tag("h3", "Equations"), tag("p", text)]
         parts.append(region("div", *rows, class_="equations", label="equations"))
     if not store.kept:
@@ -207,13 +209,13 @@ def _write_progress(subject: Subject) -> Html | None:
             change = subject.made("change", "signed_share", *pair)
         rows.append([subject.name(e), said(e.proposed.title), subject.v(e), change])
         before = e
-    head = ["experiment", "candidate", view.v_name, "change"]
+    head = ["experiment", "candidate", view.v_name, "change of V"]
     references: list[list[str | None]] = []
     for r in view.rungs:
         scored = isinstance(r.outcome, Score)
         value = subject.number(r, "outcome.value", "error") if scored else "no score"
         references.append([said(r.name), value])
-    text = "V is the error of simulation on held-out data over the variation of the output."
+    text = "V: simulation error on held-out data, divided by the standard deviation of the output."
     return join(
         (
             tag("p", text),
@@ -223,7 +225,7 @@ def _write_progress(subject: Subject) -> Html | None:
             else None,
             tag(
                 "details",
-                tag("summary", "The improvements as a table"),
+                tag("summary", "Table of the improvements"),
                 table(head, rows, "Best experiments so far"),
             ),
         )

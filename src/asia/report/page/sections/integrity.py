@@ -28,7 +28,7 @@ def _write(subject: Subject) -> Html:
         guard = "not evaluated yet"
         if view.looks:
             count = subject.over("guard", "look", "count", "count")
-            guard = join(("looked at ", count, " times"))
+            guard = join(("evaluated ", count, " times"))
     count = subject.over("evaluated", "experiment", "count", "count")
     spent = subject.over("evaluated", "seconds", "sum", "duration")
     outcomes = [
@@ -42,7 +42,7 @@ def _write(subject: Subject) -> Html:
             said("; ".join(start.isolation_notes), 800) if start.isolation_notes else None,
         ),
         ("test", _test(subject)),
-        ("held-out scores shown", oracle),
+        ("held-out scores shown to candidates", oracle),
         ("guard records", guard),
         ("notes of the user", _list([note.text for note in view.notes]) or "none"),
         ("evaluations", join((count, " in ", spent))),
@@ -74,16 +74,18 @@ def _test(subject: Subject) -> Html | str:
     digest = tag("code", view.started.test_digest[:12])
     state = "opened once, after the search" if view.unsealed else "sealed, never opened"
     consent = view.unsealing is not None and view.unsealing.process_consent
-    agreed = "; the user agreed to open it although candidates could read it" if consent else ""
+    agreed = (
+        "; the user agreed to open it, although candidates could have read it" if consent else ""
+    )
     before = view.unsealing.opened_before if view.unsealing else ()
     earlier = join(("; opened before by ", said(", ".join(before)))) if before else None
-    return join((state, ", committed before the first experiment as ", digest, agreed, earlier))
+    return join((state, "; digest recorded before the first experiment: ", digest, agreed, earlier))
 
 
 def _cost(subject: Subject) -> Html | str:
     view = subject.view
     if view.usage is None:
-        return "none was asked"
+        return "none used"
     used = [event for event in (*view.exchanges, *view.sessions) if event.usage is not None]
     kinds = ("usage.input_tokens", "usage.output_tokens")
     parts = [(event, kind) for event in used for kind in kinds]
@@ -104,8 +106,8 @@ def _write_reproduce(subject: Subject) -> Html:
     start, lines = subject.view.started, subject.run.lines
     name = one_line(start.run, 120)
     commands = (
-        f"asia verify {name}       # the chain of the ledger and every artifact\n"
-        f"asia verify {name} --replay # every candidate again, compared\n"
+        f"asia verify {name}           # check the hash chain of the ledger and every artifact\n"
+        f"asia verify {name} --replay  # evaluate every candidate again and compare\n"
         f"asia run {one_line(start.problem, 120)} --agent {one_line(start.agent, 60)} "
         f"--experiments {subject.view.budget} --seed {start.seed}\n"
     )
@@ -116,11 +118,14 @@ def _write_reproduce(subject: Subject) -> Html:
     settings = ", ".join(f"{key} {value}" for key, value in sorted(start.agent_settings.items()))
     versions = ", ".join(f"{key} {value}" for key, value in sorted(start.environment.items()))
     pairs = (
-        ("problem file", tag("code", start.lock_digest)),
-        ("protocol", tag("code", start.protocol_digest)),
-        ("sealed test", tag("code", start.test_digest) if start.test_digest else None),
-        ("ledger, last line", tag("code", head)),
-        ("begun", said(lines[0].time)),
+        ("digest of the problem file", tag("code", start.lock_digest)),
+        ("digest of the protocol", tag("code", start.protocol_digest)),
+        (
+            "digest of the sealed test",
+            tag("code", start.test_digest) if start.test_digest else None,
+        ),
+        ("digest of the ledger", tag("code", head)),
+        ("start", said(lines[0].time)),
         ("last event", join((said(lines[-1].event.event), ", ", said(lines[-1].time)))),
         ("environment", said(versions, 1000)),
         ("settings", said(settings, 1000) if settings else None),

@@ -41,8 +41,8 @@ def doubts(subject: Subject) -> Iterator[str]:
         return
     value = best.score.value
     for name, text in (
-        ("training mean", "than the mean of the data"),
-        ("linear model", "than a linear one"),
+        ("training mean", "than the training mean"),
+        ("linear model", "than a linear model"),
     ):
         reference = subject.rung(name)
         if reference is not None and value > _BETTER * reference[1]:
@@ -75,7 +75,7 @@ def doubts(subject: Subject) -> Iterator[str]:
     if consistency(value, fitted) < SUSPICIOUS_RATIO:
         yield "the error on held-out data is far below that on training data"
     if result.deadline:
-        yield "the winner's fit ran into its deadline, so it depends on the machine"
+        yield "the winner's fit reached its deadline, so it depends on the machine"
 
 
 def stamp(subject: Subject) -> tuple[str, str]:
@@ -121,10 +121,10 @@ def _write(subject: Subject) -> Html:
 
 def _found(subject: Subject, best: Experiment) -> Html:
     view, held = subject.view, subject.view.incumbent
-    rank = [") is the only candidate for "]
+    rank = [") is the winner, the only candidate for "]
     if len(view.finished) > 1:
         count = subject.over("evaluated", "experiment", "count", "count")
-        rank = [") is the best of ", count, " candidates for "]
+        rank = [") is the winner, the best of ", count, " candidates for "]
     method: list[str] = []
     if held is not None and held.number != best.number:
         link = tag("a", subject.name(held), href=f"#e{held.number}")
@@ -161,7 +161,7 @@ def _test(subject: Subject) -> Html:
         if view.started.test_digest is not None:
             text = (
                 "The sealed test is still closed. The error above also served to choose the model, "
-                "so expect a somewhat larger one."
+                "so expect a slightly larger error on new records."
             )
         return join((text,))
     named = model_to_use(view)
@@ -195,11 +195,11 @@ def _trust(subject: Subject, kind: str) -> Html:
 def _tiles(subject: Subject, best: Experiment) -> Html:
     result, score = result_of(best), best.score
     assert score is not None
-    tiles: list[tuple[str, Html]] = [("V, the best candidate", subject.v(best))]
+    tiles: list[tuple[str, Html]] = [("V, winner", subject.v(best))]
     for label, name in (
-        ("V, best linear model", "linear model"),
-        ("V, the noise floor", "simulated truth"),
-        ("V, mean of the data", "training mean"),
+        ("V, linear model", "linear model"),
+        ("V, noise floor", "simulated truth"),
+        ("V, training mean", "training mean"),
     ):
         reference = subject.rung(name)
         if reference is not None:
@@ -213,7 +213,9 @@ def _tiles(subject: Subject, best: Experiment) -> Html:
     if paths:
         tiles.append(("lowest fit index", subject.made("least", "percent", *paths)))
     tiles.append(("experiments", subject.over("evaluated", "experiment", "count", "count")))
-    tiles.append(("spent on them", subject.over("evaluated", "seconds", "sum", "duration")))
+    tiles.append(
+        ("time of all experiments", subject.over("evaluated", "seconds", "sum", "duration"))
+    )
     shown = [tag("div", tag("dt", label), tag("dd", value)) for label, value in tiles]
     return tag("dl", *shown, class_="tiles")
 
@@ -262,7 +264,11 @@ def _refitted(subject: Subject, refitted: Refitted) -> Iterator[Html]:
             apart = value(f"check.starts.{k}.disagreement", start.disagreement)
             rows.append([name, error, apart])
     if rows:
-        head = ["model", "error on the training records", "difference from the ensemble"]
+        head = [
+            "model",
+            "scaled error on the training records",
+            "difference from the ensemble, in standard deviations of the output",
+        ]
         yield table(head, rows, "Final models")
     if stack is not None:
         members: list[Html] = []
@@ -272,16 +278,20 @@ def _refitted(subject: Subject, refitted: Refitted) -> Iterator[Html]:
             number = subject.number(refitted, f"{at}.experiment", "number")
             members.append(join((number, " with weight ", weight)))
         nested = subject.number(refitted, "stack.value", "error")
-        yield tag("p", "Stack: ", join(members, ", "), "; nested V ", nested, ".")
+        yield tag(
+            "p", "Stack: ", join(members, ", "), "; V by nested cross-validation ", nested, "."
+        )
     if again is not None:
         fold = subject.number(refitted, "again.fold", "count")
         if again.ratio is None:
-            yield tag("p", "Fold ", fold, ", refitted, fails: ", said(again.failed), ".")
+            yield tag("p", "A second fit of fold ", fold, " failed: ", said(again.failed), ".")
         elif again.ratio == 1.0:
-            yield tag("p", "Fold ", fold, ", refitted, gave the same result.")
+            yield tag("p", "A second fit of fold ", fold, " gave the same result.")
         else:
             ratio = subject.number(refitted, "again.ratio", "sig4")
-            yield tag("p", "Fold ", fold, ", refitted, has ", ratio, " times its error.")
+            yield tag(
+                "p", "A second fit of fold ", fold, " has ", ratio, " times the error of the first."
+            )
 
 
 HANDOVER = Section("use", "The model to use", _write_handover)
@@ -433,7 +443,7 @@ def _write_accuracy(subject: Subject) -> Html | None:
         return None
     text = (
         "Each fold of the cross-validation held out a part of the training records. Its model "
-        "simulated that part from its start, without seeing a measured output on the way."
+        "simulated that part from its start, and received no measured output after the start."
     )
     overlays = held_out_overlays(subject, best)
     drawn = _draw_overlays(problem, overlays) if problem is not None and overlays else None
@@ -446,7 +456,7 @@ def _accuracy_table(subject: Subject, best: Experiment) -> Html:
     # Of many outputs the errors of each would not fit.
     outputs = subject.view.started.outputs if len(subject.view.started.outputs) <= 4 else ()
     head = ["fold", "V", *(join((said(metric.label), " ", said(name))) for name in outputs)]
-    head += ["lowest fit index", "error on its training data", "seconds of the fit"]
+    head += ["lowest fit index", "scaled error on its training data", "duration of the fit [s]"]
     field = metric.name if metric.name in ("rmse", "mae") else "other"
     rows: list[list[str]] = []
     for k, fold in enumerate(score.folds):

@@ -1,4 +1,4 @@
-"""What `asia init` asks on a terminal, and what it takes without asking."""
+"""Questions of `asia init` on a terminal, and values that it takes without a question."""
 
 from __future__ import annotations
 

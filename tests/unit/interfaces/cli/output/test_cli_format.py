@@ -94,6 +94,6 @@ def test_a_score_far_below_the_training_error_is_doubted(searched: Searched) -> 
         describe(console, run, one)
         assert isinstance(console.file, io.StringIO)
         texts.append(console.file.getvalue())
-    assert "V over the training error: " in texts[0]
+    assert "V divided by the training error: " in texts[0]
     assert "suspiciously low" not in texts[0]
     assert "0.00, suspiciously low; V was the same when" in texts[1]

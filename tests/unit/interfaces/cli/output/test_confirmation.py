@@ -40,7 +40,7 @@ def test_words_that_a_person_understands() -> None:
     assert "#12 is better than #03 by 0.099 (0.08 to 0.12)" in text
     assert "rank 1 to 2" in text
     assert "rank 3 " in text
-    assert "best of 15" in text
+    assert "selection from 15 candidates" in text
     assert "0.1100, 90 % between 0.0900 and 0.1400" in text
     assert "after the sealed test" not in text
     assert "after the sealed test" in "\n".join(
@@ -71,8 +71,8 @@ def test_the_command_tells_progress_and_result_and_status_and_show_repeat_it(
     done = asia("validate", searched.name, "--repeat", "--seeds", 2, *runs)
     assert done.code == 0, done.err
     assert "#01 seed 1: V=" in done.err
-    assert "noise floor: " in done.out
-    assert "expected of #01 on a new record" in done.out
+    assert "variance over seeds: " in done.out
+    assert "expected error of #01 on a new record" in done.out
     again = asia("validate", searched.name, "--repeat", "--seeds", 2, *runs)
     assert "nothing new to fit" in again.err
     assert again.out == done.out

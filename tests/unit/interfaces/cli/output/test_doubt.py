@@ -1,4 +1,4 @@
-"""What is said of a search whose model is no better than the mean of the data."""
+"""Messages about a search whose model is no better than the training mean."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What status and show repeat of an agent's own words."""
+"""Text of an agent in the output of status and show."""
 
 import json
 from dataclasses import replace

@@ -136,7 +136,7 @@ def test_the_linearised_frequency_response_is_that_of_the_linear_system() -> Non
     assert one.step[-1, 0] == pytest.approx(sum(B) / sum(A), abs=1e-9)
     check = check_responses([one], ["level"], 0.5)
     assert check.verdict is Verdict.SHOWN
-    assert "static gain 1.5 on level, slowest pole 0.65 ± 0.27" in check.sentence
+    assert "static gain 1.5 on level, slowest pole z = 0.65 ± 0.27" in check.sentence
 
 
 def test_the_same_response_by_python_control() -> None:
@@ -175,7 +175,7 @@ def test_a_record_outside_the_region(random: np.random.Generator) -> None:
     assert check_region(simulations(y, y, u), region).verdict is Verdict.PASS
     far = check_region(simulations(6 * y, y, 6 * u), region)
     assert far.verdict is Verdict.FAIL
-    assert "outside the region of the training records, first at " in far.sentence
+    assert "outside the region of validity, first at " in far.sentence
 
 
 def test_steps_ahead_against_the_last_output() -> None:
