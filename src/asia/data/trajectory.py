@@ -55,8 +55,8 @@ def _frozen(values: object, what: str, *, gaps: bool = False) -> Array:
     if wrong.any():
         bad = np.argwhere(wrong)[0]
         raise UserError(
-            f"{what}: missing or infinite value at sample {bad[0]}, channel {bad[1]}; "
-            "fill or cut the record there"
+            f"{what}: the value at sample {bad[0] + 1}, channel {bad[1] + 1} is "
+            f"{'infinite' if gaps else 'missing or infinite'}: fill or cut the record there"
         )
     array.flags.writeable = False
     return array

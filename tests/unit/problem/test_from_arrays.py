@@ -158,7 +158,7 @@ def test_a_directory_with_other_files_is_not_changed(tmp_path: Path) -> None:
         ({"test_y": None}, "1 arrays of inputs, but 0 of outputs to test"),
         ({"u": np.zeros((2, 60, 1))}, "list of arrays for several records"),
         ({"u": np.zeros((90, 1))}, "both need the same length"),
-        ({"u": np.full((120, 1), np.inf)}, "the value at sample 0, channel 0 is infinite"),
+        ({"u": np.full((120, 1), np.inf)}, "the value at sample 1, channel 1 is infinite"),
         ({"u": np.array(["a"] * 120)}, "do not read as numbers"),
         ({"inputs": ["a", "b"]}, "1 channels, but 2 are named"),
         ({"inputs": ["y"]}, "signal 'y' is named 2 times"),
