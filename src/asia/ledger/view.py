@@ -404,7 +404,7 @@ def _continued(view: SearchView) -> SearchView:
 def beats(score: Score, view: SearchView) -> bool:
     """Return whether a score is a new best.
 
-    It must be below V of the incumbent. With the Ladder it must be below the reported V by more
+    It must be below the lowest V so far. With the Ladder it must be below the reported V by more
     than the step, and better over the parts by three standard errors.
     """
     best = view.best.score if view.best else None

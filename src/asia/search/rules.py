@@ -1,4 +1,4 @@
-"""Phases, stop rules, keep or discard."""
+"""Phases and stop rules; keep or discard in a search without retests."""
 
 from __future__ import annotations
 

@@ -21,7 +21,9 @@ def export(
     run: RunName = None,
     to: Annotated[
         list[str] | None,
-        typer.Option(help="Target, repeatable: numpy, c, onnx, fmu, casadi, control, matlab."),
+        typer.Option(
+            help="Target, repeatable, such as c or onnx; an unknown name prints all targets."
+        ),
     ] = None,
     model: Annotated[
         str | None,
