@@ -22,7 +22,7 @@ def export(
     to: Annotated[
         list[str] | None,
         typer.Option(
-            help="Target, repeatable, such as c or onnx; an unknown name prints all targets."
+            help="Target, repeatable, such as c or onnx; a wrong name prints them all."
         ),
     ] = None,
     model: Annotated[
