@@ -103,8 +103,8 @@ def _part(
         if np.isinf(values).any():
             row, column = (int(k) for k in np.argwhere(np.isinf(values))[0])
             raise UserError(
-                f"{what} of record '{name}': the value at sample {row + 1}, channel {column + 1} is "
-                "infinite: write NaN where nothing was measured"
+                f"{what} of record '{name}': the value at sample {row + 1}, channel {column + 1} "
+                "is infinite: write NaN where nothing was measured"
             )
     own = [found for v in (u, y) if (found := _time_index(v, where)) is not None]
     if len(own) == 2:
