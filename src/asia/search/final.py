@@ -264,7 +264,8 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
     if stack is not None and stack.value < STACK_GAIN * value:
         return ModelToUse(
             "stack",
-            f"Its V by nested cross-validation, {error_value(stack.value)}, is clearly below the "
+            f"The V of the stack by nested cross-validation, {error_value(stack.value)}, is "
+            "clearly below the "
             f"winner's, {error_value(value)}.",
         )
     if evidence.detail or check is None:
@@ -273,7 +274,7 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
     kept = check.starts[(check.kept or 0) - 1]
     errors = f"{number(kept.error)}, that of the ensemble {number(check.ensemble_error)}"
     if is_worthy(check):
-        text = f"Its error on all training records is {errors}."
+        text = f"The error of the refit on all training records is {errors}."
         return ModelToUse("refit", text)
     if is_as_good(check):
         text = f"{number(kept.disagreement)} against {number(check.fold_disagreement)}"

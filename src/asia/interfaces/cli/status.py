@@ -171,7 +171,7 @@ def _print_status(directory: Path, found: Brief) -> None:
             f"confirm {verdict(view.confirmed)}; variance over seeds: {noise_words(view.confirmed)}"
         )
     for validation in view.validated:
-        say(f"valid   {validation_summary(validation)}")
+        say(f"checks  {validation_summary(validation)}")
     for line in view.failed_checks:
         say(f"note    {line}")
     if view.unsealed is not None:

@@ -396,7 +396,7 @@ def _comparison_table(subjects: Sequence[Subject]) -> Html:
         ("seed", lambda s: s.number(s.view.started, "seed", "text")),
         ("isolation", lambda s: said(s.view.started.isolation_words)),
         ("experiments", lambda s: s.over("evaluated", "experiment", "count", "count")),
-        ("time of all experiments", lambda s: s.over("evaluated", "seconds", "sum", "duration")),
+        ("evaluation time", lambda s: s.over("evaluated", "seconds", "sum", "duration")),
         ("V, the best", best),
         *((f"V, {name}", partial(reference, name=name)) for name in references),
         ("error on the sealed test", tested),
@@ -543,7 +543,7 @@ def now_panel(snapshot: Snapshot) -> Html:
         ("state", state_mark(snapshot.run.state, paused=snapshot.paused)),
         ("experiments", join((done, budget))),
         (f"{view.v_name}, the best", subject.v(best) if best is not None else None),
-        ("time of all experiments", subject.over("evaluated", "seconds", "sum", "duration")),
+        ("evaluation time", subject.over("evaluated", "seconds", "sum", "duration")),
         ("being evaluated", doing),
     ]
     shown = [

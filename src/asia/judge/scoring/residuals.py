@@ -318,7 +318,7 @@ class SignedResidual:
                 else:
                     where = f"{name} {self.low:g} to {self.high:g}{unit}"
         apart = self.kind in (PartKind.TIME, PartKind.START, PartKind.ALL)
-        whose = "the model" if name == own and not apart else own
+        whose = "the model" if name == own and not apart else f"the simulated {own}"
         return f"{where}: {whose} is too {'low' if self.mean > 0 else 'high'} by {self.size}"
 
     @property

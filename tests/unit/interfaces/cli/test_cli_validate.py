@@ -61,7 +61,7 @@ def test_a_line_a_check_and_a_summary_at_the_end(run: Path, asia: Asia) -> None:
     assert [one.name for one in event.checks] == [
         line.split(":")[0].partition(" ")[2].strip() for line in lines
     ]
-    assert f"valid   {summary}" in asia("status", run).out
+    assert f"checks  {summary}" in asia("status", run).out
     assert verify(run).records == len(open_run(run).lines)
 
 

@@ -84,7 +84,9 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert evidence["folds"][0]["errors"]["y"] == pytest.approx(answer["folds"][0])
     assert evidence["noise"] is None
     again = asia("try", "-m", "the same again", "--dir", folder / "data")
-    assert again.out.startswith("not judged again: comments apart, this is the source of #02.")
+    assert again.out.startswith(
+        "not evaluated again: the source equals that of #02, apart from comments."
+    )
     assert "2 of 4 experiments left" in again.out
     (folder / "candidate.py").write_text(lasting(CRASH))
     dry = asia("try", "--dry-run", "--dir", folder)
@@ -117,7 +119,7 @@ def test_three_ideas_from_a_shell(tmp_path: Path, asia: Asia) -> None:
     assert "the candidate was not evaluated: the budget of 4 experiments is spent" in spent.err
     (folder / "candidate.py").write_text(arx(3))
     known = asia("try", "-m", "as before", "--dir", folder)
-    assert (known.code, known.out.count("not judged again")) == (0, 1)
+    assert (known.code, known.out.count("not evaluated again")) == (0, 1)
     (folder / "candidate.py").write_text(arx(4))
     # The same command with more raises the budget and keeps the candidate.
     assert asia("agent", "workspace", problem, folder, "--experiments", 5, "--runs", runs).code == 0

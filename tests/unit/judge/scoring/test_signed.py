@@ -139,7 +139,7 @@ def test_the_mean_over_all_samples_is_one_of_the_parts() -> None:
     )
     assert whole.mean == pytest.approx(-0.5, abs=0.01)
     assert whole.words(INPUTS, OUTPUTS).startswith(
-        "mean over all samples: level is too high by 0.5"
+        "mean over all samples: the simulated level is too high by 0.5"
     )
 
 

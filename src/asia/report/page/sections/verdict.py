@@ -213,9 +213,7 @@ def _tiles(subject: Subject, best: Experiment) -> Html:
     if paths:
         tiles.append(("lowest fit index", subject.made("least", "percent", *paths)))
     tiles.append(("experiments", subject.over("evaluated", "experiment", "count", "count")))
-    tiles.append(
-        ("time of all experiments", subject.over("evaluated", "seconds", "sum", "duration"))
-    )
+    tiles.append(("evaluation time", subject.over("evaluated", "seconds", "sum", "duration")))
     shown = [tag("div", tag("dt", label), tag("dd", value)) for label, value in tiles]
     return tag("dl", *shown, class_="tiles")
 
