@@ -49,7 +49,7 @@ def test_v_carries_both_marks(tmp_path: Path) -> None:
     found = asia.run(
         problem, agent=agent, runs=runs, experiments=1, early_stopping="validation"
     ).view
-    assert found.metric == "V (validation early stopping, held-out residuals shown)"
+    assert found.v_name == "V (validation early stopping, held-out residuals shown)"
 
 
 @pytest.mark.slow
