@@ -126,7 +126,9 @@ def test_a_wrong_initial_state_is_said_of_the_start_and_of_no_range() -> None:
     found = signed_residuals([u], [truth + wrong + noise(2, 1000)], [truth], truth.std(axis=0))
     start = next(one for one in found if one.kind is PartKind.START)
     assert start.mean > 1.5
-    assert start.words(INPUTS, OUTPUTS).startswith("start, the first 5 % of a simulation: level is")
+    assert start.words(INPUTS, OUTPUTS).startswith(
+        "start, the first 5 % of a simulation: the simulated level is"
+    )
     assert all(abs(one.mean) < 0.2 for one in found if one.kind is PartKind.INPUT)
 
 
