@@ -25,7 +25,7 @@ from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Event, Landed, Started, TestedModel, Unsealed, Use
 from asia.ledger.verification import check_lock
 from asia.problem.load import load_lock
-from asia.problem.metrics import MEE
+from asia.problem.metrics import MEE, find_metric
 from asia.problem.problem import Problem
 from asia.problem.protocol import Block, Fold, make_folds, whole
 from asia.problem.seal import open_test
@@ -98,7 +98,8 @@ class ScoreCheck:
         match event:
             case Evaluated(outcome=Score() as score) | Landed(outcome=Score() as score):
                 here = f"{where}: experiment {event.experiment}"
-                _check_same(here, "", _named(score), _named(self._score(here, event)))
+                again, metric = self._score(here, event), self.problem.protocol.metric
+                _check_same(here, "", _named(score), _named(again), _slack(metric))
                 self.experiments += isinstance(event, Evaluated)
             case Unsealed():
                 self._check_test(where, event, self.problem)
@@ -159,7 +160,8 @@ class ScoreCheck:
                 }
                 for scores, table in ((model.scores, model.mee), again)
             )
-            _check_same(where, "", recorded, now)
+            slack = max((_slack(s.metric) for s in model.scores), default=0.0)
+            _check_same(where, "", recorded, now, slack)
             self.tested += 1
 
 
@@ -168,7 +170,12 @@ def _named(outcome: Outcome) -> dict[str, Any]:
     return {"V": outcome.value, "V of fold": tuple(map(asdict, outcome.folds))}
 
 
-def _check_same(where: str, name: str, recorded: Any, again: Any) -> None:
+def _slack(metric: str) -> float:
+    """Rounding error of a metric that is a difference from its best value, as a fit index."""
+    return 1e-10 if find_metric(metric).direction == "higher" else 0.0
+
+
+def _check_same(where: str, name: str, recorded: Any, again: Any, slack: float) -> None:
     """Compare two results number by number. Raises UserError that names the first difference."""
     if isinstance(recorded, dict) and isinstance(again, dict):
         one, now = cast("dict[str, Any]", recorded), cast("dict[str, Any]", again)
@@ -176,17 +183,17 @@ def _check_same(where: str, name: str, recorded: Any, again: Any) -> None:
             raise UserError(f"{where}: the ledger has {', '.join(one)}, expected {', '.join(now)}")
         for key, value in one.items():
             inner = name if key == "value" else f"{name} {key}".strip()
-            _check_same(where, inner, value, now[key])
+            _check_same(where, inner, value, now[key], slack)
         return
     if isinstance(recorded, tuple) and isinstance(again, tuple) and len(recorded) == len(again):
         for k, pair in enumerate(zip(recorded, again, strict=True), 1):
-            _check_same(where, f"{name} {k}", *pair)
+            _check_same(where, f"{name} {k}", *pair, slack)
         return
     same = recorded == again
     if isinstance(recorded, float) and isinstance(again, float):
-        # Another processor may round differently. Fit index and R^2 are differences.
-        differences = "fit_index" in name or "r2" in name
-        same = math.isclose(recorded, again, rel_tol=1e-12, abs_tol=1e-10 * differences)
+        # Another processor may round differently.
+        slack = 1e-10 if "fit_index" in name or "r2" in name else slack
+        same = math.isclose(recorded, again, rel_tol=1e-12, abs_tol=slack)
     if not same:
         raise UserError(
             f"{where}: {name} is {recorded!r} in the ledger, but {again!r} recomputed from its "
