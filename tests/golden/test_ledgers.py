@@ -13,6 +13,7 @@ from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search
+from asia.search.scores import ScoreCheck
 from asia.search.unsealing import unseal
 from tests.golden.make_ledgers import AGENT, recorded
 from tests.unit.interfaces.cli.conftest import command_line
@@ -53,6 +54,17 @@ def test_a_golden_ledger_verifies_and_is_read_as_it_was_recorded(run: Path) -> N
     assert found.records == expected["records"]
     assert (found.torn > 0) == (run.name == "interrupted")
     assert brief(run).view.best == open_run(run).view.best
+
+
+@pytest.mark.parametrize("version", VERSIONS, indirect=True, ids=lambda v: v.name)
+def test_golden_scores_are_those_of_their_simulations(version: Path) -> None:
+    problem = load_problem(version / "problem")
+    for run in sorted((version / "runs").iterdir()):
+        check = ScoreCheck(run, problem)
+        verify(run, check=check)
+        assert check.experiments == sum(e.score is not None for e in open_run(run).view.finished)
+        assert check.tested == (2 if run.name == "unsealed" else 0)
+        assert check.test_not_compared == ""
 
 
 @pytest.mark.parametrize("run", RUNS, indirect=True)

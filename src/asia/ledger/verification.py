@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,9 +39,22 @@ class Verified:
     torn: int = 0
 
 
-def verify(directory: Path, *, ledger_alone: bool = False) -> Verified:
-    """Raises UserError that names the first record or artifact that does not hold. ledger_alone:
-    for a run that was handed on without its artifacts, none of which is looked at."""
+def verify(
+    directory: Path,
+    *,
+    ledger_alone: bool = False,
+    check: Callable[[str, Event], None] | None = None,
+) -> Verified:
+    """Check the chain, the order of the events, the artifacts and the lock of a run.
+
+    Args:
+        ledger_alone: for a run that was handed on without its artifacts, none of which is read
+        check: further check of each event, called with its place; see
+            `asia.search.scores.ScoreCheck`
+
+    Raises:
+        UserError: that names the first record or artifact that does not hold
+    """
     ledger, place = ledger_of(directory), BEGIN
     # `Replay` checks the same, but takes longer because it keeps all records.
     started: Started | None = None
@@ -81,6 +94,8 @@ def verify(directory: Path, *, ledger_alone: bool = False) -> Verified:
                         pass
                 for digest in () if ledger_alone else _artifacts(event):
                     artifacts.add(digest, record)
+                if check is not None:
+                    check(where, event)
         except UserError:
             # An error in an earlier record is reported first.
             artifacts.check()

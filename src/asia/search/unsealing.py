@@ -15,7 +15,7 @@ from asia.errors import CandidateError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import mean_simulation
 from asia.judge.sandbox.levels import LEVELS
-from asia.judge.scoring.outcome import Failure, mee_table, score_test
+from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import TestBands, TestedModel, Unsealed, Unsealing, Use
@@ -24,11 +24,11 @@ from asia.ledger.run import model_to_use, open_run
 from asia.ledger.verification import check_lock, verify
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_lock
-from asia.problem.metrics import MEE
 from asia.problem.problem import Problem
 from asia.problem.protocol import Block, whole
 from asia.problem.seal import check_openable, open_test
 from asia.search.run import LOCK, make_evaluator
+from asia.search.scores import ScoreCheck, by_record, score_sealed
 from asia.search.simulation import (
     BAND_LEVEL,
     FinalMember,
@@ -95,8 +95,8 @@ def unseal(
                 f"{CONSENT.format(run=run)}; to open the test nevertheless, give --yes-process "
                 "(in Python: process_consent=True); the ledger records it"
             )
-        verify(directory)
         problem = load_lock(directory / LOCK)
+        verify(directory, check=ScoreCheck(directory, problem))
         check_openable(problem, keys)
         before = _openers(directory, digest)
         if view.unsealing is None:
@@ -143,7 +143,7 @@ def _score(
     store = Store(directory / "artifacts")
     blocks = whole(records, problem.protocol)
     scorer = _TestScorer(make_evaluator(problem, view), store, blocks, problem)
-    measured = _by_record([b.y for b in blocks], blocks)
+    measured = by_record([b.y for b in blocks], blocks)
     bands: TestBands | None = None
     failed: list[str] = []
     with scorer.evaluator.workers.ready_workers():
@@ -171,13 +171,6 @@ def _score(
     )
 
 
-def _by_record(parts: Sequence[Array], blocks: Sequence[Block]) -> tuple[Array, ...]:
-    """The parts of each test record, one for each block, one below the other."""
-    records = dict.fromkeys(block.record for block in blocks)
-    pairs = list(zip(parts, blocks, strict=True))
-    return tuple(np.concatenate([p for p, block in pairs if block.record == r]) for r in records)
-
-
 @dataclass(frozen=True)
 class _TestScorer:
     evaluator: Evaluator
@@ -197,16 +190,10 @@ class _TestScorer:
                 return answers
             y_hat = mean_simulation(answers)
             total = [t + member.weight * one for t, one in zip(total, y_hat, strict=True)]
-        rule, y = self.problem.protocol.test, [b.y for b in self.blocks]
-        measured, simulated = (_by_record(parts, self.blocks) for parts in (y, total))
+        y = [b.y for b in self.blocks]
+        measured, simulated = (by_record(parts, self.blocks) for parts in (y, total))
         try:
-            scores = tuple(
-                score_test(measured, simulated, m, rule.skip) for m in rule.metrics if m != MEE
-            )
-            mee = None
-            if MEE in rule.metrics:
-                names = [s.name for s in self.problem.outputs]
-                mee = mee_table(y, tuple(total), names, rule.groups, rule.horizons)
+            scores, mee = score_sealed(self.problem, measured, simulated)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
         return TestedModel(scores, self.store.put_arrays(simulated), mee)
@@ -229,7 +216,7 @@ class _TestScorer:
             highs.append(found.upper)
             outsides.append(out[:, None].astype(np.float64))
         y, lower, upper, outside = (
-            _by_record(parts, self.blocks)
+            by_record(parts, self.blocks)
             for parts in ([b.y for b in self.blocks], lows, highs, outsides)
         )
         skip = self.problem.protocol.test.skip

@@ -31,6 +31,7 @@ from asia.judge.evaluation.references import LINEAR, LINEAR_REFERENCE
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.outcome import Score
 from asia.ledger.run import Run, open_run
+from asia.ledger.verification import verify
 from asia.problem.check import check_problem
 from asia.problem.load import load_problem
 from asia.problem.seal import seal
@@ -38,6 +39,7 @@ from asia.report import draw_cases, draw_problem, write_figures, write_page, wri
 from asia.search.agent_views import agent_view, problem_facts
 from asia.search.dry_runs import dry_run
 from asia.search.run import prepare, search
+from asia.search.scores import ScoreCheck
 from asia.search.simulation import simulated_excerpts
 
 from .toy import Scripted, arx, write_problem
@@ -215,6 +217,9 @@ def test_the_test_is_opened(searched: Searched) -> None:
     assert opened.failed_checks == ()
     assert opened.bands is not None
     assert 0.0 < opened.bands.covered[0] <= 1.0
+    check = ScoreCheck(copy)
+    verify(copy, check=check)
+    assert (check.experiments > 0, check.tested > 0, check.test_not_compared) == (True, True, "")
     assert not re.search(r"check [^<]* failed:", write_page(copy).read_text())
 
 

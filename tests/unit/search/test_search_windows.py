@@ -14,6 +14,7 @@ from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search
+from asia.search.scores import ScoreCheck
 from asia.search.simulation import simulate
 from asia.search.unsealing import unseal
 from tests.unit.interfaces.cli.conftest import command_line
@@ -103,7 +104,9 @@ def measured(run: Path) -> list[np.ndarray]:
 @pytest.mark.slow
 def test_unsealing_gives_the_table(run: Path) -> None:
     record = unseal(run, process_consent=True).record
-    verify(run)
+    check = ScoreCheck(run)
+    verify(run, check=check)
+    assert (check.experiments, check.tested) == (1, 2)
     assert (record.horizon, record.skip, record.lengths) == (10, 0, (50, 30))
     assert record.trajectories == ("t1", "t2")
     for model in (record.ensemble, record.refit):

@@ -42,13 +42,15 @@ def verify(
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
-    """Check the hash chain of the ledger and every artifact that it names.
+    """Check the hash chain of the ledger, every artifact that it names, and V.
 
-    Keep a copy of the head, the hash of the last line: only the head shows whether lines at the end
-    were removed. --replay does not evaluate experiments that the deadline affected. Exit code 1:
-    an outcome differs.
+    V and the test errors are recomputed from the stored simulations, if the data of the problem are
+    still there. Keep a copy of the head, the hash of the last line: only the head shows whether
+    lines at the end were removed. --replay does not evaluate experiments that the deadline
+    affected. Exit code 1: an outcome differs.
     """
-    from asia.ledger.verification import verify as check
+    from asia.ledger.verification import verify as verify_run
+    from asia.search.scores import ScoreCheck
 
     if from_scratch and not replay:
         raise UserError("--from-scratch belongs to --replay: add --replay or leave it out")
@@ -57,15 +59,27 @@ def verify(
         _replay(directory, tolerance if from_scratch else 0.0, json=json)
         return
     alone = not Store(directory / "artifacts").kept
-    found = check(directory, ledger_alone=alone)
+    scores = ScoreCheck(directory)
+    found = verify_run(directory, ledger_alone=alone, check=None if alone else scores)
+    reason = "the simulations are not in this folder" if alone else scores.not_recomputed
     if json:
-        say(jsonlib.dumps({"run": directory.name, "ledger_alone": alone, **asdict(found)}))
+        counts = {"experiments": scores.experiments, "tested": scores.tested}
+        recomputed = {**counts, "reason": reason, "test_reason": scores.test_not_compared}
+        result = {"run": directory.name, "ledger_alone": alone, **asdict(found)}
+        say(jsonlib.dumps({**result, "recomputed": recomputed}))
         return
     if alone:
         say(f"{directory.name}: {found.records} events verify")
         say("no artifacts checked: sources, models and simulations are not in this folder")
     else:
         say(f"{directory.name}: {found.records} events and {found.artifacts} artifacts verify")
+    if reason:
+        say(f"V not recomputed: {reason}")
+    else:
+        tests = f", test errors of {scores.tested} models" if scores.tested else ""
+        say(f"recomputed from the simulations: V of {scores.experiments} experiments{tests}")
+    if scores.test_not_compared:
+        say(f"test outputs not compared with the test data: {scores.test_not_compared}")
     say(f"head {found.head}")
     if found.torn:
         say(f"the last line is incomplete: its {found.torn} bytes were ignored")

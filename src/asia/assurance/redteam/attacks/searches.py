@@ -25,6 +25,7 @@ from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.problem.protocol import make_folds
 from asia.search.run import prepare, search
+from asia.search.scores import ScoreCheck
 
 LUCKY = """
 import os
@@ -178,16 +179,17 @@ _EDITS: dict[str, Callable[[Path], None]] = {
 def _edit_the_ledger(scene: Scene) -> SearchAttackResult:
     assert scene.view.complete
     head = verify(scene.folder / "run").head
-    by_chain, by_head, missed = 0, 0, list[str]()
+    refused, by_head, missed = 0, 0, list[str]()
     for name, edit in _EDITS.items():
         try:
-            found = verify(scene.edited(edit)).head
+            copy = scene.edited(edit)
+            found = verify(copy, check=ScoreCheck(copy)).head
         except UserError:
-            by_chain += 1
+            refused += 1
         else:
             by_head += found != head
             missed += [name] if found == head else []
-    words = f"{by_chain} of {len(_EDITS)} edits break the chain, {by_head} change its printed head"
+    words = f"{refused} of {len(_EDITS)} edits are refused, {by_head} change the printed head"
     return SearchAttackResult(bool(missed), (Barrier.LEDGER,), ", ".join(missed) or words)
 
 
