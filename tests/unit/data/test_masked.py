@@ -42,7 +42,7 @@ def test_a_gap_is_a_straight_line_and_known_as_a_gap() -> None:
     assert np.array_equal(r.measured_y[:, 0], [NAN, 1.0, NAN, NAN, 4.0, NAN], equal_nan=True)
     with pytest.raises(UserError, match="output 1 was never measured"):
         record([NAN, NAN])
-    with pytest.raises(UserError, match="infinite value at sample 1"):
+    with pytest.raises(UserError, match="the value at sample 2, channel 1 is infinite"):
         record([0.0, np.inf])
 
 
