@@ -82,7 +82,9 @@ def test_a_killed_search_is_taken_up_again_where_it_was(place: Place) -> None:
 def test_nobody_there_ends_it_and_leaves_the_run_as_it_is(tmp_path: Path) -> None:
     place = ordered(tmp_path)
     serve(place.directory, idle_seconds=0.0)
-    run = open_run(place.directory)
+    # A worker that is just being started holds the lock until it has become its own program.
+    while (run := open_run(place.directory)).state == "running":
+        time.sleep(0.02)
     assert run.state == "interrupted"
     assert run.view.stopped is None
     assert len(run.view.finished) == 1
