@@ -20,6 +20,7 @@ from asia.interfaces.workspace.process import SearchRequest, start_search
 from asia.interfaces.workspace.program import Confinement, models_page, program
 from asia.interfaces.workspace.server import RunDesk, SocketDesk
 from asia.judge.evaluation.references import LINEAR
+from asia.judge.sandbox.types import Isolation
 from asia.ledger.artifacts import Store
 from asia.ledger.exports import journal, results_table
 from asia.ledger.run import open_run
@@ -214,7 +215,8 @@ class Workspace:
                 "the program that asia agent workspace --jail starts, or make another workspace "
                 "with another --name"
             )
-        return RunDesk(run, start_search)
+        asked = None if request is None or request.isolation is None else request.isolation
+        return RunDesk(run, start_search, None if asked is None else Isolation(asked))
 
     def draw(self, experiment: int, cases: SimulatedCases) -> tuple[str, ...]:
         """Pictures of an experiment in `plots/`; the names of the files. Raises UserError."""
