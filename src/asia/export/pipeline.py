@@ -12,6 +12,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from asia._files import write_file
 from asia.data.preprocess import Preprocess
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
@@ -476,8 +477,7 @@ def _range(values: Array) -> Array:
 
 
 def _put(folder: Path, files: dict[str, bytes]) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write files; a link in place of the folder or of anything below it is not followed."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
     for name, data in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+        write_file(folder.parent.resolve(), f"{folder.name}/{name}", data)

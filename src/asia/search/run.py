@@ -36,6 +36,7 @@ from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain, write_whole
 from asia.ledger.events import RESUMABLE, Extended, Leg, Resumed, Started
 from asia.ledger.exports import write_exports
+from asia.ledger.folder import check_run_folder
 from asia.ledger.run import ERROR, keep_error
 from asia.ledger.verification import check_lock
 from asia.ledger.view import SearchView
@@ -190,6 +191,7 @@ def prepare(
         name += "" if rule.early_stopping == "inner" else "-validation"
         name += "" if rule.residuals == "train" else "-residuals"
     directory = runs / name
+    check_run_folder(directory)
     found = _probed(isolation)
     check_run_is_hidden(problem, directory, found.level)
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()

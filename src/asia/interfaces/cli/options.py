@@ -432,7 +432,8 @@ def run_directory(runs: Path, name: str | None, *, named: bool = False) -> Path:
     if place.run is None:
         raise UserError(
             f"{place.folder} is the folder of a coding agent, which does not see its run: read "
-            "results.tsv and search_journal.md there, or run the command outside this folder"
+            "results.tsv and search_journal.md there, or run the command outside this folder. If "
+            "you moved the folder, repeat asia agent workspace with its new place"
         )
     if name is not None:
         return find_run(place.run.parent, name)
