@@ -64,7 +64,8 @@ class Store:
         except OSError as error:
             if not self.kept:
                 raise UserError(without_artifacts(self._directory.parent)) from None
-            raise UserError(f"artifact {path} cannot be read: {error.strerror}") from None
+            how = "is missing" if isinstance(error, FileNotFoundError) else "cannot be read"
+            raise UserError(f"artifact {path} {how} ({error.strerror})") from None
         if hashlib.sha256(data).hexdigest() != digest:
             raise UserError(f"artifact {path} was changed after it was written")
         return data
