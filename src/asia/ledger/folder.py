@@ -31,7 +31,7 @@ class WorkspaceLink:
 
 def link_workspace(folder: Path, run: Path | None) -> None:
     """Record the run of a workspace outside it. Raises UserError."""
-    path = _link_path(folder)
+    path = link_path(folder)
     text = json.dumps({"folder": str(folder.resolve()), "run": None if run is None else str(run)})
     try:
         write_private(path, f"{text}\n".encode())
@@ -44,7 +44,7 @@ def link_workspace(folder: Path, run: Path | None) -> None:
 def linked_workspace(folder: Path) -> WorkspaceLink | None:
     """Return the link of this folder; None where this user has made no workspace there."""
     try:
-        data = read_private(_link_path(folder))
+        data = read_private(link_path(folder))
     except OSError:
         return None
     if data is None:
@@ -66,7 +66,8 @@ def workspace_around(path: Path) -> Path | None:
     return None
 
 
-def _link_path(folder: Path) -> Path:
+def link_path(folder: Path) -> Path:
+    """Return the file that records the run of a workspace."""
     # The owner counts: a folder that another user made at the same place is another one.
     return config_folder() / "workspaces" / name_of_place(folder, os.stat(folder).st_uid)
 
