@@ -1,5 +1,6 @@
 """Fixtures and settings of all tests."""
 
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -49,6 +50,22 @@ def quick_linear_rung() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_RUNG, (QUICK / "arx.py").read_text("utf-8"))
         patch.setenv("PYTHONPATH", str(QUICK), prepend=":")
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Links of workspaces, tokens and indexes are kept in folders of the tests, here and in the
+    processes that tests start. The fonts that matplotlib has found are shared."""
+    home = tmp_path_factory.mktemp("home")
+    (home / "cache").mkdir()
+    (home / "config").mkdir()
+    fonts = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "matplotlib"
+    fonts.mkdir(parents=True, exist_ok=True)
+    (home / "cache" / "matplotlib").symlink_to(fonts)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CONFIG_HOME", str(home / "config"))
+        patch.setenv("XDG_CACHE_HOME", str(home / "cache"))
         yield
 
 

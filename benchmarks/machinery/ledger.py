@@ -29,6 +29,7 @@ from asia.judge.scoring.outcome import Failure, FoldScore, Score
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.chain import BEGIN, Chain, encode
 from asia.ledger.events import Evaluated, Event, FoldEvidence, Proposed, RungScored, Started
+from asia.ledger.index import index_path
 from asia.ledger.verification import verify
 
 ASIA = str(Path(sys.executable).parent / "asia")
@@ -49,7 +50,7 @@ def main() -> None:
         f"{options.experiments} experiments of {options.folds} folds, {size / 1e6:.0f} MB, "
         f"{files.count} artifacts, written in {time.monotonic() - begin:.0f} s"
     )
-    index = directory / "index.sqlite"
+    index = index_path(directory)
     status = [ASIA, "status", NAME, "--runs", str(runs)]
     print(f"{'':<28}{'seconds':>9}{'processor':>11}")
     _measure("verify", lambda: verify(directory), options.repeats)

@@ -51,7 +51,7 @@ def main(root: Path) -> None:
     unseal(runs / "unsealed", process_consent=True)
     _steered(problem, runs)
     for directory in sorted(runs.iterdir()):
-        for generated in ("index.sqlite", "results.tsv", "search_journal.md", "control", "report"):
+        for generated in ("results.tsv", "search_journal.md", "control", "report"):
             path = directory / generated
             shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
         text = json.dumps(recorded(open_run(directory)), indent=1, ensure_ascii=False)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import cast
 
 from asia._plugins import load_target, parts_of
+from asia._text import one_line
 from asia.agents.bayes import BayesAgent
 from asia.agents.expert.agent import ExpertAgent
 from asia.agents.llm.agent import LlmAgent
@@ -104,7 +105,7 @@ def choose_agent(name: str, space: str | None = None) -> NamedAgent:
         return NamedAgent(AGENTS[full]())
     brought = {part.name: part for part in parts_of(GROUP)}
     if name in brought and name not in RESERVED:
-        return _called(brought[name].target)
+        return _called(brought[name].target, installed=True)
     if plans := asked_relay(name):
         runners: list[Runner] = []
         for plan in plans:
@@ -133,28 +134,42 @@ def make_agent(name: str, space: str | None = None) -> Agent:
     return choose_agent(name, space).agent
 
 
-def recorded_agent(name: str, settings: Mapping[str, str]) -> Agent | None:
-    """Return the agent of a ledger for a resumed search; None for an external proposer.
+def recorded_agent(
+    name: str, settings: Mapping[str, str], trusted: Collection[str] = ()
+) -> Agent | None:
+    """Return the agent that a ledger names, to replay it; None for an external proposer.
 
-    A language model answers from the ledger.
+    A language model answers from the ledger. Of the classes that a ledger names, only those of
+    installed packages are imported, because the ledger may come from somebody else.
+
+    Args:
+        trusted: classes, `module:Class`, that may be imported too, also from the current folder
 
     Raises:
-        UserError: when the class of the agent cannot be imported now
+        UserError: the class is not installed and not trusted, or cannot be imported now
     """
     if name == "llm":
         return LlmAgent(LlmSettings.from_record(settings), network=False)
     if _CLASS in settings and name not in RESERVED:
-        return _called(settings[_CLASS]).agent
+        target = settings[_CLASS]
+        installed = any(part.target == target for part in parts_of(GROUP))
+        if not installed and target not in trusted:
+            raise UserError(
+                f"the ledger names the agent class '{one_line(target, 200)}', which no installed "
+                "package brings: it was not imported; if you trust its code, give --trust-agent "
+                "with exactly this name"
+            )
+        return _called(target, installed=installed).agent
     make = AGENTS.get(name)
     return make() if make is not None else None
 
 
-def recorded_agents(started: Started) -> tuple[Agent | None, ...]:
+def recorded_agents(started: Started, trusted: Collection[str] = ()) -> tuple[Agent | None, ...]:
     """Return the recorded agents of every leg of a relay, as `recorded_agent`; the one agent of any
     other search."""
     if not started.legs:
-        return (recorded_agent(started.agent, started.agent_settings),)
-    return tuple(recorded_agent(leg.agent, leg.settings) for leg in started.legs)
+        return (recorded_agent(started.agent, started.agent_settings, trusted),)
+    return tuple(recorded_agent(leg.agent, leg.settings, trusted) for leg in started.legs)
 
 
 def reads_notes(started: Started) -> bool:
@@ -169,9 +184,12 @@ def packages_of(name: str) -> tuple[str, ...]:
     return next((row.packages for row in AGENT_ROWS if row.name == name), ())
 
 
-def _called(target: str) -> NamedAgent:
+def _called(target: str, *, installed: bool = False) -> NamedAgent:
+    """Import and make an agent. The current folder is searched first, unless the class is that of
+    an installed package."""
     what, here = f"--agent {target}", os.getcwd()
-    sys.path.insert(0, here)
+    if not installed:
+        sys.path.insert(0, here)
     try:
         make = load_target(target, what)
         if not callable(make):
@@ -184,7 +202,8 @@ def _called(target: str) -> NamedAgent:
                 f"{what}: calling it without arguments failed: {type(error).__name__}: {error}"
             ) from error
     finally:
-        sys.path.remove(here)
+        if not installed:
+            sys.path.remove(here)
     name = getattr(agent, "name", None)
     if not isinstance(name, str) or not callable(getattr(agent, "propose", None)):
         raise UserError(f"{what}: not an agent: expected a `name` and a method `propose(view)`")

@@ -18,6 +18,7 @@ from asia.candidate import source_digest
 from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.confirmation import Attribution, attribute, gain
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
@@ -205,13 +206,16 @@ class Variant:
         return source_digest(self.source)
 
 
-def ablate(directory: Path, on_fit: OnFit, *, seeds: int = 3) -> tuple[Ablated, bool]:
+def ablate(
+    directory: Path, on_fit: OnFit, *, seeds: int = 3, isolation: Isolation | None = None
+) -> tuple[Ablated, bool]:
     """Cross model and training of winner and baseline, and leave each change of the winner's
     lineage out; True where the ledger had no such result yet.
 
     Each fit is an event of the ledger: one that is there is not repeated, whether the command was
     killed or asks for more seeds now. on_fit: called after each fit with its event, the number of
-    fits that are done, and that of all there may be.
+    fits that are done, and that of all there may be. isolation: level of the candidates; None for
+    the strongest of this machine.
 
     Raises UserError when the search is not finished, is with ladder feedback, its winner is its
     baseline, or it came without its artifacts.
@@ -227,7 +231,7 @@ def ablate(directory: Path, on_fit: OnFit, *, seeds: int = 3) -> tuple[Ablated, 
                 "attribute"
             )
         problem = load_lock(directory / LOCK)
-        evaluator = make_evaluator(problem, view)
+        evaluator = make_evaluator(problem, view, isolation=isolation)
         store = Store(directory / "artifacts")
         found = _Ablation(chain, store, evaluator, seeds, on_fit).run(winner)
         if view.ablated == found:

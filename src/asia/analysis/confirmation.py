@@ -15,6 +15,7 @@ from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import derive_seed, same_simulations
+from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.confirmation import (
     Interval,
     RepeatedFits,
@@ -151,14 +152,20 @@ OnRepeat = Callable[[Repeated, int, int], None]
 
 
 def confirm(
-    directory: Path, on_repeat: OnRepeat, *, top: int = 3, seeds: int = 5
+    directory: Path,
+    on_repeat: OnRepeat,
+    *,
+    top: int = 3,
+    seeds: int = 5,
+    isolation: Isolation | None = None,
 ) -> tuple[Confirmed, bool]:
     """Repeat the fits of the `top` candidates with the lowest V, and rank them; True where the
     ledger had no such result yet.
 
     Each repeat is an event of the ledger: one that is there is not fitted again, whether the
     command was killed or asks for more seeds now. on_repeat: called after each fit with its event,
-    the number of fits that are done, and that of all there may be.
+    the number of fits that are done, and that of all there may be. isolation: level of the
+    candidates; None for the strongest of this machine.
 
     Raises UserError when the search is not finished, is with ladder feedback, has no candidate with
     a score, or came without its artifacts.
@@ -169,7 +176,7 @@ def confirm(
         chosen = scored(view)
         store = Store(directory / "artifacts")
         problem = load_lock(directory / LOCK)
-        evaluator = make_evaluator(problem, view)
+        evaluator = make_evaluator(problem, view, isolation=isolation)
         metric = problem.protocol.metric
         work = _Confirmation(chain, store, evaluator, metric, seeds, on_repeat)
         top = min(top, len(chosen))

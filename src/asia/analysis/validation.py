@@ -15,6 +15,7 @@ from asia.data.intake.sheet import Wanted
 from asia.data.trajectory import Array, Trajectory, data_digest, filled
 from asia.errors import CandidateError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.checks.check import Check, Verdict, most_serious, summary
 from asia.judge.scoring.checks.errors import (
     check_bands,
@@ -182,6 +183,7 @@ def validate(
     record: Path | None = None,
     progress: Callable[[str], None] = lambda text: None,
     reading: Wanted | None = None,
+    isolation: Isolation | None = None,
 ) -> ValidationReport:
     """Validate the model to use of a run.
 
@@ -193,6 +195,7 @@ def validate(
         record: new record; a file of several experiments is validated on all of them.
         progress: called with a description of the current step.
         reading: options for the record, in place of those of the problem.
+        isolation: level of the candidate; None for the strongest of this machine.
 
     Raises:
         UserError: the run has no scored model, hides its scores, or came without its artifacts, or
@@ -211,7 +214,7 @@ def validate(
     if not run.store.kept:
         raise UserError(without_artifacts(directory))
     problem = load_lock(directory / LOCK)
-    evaluator = make_evaluator(problem, run.view)
+    evaluator = make_evaluator(problem, run.view, isolation=isolation)
     work = _Validation(run, problem, evaluator, best, chosen.model, progress)
     new = () if record is None else read_records(problem, record, reading)
     checks = work.new_records(new) if new else work.held_out()

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
 
-from asia._files import sync_folder
+from asia._files import config_folder, sync_folder
 from asia.errors import UserError
 
 if TYPE_CHECKING:
@@ -84,9 +84,7 @@ def key_folder(given: Path | None = None) -> Path:
     named = os.environ.get(KEYS_VARIABLE)
     if named:
         return Path(named).absolute()
-    config = os.environ.get("XDG_CONFIG_HOME", "")
-    home = Path(config) if os.path.isabs(config) else Path.home() / ".config"
-    return home / "asia" / "keys"
+    return config_folder() / "keys"
 
 
 def new_key(folder: Path) -> str:

@@ -12,6 +12,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from asia._files import write_file
 from asia.data.preprocess import Preprocess
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
@@ -20,6 +21,7 @@ from asia.export.parity import ParityRow, parity_row
 from asia.export.registry import find_target
 from asia.export.target import Target
 from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Use
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.lowering.program import Builder, LoweredModel, Program
@@ -295,7 +297,12 @@ class Ready:
 
 
 def export(
-    directory: Path | str, targets: Sequence[str], model: str | None = None, out: Path | None = None
+    directory: Path | str,
+    targets: Sequence[str],
+    model: str | None = None,
+    out: Path | None = None,
+    *,
+    isolation: Isolation | None = None,
 ) -> list[Exported]:
     """Print a model of a finished run for each target and compare it with ASIA's own simulation.
 
@@ -305,6 +312,7 @@ def export(
         model: `ensemble`, `refit`, `stack`, or the number of an experiment, whose fold models are
             averaged; None for the model that the search recommends.
         out: folder that receives a folder for each target; None for `export` in the run.
+        isolation: level of the candidate; None for the strongest of this machine.
 
     Raises:
         UserError: for an unknown target, a model that cannot be exported, and files that differ
@@ -312,7 +320,7 @@ def export(
     """
     chosen = [find_target(name) for name in dict.fromkeys(targets)]
     run = open_run(Path(directory))
-    ready = lowered_run(run, model)
+    ready = lowered_run(run, model, isolation)
     folder = run.directory / "export" if out is None else out
     return [write(one, ready, folder / one.name) for one in chosen]
 
@@ -359,8 +367,8 @@ def write(one: Target, ready: Ready, folder: Path) -> Exported:
     return Exported(one.name, folder, tuple(folder / name for name in files), tuple(parity))
 
 
-def lowered_run(run: Run, model: str | None) -> Ready:
-    """Lower the model of a run.
+def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None) -> Ready:
+    """Lower the model of a run. isolation: as in `export`.
 
     Raises:
         UserError: if it cannot be lowered.
@@ -369,7 +377,7 @@ def lowered_run(run: Run, model: str | None) -> Ready:
     problem = load_lock(run.directory / LOCK)
     done, inputs, outputs = problem.preprocess, problem.channels.inputs, problem.channels.outputs
     kept_delays(done, inputs)
-    evaluator = make_evaluator(problem, run.view)
+    evaluator = make_evaluator(problem, run.view, isolation=isolation)
     parts: list[tuple[float, LoweredModel]] = []
     for member in members:
         models = [run.store.get(one) for one in member.models]
@@ -403,7 +411,7 @@ def lowered_run(run: Run, model: str | None) -> Ready:
             input_range=_range(physical(u, done, inputs)),
             output_range=_range(physical(y, done, outputs)),
             example=windows[0].first(_EXAMPLE),
-            bands=() if named is None else _bands(run, named, windows[0], done.decimate),
+            bands=() if named is None else _bands(run, named, windows[0], done.decimate, isolation),
             notes=notes,
         ),
         tuple(windows),
@@ -452,12 +460,14 @@ def _windows(
     ]
 
 
-def _bands(run: Run, use: Use, first: TrainingWindow, every: int) -> tuple[Band, ...]:
+def _bands(
+    run: Run, use: Use, first: TrainingWindow, every: int, isolation: Isolation | None
+) -> tuple[Band, ...]:
     """Mean half width of the output bands on a window, inside the region of validity."""
     past_u, past_y, u = (
         np.repeat(side, every, axis=0) for side in (first.past_u, first.past_y, first.u)
     )
-    found = simulate(run.directory, past_u, past_y, u, use, bands=_LEVEL)
+    found = simulate(run.directory, past_u, past_y, u, use, bands=_LEVEL, isolation=isolation)
     inside = ~found.outside if not found.outside.all() else np.ones_like(found.outside)
     return (Band(_LEVEL, 0.5 * (found.upper - found.lower)[inside].mean(axis=0)),)
 
@@ -467,8 +477,7 @@ def _range(values: Array) -> Array:
 
 
 def _put(folder: Path, files: dict[str, bytes]) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write files; a link in place of the folder or of anything below it is not followed."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
     for name, data in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+        write_file(folder.parent.resolve(), f"{folder.name}/{name}", data)

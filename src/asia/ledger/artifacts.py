@@ -13,9 +13,13 @@ from typing import Self
 
 import numpy as np
 
+from asia._files import open_ordinary
 from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.ledger.chain import write_whole, writing
+
+MOST_BYTES = 1 << 30
+"""Largest artifact that is read."""
 
 
 def without_artifacts(directory: Path) -> str:
@@ -60,14 +64,18 @@ class Store:
         except OSError as error:
             if not self.kept:
                 raise UserError(without_artifacts(self._directory.parent)) from None
-            raise UserError(f"artifact {path} is missing ({error.strerror})") from None
+            how = "is missing" if isinstance(error, FileNotFoundError) else "cannot be read"
+            raise UserError(f"artifact {path} {how} ({error.strerror})") from None
         if hashlib.sha256(data).hexdigest() != digest:
             raise UserError(f"artifact {path} was changed after it was written")
         return data
 
     def text(self, digest: str) -> str:
-        """A source or a printed output."""
-        return self.get(digest).decode()
+        """A source or a printed output. Raises UserError as `get`, and for other bytes."""
+        try:
+            return self.get(digest).decode()
+        except UnicodeDecodeError:
+            raise UserError(f"artifact {digest} is not text") from None
 
     def put_arrays(self, arrays: Sequence[Array]) -> str:
         """Raw little-endian float64, one array after the other."""
@@ -88,7 +96,7 @@ class Store:
 def _read(path: str) -> bytes:
     """Read a file in half the time of `Path.read_bytes`: a long search has a million small ones."""
     most = 64 * 1024
-    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    fd = open_ordinary(path, MOST_BYTES)
     try:
         parts = [os.read(fd, most)]
         while len(parts[-1]) == most:
@@ -105,10 +113,14 @@ def _read(path: str) -> bytes:
 _BATCH = 512
 # Reads names on stdin; ends with 1 at the first file whose sha256 is not its name, or that is gone.
 _HELPER = """
-import hashlib, os, sys
+import hashlib, os, stat, sys
 os.chdir(sys.argv[1])
 for line in sys.stdin:
-    fd = os.open(line[:-1], os.O_RDONLY)
+    if not stat.S_ISREG(os.lstat(line[:-1]).st_mode):
+        sys.exit(1)
+    fd = os.open(line[:-1], os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    if os.fstat(fd).st_size > int(sys.argv[2]):
+        sys.exit(1)
     part = os.read(fd, 65536)
     digest = hashlib.sha256(part)
     while len(part) == 65536:
@@ -153,7 +165,10 @@ class Artifacts:
             # The pipe is large enough that no helper idles while the reader waits for another.
             self._helpers = [
                 subprocess.Popen(
-                    [sys.executable, "-I", "-S", "-c", _HELPER, str(self._directory)],
+                    [
+                        sys.executable, "-I", "-S", "-c", _HELPER, str(self._directory),
+                        str(MOST_BYTES),
+                    ],
                     stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, pipesize=1 << 20,
                 )
                 for _ in range(os.cpu_count() or 1)

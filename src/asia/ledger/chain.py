@@ -19,9 +19,10 @@ from typing import Any, Self
 
 from pydantic import ValidationError
 
-from asia._files import sync_folder
+from asia._files import open_ordinary, sync_folder
 from asia.errors import UserError
 from asia.ledger.events import Event, adapter
+from asia.ledger.folder import check_run_folder
 from asia.ledger.view import Replay, SearchView
 
 # Encoding of one record as lines of JSON, mostly a single one, with the sha256 of the line before
@@ -109,7 +110,7 @@ def decode(raw: bytes, seq: int, where: str) -> Line:
         else:
             text = b"{" + rest + b"}"
         return Line(seq, time.decode(), adapter.validate_json(text))
-    except (ValueError, KeyError, TypeError, ValidationError):
+    except (ValueError, KeyError, TypeError, ValidationError, RecursionError):
         raise UserError(
             f"{where}: event {seq} was written by another version of ASIA: read it with that one"
         ) from None
@@ -226,16 +227,26 @@ def make_folder(path: Path) -> None:
 
 
 def ledger_of(directory: Path) -> Path:
-    """The ledger of a run. Raises UserError for a directory that is none."""
+    """The ledger of a run. Raises UserError for a directory that is none, and as
+    `check_run_folder`."""
     ledger = directory / "ledger.jsonl"
+    check_run_folder(directory)
     if not ledger.is_file():
         raise UserError(f"{directory} is not a run: it has no ledger.jsonl")
     return ledger
 
 
+def open_ledger(path: Path) -> BufferedReader:
+    """Open a ledger for reading. Raises UserError where there is something else, or nothing."""
+    try:
+        return open(open_ordinary(path), "rb")
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror}") from None
+
+
 def read_lines(path: Path) -> Iterator[Line]:
     """Yield every complete record, see `scan`."""
-    with path.open("rb") as stream:
+    with open_ledger(path) as stream:
         for place, raw in scan(stream, str(path)):
             yield decode(raw, place.seq - 1, str(path))
 
@@ -289,13 +300,17 @@ class Follower:
         return self._place != before
 
     def _take_up(self) -> None:
-        with self._path.open("rb") as stream:
+        with open_ledger(self._path) as stream:
             for place, raw in scan(stream, str(self._path), self._place):
                 line = decode(raw, place.seq - 1, str(self._path))
                 self._replay.add(line.event)
                 self.lines.append(line)
                 self._heads.append(place.head)
                 self._place = place
+
+
+# A link in place of the ledger is not followed, nor a named pipe waited for.
+_OWN = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 
 
 class Chain:
@@ -307,15 +322,16 @@ class Chain:
 
     def __init__(self, path: Path) -> None:
         self._path, self._holder = path, path.with_suffix(".holder")
+        check_run_folder(path.parent)
         with writing(path):
             make_folder(path.parent)
-            self._fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            self._fd = os.open(path, _OWN, 0o644)
         try:
             self._lock()
             self.lines: list[Line] = []
             self._place = BEGIN
             self._replay, self._replayed = Replay(), 0
-            with path.open("rb") as stream:
+            with open_ledger(path) as stream:
                 for place, raw in scan(stream, str(path)):
                     self.lines.append(decode(raw, self._place.seq, str(path)))
                     self._place = place
@@ -406,7 +422,7 @@ def in_use(path: Path) -> bool:
     """Return whether a search holds the ledger."""
     import fcntl
 
-    with path.open("rb") as stream:
+    with open_ledger(path) as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except OSError:

@@ -483,6 +483,9 @@ class EstimatedModel:
     """Correlation matrix of the errors; None for unknown entries."""
     equations: tuple[str, ...]
     """The model's equations with numbers in them, one a line; () where it gives none."""
+    library: bool = False
+    """True if the candidate has no code of its own besides calls of ASIA's model library. Otherwise
+    names, values and equations are the candidate's claims."""
 
 
 @dataclass(frozen=True)
@@ -569,6 +572,8 @@ class IdentifiedModel:
     parameters: tuple[IdentifiedParameter, ...]
     correlation: tuple[tuple[float | None, ...], ...]
     equations: tuple[str, ...]
+    library: bool = False
+    """As in `EstimatedModel`."""
 
     @property
     def disagreeing(self) -> tuple[str, ...]:
@@ -591,9 +596,9 @@ class IdentifiedModel:
 _FITTED: TypeAdapter[EstimatedModel] = TypeAdapter(EstimatedModel)
 
 
-def put_estimates(store: Store, estimates: ParameterEstimates) -> str:
-    """Keep them; the name of the artifact."""
-    return store.put(_FITTED.dump_json(estimated(estimates)))
+def put_estimates(store: Store, estimates: ParameterEstimates, *, library: bool = False) -> str:
+    """Store estimates and return the name of the artifact. library: as in `EstimatedModel`."""
+    return store.put(_FITTED.dump_json(replace(estimated(estimates), library=library)))
 
 
 def get_estimates(store: Store, name: str) -> EstimatedModel:
@@ -615,7 +620,9 @@ def identified(run: Run) -> IdentifiedModel | None:
     findings = findings_of(run.store, run.view.experiment(refitted.experiment), bounded=False)
     tables = [dict(one.parameters) for one in findings]
     rows = with_fold_values(fitted, tables, jackknife=not one_sided)
-    return IdentifiedModel(refitted.experiment, rows, fitted.correlation, fitted.equations)
+    return IdentifiedModel(
+        refitted.experiment, rows, fitted.correlation, fitted.equations, fitted.library
+    )
 
 
 def estimated(estimates: ParameterEstimates) -> EstimatedModel:

@@ -1,8 +1,9 @@
-"""index.sqlite: position of each record of a ledger, so that status queries need not read them all.
+"""Index of a ledger: position of each record, so that status queries need not read them all.
 
-A cache next to the ledger, which may be deleted at any time. Every query updates it. It is rebuilt
-if it is damaged, has another version, or if the ledger did not just grow. No decision depends on
-it: `verify`, resume, unseal and reports read the ledger.
+A cache in the user's cache folder, which may be deleted at any time. It is not next to the ledger,
+because a database that somebody else made can do harm when it is opened. Every query updates it. It
+is rebuilt if it is damaged, has another version, or if the ledger did not just grow. No decision
+depends on it: `verify`, resume, unseal and reports read the ledger.
 """
 
 from __future__ import annotations
@@ -17,15 +18,23 @@ from io import BufferedReader
 from pathlib import Path
 from typing import TypeVar
 
+from asia._files import cache_folder, name_of_place
 from asia.errors import UserError
-from asia.ledger.chain import BEGIN, Position, decode, in_use, ledger_of, scan
+from asia.ledger.chain import (
+    BEGIN,
+    Position,
+    decode,
+    in_use,
+    ledger_of,
+    open_ledger,
+    scan,
+)
 from asia.ledger.events import Evaluated, Event, Landed, Proposed
 from asia.ledger.run import RunState, state_of
 from asia.ledger.view import SearchView, replay
 
 T = TypeVar("T")
 
-NAME = "index.sqlite"
 _VERSION = 3
 _SCHEMA = """
 DROP TABLE IF EXISTS records;
@@ -80,7 +89,7 @@ def brief(directory: Path, last: int = 50) -> Brief:
         places = index.execute(_RECORDS, (str(chosen),)).fetchall()
         ledger = ledger_of(directory)
         events: list[Event] = []
-        with ledger.open("rb") as stream:
+        with open_ledger(ledger) as stream:
             for seq, offset, length in places:
                 stream.seek(offset)
                 events.append(decode(stream.read(length), seq, str(ledger)).event)
@@ -88,6 +97,11 @@ def brief(directory: Path, last: int = 50) -> Brief:
         return Brief(view, state_of(view, busy=in_use(ledger)), finished, seconds, int(scores))
 
     return _ask(directory, read)
+
+
+def index_path(directory: Path) -> Path:
+    """Return the file of the index of a run."""
+    return cache_folder() / "index" / f"{name_of_place(directory)}.sqlite"
 
 
 def refresh(directory: Path) -> None:
@@ -98,7 +112,9 @@ def refresh(directory: Path) -> None:
 
 def _ask(directory: Path, question: Callable[[sqlite3.Connection], T]) -> T:
     """The answer from the index; where it cannot be written, from one in memory."""
-    ledger, file = ledger_of(directory), directory / NAME
+    ledger, file = ledger_of(directory), index_path(directory)
+    with contextlib.suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
 
     def answer(place: Path) -> T:
         with contextlib.closing(sqlite3.connect(place, isolation_level=None)) as index:
@@ -126,7 +142,7 @@ def _update(index: sqlite3.Connection, ledger: Path) -> None:
     if before == now:
         return
     index.execute("BEGIN IMMEDIATE")
-    with ledger.open("rb") as stream:
+    with open_ledger(ledger) as stream:
         place = BEGIN
         if before is not None and before[0] == now[0] and before[1] != now[1]:
             place = _known_place(index, stream)

@@ -182,11 +182,16 @@ _MOST_PAIRS = 5
 def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Iterator[str]:
     """Yield equations, one row a parameter, and parameters that cannot be distinguished."""
     if found.equations and equations:
-        yield "equations with the fitted numbers:"
+        yield (
+            "equations with the fitted numbers:"
+            if found.library
+            else "equations in the candidate's own words, not checked by ASIA:"
+        )
         yield from (f"  {one_line(line, 600)}" for line in found.equations)
     if not found.parameters:
         return
-    yield "parameters, fitted to all training records:"
+    own = "" if found.library else ", as the candidate's own code reports them"
+    yield f"parameters, fitted to all training records{own}:"
     heads = (
         "", "value", "unit", "std. error", "by folds", "95 % interval", "interval decided by", "",
     )  # fmt: skip
@@ -240,7 +245,8 @@ def disagreement_lines(found: IdentifiedModel) -> Iterator[str]:
 
 
 def identified_object(found: IdentifiedModel) -> dict[str, Any]:
-    """The same for scripts: `parameters`, `correlation`, `equations`, `remarks`."""
+    """Return the same for scripts: `parameters`, `correlation`, `equations`, `remarks`, and
+    `reported_by`: `library` for ASIA's model library, `candidate` for other code."""
     return {
         "parameters": [
             {
@@ -263,6 +269,7 @@ def identified_object(found: IdentifiedModel) -> dict[str, Any]:
         ],
         "correlation": [list(row) for row in found.correlation],
         "equations": list(found.equations),
+        "reported_by": "library" if found.library else "candidate",
         "remarks": list(disagreement_lines(found)),
     }
 

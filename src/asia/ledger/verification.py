@@ -9,7 +9,7 @@ from pathlib import Path
 
 from asia.errors import UserError
 from asia.ledger.artifacts import Artifacts
-from asia.ledger.chain import BEGIN, decode, ledger_of, scan
+from asia.ledger.chain import BEGIN, decode, ledger_of, open_ledger, scan
 from asia.ledger.events import (
     AblationFit,
     Evaluated,
@@ -59,7 +59,7 @@ def verify(
     # `Replay` checks the same, but takes longer because it keeps all records.
     started: Started | None = None
     proposed, pending, repeats = set[int](), set[int](), set[tuple[int, int]]()
-    with ledger.open("rb") as stream, Artifacts(directory / "artifacts") as artifacts:
+    with open_ledger(ledger) as stream, Artifacts(directory / "artifacts") as artifacts:
         try:
             for place, raw in scan(stream, str(ledger)):
                 record = place.seq - 1

@@ -9,19 +9,23 @@ from dataclasses import replace
 from asia.judge.evaluation.dry_runs import DryRun, allowed_seconds, short_fold
 from asia.judge.evaluation.dry_runs import dry_run as run_dry
 from asia.judge.evaluation.relations import SuspicionKind
+from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import Run
 from asia.problem.load import load_lock
 from asia.problem.protocol import make_folds
 from asia.search.run import LOCK, make_evaluator
 
 
-def dry_run(run: Run, source: str) -> DryRun:
+def dry_run(run: Run, source: str, isolation: Isolation | None = None) -> DryRun:
     """Try `source` as the search of `run` would judge it, on a short cut of the first fold's
-    training records. Raises UserError where the data of the run are not what they were."""
+    training records. isolation: level of the candidate; None for the strongest of this machine.
+    Raises UserError where the data of the run are not what they were."""
     problem = load_lock(run.directory / LOCK)
     limit = problem.budget.fit_seconds
     short = short_fold(make_folds(problem.train, problem.protocol)[0], problem.protocol)
     budget = replace(problem.budget, fit_seconds=allowed_seconds(limit))
     allowed = replace(problem, budget=budget)
-    evaluator = make_evaluator(allowed, run.view, folds=[short.fold], without=SuspicionKind)
+    evaluator = make_evaluator(
+        allowed, run.view, folds=[short.fold], without=SuspicionKind, isolation=isolation
+    )
     return run_dry(evaluator, short, source, limit)

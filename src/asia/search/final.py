@@ -11,6 +11,7 @@ from statistics import median
 import numpy as np
 
 from asia._diagnostic import diagnostic
+from asia.agents.library.recipe import MODELS, read_recipe
 from asia.candidate import ParameterEstimates
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason
@@ -494,7 +495,7 @@ def refit_winner(
         stack = make()
     estimates: str | None = None
     with diagnostic("parameter intervals", failed):
-        estimates = _kept_estimates(store, checked)
+        estimates = _kept_estimates(store, checked, store.text(best.proposed.source))
     again: Again | None = None
     if refit is not None:
         # The second fit of one fold, compared with the first one.
@@ -518,6 +519,9 @@ def refit_winner(
     return replace(refitted, use=chosen.model, reason=chosen.reason)
 
 
-def _kept_estimates(store: Store, checked: CheckedRefit) -> str | None:
+def _kept_estimates(store: Store, checked: CheckedRefit, source: str) -> str | None:
     found = checked.estimates
-    return None if found is None or not found.parameters else put_estimates(store, found)
+    if found is None or not found.parameters:
+        return None
+    recipe = read_recipe(source)
+    return put_estimates(store, found, library=recipe is not None and recipe.package == MODELS)

@@ -4,7 +4,7 @@ candidates are evaluated again, and all is compared with what was recorded."""
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -14,9 +14,7 @@ from asia.agents.view import Agent, AgentStoppedError, AgentView, Attached, Dive
 from asia.errors import InternalError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR, score_references
-from asia.judge.sandbox.availability import probe
 from asia.judge.sandbox.layers.gpu import gpu_nodes
-from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.ledger.artifacts import Store, without_artifacts
@@ -40,7 +38,13 @@ from asia.problem.problem import Problem
 from asia.search.agent_views import agent_view, as_bytes, problem_facts
 from asia.search.loop import judge
 from asia.search.rules import stop_reason
-from asia.search.run import LOCK, environment, environment_changes, make_evaluator
+from asia.search.run import (
+    LOCK,
+    environment,
+    environment_changes,
+    level_here,
+    make_evaluator,
+)
 
 OutcomeAgreement = Literal["same", "close", "differs", "exempt", "unfinished"]
 ProposalAgreement = Literal["same", "differs", "taken", "none"]
@@ -95,13 +99,26 @@ class ReplayReport:
 
 
 def replay_run(
-    directory: Path, on_item: Callable[[Replayed], None], tolerance: float = 0.0
+    directory: Path,
+    on_item: Callable[[Replayed], None],
+    tolerance: float = 0.0,
+    *,
+    trusted: Collection[str] = (),
+    isolation: Isolation | None = None,
 ) -> ReplayReport:
     """Replay a finished or interrupted run; nothing is written.
 
-    tolerance: relative difference of V and of its folds up to which outcomes agree; 0 asks for
-    bitwise equality. Raises UserError when the run does not verify, when its data changed, or when
-    the package of its agent is missing.
+    Args:
+        on_item: called with each step.
+        tolerance: relative difference of V and of its folds up to which outcomes agree; 0 asks for
+            bitwise equality.
+        trusted: agent classes, `module:Class`, that may be imported besides those of ASIA and of
+            installed packages.
+        isolation: level of the candidates; None for the strongest of this machine.
+
+    Raises:
+        UserError: the run does not verify, its data changed, its agent is not trusted, or the
+            package of its agent is missing.
     """
     run = open_run(directory)
     started = run.view.started
@@ -109,19 +126,16 @@ def replay_run(
         raise UserError(without_artifacts(directory))
     check_lock(directory, started)
     problem = load_lock(directory / LOCK)
-    agents = recorded_agents(started)
-    # The recorded level where it is in force here, or confines nothing.
-    recorded, level = Isolation(started.isolation), probe().level
+    agents = recorded_agents(started, trusted)
+    level = level_here(isolation)
     notes: list[str] = []
-    if not LEVELS[recorded].confined:
-        level = recorded
-    if level is not recorded:
-        notes.append(f"isolation {level.value} here, {recorded.value} then")
+    if level.value != started.isolation:
+        notes.append(f"isolation {level.value} here, {started.isolation} then")
     gpu = started.environment.get("GPU", "") if gpu_nodes() else ""
     here = environment(started.agent, *(leg.agent for leg in started.legs), gpu=gpu)
     notes += environment_changes(started.environment, here)
-    again = replace(run.view, started=replace(started, isolation=level.value))
-    replaying = _Replaying(run, problem, make_evaluator(problem, again), agents, tolerance, on_item)
+    evaluator = make_evaluator(problem, run.view, isolation=level)
+    replaying = _Replaying(run, problem, evaluator, agents, tolerance, on_item)
     replaying.run_all()
     answered = sum(200 <= e.status < 300 for e in run.view.exchanges)
     return ReplayReport(run.name, tolerance, answered, tuple(replaying.items), tuple(notes))

@@ -31,11 +31,12 @@ from asia.judge.sandbox.availability import chosen_gpu, probe
 from asia.judge.sandbox.layers.environment import shown_in
 from asia.judge.sandbox.layers.gpu import gpu_nodes
 from asia.judge.sandbox.levels import LEVELS
-from asia.judge.sandbox.types import Isolation
+from asia.judge.sandbox.types import Isolation, Probe
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain, write_whole
 from asia.ledger.events import RESUMABLE, Extended, Leg, Resumed, Started
 from asia.ledger.exports import write_exports
+from asia.ledger.folder import check_run_folder
 from asia.ledger.run import ERROR, keep_error
 from asia.ledger.verification import check_lock
 from asia.ledger.view import SearchView
@@ -190,10 +191,8 @@ def prepare(
         name += "" if rule.early_stopping == "inner" else "-validation"
         name += "" if rule.residuals == "train" else "-residuals"
     directory = runs / name
-    try:
-        found = probe(isolation)
-    except SandboxError as error:
-        raise UserError(f"{error}; omit --isolation to use the strongest available level") from None
+    check_run_folder(directory)
+    found = _probed(isolation)
     check_run_is_hidden(problem, directory, found.level)
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
     if resumes:
@@ -269,7 +268,8 @@ def search(
         view = chain.view
         check_lock(directory, view.started)
         check_same_search(view, prepared.started)
-        evaluator = make_evaluator(problem, view, executor)
+        level = Isolation(prepared.started.isolation)
+        evaluator = make_evaluator(problem, view, executor, isolation=level)
         loop = Loop(
             problem=problem,
             baseline=problem.baseline or LINEAR,
@@ -305,21 +305,44 @@ def search(
             raise
 
 
+def level_here(asked: Isolation | None = None) -> Isolation:
+    """Return the level for candidates of an existing run: the strongest of this machine, or
+    `asked`. Raises UserError where this machine does not have it."""
+    return _probed(asked).level
+
+
+def _probed(asked: Isolation | None) -> Probe:
+    try:
+        return probe(asked)
+    except SandboxError as error:
+        raise UserError(f"{error}; omit --isolation to use the strongest available level") from None
+
+
 def make_evaluator(
     problem: Problem,
     view: SearchView,
     executor: Executor | None = None,
     folds: Sequence[Fold] | None = None,
     without: Collection[SuspicionKind] = (),
+    isolation: Isolation | None = None,
 ) -> Evaluator:
-    """The evaluator of a run, at the isolation its ledger records. folds: in place of the
-    problem's own; without: as in `EvaluatorOptions`."""
+    """Make the evaluator of a run.
+
+    Args:
+        folds: folds in place of those of the problem.
+        without: as in `EvaluatorOptions`.
+        isolation: level of the candidates; None for the strongest of this machine. The level that
+            the ledger names has no effect, because the run may come from somebody else.
+
+    Raises:
+        UserError: this machine does not have the level.
+    """
     rule = problem.protocol
     runs_on = executor or LocalExecutor()
     context = search_context(problem, derive_seed(view.started.seed, "search"))
     chosen = make_folds(problem.train, rule) if folds is None else tuple(folds)
     workers = WorkerRunner(
-        Isolation(view.started.isolation),
+        level_here(isolation),
         problem.budget,
         SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
         standby=len(chosen),

@@ -15,6 +15,7 @@ from asia._text import one_line
 from asia.data.trajectory import Array, filled
 from asia.errors import CandidateError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.bands import (
     Bands,
     ErrorSizes,
@@ -180,6 +181,8 @@ def simulate(
     past_y: Array,
     u: Array,
     model: Use | None = None,
+    *,
+    isolation: Isolation | None = None,
 ) -> Array: ...
 
 
@@ -192,6 +195,7 @@ def simulate(
     model: Use | None = None,
     *,
     bands: float,
+    isolation: Isolation | None = None,
 ) -> BandedSimulation: ...
 
 
@@ -203,6 +207,7 @@ def simulate(
     model: Use | None = None,
     *,
     bands: float | None = None,
+    isolation: Isolation | None = None,
 ) -> Array | BandedSimulation:
     """Open-loop simulation with the winner of a run.
 
@@ -213,6 +218,8 @@ def simulate(
     models; `refit`, the winner fitted on all training records; `stack`, a weighted mean of several
     experiments; None for the one that the search names as the model to use. bands: a level such as
     0.9, to have a `BandedSimulation` with the bands that hold this share of the measured outputs.
+    isolation: level of the sandbox that executes the candidate; None for the strongest of this
+    machine, whatever level the ledger names.
     Raises UserError for a wrong shape or level or when the run has no such model, CandidateError
     when the simulation fails.
     """
@@ -223,7 +230,7 @@ def simulate(
         raise UserError(f"bands is {bands}, expected a share between 0 and 1, such as 0.9")
     problem = load_lock(run.directory / LOCK)
     block = _block(run, problem, past_u, past_y, u)
-    evaluator = make_evaluator(problem, run.view)
+    evaluator = make_evaluator(problem, run.view, isolation=isolation)
     (each,) = simulate_members(evaluator, run, members, [block])
     y_hat = each.mean(axis=0)
     done = problem.preprocess
@@ -322,15 +329,16 @@ _MOST_WINDOWS = 24
 _MOST_VALUES = 400_000
 
 
-def simulated_excerpts(run: Run, number: int) -> SimulatedCases:
+def simulated_excerpts(run: Run, number: int, isolation: Isolation | None = None) -> SimulatedCases:
     """Training cases of each fold of experiment `number` and, where the problem shows residuals of
-    the held-out part, held-out ones. Raises UserError where it has no models."""
+    the held-out part, held-out ones. isolation: as in `simulate`. Raises UserError where it has no
+    models."""
     experiment = run.view.experiment(number)
     result, score = experiment.result, experiment.score
     if result is None or score is None:
         raise UserError(f"experiment {number} has no score, so there is nothing to draw")
     problem = load_lock(run.directory / LOCK)
-    rule, evaluator = problem.protocol, make_evaluator(problem, run.view)
+    rule, evaluator = problem.protocol, make_evaluator(problem, run.view, isolation=isolation)
     parts = (1 + (rule.residuals == "held_out")) * len(evaluator.data.folds)
     most = _MOST_VALUES // parts // (2 * len(problem.outputs) + len(problem.inputs))
     source = run.store.text(experiment.proposed.source)

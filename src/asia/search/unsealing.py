@@ -15,6 +15,7 @@ from asia.errors import CandidateError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import mean_simulation
 from asia.judge.sandbox.levels import LEVELS
+from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
@@ -27,7 +28,7 @@ from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.problem.protocol import Block, whole
 from asia.problem.seal import check_openable, open_test
-from asia.search.run import LOCK, make_evaluator
+from asia.search.run import LOCK, level_here, make_evaluator
 from asia.search.scores import ScoreCheck, by_record, score_sealed
 from asia.search.simulation import (
     BAND_LEVEL,
@@ -41,7 +42,7 @@ from asia.search.simulation import (
 Answers = tuple[Array, ...]
 
 CONSENT = (
-    "the candidates of run '{run}' ran at isolation level process, where a candidate can read "
+    "the candidates of run '{run}' run at isolation level process, where a candidate can read "
     "every file that you can, the test data and their key included: the winner may have seen them"
 )
 
@@ -58,7 +59,11 @@ class UnsealResult:
 
 
 def unseal(
-    directory: Path, *, process_consent: bool = False, keys: Path | None = None
+    directory: Path,
+    *,
+    process_consent: bool = False,
+    keys: Path | None = None,
+    isolation: Isolation | None = None,
 ) -> UnsealResult:
     """Score the ensemble of the winner's fold models, its refit and the stack on the sealed test.
 
@@ -68,6 +73,8 @@ def unseal(
         process_consent: true to open the test although the candidates ran at level process;
             recorded.
         keys: folder of the key of an encrypted test; None for the user's own.
+        isolation: level of the candidates while they simulate the test; None for the strongest of
+            this machine.
 
     Raises:
         UserError: the search is not finished, has no winner or no test, a line of the ledger or an
@@ -89,8 +96,9 @@ def unseal(
             raise UserError(f"run '{run}' has no scored model to unseal")
         if digest is None:
             raise UserError(f"problem '{view.started.problem}' has no test data")
-        consented = process_consent and needs_consent(view)
-        if needs_consent(view) and not consented:
+        level = level_here(isolation)
+        consented = process_consent and needs_consent(view, level)
+        if needs_consent(view, level) and not consented:
             raise UserError(
                 f"{CONSENT.format(run=run)}; to open the test nevertheless, give --yes-process "
                 "(in Python: process_consent=True); the ledger records it"
@@ -101,17 +109,19 @@ def unseal(
         before = _openers(directory, digest)
         if view.unsealing is None:
             chain.append(Unsealing(best.number, digest, before, consented))
-        event = _score(directory, view, best, problem, open_test(problem, keys))
+        evaluator = make_evaluator(problem, view, isolation=level)
+        event = _score(directory, view, best, evaluator, problem, open_test(problem, keys))
         chain.append(event)
         write_exports(directory, chain.view)
     return UnsealResult(event, first_time=True, opened_before=before)
 
 
-def needs_consent(view: SearchView) -> bool:
-    """Return whether the user must permit the opening, as candidates could read the test."""
+def needs_consent(view: SearchView, level: Isolation | None = None) -> bool:
+    """Return whether the user must permit the opening, as candidates could read the test: in the
+    search, or at the `level` that they run at now."""
     unopened = view.unsealing is None or not view.unsealing.process_consent
     open_levels = {level.isolation.value for level in LEVELS.values() if not level.confined}
-    return unopened and view.started.isolation in open_levels
+    return unopened and not open_levels.isdisjoint({view.started.isolation, level})
 
 
 def _openers(directory: Path, digest: str) -> tuple[str, ...]:
@@ -133,6 +143,7 @@ def _score(
     directory: Path,
     view: SearchView,
     best: Experiment,
+    evaluator: Evaluator,
     problem: Problem,
     records: tuple[Trajectory, ...],
 ) -> Unsealed:
@@ -142,7 +153,7 @@ def _score(
         raise UserError(f"the test data are not those that run '{view.started.run}' had sealed")
     store = Store(directory / "artifacts")
     blocks = whole(records, problem.protocol)
-    scorer = _TestScorer(make_evaluator(problem, view), store, blocks, problem)
+    scorer = _TestScorer(evaluator, store, blocks, problem)
     measured = by_record([b.y for b in blocks], blocks)
     bands: TestBands | None = None
     failed: list[str] = []

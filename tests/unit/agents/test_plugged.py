@@ -1,5 +1,6 @@
 """Families and agents that other packages bring, and agents in loose files."""
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -157,9 +158,38 @@ def test_an_agent_in_a_file_of_the_current_folder(folder: Path) -> None:
     assert chosen.agent.name == "counting"
     assert chosen.settings == {"class": "loose_agent:Counting"}
     check_agent(lambda: choose_agent("loose_agent:Counting").agent)
-    again = recorded_agent("counting", chosen.settings)
+    with pytest.raises(UserError, match="--trust-agent with exactly this name"):
+        recorded_agent("counting", chosen.settings)
+    with pytest.raises(UserError, match="--trust-agent"):
+        recorded_agent("counting", chosen.settings, ["loose_agent", "loose_agent:Needy"])
+    again = recorded_agent("counting", chosen.settings, ["loose_agent:Counting"])
     assert again is not None
     assert again.name == "counting"
+
+
+def test_an_agent_of_a_ledger_is_not_imported_without_trust(folder: Path) -> None:
+    """Not even to find out what it is: importing it would execute it."""
+    (folder / "hostile_agent.py").write_text(f"open({str(folder / 'ran')!r}, 'w')\n")
+    with pytest.raises(UserError, match="was not imported"):
+        recorded_agent("counting", {"class": "hostile_agent:Counting"})
+    assert not (folder / "ran").exists()
+
+
+def test_an_installed_agent_is_not_looked_for_in_the_current_folder(
+    plug, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file of the same name lies in the current folder, which is not on the path."""
+    elsewhere = folder / "installed"
+    elsewhere.mkdir()
+    (elsewhere / "other_agent.py").write_text(AGENT)
+    (folder / "other_agent.py").write_text("raise SystemError('the wrong one')\n")
+    plug("asia.agents", "counter", "other_agent:Counting")
+    monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(folder))])
+    monkeypatch.syspath_prepend(elsewhere)
+    monkeypatch.setattr("sys.path", [p for p in sys.path if p not in ("", str(folder))])
+    assert choose_agent("counter").agent.name == "counting"
+    again = recorded_agent("counting", {"class": "other_agent:Counting"})
+    assert again is not None
 
 
 def test_an_agent_by_the_name_its_package_gives_it(plug) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,20 @@ def test_people_and_scripts_read_the_same() -> None:
     assert first["interval_95"] == [0.46, 0.54]
     assert first["folds"] == [0.49, 0.51]
     assert first["at_bound"] is None
+
+
+def test_equations_of_a_candidate_are_marked_as_its_own_words() -> None:
+    rows = (IdentifiedParameter(fitted(), (), None),)
+    own = IdentifiedModel(3, rows, ((1.0,),), ("y = x",))
+    text = "\n".join(identified_lines(own))
+    assert "equations in the candidate's own words, not checked by ASIA:" in text
+    assert "as the candidate's own code reports them:" in text
+    assert identified_object(own)["reported_by"] == "candidate"
+    library = replace(own, library=True)
+    text = "\n".join(identified_lines(library))
+    assert "equations with the fitted numbers:" in text
+    assert "candidate" not in text
+    assert identified_object(library)["reported_by"] == "library"
 
 
 def test_the_widest_source_decides_the_interval_to_quote() -> None:

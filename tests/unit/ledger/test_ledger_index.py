@@ -10,7 +10,7 @@ from asia.ledger import index as _index
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import Event
-from asia.ledger.index import NAME, brief, refresh
+from asia.ledger.index import brief, index_path, refresh
 from asia.ledger.run import open_run
 
 from .conftest import evaluated, proposed, score, started
@@ -140,16 +140,16 @@ def test_a_changed_record_is_noticed_by_a_glance(tmp_path: Path) -> None:
 def test_a_damaged_index_is_made_anew(tmp_path: Path, junk: bytes) -> None:
     directory = long_run(tmp_path / "long")
     brief(directory)
-    (directory / NAME).write_bytes(junk)
+    index_path(directory).write_bytes(junk)
     assert brief(directory).finished == 9
-    (directory / NAME).unlink()
+    index_path(directory).unlink()
     assert brief(directory).finished == 9
 
 
 def test_an_index_of_another_version_is_made_anew(tmp_path: Path) -> None:
     directory = long_run(tmp_path / "long")
     brief(directory)
-    index = sqlite3.connect(directory / NAME)
+    index = sqlite3.connect(index_path(directory))
     index.execute("PRAGMA user_version = 99")
     index.execute("DROP TABLE records")
     index.commit()
@@ -170,7 +170,7 @@ def test_a_directory_that_takes_no_index_is_read_all_the_same(
 
     monkeypatch.setattr(sqlite3, "connect", refused)
     assert brief(directory).finished == 9
-    assert not (directory / NAME).exists()
+    assert not index_path(directory).exists()
 
 
 def test_an_index_that_is_being_written_is_waited_for_or_done_without(
@@ -181,7 +181,8 @@ def test_an_index_that_is_being_written_is_waited_for_or_done_without(
     monkeypatch.setattr(
         sqlite3, "connect", lambda place, **options: connect(place, timeout=0.05, **options)
     )
-    other = connect(directory / NAME, isolation_level=None)
+    brief(directory)
+    other = connect(index_path(directory), isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
     assert brief(directory).finished == 9
     other.close()

@@ -301,6 +301,13 @@ def test_what_was_identified_stands_on_the_page_with_its_uncertainty(
     part = page[page.index('id="identified"') :]
     for words in ("-0.25 * sqrt(x) &lt;b&gt;", "0.2264", "0.2736", "1/s", "-0.987", "upper end"):
         assert words in part
+    assert "in the candidate&#x27;s own words" in part or "in the candidate's own words" in part
+    name = put_estimates(run.store, found, library=True)
+    with Chain(run.directory / "ledger.jsonl") as chain:
+        chain.append(Refitted(4, None, "made up", estimates=name))
+    part = page_of(open_run(run.directory))
+    assert "The equations of the winner, with the fitted numbers" in part
+    assert "own words" not in part
     assert "<script>alert" not in page
     assert audit(page, run.directory, len(open_run(run.directory).lines)) > 10
 

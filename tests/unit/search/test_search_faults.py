@@ -15,6 +15,7 @@ from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.exports import journal
+from asia.ledger.index import index_path
 from asia.ledger.run import open_run
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search
@@ -127,7 +128,7 @@ def test_a_read_only_directory_can_be_asked_and_not_searched(problem: Path, tmp_
     loaded = replace(loaded, budget=replace(loaded.budget, experiments=1))
     ready = prepare(loaded, AGENT.name, seed=0, runs=runs)
     search(ready, AGENT, lambda event, view: None, lambda view: None)
-    (ready.directory / "index.sqlite").unlink()
+    index_path(ready.directory).unlink()
     done = in_a_mount_namespace(READ_ONLY, runs, problem)
     assert "1 of 1 experiments" in done.stdout
     assert "events and" in done.stdout

@@ -34,6 +34,8 @@ class Barrier(StrEnum):
     FEEDBACK = "feedback"
     LEDGER = "ledger"
     PROBLEM = "problem check"
+    WORKSPACE = "link outside"
+    """The run of a workspace, recorded where no agent writes."""
 
 
 class Mistake(StrEnum):

@@ -11,7 +11,15 @@ import typer
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.cli.options import DEFAULT_RUNS, Json, RunName, Runs, run_directory
+from asia.interfaces.cli.options import (
+    DEFAULT_RUNS,
+    CandidateLevel,
+    Json,
+    RunName,
+    Runs,
+    candidate_level,
+    run_directory,
+)
 
 if TYPE_CHECKING:
     pass
@@ -34,6 +42,7 @@ def export(
         Path | None,
         typer.Option(help="Folder for one folder per target; default: export in the run."),
     ] = None,
+    isolation: CandidateLevel = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
@@ -48,7 +57,8 @@ def export(
 
     if not to:
         raise UserError(f"--to is missing: one of {', '.join(target_names())}, or several")
-    for one in write(run_directory(runs, run), to, model, out):
+    directory, level = run_directory(runs, run), candidate_level(isolation)
+    for one in write(directory, to, model, out, isolation=level):
         if json:
             facts = {
                 "target": one.target,

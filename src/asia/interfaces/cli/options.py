@@ -6,6 +6,7 @@ import inspect
 import json
 import os
 import re
+import sys
 from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
@@ -431,7 +432,8 @@ def run_directory(runs: Path, name: str | None, *, named: bool = False) -> Path:
     if place.run is None:
         raise UserError(
             f"{place.folder} is the folder of a coding agent, which does not see its run: read "
-            "results.tsv and search_journal.md there, or run the command outside this folder"
+            "results.tsv and search_journal.md there, or run the command outside this folder. If "
+            "you moved the folder, repeat asia agent workspace with its new place"
         )
     if name is not None:
         return find_run(place.run.parent, name)
@@ -444,6 +446,45 @@ def run_directory(runs: Path, name: str | None, *, named: bool = False) -> Path:
             f"this cannot be undone: name the run of this workspace, {place.run.name}, to continue"
         )
     return place.run
+
+
+# Isolation of candidates.
+
+
+CandidateLevel = Annotated[
+    str | None,
+    typer.Option(
+        "--isolation",
+        help="Level for the candidates of the run instead of the strongest of this machine: "
+        "landlock or process.",
+    ),
+]
+
+
+def read_level(text: str | None) -> Isolation | None:
+    """Return the requested level; None without one. Raises UserError for an unknown one."""
+    from asia.judge.sandbox.types import Isolation
+
+    levels = [level.value for level in Isolation]
+    if text is not None and text not in levels:
+        raise UserError(f"--isolation {text}: expected one of {', '.join(levels)}")
+    return Isolation(text) if text else None
+
+
+def candidate_level(text: str | None) -> Isolation:
+    """Return the level for the candidates of an existing run, see `asia.search.run.level_here`.
+    Print a note if it does not confine them. Raises UserError."""
+    from asia.judge.sandbox.levels import LEVELS
+    from asia.search.run import level_here
+
+    level = level_here(read_level(text))
+    if not LEVELS[level].confined:
+        say(
+            f"note    candidates run at isolation level {level}, with your rights: use it only for "
+            "candidates that you trust",
+            file=sys.stderr,
+        )
+    return level
 
 
 # Options of a search: budget, name, isolation.
@@ -490,12 +531,7 @@ class SearchOptions:
     @property
     def level(self) -> Isolation | None:
         """The requested level. Raises UserError for an unknown one."""
-        from asia.judge.sandbox.types import Isolation
-
-        levels = [level.value for level in Isolation]
-        if self.isolation is not None and self.isolation not in levels:
-            raise UserError(f"--isolation {self.isolation}: expected one of {', '.join(levels)}")
-        return Isolation(self.isolation) if self.isolation else None
+        return read_level(self.isolation)
 
     def check(self) -> None:
         """Raise UserError for an invalid name or an unknown level. A number would be read as an

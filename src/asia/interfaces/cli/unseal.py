@@ -13,11 +13,13 @@ from asia._text import one_line, say
 from asia.errors import InternalError, UserError
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
+    CandidateLevel,
     Json,
     Keys,
     RunName,
     Runs,
     YesProcess,
+    candidate_level,
     run_directory,
 )
 from asia.interfaces.cli.output import use_lines, validation_words
@@ -28,6 +30,7 @@ from asia.ledger.view import SearchView
 from asia.problem.metrics import metric_label
 
 if TYPE_CHECKING:
+    from asia.judge.sandbox.types import Isolation
     from asia.report.published import Board
 
 
@@ -36,6 +39,7 @@ def unseal(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
     yes_process: YesProcess = False,
     keys: Keys = None,
+    isolation: CandidateLevel = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
@@ -58,10 +62,11 @@ def unseal(
         )
         if typer.prompt("Type the run's name to continue", err=True) != opened.name:
             raise UserError("the name does not match; nothing was opened")
-    consent = yes_process or _consents(opened)
-    if consent or not needs_consent(opened.view):
+    level = candidate_level(isolation) if opened.view.unsealed is None else None
+    consent = yes_process or _consents(opened, level)
+    if consent or not needs_consent(opened.view, level):
         end_idle(directory, lambda line: say(line, file=sys.stderr))
-    result = open_seal(directory, process_consent=consent, keys=keys)
+    result = open_seal(directory, process_consent=consent, keys=keys, isolation=level)
     if result.opened_before:
         names = ", ".join(result.opened_before)
         say(f"note: this test was opened before, by {names}", file=sys.stderr)
@@ -94,12 +99,12 @@ def unseal(
         say(f"the page was not updated: {error}", file=sys.stderr)
 
 
-def _consents(opened: Run) -> bool:
+def _consents(opened: Run, level: Isolation | None) -> bool:
     """Ask whether to open a test that candidates could read; False without a terminal."""
     from asia.search.unsealing import CONSENT, needs_consent
 
     view = opened.view
-    if view.unsealed is not None or not needs_consent(view) or not sys.stdin.isatty():
+    if view.unsealed is not None or not needs_consent(view, level) or not sys.stdin.isatty():
         return False
     say(f"Note: {CONSENT.format(run=opened.name)}.", file=sys.stderr)
     if not typer.confirm("Open the test anyway?", default=False, err=True):

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,6 +18,7 @@ from asia.errors import UserError
 from asia.interfaces.cli.init import split_at_commas
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
+    CandidateLevel,
     ColumnNames,
     Experiment,
     Json,
@@ -25,6 +26,7 @@ from asia.interfaces.cli.options import (
     Runs,
     Time,
     TimeUnit,
+    candidate_level,
     run_directory,
 )
 from asia.interfaces.cli.output import value_words
@@ -40,6 +42,9 @@ from asia.ledger.events import (
 )
 from asia.ledger.run import open_run
 from asia.ledger.text import error_value
+
+if TYPE_CHECKING:
+    from asia.judge.sandbox.types import Isolation
 
 DEFAULT_TOP = 3
 REPEAT_SEEDS = 5
@@ -88,6 +93,7 @@ def validate(
             "--ablate. One if fits do not depend on the seed.",
         ),
     ] = None,
+    isolation: CandidateLevel = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
@@ -114,17 +120,19 @@ def validate(
         option = "--repeat" if repeat else "--ablate"
         raise UserError(f"{option} uses training records only: leave --record and its columns out")
     directory = run_directory(runs, run)
+    level = candidate_level(isolation)
     if repeat:
-        _repeat(directory, top or DEFAULT_TOP, seeds or REPEAT_SEEDS, json=json)
+        _repeat(directory, top or DEFAULT_TOP, seeds or REPEAT_SEEDS, level, json=json)
         return
     if ablate:
-        _ablate(directory, seeds or ABLATE_SEEDS, json=json)
+        _ablate(directory, seeds or ABLATE_SEEDS, level, json=json)
         return
     found = check(
         directory,
         record,
         lambda text: say(f"checking {text}", file=sys.stderr),
         None if reading == Wanted((), ()) else reading,
+        level,
     )
     failed: list[str] = []
     for path in write_validation(directory, found.checks, found.summary, failed):
@@ -154,7 +162,7 @@ def validate(
 # Repeated fits of the best candidates (--repeat).
 
 
-def _repeat(directory: Path, top: int, seeds: int, *, json: bool) -> None:
+def _repeat(directory: Path, top: int, seeds: int, level: Isolation, *, json: bool) -> None:
     from asia.analysis.confirmation import confirm
 
     def fitted(event: Repeated, done: int, total: int) -> None:
@@ -172,7 +180,7 @@ def _repeat(directory: Path, top: int, seeds: int, *, json: bool) -> None:
             flush=True,
         )
 
-    found, new = confirm(directory, fitted, top=top, seeds=seeds)
+    found, new = confirm(directory, fitted, top=top, seeds=seeds, isolation=level)
     if json:
         say(jsonlib.dumps({"new": new, **asdict(found)}, allow_nan=False))
         return
@@ -294,7 +302,7 @@ def _candidate_line(candidate: ConfirmedCandidate, v_name: str) -> str:
 # The gain of the winner in parts (--ablate).
 
 
-def _ablate(directory: Path, seeds: int, *, json: bool) -> None:
+def _ablate(directory: Path, seeds: int, level: Isolation, *, json: bool) -> None:
     from asia.analysis.ablation import ablate
     from asia.report import write_report
 
@@ -308,7 +316,7 @@ def _ablate(directory: Path, seeds: int, *, json: bool) -> None:
         text = f"{event.variant}, seed {event.repeat}: {value} in {duration(event.seconds)}"
         say(f"{text}  [{done} of {total}]", file=sys.stderr, flush=True)
 
-    found, new = ablate(directory, fitted, seeds=seeds)
+    found, new = ablate(directory, fitted, seeds=seeds, isolation=level)
     if json:
         say(jsonlib.dumps({"new": new, **asdict(found)}, allow_nan=False))
         return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
+from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,10 +13,19 @@ import typer
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.cli.options import DEFAULT_RUNS, Json, RunName, Runs, run_directory
+from asia.interfaces.cli.options import (
+    DEFAULT_RUNS,
+    CandidateLevel,
+    Json,
+    RunName,
+    Runs,
+    candidate_level,
+    run_directory,
+)
 from asia.ledger.artifacts import Store
 
 if TYPE_CHECKING:
+    from asia.judge.sandbox.types import Isolation
     from asia.search.replay import Replayed
 
 
@@ -39,6 +49,15 @@ def verify(
     tolerance: Annotated[
         float, typer.Option(min=0.0, help="Relative difference of V allowed with --from-scratch.")
     ] = 0.01,
+    trust_agent: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="MODULE:CLASS",
+            help="With --replay: import this agent class, which the ledger names; repeatable. "
+            "Built-in agents and those of installed packages need no trust.",
+        ),
+    ] = None,
+    isolation: CandidateLevel = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
@@ -54,9 +73,14 @@ def verify(
 
     if from_scratch and not replay:
         raise UserError("--from-scratch belongs to --replay: add --replay or leave it out")
+    for name, value in (("trust-agent", trust_agent), ("isolation", isolation)):
+        if value and not replay:
+            raise UserError(f"--{name} belongs to --replay: add --replay or leave it out")
     directory = run_directory(runs, run)
     if replay:
-        _replay(directory, tolerance if from_scratch else 0.0, json=json)
+        level = candidate_level(isolation)
+        scratch = tolerance if from_scratch else 0.0
+        _replay(directory, scratch, trust_agent or (), level, json=json)
         return
     alone = not Store(directory / "artifacts").kept
     scores = ScoreCheck(directory)
@@ -85,7 +109,9 @@ def verify(
         say(f"the last line is incomplete: its {found.torn} bytes were ignored")
 
 
-def _replay(directory: Path, tolerance: float, *, json: bool) -> None:
+def _replay(
+    directory: Path, tolerance: float, trusted: Collection[str], level: Isolation, *, json: bool
+) -> None:
     """Query the agent and evaluate every candidate again. Exit code 1 if an outcome differs by more
     than `tolerance` of V; 0.0: bitwise."""
     from asia.search.replay import replay_run
@@ -107,7 +133,7 @@ def _replay(directory: Path, tolerance: float, *, json: bool) -> None:
             flush=True,
         )
 
-    report = replay_run(directory, replayed, tolerance)
+    report = replay_run(directory, replayed, tolerance, trusted=trusted, isolation=level)
     compared = [i for i in report.items if i.outcome not in ("exempt", "unfinished")]
     agree = sum(i.agrees for i in compared)
     exempt = sum(i.outcome == "exempt" for i in report.items)

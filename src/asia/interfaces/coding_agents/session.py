@@ -38,6 +38,7 @@ from asia.interfaces.workspace.workspace import (
 )
 from asia.judge.executors import Executor
 from asia.judge.sandbox.jail import INSIDE, SOCKET_FOLDER, Jail, jail_environment
+from asia.judge.sandbox.types import Isolation
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import read_lines
 from asia.ledger.events import (
@@ -412,7 +413,8 @@ class CommandAgent(SubmittedAgent):
         self._socket.mkdir()
         configs = copied_configs(rules, self._private / "home") if rules.jail else ()
         self._rules = replace(rules, configs=configs)
-        self._server = DeskServer(self._socket / SOCKET, RunDesk(prepared.directory))
+        desk = RunDesk(prepared.directory, isolation=Isolation(prepared.started.isolation))
+        self._server = DeskServer(self._socket / SOCKET, desk)
         self._quiet_since = self._looked = time.monotonic()
         self._idle = 0
         self._resumable = ""

@@ -9,6 +9,7 @@ from pathlib import Path
 from asia.errors import UserError
 from asia.interfaces.workspace.process import SearchRequest, prepare_request, start_search
 from asia.interfaces.workspace.server import RunDesk
+from asia.judge.sandbox.types import Isolation
 from asia.problem.problem import Problem
 
 AGENT = "mcp"
@@ -27,7 +28,8 @@ def open_search(request: SearchRequest, runs: Path, name: str | None) -> Opened:
     """Check the request and write it down; no search is started. Raises UserError."""
     prepared = prepare_request(request, runs, name)
     request.save(prepared.directory)
-    desk = RunDesk(prepared.directory, start_search)
+    level = Isolation(prepared.started.isolation)
+    desk = RunDesk(prepared.directory, start_search, level)
     return Opened(desk, prepared.problem, prepared.directory)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
@@ -25,6 +26,7 @@ from starlette.responses import (
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from asia._files import config_folder, name_of_place, read_private, write_private
 from asia.errors import UserError
 from asia.interfaces.view.followed import RunFolder, Snapshot
 from asia.interfaces.view.pages import (
@@ -214,21 +216,23 @@ _HEADERS = {
 
 
 def kept_token(runs: Path) -> str:
-    """The token of a folder of runs. It is made once and kept there, readable for its owner alone,
-    so that pages that are open find a server that was started again. Where it cannot be kept it is
-    a new one."""
-    path = runs / ".view-token"
+    """Return the token of a folder of runs. It is made once and kept in the user's config folder,
+    readable for its owner alone, so that pages that are open find a server that was started again.
+    The folder of runs, which may come from somebody else, has no influence on it. Where it cannot
+    be kept it is a new one."""
+    path = token_path(runs)
+    found = (read_private(path) or b"").decode("ascii", "replace").strip()
+    if len(found) >= _LEAST_TOKEN and found.isascii():
+        return found
     fresh = secrets.token_urlsafe(32)
-    try:
-        path.touch(mode=0o600, exist_ok=True)
-        path.chmod(0o600)
-        found = path.read_text("ascii").strip()
-        if len(found) >= _LEAST_TOKEN:
-            return found
-        path.write_text(fresh, "ascii")
-    except (OSError, ValueError):
-        pass
+    with contextlib.suppress(OSError):
+        write_private(path, fresh.encode())
     return fresh
+
+
+def token_path(runs: Path) -> Path:
+    """Return the file of the token of a folder of runs."""
+    return config_folder() / "view" / f"{name_of_place(runs)}.token"
 
 
 class TokenOnly:

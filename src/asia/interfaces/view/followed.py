@@ -195,10 +195,13 @@ class RunFolder:
         directory = self.folder / name
         ledger = directory / "ledger.jsonl"
         try:
-            state = ledger.stat()
-            seen = state.st_mtime_ns, state.st_size, in_use(ledger)
+            state = ledger.lstat()
         except OSError:
             return None
+        try:
+            seen = state.st_mtime_ns, state.st_size, in_use(ledger)
+        except UserError as error:
+            return ListedRun(name, state.st_mtime_ns / 1e9, None, str(error))
         known = self._listed.get(name)
         if known is not None and known[0] == seen:
             return known[1]

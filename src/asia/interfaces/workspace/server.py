@@ -34,6 +34,7 @@ from asia.interfaces.workspace.process import (
 )
 from asia.judge.evaluation.dry_runs import DryRun
 from asia.judge.evaluation.references import LINEAR
+from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import Stopped
 from asia.ledger.evidence import ComparedScore, evidence_of, settings_of_run
@@ -376,11 +377,18 @@ class RunDesk:
     """Submission server of a run directory. Every method raises UserError with the recommended
     action."""
 
-    def __init__(self, directory: Path, keep_alive: Callable[[Path], None] | None = None) -> None:
-        """keep_alive: called with the run directory where the search is needed and does not run."""
+    def __init__(
+        self,
+        directory: Path,
+        keep_alive: Callable[[Path], None] | None = None,
+        isolation: Isolation | None = None,
+    ) -> None:
+        """keep_alive: called with the run directory where the search is needed and does not run;
+        isolation: level of dry runs and pictures, None for the strongest of this machine."""
         self._directory = directory.resolve()
         self._queue = Queue(self._directory)
         self._keep_alive = keep_alive
+        self._isolation = isolation
         self._extra_work = threading.Lock()
         self._read: tuple[tuple[int, ...], Run] | None = None
 
@@ -555,14 +563,14 @@ class RunDesk:
         held-out ones too where the problem shows their residuals."""
         run = self.run()
         with self._extra_workers():
-            return simulated_excerpts(run, experiment)
+            return simulated_excerpts(run, experiment, self._isolation)
 
     def dry_run(self, source: str) -> DryRunResult:
         """Try a candidate on a short cut of training records, one at a time: no experiment, no
         score."""
         run = self.run()
         with self._extra_workers():
-            return DryRunResult.of(dry_run(run, source))
+            return DryRunResult.of(dry_run(run, source, self._isolation))
 
     @contextmanager
     def _extra_workers(self) -> Generator[None]:

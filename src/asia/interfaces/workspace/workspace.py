@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
-import json
 import math
 import os
-import secrets
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import TypeAdapter
-
+from asia._files import write_file
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.interfaces.workspace.process import SearchRequest, start_search
 from asia.interfaces.workspace.program import Confinement, models_page, program
 from asia.interfaces.workspace.server import RunDesk, SocketDesk
 from asia.judge.evaluation.references import LINEAR
+from asia.judge.sandbox.types import Isolation
 from asia.ledger.artifacts import Store
 from asia.ledger.exports import journal, results_table
+from asia.ledger.folder import MARK, link_workspace, linked_workspace, workspace_around
 from asia.ledger.run import open_run
 from asia.ledger.view import SearchView, published
 from asia.problem.problem import Problem, training_text
@@ -92,63 +90,6 @@ if __name__ == "__main__":
 '''
 
 
-# Safe writing into a folder that other processes may write to: no link is followed.
-
-
-_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
-_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-
-
-def write_file(folder: Path, name: str, content: str | bytes, mode: int = 0o644) -> None:
-    """Replace the file `name`, which may lie in folders below `folder`; those are made. An
-    obstacle, such as a link in place of a folder, is moved aside.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
-    *places, last = name.split("/")
-    data = content.encode("utf-8", "replace") if isinstance(content, str) else content
-    temporary = f".{last}.{secrets.token_hex(8)}"
-    try:
-        here = os.open(folder, _FOLDER)
-        try:
-            for place in places:
-                below = _enter(here, place)
-                os.close(here)
-                here = below
-            with open(os.open(temporary, _NEW, mode, dir_fd=here), "wb") as stream:
-                os.fchmod(stream.fileno(), mode)
-                stream.write(data)
-            try:
-                os.rename(temporary, last, src_dir_fd=here, dst_dir_fd=here)
-            except IsADirectoryError:
-                _move_away(here, last)
-                os.rename(temporary, last, src_dir_fd=here, dst_dir_fd=here)
-        finally:
-            os.close(here)
-    except OSError as error:
-        raise UserError(
-            f"{folder / name} could not be written ({error.strerror}): expected a file, and "
-            "no link, in a folder that you may write; remove what is there"
-        ) from None
-
-
-def _enter(here: int, name: str) -> int:
-    """The folder `name`, made where it is not there."""
-    with contextlib.suppress(FileExistsError):
-        os.mkdir(name, dir_fd=here)
-    try:
-        return os.open(name, _FOLDER, dir_fd=here)
-    except OSError:
-        _move_away(here, name)
-        os.mkdir(name, dir_fd=here)
-        return os.open(name, _FOLDER, dir_fd=here)
-
-
-def _move_away(here: int, name: str) -> None:
-    os.rename(name, f".{name}.{secrets.token_hex(8)}", src_dir_fd=here, dst_dir_fd=here)
-
-
 # Workspace: a folder in which a user or a coding agent works on a problem. It holds training data
 # and texts, never test data, never the ledger itself.
 
@@ -156,8 +97,6 @@ def _move_away(here: int, name: str) -> None:
 DESK_VARIABLE = "ASIA_DESK"
 CANDIDATE = "candidate.py"
 VIEWS = ("results.tsv", "search_journal.md")
-_LINK = ".asia/workspace.json"
-_links = TypeAdapter(dict[str, str | None])
 
 
 @dataclass(frozen=True)
@@ -187,19 +126,13 @@ class Workspace:
 
     @classmethod
     def around(cls, folder: Path) -> Workspace | None:
-        """Return the workspace as `find`; None if there is none."""
-        for place in (folder.resolve(), *folder.resolve().parents):
-            link = place / _LINK
-            if link.is_file():
-                try:
-                    run = _links.validate_json(link.read_bytes()).get("run")
-                except (OSError, ValueError):
-                    raise UserError(
-                        f"{link} is damaged: make the workspace again, with the command that made "
-                        "it"
-                    ) from None
-                return cls(place, Path(run) if run else None)
-        return None
+        """Return the workspace as `find`; None if there is none. Its run is the one that was
+        recorded outside it: nothing in the folder, which an agent can write, names a run."""
+        place = workspace_around(folder)
+        if place is None:
+            return None
+        link = linked_workspace(place)
+        return cls(place, None if link is None else link.run)
 
     def desk(self) -> RunDesk | SocketDesk:
         """Return the submission server: the socket that ASIA_DESK names, else the run itself."""
@@ -214,7 +147,8 @@ class Workspace:
                 "the program that asia agent workspace --jail starts, or make another workspace "
                 "with another --name"
             )
-        return RunDesk(run, start_search)
+        asked = None if request is None or request.isolation is None else request.isolation
+        return RunDesk(run, start_search, None if asked is None else Isolation(asked))
 
     def draw(self, experiment: int, cases: SimulatedCases) -> tuple[str, ...]:
         """Pictures of an experiment in `plots/`; the names of the files. Raises UserError."""
@@ -245,7 +179,7 @@ class Workspace:
 
 def is_workspace(folder: Path) -> bool:
     """Return whether `asia agent workspace` or a command agent made this folder."""
-    return (folder / _LINK).is_file()
+    return (folder / MARK).is_file()
 
 
 def make_workspace(
@@ -258,14 +192,13 @@ def make_workspace(
     things in it, or of another run."""
     folder = folder.resolve()
     run = prepared.directory.resolve()
-    if (folder / _LINK).is_file():
-        other = Workspace.find(folder).run
-        if other != run:
-            raise UserError(
-                f"{folder} is the workspace of {other.name if other else 'a coding agent'}; choose "
-                "another folder"
-            )
-    elif folder.is_dir() and any(folder.iterdir()):
+    link = linked_workspace(folder) if folder.is_dir() else None
+    if link is not None:
+        if link.run != run:
+            of = link.run.name if link.run else "a coding agent"
+            raise UserError(f"{folder} is the workspace of {of}; choose another folder")
+    # A folder with the mark and no link was made by an older version, or moved.
+    elif folder.is_dir() and not is_workspace(folder) and any(folder.iterdir()):
         raise UserError(f"{folder} is not empty: give a new folder")
     if folder == run or run in folder.parents or folder in run.parents:
         raise UserError(
@@ -308,7 +241,8 @@ def write_folder(
         write_file(folder, f"data/{name}.csv", stream.getvalue())
     if not os.path.lexists(folder / CANDIDATE):
         write_file(folder, CANDIDATE, problem.baseline or LINEAR)
-    write_file(folder, _LINK, json.dumps({"run": str(run) if run else None}) + "\n")
+    write_file(folder, MARK, '{"workspace": true}\n')
+    link_workspace(folder, run)
 
 
 def write_views(folder: Path, view: SearchView, store: Store) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from asia.interfaces.view.app import kept_token
+from asia.interfaces.view.app import kept_token, token_path
 
 from .conftest import TOKEN
 
@@ -74,13 +74,34 @@ def test_the_token_is_kept_for_its_owner_alone(tmp_path: Path) -> None:
     first = kept_token(tmp_path)
     assert len(first) > 40
     assert kept_token(tmp_path) == first
-    assert stat.S_IMODE((tmp_path / ".view-token").stat().st_mode) == 0o600
+    assert not any(tmp_path.iterdir())
+    assert stat.S_IMODE(token_path(tmp_path).stat().st_mode) == 0o600
     other = tmp_path / "other"
     other.mkdir()
     assert kept_token(other) != first
 
 
-def test_a_folder_that_cannot_keep_the_token_has_a_new_one(tmp_path: Path) -> None:
-    missing = tmp_path / "missing"
-    assert len(kept_token(missing)) > 40
-    assert kept_token(missing) != kept_token(missing)
+def test_a_token_in_the_folder_of_runs_is_not_adopted(tmp_path: Path) -> None:
+    (tmp_path / ".view-token").write_text("a" * 43)
+    assert kept_token(tmp_path) != "a" * 43
+
+
+def test_a_token_that_others_may_write_or_that_is_a_link_is_not_adopted(tmp_path: Path) -> None:
+    first = kept_token(tmp_path)
+    token_path(tmp_path).chmod(0o666)
+    second = kept_token(tmp_path)
+    assert second != first
+    (tmp_path / "planted").write_text("a" * 43)
+    token_path(tmp_path).unlink()
+    token_path(tmp_path).symlink_to(tmp_path / "planted")
+    assert kept_token(tmp_path) not in (first, second, "a" * 43)
+    assert (tmp_path / "planted").read_text() == "a" * 43
+
+
+def test_a_token_that_cannot_be_kept_is_a_new_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "file"))
+    assert len(kept_token(tmp_path)) > 40
+    assert kept_token(tmp_path) != kept_token(tmp_path)

@@ -14,6 +14,7 @@ from asia.errors import UserError
 from asia.interfaces import view as view_room
 from asia.interfaces.cli import main
 from asia.interfaces.view import PORT, require_server, serve_view
+from asia.interfaces.view.app import token_path
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
@@ -85,6 +86,6 @@ def test_the_address_bears_the_token_and_an_interrupt_ends_it(runs: Path) -> Non
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
         assert process.stderr.read() == ""
-    token = (runs / ".view-token").read_text()
+    token = token_path(runs).read_text()
     assert address.startswith("http://127.0.0.1:")
     assert address.endswith(f"/runs/made?token={token}")

@@ -85,8 +85,8 @@ def test_a_dry_run_over_a_socket(place: Place, tmp_path: Path) -> None:
 def test_one_dry_run_at_a_time(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     inside, go = threading.Event(), threading.Event()
 
-    def slow(run: object, source: str) -> None:
-        del run, source
+    def slow(run: object, source: str, isolation: object) -> None:
+        del run, source, isolation
         inside.set()
         go.wait(20.0)
         raise UserError("ended")

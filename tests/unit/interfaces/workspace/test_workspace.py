@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from asia._files import write_file
 from asia.errors import UserError
-from asia.interfaces.workspace.workspace import write_file, write_folder
+from asia.interfaces.workspace.workspace import write_folder
 from asia.problem.load import load_problem
 from tests.unit.search.toy import write_problem
 

@@ -198,13 +198,19 @@ def _write_identified(subject: Subject) -> Html | None:
     parts: list[Html] = []
     if found.equations:
         lines = "\n".join(one_line(line, 600) for line in found.equations)
-        parts.append(tag("p", "The equations of the winner, with the fitted numbers:"))
+        title = (
+            "The equations of the winner, with the fitted numbers:"
+            if found.library
+            else "Equations in the candidate's own words, not checked by ASIA:"
+        )
+        parts.append(tag("p", title))
         parts.append(tag("pre", tag("code", lines), tabindex="0"))
     if found.parameters:
         head = ["parameter", "value", "unit", "standard error", "standard error by folds",
                 "interval", "interval decided by", "remark"]  # fmt: skip
         rows = [_parameter(run, f"parameters.{k}", one) for k, one in enumerate(found.parameters)]
-        parts.append(table(head, rows, "Parameters, fitted to all training records"))
+        own = "" if found.library else ", as the candidate's own code reports them"
+        parts.append(table(head, rows, f"Parameters, fitted to all training records{own}"))
         parts += [tag("p", tag("b", said(line), ".")) for line in disagreement_lines(found)]
         text = (
             ". It is the widest of three intervals: from the noise, from the spread of the fold "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from shlex import quote
 
 from asia._text import one_line
 from asia.judge.scoring.outcome import Score
@@ -104,11 +105,15 @@ SECTION = Section("integrity", "Integrity and cost", _write)
 
 def _write_reproduce(subject: Subject) -> Html:
     start, lines = subject.view.started, subject.run.lines
-    name = one_line(start.run, 120)
+    # Names that the ledger brings are quoted: somebody will copy these lines into a shell.
+    name, problem, agent = (
+        quote(one_line(text, most))
+        for text, most in ((start.run, 120), (start.problem, 120), (start.agent, 60))
+    )
     commands = (
         f"asia verify {name}           # check the hash chain of the ledger and every artifact\n"
         f"asia verify {name} --replay  # evaluate every candidate again and compare\n"
-        f"asia run {one_line(start.problem, 120)} --agent {one_line(start.agent, 60)} "
+        f"asia run {problem} --agent {agent} "
         f"--experiments {subject.view.budget} --seed {start.seed}\n"
     )
     block = region("pre", tag("code", commands), label="commands")

@@ -1,0 +1,282 @@
+"""Opens one hostile run folder with every command and every Python entry: nothing of it executes
+outside the sandbox. SECURITY.md has the table of what each executes."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+
+import asia
+from asia.analysis.ablation import ablate
+from asia.analysis.confirmation import confirm
+from asia.analysis.validation import validate
+from asia.errors import UserError
+from asia.interfaces.view.app import TokenOnly, kept_token, make_app
+from asia.interfaces.view.followed import RunFolder
+from asia.interfaces.view.streams import Streams
+from asia.interfaces.workspace.server import RunDesk
+from asia.judge.sandbox.availability import probe
+from asia.judge.sandbox.levels import LEVELS
+from asia.judge.sandbox.types import Isolation
+from asia.search.replay import replay_run
+from tests.unit.interfaces.cli.conftest import command_line
+from tests.unit.received.hostile import HostileRun, make_hostile_run, plant_agent
+from tests.unit.search.toy import arx
+
+ROOT = Path(__file__).parents[3]
+SRC = ROOT / "src" / "asia"
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(
+        not LEVELS[probe().level].confined, reason="no level of this machine confines a candidate"
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def received(tmp_path_factory: pytest.TempPathFactory) -> HostileRun:
+    made = make_hostile_run(tmp_path_factory.mktemp("hostile"))
+    assert made.marked == [], "the search itself runs in the sandbox"
+    return made
+
+
+@pytest.fixture
+def gift(received: HostileRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> HostileRun:
+    """A copy in the current folder, where the agent class lies too."""
+    here = tmp_path / "here"
+    here.mkdir()
+    plant_agent(here, received.marks)
+    monkeypatch.chdir(here)
+    monkeypatch.delenv("ASIA_RUNS", raising=False)
+    return received.copy(here / "runs")
+
+
+def series(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return np.zeros((3, 1)), np.zeros((3, 1)), np.ones((samples, 1))
+
+
+# Row of the table, words of the command, exit codes.
+COMMANDS: tuple[tuple[str, tuple[str, ...], tuple[int, ...]], ...] = (
+    ("asia status", ("status", "gift"), (0,)),
+    ("asia status", ("status", "gift", "--json", "--profile"), (0,)),
+    ("asia show", ("show", "gift"), (0,)),
+    ("asia show", ("show", "gift", "--json"), (0,)),
+    ("asia show", ("show", "gift", "1", "2"), (0,)),
+    ("asia show", ("show", "gift", "2", "--source"), (0,)),
+    ("asia report", ("report", "gift"), (0,)),
+    ("asia report", ("report", "gift", "--figures", "figures", "--latex", "tables"), (0,)),
+    ("asia report", ("report", "gift", "--methods"), (0,)),
+    ("asia report", ("report", "--bundle", "site"), (0,)),
+    ("asia verify", ("verify", "gift"), (0,)),
+    ("asia verify --replay", ("verify", "gift", "--replay"), (2,)),
+    (
+        "asia verify --replay",
+        ("verify", "gift", "--replay", "--trust-agent", "hostile_agent:Other"),
+        (2,),
+    ),
+    ("asia validate", ("validate", "gift"), (0,)),
+    (
+        "asia validate --repeat",
+        ("validate", "gift", "--repeat", "--top", "1", "--seeds", "1"),
+        (0,),
+    ),
+    ("asia validate --ablate", ("validate", "gift", "--ablate", "--seeds", "1"), (0,)),
+    ("asia export", ("export", "gift", "--to", "numpy"), (2,)),
+    ("asia unseal", ("unseal", "gift", "--yes"), (2,)),
+    ("asia unseal", ("unseal", "gift", "--yes", "--yes-process"), (0,)),
+    ("asia steer", ("steer", "gift", "--note", "hello"), (0,)),
+)
+
+
+@pytest.mark.parametrize(
+    ("row", "words", "codes"), COMMANDS, ids=[" ".join(c[1]) for c in COMMANDS]
+)
+def test_no_command_executes_it_outside_the_sandbox(
+    row: str, words: tuple[str, ...], codes: tuple[int, ...], gift: HostileRun
+) -> None:
+    done = command_line(*words)
+    assert done.code in codes, done.err
+    assert "Traceback" not in done.err
+    if done.code:
+        assert done.err.splitlines()[-1].startswith("asia: ")
+    assert gift.marked == []
+
+
+def view_pages(gift: HostileRun) -> None:
+    runs = gift.directory.parent
+    token = kept_token(runs)
+    assert token != "t" * 43
+    app = TokenOnly(make_app(RunFolder(runs), Streams(), token), token, 8731)
+    with TestClient(app, base_url="http://localhost:8731") as client:
+        assert client.get(f"/?token={token}").status_code == 200
+        for page in ("/runs/gift", "/runs/gift/curve", "/runs/gift/experiments/2"):
+            assert client.get(page).status_code == 200
+        for key in ("verdict", "identified", "integrity", "reproduce"):
+            client.get(f"/runs/gift/sections/{key}")
+        assert client.get(f"/runs/gift?token={'t' * 43}").status_code == 401
+
+
+def refused_replay(gift: HostileRun) -> None:
+    with pytest.raises(UserError, match="was not imported"):
+        replay_run(gift.directory, lambda item: None)
+
+
+def estimated(gift: HostileRun) -> None:
+    model = asia.SystemIdentifier()
+    model.run_ = asia.open_run(gift.directory)
+    past_u, past_y, u = series(20)
+    assert model.simulate(u, past_u=past_u, past_y=past_y).shape == (20, 1)
+    assert model.predict(u, u, 2).shape == (20, 1)
+    assert np.isfinite(model.score(np.arange(20.0) % 3, np.arange(20.0) % 5))
+    with pytest.raises(UserError):
+        model.export("numpy")
+    assert model.report()
+    assert repr(model)
+    assert model._repr_html_()
+    assert len(model.parameters_) == 0
+    assert model.source_
+    assert model.value_ > 0
+
+
+def unsealed(gift: HostileRun) -> None:
+    with pytest.raises(UserError, match="level process"):
+        asia.unseal(gift.directory)
+    assert asia.unseal(gift.directory, process_consent=True).first_time
+
+
+ENTRIES: tuple[tuple[str, Callable[[HostileRun], object]], ...] = (
+    ("asia.load_run", lambda gift: asia.load_run(gift.directory)),
+    ("asia.SystemIdentifier", estimated),
+    ("asia.open_run", lambda gift: asia.open_run(gift.directory).view),
+    ("asia.simulate", lambda gift: asia.simulate(gift.directory, *series(20))),
+    ("asia.simulate", lambda gift: asia.simulate(gift.directory, *series(20), bands=0.9)),
+    ("asia.write_report", lambda gift: asia.write_report(gift.directory)),
+    ("asia.unseal", unsealed),
+    ("asia view", view_pages),
+    ("asia verify --replay", refused_replay),
+    ("asia validate", lambda gift: validate(gift.directory)),
+    (
+        "asia validate --repeat",
+        lambda gift: confirm(gift.directory, lambda *one: None, top=1, seeds=1),
+    ),
+    ("asia validate --ablate", lambda gift: ablate(gift.directory, lambda *one: None, seeds=1)),
+    ("asia try --dry-run", lambda gift: RunDesk(gift.directory).dry_run(arx(1))),
+    ("asia try --plot", lambda gift: RunDesk(gift.directory).simulated(2)),
+)
+
+
+@pytest.mark.parametrize(
+    ("row", "enter"), ENTRIES, ids=[f"{k} {e[0]}" for k, e in enumerate(ENTRIES)]
+)
+def test_no_function_executes_it_outside_the_sandbox(
+    row: str, enter: Callable[[HostileRun], object], gift: HostileRun
+) -> None:
+    enter(gift)
+    assert gift.marked == []
+
+
+def test_the_marks_appear_without_the_principle(gift: HostileRun, tmp_path: Path) -> None:
+    """The same candidate at the level that its ledger names, which a user has to ask for; the same
+    agent once it is trusted."""
+    try:
+        asia.simulate(gift.directory, *series(5), isolation=Isolation.PROCESS)
+        assert {"import", "unpickle", "simulate"} <= set(gift.marked)
+        done = command_line(
+            "verify", "gift", "--replay", "--trust-agent", "hostile_agent:Hostile",
+            "--isolation", "process",
+        )  # fmt: skip
+        assert "with your rights" in done.err
+        assert {"agent", "fit"} <= set(gift.marked)
+    finally:
+        for place in (gift.marks, gift.home):
+            for path in place.iterdir():
+                path.unlink()
+
+
+def test_the_search_goes_on_at_the_level_the_user_asks_for(gift: HostileRun) -> None:
+    """The forged ledger says `process`; the command says nothing, which is the strongest."""
+    done = command_line(
+        "run", gift.problem, "--agent", "random", "--name", "gift", "--experiments", 3
+    )
+    assert done.code == 2
+    assert gift.marked == []
+
+
+# SECURITY.md and the source.
+
+
+def test_the_table_has_each_row_that_was_tried() -> None:
+    text = (ROOT / "SECURITY.md").read_text("utf-8")
+    _, _, rest = text.partition("## A run from somebody else")
+    rows = set(re.findall(r"^\| `([^`]+)`", rest.partition("\n## ")[0], re.MULTILINE))
+    tried = {row for row, *_ in COMMANDS} | {row for row, _ in ENTRIES}
+    assert rows == tried
+
+
+LOADERS = re.compile(
+    r"(^|\.)(exec|eval|__import__|import_module|load_target|run_path|run_module|exec_module|"
+    r"load_module|spec_from_file_location|loadmat)$|(pickle|np|numpy|marshal|dill|joblib)\.loads?$|"
+    r"part\.load$|^known\[name\]\.load$|CDLL$"
+)
+# Each place that executes or unpickles something that is not named in the source, and why a
+# received run cannot use it.
+ACCOUNTED = {
+    "__init__.py": "names of this package",
+    "_heap.py": "the C library",
+    "_plugins.py": "installed packages; `module:Name` that the user gives",
+    "agents/library/pages.py": "families of ASIA and of installed packages",
+    "agents/library/registry.py": "families of ASIA and of installed packages",
+    "agents/registry.py": "agents that the user names; of a ledger only installed or trusted ones",
+    "assurance/redteam/evidence.py": "the C library",
+    "assurance/redteam/outside/naive_evaluator.py": "attacks in an outer sandbox",
+    "data/intake/formats.py": "packages of a fixed table; arrays without pickles; MATLAB data",
+    "data/sources/official.py": "arrays without pickles; MATLAB data",
+    "data/sources/registry.py": "sources of installed packages",
+    "export/registry.py": "targets of installed packages",
+    "export/targets/c.py": "code that ASIA printed from a checked program",
+    "export/targets/control.py": "code that ASIA printed from a checked program",
+    "export/targets/matlab.py": "answers of Octave to code that ASIA printed",
+    "export/targets/numpy.py": "code that ASIA printed from a checked program",
+    "interfaces/cli/__init__.py": "commands of installed packages",
+    "interfaces/workspace/tools.py": "the user's candidate in the user's own workspace",
+    "judge/evaluation/transport.py": "work and records between machines of one search",
+    "judge/executors/__init__.py": "executors of installed packages",
+    "judge/executors/dask.py": "one package",
+    "judge/executors/slurm.py": "one package",
+    "judge/sandbox/layers/landlock.py": "the C library",
+    "judge/sandbox/layers/lockdown.py": "the C library",
+    "judge/sandbox/layers/seccomp.py": "the C library",
+    "judge/sandbox/worker/child.py": "candidates and their models, in the sandbox",
+    "judge/sandbox/worker/keeper.py": "the C library",
+    "judge/sandbox/worker/wire.py": "requests of the parent, read in the sandbox",
+    "judge/scoring/checks/registry.py": "checks of installed packages",
+    "models/_equations/ode.py": "numbered variables, operators and functions of a table",
+    "problem/metrics.py": "metrics of installed packages",
+    "problem/problem.py": "one module of this package",
+    "report/__init__.py": "names of this package",
+    "search/sinks.py": "sinks that the user names",
+    "testing/family.py": "the author's own family",
+}
+
+
+def test_each_place_that_executes_or_unpickles_is_accounted_for() -> None:
+    found = {
+        path.relative_to(SRC).as_posix()
+        for path in SRC.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Call) and LOADERS.search(ast.unparse(node.func))
+    }
+    assert found == set(ACCOUNTED)
+    for path in SRC.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in ("np.load", "numpy.load"):
+                if "redteam" in path.parts:
+                    continue
+                allowed = [k for k in node.keywords if k.arg == "allow_pickle"]
+                assert all(ast.unparse(k.value) == "False" for k in allowed), path
