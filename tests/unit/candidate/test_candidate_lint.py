@@ -3,7 +3,6 @@
 import ast
 import base64
 from collections.abc import Callable
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ import asia
 from asia.agents import ExpertAgent, Facts
 from asia.agents.library.family import under_protocol
 from asia.agents.library.registry import all_families
+from asia._source import source_facts
 from asia.agents.llm.prompt import EXAMPLE
 from asia.agents.random import _drawn, paper_families
 from asia.candidate import (
@@ -21,7 +21,6 @@ from asia.candidate import (
     MOST_LITERALS,
     MOST_NAMES,
     check_source,
-    content,
     executed_source,
     source_digest,
 )
@@ -38,7 +37,7 @@ MOST = np.array([MOST_LITERALS, MOST_NAMES, MOST_ALIKE, MOST_CODE])
 
 
 def figures(source: str) -> np.ndarray:
-    return np.array(astuple(content(source, ast.parse(source))))
+    return np.array(source_facts(source).content)
 
 
 def library_sources() -> list[str]:
