@@ -6,7 +6,7 @@ nothing of the source, has bounded processor time and memory, can open no file a
 where Landlock and seccomp are in force, and answers with plain data. The process is started at the
 first source and ends with the one that started it.
 
-Run as a script it is that process. Its arguments are the folder of the sandbox's layers, the seconds
+Run as a script it is that process. Arguments: the folder of the sandbox's layers, the seconds
 of processor time for a source, and the MB of its address space.
 """
 

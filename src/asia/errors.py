@@ -16,6 +16,7 @@ class Reason(StrEnum):
     FIT_TIMEOUT = "fit_timeout"
     SIMULATE_TIMEOUT = "simulate_timeout"
     MEMORY = "memory"
+    THREADS = "threads"
     NOT_FINITE = "not_finite"
     WRONG_LENGTH = "wrong_length"
     UNSOLICITED = "unsolicited"
@@ -33,7 +34,7 @@ class Reason(StrEnum):
             return "discard"
         if self in (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT):
             return "timeout"
-        if self in (Reason.CRASH, Reason.EXITED, Reason.MEMORY):
+        if self in (Reason.CRASH, Reason.EXITED, Reason.MEMORY, Reason.THREADS):
             return "crash"
         return "invalid"
 
@@ -56,6 +57,7 @@ _ADVICE = {
     "compile the loop over time, or raise budget.fit_seconds",
     Reason.MEMORY: "the worker ran out of memory: "
     "lower the model or batch size, or raise budget.memory_mb",
+    Reason.THREADS: "the worker runs too many threads or processes: start fewer",
     Reason.NOT_FINITE: "the simulation diverged to NaN or infinity: "
     "constrain stability, bound the states or lower the learning rate",
     Reason.WRONG_LENGTH: "the reply has the wrong size: "

@@ -1,6 +1,5 @@
 """Limits on the data in a source, and the part of it that a worker reads."""
 
-import ast
 import base64
 from collections.abc import Callable
 from pathlib import Path
@@ -9,10 +8,10 @@ import numpy as np
 import pytest
 
 import asia
+from asia._source import source_facts
 from asia.agents import ExpertAgent, Facts
 from asia.agents.library.family import under_protocol
 from asia.agents.library.registry import all_families
-from asia._source import source_facts
 from asia.agents.llm.prompt import EXAMPLE
 from asia.agents.random import _drawn, paper_families
 from asia.candidate import (

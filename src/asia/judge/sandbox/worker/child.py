@@ -1,7 +1,8 @@
 """The worker's own side of the sandbox, and the only file that runs candidate code.
 
 Run as a script in a fresh process; nothing in the parent imports it.
-Arguments: request fd, reply fd, memory limit in MB, the layers it puts on itself (commas between);
+Arguments: request fd, reply fd, memory limit in MB, limit on threads (0 for one that others hold),
+the layers it puts on itself (commas between);
 how many libraries to load ahead, then these; how many folders to add to the import path, then
 these; how many packages to import from a place of their own, then these, each as name=place; the
 places it may read.
@@ -48,9 +49,9 @@ _OPEN_FILES = 256
 _MESSAGE_CHARACTERS = 1000
 
 
-def _restrict(memory_mb: int) -> None:
-    """Limits on resources, before the system call filter takes away the means to set them; 0 MB for
-    none on the address space."""
+def _restrict(memory_mb: int, pids: int) -> None:
+    """Limits on resources, before the system call filter takes away the means to set them; 0 for
+    none on the address space or on threads."""
     limits = {
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_FSIZE: _LARGEST_FILE,
@@ -59,6 +60,8 @@ def _restrict(memory_mb: int) -> None:
     if sys.platform == "linux":
         if memory_mb:
             limits[resource.RLIMIT_AS] = memory_mb * 1024 * 1024
+        if pids:
+            limits[resource.RLIMIT_NPROC] = pids
         limits[resource.RLIMIT_MEMLOCK] = 0
         limits[resource.RLIMIT_MSGQUEUE] = 0
         # Queued signals are counted over all processes of the user.
@@ -368,9 +371,9 @@ def _candidate_traceback(error: BaseException) -> str:
 
 
 def main(arguments: list[str]) -> NoReturn:
-    requests, replies, memory_mb = (int(word) for word in arguments[:3])
-    layers = arguments[3].split(",")
-    readable = arguments[4:]
+    requests, replies, memory_mb, pids = (int(word) for word in arguments[:4])
+    layers = arguments[4].split(",")
+    readable = arguments[5:]
 
     def counted() -> list[str]:
         """Take a list that is preceded by its length from the remaining words."""
@@ -380,7 +383,7 @@ def main(arguments: list[str]) -> NoReturn:
 
     libraries, folders, packages, devices = counted(), counted(), counted(), counted()
     if lockdown.RLIMITS in layers:
-        _restrict(memory_mb)
+        _restrict(memory_mb, pids)
     # Before numpy, whose threads Landlock would not bind.
     lockdown.confine(layers, readable, devices)
     sys.path.extend(folder for folder in folders if folder not in sys.path)
