@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+import builtins
 from enum import StrEnum
 from typing import Literal
+
+KNOWN_ERRORS = frozenset(
+    name
+    for name, value in vars(builtins).items()
+    if isinstance(value, type) and issubclass(value, BaseException)
+) | {"LinAlgError", "JaxRuntimeError", "XlaRuntimeError", "EquinoxRuntimeError", "UnpicklingError"}
+"""Names of exceptions that a candidate did not define, so that they carry no words of its own."""
 
 
 class Reason(StrEnum):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import contextlib
 import math
 import threading
@@ -16,7 +15,7 @@ from asia._text import printable
 from asia._timer import Activity, Seconds
 from asia.candidate import Context, ParameterEstimates
 from asia.data.trajectory import Array, Trajectory
-from asia.errors import CandidateError, Reason, SandboxError
+from asia.errors import KNOWN_ERRORS, CandidateError, Reason, SandboxError
 from asia.judge.sandbox.layers.pids import PidsCgroup, PidsMechanism, count_tasks, most_pids
 from asia.judge.sandbox.types import (
     FitReply,
@@ -65,11 +64,6 @@ _REASONS = {
     ReplyKind.MEMORY: Reason.MEMORY,
     ReplyKind.SHAPE: Reason.WRONG_LENGTH,
 }
-_KNOWN_ERRORS = frozenset(
-    name
-    for name, value in vars(builtins).items()
-    if isinstance(value, type) and issubclass(value, BaseException)
-) | {"LinAlgError", "JaxRuntimeError", "XlaRuntimeError", "EquinoxRuntimeError", "UnpicklingError"}
 _OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot allocate memory")
 _START_SECONDS = 60.0
 _COUNT_SECONDS = 1.0
@@ -93,7 +87,7 @@ def _failure_words(
         return text
     if status is ReplyKind.CONTRACT:
         return "no array of numbers, or no model with simulate"
-    return text if text in _KNOWN_ERRORS else "an exception of its own"
+    return text if text in KNOWN_ERRORS else "an exception of its own"
 
 
 class Worker:
@@ -259,6 +253,16 @@ class Worker:
         return printable(
             self._reply_before_cases("device", DEVICE_BYTES).decode("utf-8", "replace")
         )
+
+    def compile_seconds(self) -> float:
+        """Return JAX's time for tracing and compiling in the fit, as the worker reports it, at most
+        the time that the fit took. Call it before any case, as `parameters`."""
+        body = self._reply_before_cases("compiled", COMPILED_BYTES)
+        if len(body) != COMPILED_BYTES:
+            raise self._failure(Reason.UNSOLICITED, "no times of compilation")
+        longest = self.spent.get(Activity.FIT, (0.0, 0.0))[0]
+        seconds = float(np.frombuffer(body, "<f8")[:2].sum())
+        return min(seconds, longest) if seconds > 0 else 0.0
 
     def _reply_before_cases(self, request: str, most: int) -> bytes:
         if self._cases_seen:
