@@ -439,8 +439,9 @@ def first_child(pid: int) -> int | None:
     return int(children[0]) if children else None
 
 
-def peak_memory_mb(pid: int | None) -> float | None:
-    """The largest address space that a process has had, MB; None where the system does not say."""
+def peak_memory_mb(pid: int | str | None) -> float | None:
+    """The largest address space that a process has had, MB; None where the system does not say.
+    pid: or `self`."""
     with suppress(OSError, ValueError, IndexError):
         text = Path(f"/proc/{pid}/status").read_text("ascii", "replace")
         return int(text.split("VmPeak:")[1].split()[0]) / 1024

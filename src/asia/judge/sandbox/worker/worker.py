@@ -65,6 +65,7 @@ _REASONS = {
     ReplyKind.SHAPE: Reason.WRONG_LENGTH,
 }
 _OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot allocate memory")
+_NO_THREAD = "can't start new thread"
 _START_SECONDS = 60.0
 _COUNT_SECONDS = 1.0
 _LOOK_SECONDS, _LOOK_AT_ONE_SECONDS = 0.2, 0.05
@@ -487,7 +488,8 @@ class Worker:
     def _failure(self, reason: Reason, detail: str = "") -> CandidateError:
         """End the worker; the error is the caller's to raise."""
         crashed = reason in (Reason.CRASH, Reason.EXITED, Reason.MEMORY)
-        if crashed and self._pids is not None and self._pids.exceeded:
+        refused = self._pids_mechanism is not None and _NO_THREAD in detail
+        if crashed and (refused or (self._pids is not None and self._pids.exceeded)):
             reason, detail = Reason.THREADS, f"at most {most_pids()} threads and processes"
         if not (self._closed or self._cases_seen or self._model_loaded):
             self.printed = self._channel.take_output()
