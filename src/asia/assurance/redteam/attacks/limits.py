@@ -191,7 +191,7 @@ _RESERVE = (
 _PRETEND = (
     "for one in gc.get_objects():\n"
     "    if type(one).__name__ == 'Meter':\n"
-    "        one._spent['simulate'] = [secret, 0.0]\n"
+    "        one._spent.setdefault('simulate', [secret, 0.0])\n"
     "time.sleep(1.0)"
 )
 _CARRY = "globals().setdefault('SEEN', []).append(secret)"
