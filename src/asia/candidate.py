@@ -15,8 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 import asia
-from asia._source import Imports, imports_of
-from asia._source_reader import read_source
+from asia._source import Imports, SourceFacts, imports_of
 from asia._syntax import syntax_tree
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import CandidateError, Reason
@@ -213,7 +212,7 @@ def _imports_of_module(name: str) -> Imports:
 def _imports(source: str) -> Imports:
     """Imports of a candidate; none where its source cannot be read."""
     try:
-        return read_source(source).imports
+        return _facts(source).imports
     except CandidateError:
         return Imports()
 
@@ -240,6 +239,13 @@ MOST_CODE = 7 * 1024
 # Check and identify the source of a candidate before anything of it runs.
 
 
+def _facts(source: str) -> SourceFacts:
+    # Not at the top: a worker imports this module and reads no source.
+    from asia._source_reader import read_source
+
+    return read_source(source)
+
+
 def check_source(source: str) -> None:
     """Refuse a source that cannot be a candidate, without executing it.
 
@@ -248,7 +254,7 @@ def check_source(source: str) -> None:
             CONTRACT if it defines no top-level name `fit`, LITERAL_DATA if it is over 64 KB or
             carries more data than a model needs.
     """
-    facts = read_source(source)
+    facts = _facts(source)
     if not facts.defines_fit:
         raise CandidateError(
             Reason.CONTRACT, "the source defines no top-level function fit(trajectories, context)"
@@ -277,7 +283,7 @@ def executed_source(source: str) -> str:
         CandidateError: SYNTAX if the source does not parse, or if its layout does not permit
             telling comments from code.
     """
-    bare = read_source(source).bare
+    bare = _facts(source).bare
     if bare is None:
         raise CandidateError(
             Reason.SYNTAX,
@@ -295,7 +301,7 @@ def source_digest(source: str) -> str:
     Raises:
         CandidateError: as for `check_source`, if the source does not parse.
     """
-    return read_source(source).digest
+    return _facts(source).digest
 
 
 def source_tree(source: str) -> ast.Module:
@@ -305,7 +311,7 @@ def source_tree(source: str) -> ast.Module:
     Raises:
         CandidateError: as for `source_digest`.
     """
-    read_source(source)
+    _facts(source)
     return syntax_tree(source, "candidate.py")
 
 

@@ -49,9 +49,9 @@ _OPEN_FILES = 256
 _MESSAGE_CHARACTERS = 1000
 
 
-def _restrict(memory_mb: int, pids: int) -> None:
-    """Limits on resources, before the system call filter takes away the means to set them; 0 for
-    none on the address space or on threads."""
+def _restrict(memory_mb: int) -> None:
+    """Limits on resources, before the system call filter takes away the means to set them; 0 MB for
+    none on the address space."""
     limits = {
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_FSIZE: _LARGEST_FILE,
@@ -60,16 +60,18 @@ def _restrict(memory_mb: int, pids: int) -> None:
     if sys.platform == "linux":
         if memory_mb:
             limits[resource.RLIMIT_AS] = memory_mb * 1024 * 1024
-        if pids:
-            limits[resource.RLIMIT_NPROC] = pids
         limits[resource.RLIMIT_MEMLOCK] = 0
         limits[resource.RLIMIT_MSGQUEUE] = 0
         # Queued signals are counted over all processes of the user.
         limits[resource.RLIMIT_SIGPENDING] = 0
     for what, wanted in limits.items():
-        hard = resource.getrlimit(what)[1]
-        value = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
-        resource.setrlimit(what, (value, value))
+        _limit(what, wanted)
+
+
+def _limit(what: int, wanted: int) -> None:
+    hard = resource.getrlimit(what)[1]
+    value = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+    resource.setrlimit(what, (value, value))
 
 
 class _PackageFinder(importlib.abc.MetaPathFinder):
@@ -383,7 +385,9 @@ def main(arguments: list[str]) -> NoReturn:
 
     libraries, folders, packages, devices = counted(), counted(), counted(), counted()
     if lockdown.RLIMITS in layers:
-        _restrict(memory_mb, pids)
+        _restrict(memory_mb)
+    if pids:
+        _limit(resource.RLIMIT_NPROC, pids)
     # Before numpy, whose threads Landlock would not bind.
     lockdown.confine(layers, readable, devices)
     sys.path.extend(folder for folder in folders if folder not in sys.path)
