@@ -11,6 +11,7 @@ MOST_NESTED = 200
 depends on where it is called."""
 MOST_DIGITS = 4300
 """Decimal digits of an integer. CPython turns no longer one into text."""
+_TOO_LARGE = 10**MOST_DIGITS
 _ATTEMPTS = 100
 
 _TOO_DEEP = f"the source is nested too deeply, at most {MOST_NESTED} levels are allowed"
@@ -29,7 +30,7 @@ def syntax_tree(text: str, name: str) -> ast.Module:
     for _ in range(MOST_NESTED):
         for node in level:
             match node:
-                case ast.Constant(value=int(value)) if abs(value) >= 10**MOST_DIGITS:
+                case ast.Constant(value=int(value)) if abs(value) >= _TOO_LARGE:
                     message = f"an integer has more than {MOST_DIGITS} digits"
                     raise SyntaxError(message, (name, node.lineno, None, None))
                 case _:

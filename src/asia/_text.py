@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Iterable
@@ -92,3 +93,20 @@ def nearest(word: str, known: Iterable[str]) -> str:
     names = [name for name in known if name]
     close = suggestion(word, names)
     return close or (f"; known: {', '.join(names)}" if names else "")
+
+
+# Figures that a candidate can influence, as they are told to agents.
+
+
+def coarse(value: float) -> float:
+    """A measured time or size in steps of 10 %, with two significant digits; below 0.1 it is 0.1,
+    and 0 stays 0. A figure between 0.1 and 1000 carries 7 bits at most."""
+    if not value > 0:
+        return 0.0
+    step = round(math.log(max(value, 0.1)) / math.log(1.1))
+    return rounded(1.1**step, 2)
+
+
+def rounded(value: float, digits: int) -> float:
+    """The value with so many significant digits."""
+    return float(f"{value:.{digits}g}")

@@ -5,21 +5,17 @@ source.
 from __future__ import annotations
 
 import ast
-import hashlib
-import io
-import tokenize
-import warnings
-import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 import asia
+from asia._source import Imports, SourceFacts, imports_of
 from asia._syntax import syntax_tree
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import CandidateError, Reason
@@ -163,15 +159,6 @@ JAX = frozenset({"jax"})
 _LOAD_JAX = ("jax", "equinox", "optax")
 
 
-class _Imports(NamedTuple):
-    """Names of imported modules, and of what is imported from them, which may be modules too."""
-
-    first: frozenset[str] = frozenset()
-    """Imports by statements that run when the module is imported."""
-    later: frozenset[str] = frozenset()
-    """Imports by statements inside functions."""
-
-
 @lru_cache(64)
 def imported_libraries(source: str, *, fitting: bool) -> frozenset[str]:
     """Return `JAX` if executing a source loads it, else nothing: no other library takes long to
@@ -198,7 +185,7 @@ def trains_network(source: str) -> bool:
     return any(name.split(".")[0] in ("equinox", "optax") for name in _reached(own, fitting=True))
 
 
-def _reached(own: _Imports, *, fitting: bool) -> set[str]:
+def _reached(own: Imports, *, fitting: bool) -> set[str]:
     """Modules that a source imports directly or through the library."""
     found, queue, seen = set(own.first), [*own.first], set[str]()
     while queue:
@@ -213,44 +200,21 @@ def _reached(own: _Imports, *, fitting: bool) -> set[str]:
 
 
 @cache
-def _imports_of_module(name: str) -> _Imports:
+def _imports_of_module(name: str) -> Imports:
     """Imports of a module of this package; none if there is no such module."""
     place = Path(asia.__file__).parent.joinpath(*name.split(".")[1:])
     for path in (place.with_suffix(".py"), place / "__init__.py"):
         if path.is_file():
-            return _imports(path.read_text("utf-8"))
-    return _Imports()
+            return imports_of(syntax_tree(path.read_text("utf-8"), path.name))
+    return Imports()
 
 
-def _imports(source: str) -> _Imports:
+def _imports(source: str) -> Imports:
+    """Imports of a candidate; none where its source cannot be read."""
     try:
-        tree = syntax_tree(source, "candidate.py")
-        first = frozenset(_names(tree.body, inside=False))
-        return _Imports(first, frozenset(_names(tree.body, inside=True)) - first)
-    except (SyntaxError, ValueError):
-        return _Imports()
-
-
-def _names(body: list[ast.stmt], *, inside: bool) -> Iterator[str]:
-    """Names that the statements import, those in functions only if `inside`. Statements for type
-    checkers are left out."""
-    for node in body:
-        match node:
-            case ast.Import():
-                yield from (alias.name for alias in node.names)
-            case ast.ImportFrom() if node.module and not node.level:
-                yield node.module
-                yield from (f"{node.module}.{alias.name}" for alias in node.names)
-            case ast.FunctionDef() | ast.AsyncFunctionDef() if inside:
-                yield from _names(node.body, inside=inside)
-            case ast.If() if "TYPE_CHECKING" not in ast.dump(node.test):
-                yield from _names([*node.body, *node.orelse], inside=inside)
-            case ast.ClassDef() | ast.With() | ast.For() | ast.While():
-                yield from _names(node.body, inside=inside)
-            case ast.Try():
-                yield from _names([*node.body, *node.orelse, *node.finalbody], inside=inside)
-            case _:
-                pass
+        return _facts(source).imports
+    except CandidateError:
+        return Imports()
 
 
 # Libraries that a candidate may import beside the standard one and `asia.models`.
@@ -272,175 +236,36 @@ MOST_ALIKE = 1024
 MOST_CODE = 7 * 1024
 
 
-@dataclass(frozen=True)
-class SourceContent:
-    """Information in a source, in bytes after DEFLATE compression.
-
-    Comments and docstrings do not count, since a candidate runs without them.
-    """
-
-    literals: int
-    """Bytes of numbers, strings and bytes literals."""
-    names: int
-    """Bytes of names."""
-    alike: int
-    """Bytes of names, operators and order in statements of the same structure, for the structure
-    with the most; a table, in names or in operators, of one statement or of many, is one structure.
-    """
-    code: int
-    """Bytes of the whole source."""
-
-
-def content(source: str, tree: ast.Module) -> SourceContent:
-    """Measure the information in a source.
-
-    Args:
-        source: Python source.
-        tree: the same source, parsed.
-
-    Raises:
-        CandidateError: as for `without_comments`.
-    """
-    docstrings = _docstrings(tree)
-    literals: list[bytes] = []
-    names: dict[str, None] = {}
-    kinds: dict[frozenset[str], list[str]] = {}
-    signs = ast.operator | ast.unaryop | ast.cmpop | ast.boolop
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and node not in docstrings:
-            value = node.value
-            text = value if isinstance(value, str | bytes) else repr(value)
-            literals.append(text if isinstance(text, bytes) else _encoded(text))
-        names.update(dict.fromkeys(_assigned_names(node)))
-        if isinstance(node, ast.stmt):
-            parts = list(_parts(node))
-            kind = frozenset(type(p).__name__ for p in parts if not isinstance(p, signs))
-            kinds.setdefault(kind, []).extend(_shape(p) for p in parts)
-    return SourceContent(
-        _deflated(b"\n".join(literals)),
-        _deflated(_encoded("\n".join(names))),
-        max((_deflated(_encoded("\n".join(shapes))) for shapes in kinds.values()), default=0),
-        _deflated(_encoded(without_comments(source, tree))),
-    )
-
-
-def without_comments(source: str, tree: ast.Module) -> str:
-    """Remove comments and docstrings from a source, so that neither can carry data into a worker.
-
-    Lines keep their numbers.
-
-    Raises:
-        CandidateError: SYNTAX, if the layout does not permit telling comments from code.
-    """
-    lines = source.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    spans = [(w.lineno, w.col_offset, w.end_lineno, w.end_col_offset) for w in _docstrings(tree)]
-    for first, start, last, end in sorted(spans, key=lambda span: span[:2], reverse=True):
-        assert last is not None
-        head = lines[first - 1].encode()[:start].decode()
-        tail = lines[last - 1].encode()[end:].decode()
-        lines[first - 1 : last] = f'{head}(""{chr(10) * (last - first)}){tail}'.split("\n")
-    text = "\n".join(lines)
-    try:
-        for token in tokenize.generate_tokens(io.StringIO(text).readline):
-            if token.type == tokenize.COMMENT:
-                row, column = token.start
-                lines[row - 1] = lines[row - 1][:column]
-        bare = "\n".join(lines)
-        if _nodes(_parsed(bare)) == _nodes(tree):
-            return bare
-    except (tokenize.TokenError, SyntaxError, ValueError):
-        pass
-    raise CandidateError(
-        Reason.SYNTAX, "comments cannot be separated from code: use plain line ends and indents"
-    )
-
-
-def _parts(statement: ast.stmt) -> Iterator[ast.AST]:
-    """Nodes of a statement in the order they are written, without the statements inside it."""
-    left: list[ast.AST] = [statement]
-    while left:
-        node = left.pop()
-        yield node
-        inside = [c for c in ast.iter_child_nodes(node) if not isinstance(c, ast.stmt)]
-        left += [c for c in reversed(inside) if not isinstance(c, ast.expr_context)]
-
-
-def _parsed(text: str) -> ast.Module:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return syntax_tree(text, "candidate.py")
-
-
-def _docstrings(tree: ast.Module) -> set[ast.Constant]:
-    """Docstrings of modules, functions and classes, and strings below a field or a constant."""
-    found: set[ast.Constant] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            one = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-            for statement in node.body[:1] if one else node.body:
-                match statement:
-                    case ast.Expr(value=ast.Constant(value=str()) as text):
-                        found.add(text)
-                    case _:
-                        pass
-    return found
-
-
-def _nodes(tree: ast.Module) -> list[str]:
-    """Descriptions of the tree's nodes, without docstrings."""
-    docstrings = _docstrings(tree)
-    return [
-        repr(node.value) if isinstance(node, ast.Constant) else _shape(node)
-        for node in ast.walk(tree)
-        if node not in docstrings
-    ]
-
-
-def _shape(node: ast.AST) -> str:
-    return " ".join((type(node).__name__, *_assigned_names(node)))
-
-
-def _assigned_names(node: ast.AST) -> Iterator[str]:
-    for name in ("name", "id", "attr", "arg", "asname", "module"):
-        value = getattr(node, name, None)
-        if isinstance(value, str):
-            yield value
-    if isinstance(node, ast.Global | ast.Nonlocal):
-        yield from node.names
-
-
-def _encoded(text: str) -> bytes:
-    return text.encode("utf-8", "replace")
-
-
-def _deflated(data: bytes) -> int:
-    return len(zlib.compress(data, 9, wbits=-zlib.MAX_WBITS))
-
-
 # Check and identify the source of a candidate before anything of it runs.
 
 
-LARGEST_SOURCE = 64 * 1024
+def _facts(source: str) -> SourceFacts:
+    # Not at the top: a worker imports this module and reads no source.
+    from asia._source_reader import read_source
+
+    return read_source(source)
 
 
 def check_source(source: str) -> None:
     """Refuse a source that cannot be a candidate, without executing it.
 
     Raises:
-        CandidateError: SYNTAX if it does not parse, CONTRACT if it defines no top-level name `fit`,
-            LITERAL_DATA if it is over 64 KB or carries more data than a model needs.
+        CandidateError: SYNTAX if it does not parse, or takes too long or too much memory to parse,
+            CONTRACT if it defines no top-level name `fit`, LITERAL_DATA if it is over 64 KB or
+            carries more data than a model needs.
     """
-    tree = _parse(source)
-    if "fit" not in _defined(tree.body):
+    facts = _facts(source)
+    if not facts.defines_fit:
         raise CandidateError(
             Reason.CONTRACT, "the source defines no top-level function fit(trajectories, context)"
         )
-    found = content(source, tree)
+    executed_source(source)
+    assert facts.content is not None
     for what, size, most in (
-        ("numbers and strings", found.literals, MOST_LITERALS),
-        ("names", found.names, MOST_NAMES),
-        ("statements of one kind", found.alike, MOST_ALIKE),
-        ("code", found.code, MOST_CODE),
+        ("numbers and strings", facts.content.literals, MOST_LITERALS),
+        ("names", facts.content.names, MOST_NAMES),
+        ("statements of one kind", facts.content.alike, MOST_ALIKE),
+        ("code", facts.content.code, MOST_CODE),
     ):
         if size > most:
             raise CandidateError(
@@ -455,9 +280,16 @@ def executed_source(source: str) -> str:
     Lines keep their numbers.
 
     Raises:
-        CandidateError: as for `check_source`.
+        CandidateError: SYNTAX if the source does not parse, or if its layout does not permit
+            telling comments from code.
     """
-    return without_comments(source, _parse(source))
+    bare = _facts(source).bare
+    if bare is None:
+        raise CandidateError(
+            Reason.SYNTAX,
+            "comments cannot be separated from code: use plain line ends and indents",
+        )
+    return bare
 
 
 def source_digest(source: str) -> str:
@@ -469,65 +301,18 @@ def source_digest(source: str) -> str:
     Raises:
         CandidateError: as for `check_source`, if the source does not parse.
     """
-    tree = _parse(source)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            match node.body:
-                case [ast.Expr(value=ast.Constant(value=str())), *rest]:
-                    node.body = rest
-                case _:
-                    pass
-    return hashlib.sha256(ast.dump(tree).encode("utf-8", "surrogatepass")).hexdigest()
+    return _facts(source).digest
 
 
-def _parse(source: str) -> ast.Module:
-    try:
-        size = len(source.encode())
-    except UnicodeEncodeError as error:
-        raise CandidateError(Reason.SYNTAX, "the source is not valid Unicode") from error
-    if size > LARGEST_SOURCE:
-        raise CandidateError(
-            Reason.LITERAL_DATA,
-            f"the source has {size} bytes, at most {LARGEST_SOURCE} are allowed",
-        )
-    try:
-        return _parsed(source)
-    except SyntaxError as error:
-        where = "" if error.lineno is None else f"line {error.lineno}: "
-        raise CandidateError(Reason.SYNTAX, f"{where}{error.msg}") from error
-    except ValueError as error:
-        raise CandidateError(Reason.SYNTAX, str(error)) from error
+def source_tree(source: str) -> ast.Module:
+    """Syntax tree of a source that a process with limits has read before, so that parsing it once
+    more in this process is cheap.
 
-
-def _defined(body: list[ast.stmt]) -> set[str]:
-    """Names that the statements of a module bind, `if` and `try` blocks included."""
-    names: set[str] = set()
-    for node in body:
-        match node:
-            case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
-                names.add(name)
-            case ast.Import(names=aliases) | ast.ImportFrom(names=aliases):
-                names |= {alias.asname or alias.name for alias in aliases}
-            case ast.Assign(targets=targets):
-                names |= {name for target in targets for name in _target_names(target)}
-            case ast.AnnAssign(target=ast.Name(id=name), value=ast.expr()):
-                names.add(name)
-            case ast.If():
-                names |= _defined([*node.body, *node.orelse])
-            case ast.Try():
-                handled = [statement for handler in node.handlers for statement in handler.body]
-                names |= _defined([*node.body, *node.orelse, *node.finalbody, *handled])
-            case _:
-                pass
-    return names
-
-
-def _target_names(target: ast.expr) -> list[str]:
-    if isinstance(target, ast.Name):
-        return [target.id]
-    if isinstance(target, ast.Tuple | ast.List):
-        return [name for element in target.elts for name in _target_names(element)]
-    return []
+    Raises:
+        CandidateError: as for `source_digest`.
+    """
+    _facts(source)
+    return syntax_tree(source, "candidate.py")
 
 
 # State-space step contract of a fitted model, used for simulation and for `asia export`.

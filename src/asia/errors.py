@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+import builtins
 from enum import StrEnum
 from typing import Literal
+
+KNOWN_ERRORS = frozenset(
+    name
+    for name, value in vars(builtins).items()
+    if isinstance(value, type) and issubclass(value, BaseException)
+) | {"LinAlgError", "JaxRuntimeError", "XlaRuntimeError", "EquinoxRuntimeError", "UnpicklingError"}
+"""Names of exceptions that a candidate did not define, so that they carry no words of its own."""
 
 
 class Reason(StrEnum):
@@ -16,6 +24,7 @@ class Reason(StrEnum):
     FIT_TIMEOUT = "fit_timeout"
     SIMULATE_TIMEOUT = "simulate_timeout"
     MEMORY = "memory"
+    THREADS = "threads"
     NOT_FINITE = "not_finite"
     WRONG_LENGTH = "wrong_length"
     UNSOLICITED = "unsolicited"
@@ -33,7 +42,7 @@ class Reason(StrEnum):
             return "discard"
         if self in (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT):
             return "timeout"
-        if self in (Reason.CRASH, Reason.EXITED, Reason.MEMORY):
+        if self in (Reason.CRASH, Reason.EXITED, Reason.MEMORY, Reason.THREADS):
             return "crash"
         return "invalid"
 
@@ -56,6 +65,7 @@ _ADVICE = {
     "compile the loop over time, or raise budget.fit_seconds",
     Reason.MEMORY: "the worker ran out of memory: "
     "lower the model or batch size, or raise budget.memory_mb",
+    Reason.THREADS: "the worker runs too many threads or processes: start fewer",
     Reason.NOT_FINITE: "the simulation diverged to NaN or infinity: "
     "constrain stability, bound the states or lower the learning rate",
     Reason.WRONG_LENGTH: "the reply has the wrong size: "

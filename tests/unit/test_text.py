@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import asia
-from asia._text import markdown_line, one_line, printable, printable_line, table_cell
+from asia._text import coarse, markdown_line, one_line, printable, printable_line, table_cell
 
 PACKAGE = Path(asia.__file__).parent
 # Escape sequences of seven and of eight bits, a bell, a backspace, text written from right to left.
@@ -85,3 +85,17 @@ def _writes(function: str) -> bool:
 )
 def test_a_cell_of_a_table_is_no_formula(text: str, cell: str) -> None:
     assert table_cell(text) == cell
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(0.0, 0.0), (-1.0, 0.0), (0.003, 0.1), (1.0, 1.0), (2.5, 2.6), (1400, 1400)],
+)
+def test_coarse_figures(value: float, expected: float) -> None:
+    assert coarse(value) == expected
+
+
+def test_coarse_figures_are_few_and_near() -> None:
+    values = [0.1 * 1.003**k for k in range(3000)]
+    assert len({coarse(v) for v in values if v <= 1000}) < 2**7
+    assert all(abs(coarse(v) - v) <= 0.1 * v for v in values)

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from asia._syntax import syntax_tree
 from asia.agents.library.recipe import Arguments, Recipe, read_recipe
 from asia.analysis.confirmation import check_repeatable
-from asia.candidate import source_digest
+from asia.candidate import source_digest, source_tree
 from asia.data.trajectory import Array
-from asia.errors import UserError
+from asia.errors import CandidateError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.confirmation import Attribution, attribute, gain
@@ -149,9 +148,9 @@ def _unparsed(statements: list[ast.stmt]) -> str:
 
 def _tree(source: str) -> ast.Module:
     try:
-        return syntax_tree(source, "candidate.py")
-    except (SyntaxError, ValueError) as error:
-        raise UserError(f"a candidate cannot be parsed: {error}") from None
+        return source_tree(source)
+    except CandidateError as error:
+        raise UserError(f"a candidate cannot be parsed: {error.detail}") from None
 
 
 def _is_docstring(one: ast.stmt) -> bool:

@@ -14,6 +14,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from asia._text import coarse, rounded
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Signal
 from asia.errors import Reason, UserError
@@ -212,7 +213,7 @@ def findings_of(store: Store, experiment: Experiment, *, bounded: bool) -> tuple
     Args:
         bounded: true if the reader sees only the scores that the Ladder reports. Texts that a
             candidate controls, its prints and the names and values of its parameters, are left out
-            then, because they could carry records.
+            then, because they could carry records; figures have two significant digits.
     """
     result, score = experiment.result, experiment.score
     names = [fold.findings for fold in result.folds] if result else []
@@ -220,8 +221,28 @@ def findings_of(store: Store, experiment: Experiment, *, bounded: bool) -> tuple
     if score is None or not score.folds:
         found = [replace(one, errors=(), steps=(), held_out_residuals=()) for one in found]
     if bounded:
-        found = [replace(one, parameters=(), printed="", failed=()) for one in found]
+        found = [_limited(one) for one in found]
     return tuple(found)
+
+
+_RESIDUAL_FIGURES = ("mean", "error", "share", "gain")
+
+
+def _limited(found: FoldFindings) -> FoldFindings:
+    residuals = tuple(
+        replace(one, **{name: rounded(getattr(one, name), 2) for name in _RESIDUAL_FIGURES})
+        for one in found.residuals
+    )
+    return replace(
+        found,
+        train_errors=tuple(rounded(value, 2) for value in found.train_errors),
+        residuals=residuals,
+        compile_seconds=coarse(found.compile_seconds),
+        memory_mb=None if found.memory_mb is None else coarse(found.memory_mb),
+        parameters=(),
+        printed="",
+        failed=(),
+    )
 
 
 def noise_of_repeats(view: SearchView, among: Collection[int] = ()) -> float | None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from statistics import fmean
 from typing import Any
 
-from asia._text import one_line
+from asia._text import coarse, one_line
 from asia.judge.evaluation.training_checks import TrainingCheck
 from asia.judge.scoring.checks.records import listed
 from asia.ledger.events import (
@@ -317,13 +317,13 @@ def _fold_lines(evidence: ExperimentEvidence, *, measured: bool) -> Iterator[str
         parts = [] if fold.value is None else [f"V {error_value(fold.value)}"]
         parts.append(f"training error {error_value(fold.diagnostics.train_error)}")
         if measured:
-            spent = f"fit {fold.fit_seconds:.1f} s, limit {setting.fit_seconds:g} s"
+            spent = f"fit {coarse(fold.fit_seconds):g} s, limit {setting.fit_seconds:g} s"
             if fold.findings is not None and fold.findings.compile_seconds > 0:
-                spent += f" (compilation {fold.findings.compile_seconds:.1f} s)"
+                spent += f" (compilation {coarse(fold.findings.compile_seconds):g} s)"
             parts.append(spent)
             if fold.findings is not None and fold.findings.memory_mb is not None:
                 parts.append(
-                    f"memory {fold.findings.memory_mb:.0f} MB, limit {setting.memory_mb} MB"
+                    f"memory {coarse(fold.findings.memory_mb):g} MB, limit {setting.memory_mb} MB"
                 )
         where = f"{name:<{width}}  " if width else ""
         yield f"fold {number}  {where}{'  '.join(parts)}"

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from statistics import fmean, stdev
 from typing import Any
 
-from asia.errors import Reason, UserError
+from asia._text import coarse, rounded
+from asia.errors import KNOWN_ERRORS, Reason, UserError
 from asia.judge.scoring.outcome import Failure, Score
+from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import (
     Ablated,
     AblationFit,
@@ -429,7 +432,8 @@ def published(view: SearchView) -> SearchView:
     """The view with the reported scores; unchanged without the Ladder. With it, an experiment that
     was kept has its V on the grid. Any other with a score has the last reported V. None has scores
     of its folds. A failure that depends on held-out outputs is reported, once a V was, as a score
-    that was not kept."""
+    that was not kept. Words of a candidate are left out, and figures that it can influence are
+    rounded."""
     step = view.started.ladder
     if step is None:
         return view
@@ -438,6 +442,9 @@ def published(view: SearchView) -> SearchView:
     for i, experiment in enumerate(experiments):
         result, score, failure = experiment.result, experiment.score, experiment.failure
         hidden = failure is not None and failure.reason is Reason.RESTART
+        if result is not None:
+            result = _bounded(result)
+            experiments[i] = replace(experiment, result=result)
         if result is None or not (score or (hidden and reported is not None)):
             continue
         if score and (reported is None or result.status == "keep"):
@@ -447,3 +454,42 @@ def published(view: SearchView) -> SearchView:
         result = replace(result, status=status, outcome=Score(reported, ()))
         experiments[i] = replace(experiment, result=result)
     return replace(view, experiments=tuple(experiments))
+
+
+_OWN_WORDS = frozenset({Reason.SYNTAX, Reason.CONTRACT, Reason.CRASH, Reason.EXITED, Reason.MEMORY})
+_OWN_NUMBERS = frozenset({Reason.WRONG_LENGTH, Reason.UNSOLICITED, Reason.MODEL_SIZE})
+_LINE = re.compile(r'File "[^"]*candidate(?:\.py)?", line (\d{1,5})\b')
+_ERROR = re.compile(r"^(\w+)(?::|$)")
+_DIGITS = 2
+
+
+def _bounded(result: Evaluated) -> Evaluated:
+    """The result without what a candidate can say by words and long numbers: it has seen training
+    records, which other folds hold out."""
+    outcome = result.outcome
+    if isinstance(outcome, Failure):
+        outcome = replace(outcome, detail=_bounded_detail(outcome))
+    folds = tuple(
+        replace(
+            fold,
+            diagnostics=Diagnostics(*(rounded(v, _DIGITS) for v in astuple(fold.diagnostics))),
+            fit_seconds=coarse(fold.fit_seconds),
+        )
+        for fold in result.folds
+    )
+    return replace(result, outcome=outcome, folds=folds, seconds=coarse(result.seconds))
+
+
+def _bounded_detail(failure: Failure) -> str:
+    """Type of an exception, where Python or a library defines it, and the line of candidate.py."""
+    if failure.reason in _OWN_NUMBERS:
+        return ""
+    if failure.reason not in _OWN_WORDS:
+        return failure.detail
+    lines = failure.detail.strip().splitlines()
+    error = _ERROR.match(lines[-1]) if lines else None
+    name = error[1] if error is not None and error[1] in KNOWN_ERRORS else ""
+    places = _LINE.findall(failure.detail)
+    if not places:
+        return name
+    return f'File "candidate.py", line {places[-1]}\n{name or "an exception of its own"}'

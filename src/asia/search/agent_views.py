@@ -74,6 +74,8 @@ def agent_view(
     trials: list[Trial] = []
     for e in view.finished:
         trial = known.trial(e)
+        if view.started.ladder is not None:
+            trial = replace(trial, curves=())  # numbers that a candidate chooses
         if e.number in shown:
             bounded = view.started.ladder is not None
             found = evidence_of(e, view, store, settings, bounded=bounded)

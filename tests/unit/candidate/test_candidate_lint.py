@@ -1,15 +1,14 @@
 """Limits on the data in a source, and the part of it that a worker reads."""
 
-import ast
 import base64
 from collections.abc import Callable
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import asia
+from asia._source import source_facts
 from asia.agents import ExpertAgent, Facts
 from asia.agents.library.family import under_protocol
 from asia.agents.library.registry import all_families
@@ -21,7 +20,6 @@ from asia.candidate import (
     MOST_LITERALS,
     MOST_NAMES,
     check_source,
-    content,
     executed_source,
     source_digest,
 )
@@ -38,7 +36,7 @@ MOST = np.array([MOST_LITERALS, MOST_NAMES, MOST_ALIKE, MOST_CODE])
 
 
 def figures(source: str) -> np.ndarray:
-    return np.array(astuple(content(source, ast.parse(source))))
+    return np.array(source_facts(source).content)
 
 
 def library_sources() -> list[str]:

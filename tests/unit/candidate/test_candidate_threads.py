@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import gc
 import sys
 import threading
@@ -9,7 +10,7 @@ from collections.abc import Generator
 
 import pytest
 
-from asia.candidate import source_digest
+from asia.candidate import source_tree
 
 SOURCE = "def fit(trajectories, context):\n" + "    x = [1, (2, {3: 4}), lambda a: a + 1]\n" * 40
 
@@ -40,7 +41,7 @@ def test_threads_do_not_disturb_each_other() -> None:
         if depth:
             parse(depth - 1)
         else:
-            found.extend(source_digest(SOURCE) for _ in range(15))
+            found.extend(ast.dump(source_tree(SOURCE)) for _ in range(15))
 
     threads = [threading.Thread(target=parse, args=(depth,)) for depth in (1, 7, 13, 2)]
     for thread in threads:

@@ -104,7 +104,7 @@ def test_a_screen_says_what_an_engineer_asks(store: Store) -> None:
         "-0.0300 (-10.0 %) against #01, the parent",
         "standard deviation over seeds not measured",
         "fold 1  block 1 of 2  V 0.2900  training error 0.2000",
-        "fit 2.5 s, limit 120 s (compilation 1.5 s)",
+        "fit 2.6 s, limit 120 s (compilation 1.5 s)",
         "memory 1400 MB, limit 4096 MB",
         "step 10",
         "x above 8 m: the model is too low by 0.3 ± 0.04 s.d., both folds",

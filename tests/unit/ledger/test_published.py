@@ -84,3 +84,42 @@ def test_without_a_ladder_all_of_v_is_told() -> None:
     assert statuses(view) == ["keep", "keep", "discard"]
     assert beats(score(0.42299), view)
     assert not beats(score(0.4230), view)
+
+
+def told_detail(reason: Reason, detail: str) -> str:
+    events: list[Event] = [STARTED]
+    events.append(Proposed(1, None, "explore", "a", "a", "a", "a", "0", "a"))
+    events.append(Evaluated(1, reason.status, Failure(reason, detail), (), None, 12.34))
+    (experiment,) = published(replay(events)).experiments
+    assert experiment.failure is not None
+    assert experiment.result is not None
+    assert experiment.result.seconds == 12.0
+    return experiment.failure.detail
+
+
+FRAME = 'Traceback:\n  File "candidate.py", line 12, in fit\n    x\n'
+
+
+@pytest.mark.parametrize(
+    ("reason", "detail", "expected"),
+    [
+        (Reason.CRASH, FRAME + "ValueError: 0.123", 'File "candidate.py", line 12\nValueError'),
+        (
+            Reason.CRASH,
+            FRAME + "E0123: x",
+            'File "candidate.py", line 12\nan exception of its own',
+        ),
+        (Reason.CRASH, 'File "candidate.py", line 1234567, in fit\nKeyError: 1', "KeyError"),
+        (Reason.EXITED, "exit code 3; last printed: 0.123", ""),
+        (Reason.MEMORY, "MemoryError", "MemoryError"),
+        (Reason.CONTRACT, "fit returned M0123, which has no simulate method", ""),
+        (Reason.MODEL_SIZE, "100123456 bytes, the limit is 64 MB", ""),
+        (Reason.WRONG_LENGTH, "got shape (1, 2, ?), expected (1, 2, 3)", ""),
+        (Reason.LITERAL_DATA, "its names hold 3000 bytes", "its names hold 3000 bytes"),
+        (Reason.THREADS, "at most 272 threads", "at most 272 threads"),
+    ],
+)
+def test_the_ladder_lets_no_words_of_a_candidate_through(
+    reason: Reason, detail: str, expected: str
+) -> None:
+    assert told_detail(reason, detail) == expected

@@ -7,8 +7,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from asia._syntax import syntax_tree
-from asia.candidate import source_digest
+from asia.candidate import source_digest, source_tree
 from asia.errors import CandidateError
 
 Value = int | float | str | bool | None | tuple[str | int | float, ...]
@@ -133,7 +132,7 @@ def read_recipe(source: str) -> Recipe | None:
     """Return the recipe that is equivalent to a source; None for a source with further code, such
     as that of a user or another agent."""
     try:
-        tree = syntax_tree(source, "candidate.py")
+        tree = source_tree(source)
         imported = [
             (node.module, alias.name)
             for node in tree.body

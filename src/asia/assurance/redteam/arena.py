@@ -244,6 +244,18 @@ class ScoreOnlySearch:
         assert result is not None
         return result
 
+    def fail(self, failure: Failure) -> Failure:
+        """Submit a candidate that fails, and return the failure that an agent would see."""
+        number = len(replay(self._events).experiments) + 1
+        name = str(number)
+        self._events += [
+            Proposed(number, None, "explore", "probe", name, "h", "e", name, name),
+            Evaluated(number, failure.reason.status, failure, (), None, 0.0),
+        ]
+        shown = published(replay(self._events)).experiment(number).failure
+        assert shown is not None
+        return shown
+
 
 def turn(doubt: Callable[[float], bool], most: float) -> float:
     """Find the threshold of a verdict by bisection: the largest share in [0, most] that is

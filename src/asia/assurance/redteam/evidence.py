@@ -376,6 +376,7 @@ _BY_REASON = {
     Reason.FIT_TIMEOUT: Barrier.DEADLINE,
     Reason.SIMULATE_TIMEOUT: Barrier.DEADLINE,
     Reason.MEMORY: Barrier.RLIMITS,
+    Reason.THREADS: Barrier.PIDS,
 }
 
 

@@ -23,12 +23,15 @@ class Barrier(StrEnum):
     LANDLOCK = "landlock"
     SECCOMP = "seccomp"
     RLIMITS = "rlimits"
+    PIDS = "pids"
     KERNEL = "kernel"
     """Rules of the operating system about users and files."""
     PARENT = "parent"
     """The evaluator's process, which alone computes and checks scores."""
     DEADLINE = "deadline"
     FRESH = "fresh worker"
+    READER = "source reader"
+    """The process with limits that reads sources before the search does."""
     LINT = "lint"
     METAMORPHIC = "metamorphic check"
     FEEDBACK = "feedback"
@@ -128,7 +131,13 @@ class CandidateAttack:
     @property
     def walled(self) -> bool:
         """Whether layers of the sandbox have a part in it."""
-        layers = {Barrier.NAMESPACES, Barrier.LANDLOCK, Barrier.SECCOMP, Barrier.RLIMITS}
+        layers = {
+            Barrier.NAMESPACES,
+            Barrier.LANDLOCK,
+            Barrier.SECCOMP,
+            Barrier.RLIMITS,
+            Barrier.PIDS,
+        }
         return bool(layers & {*self.stops})
 
 

@@ -66,7 +66,8 @@ class AttackOptions:
         list[str] | None,
         _option(
             metavar="LAYER|CHECK ...",
-            help="Show which attacks succeed without some layers (landlock, seccomp, rlimits; "
+            help="Show which attacks succeed without some layers (landlock, seccomp, rlimits, "
+            "pids; "
             "'each': one layer after the other) or without some checks (causality, strangers, "
             "block-end, ...; 'checks': each attack without the checks that stop it).",
         ),
@@ -113,6 +114,7 @@ def doctor(
     from asia._plugins import parts
     from asia.judge.sandbox.availability import gpu_here, machine, survey
     from asia.judge.sandbox.layers.gpu import gpu_description, gpu_nodes
+    from asia.judge.sandbox.layers.pids import most_pids
 
     if attack:
         _run_attacks(attacks, executor, json=json)
@@ -154,6 +156,7 @@ def doctor(
         "level": used,
         "machine": asdict(here),
         "levels": [asdict(state) for state in levels],
+        "most_pids": most_pids(),
         "gpu": gpu,
         "parts": listed,
         "clash": clash,
@@ -206,6 +209,8 @@ def _print_machine(here: Machine, gpu: dict[str, str | None] | None) -> None:
 
 
 def _print_levels(levels: Sequence[LevelState]) -> None:
+    from asia.judge.sandbox.layers.pids import REMEDY, PidsMechanism, most_pids
+
     say()
     chosen = False
     for state in levels:
@@ -213,6 +218,11 @@ def _print_levels(levels: Sequence[LevelState]) -> None:
         chosen = chosen or state.works
         words = f"works: {', '.join(state.layers)}" if state.works else "does not work"
         say(f"{state.level:<{_INDENT}}{words}{'   <- what a search uses here' if used else ''}")
+        if state.pids is not None:
+            held = f"at most {most_pids()} threads and processes a worker, held by {state.pids}"
+            say(f"{'':<{_INDENT}}{held}")
+            if state.pids is PidsMechanism.WATCHER:
+                say(f"{'':<{_INDENT}}{REMEDY}")
         for lack in state.lacks:
             say(f"{'':<{_INDENT}}why not: {lack.reason}")
             say(f"{'':<{_INDENT}}to get it: {lack.remedy}")
@@ -368,7 +378,7 @@ def _run_without_layers(
     if words == [_EACH]:
         settings = each_layer(levels)
     else:
-        known = {str(x): x for x in (Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS)}
+        known = {str(x): x for x in (Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS, Layer.PIDS)}
         for word in words:
             if word == Layer.NAMESPACES.value:
                 raise UserError(

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from asia._text import one_line
+from asia._text import coarse, one_line
 from asia.agents.view import Proposal
 from asia.candidate import check_source
 from asia.errors import CandidateError, Reason, SandboxError, UserError
@@ -116,7 +116,7 @@ class ExperimentResult:
             detail=(error_line(failure.detail) or None) if failure else None,
             title=one_line(p.title, TITLE),
             parent=p.parent,
-            seconds=round(r.seconds, 1),
+            seconds=coarse(r.seconds),
             duplicate_of=r.duplicate_of,
             training=Diagnostics(*map(max, zip(*training, strict=True))) if training else None,
         )
@@ -174,7 +174,7 @@ class DryRunResult:
     printed: tuple[str, ...]
     """The last lines that the candidate printed, bounded."""
     samples: int
-    """Samples that it was fitted to."""
+    """Made-up samples that it was fitted to."""
     of_samples: int
     """Samples that the whole first fold trains on."""
     fit_seconds: float | None
@@ -214,7 +214,7 @@ class DryRunResult:
         return replace(result, lines=tuple(result._text()))
 
     def _text(self) -> Generator[str]:
-        where = f"on {self.samples} of the {self.of_samples} samples that fold 1 trains on"
+        where = f"on {self.samples} made-up samples (fold 1 trains on {self.of_samples})"
         if self.reason is None:
             yield f"dry run  passed {where}: contract, shapes, finite answers, reloading"
         else:
@@ -272,7 +272,8 @@ class FoldEvidence:
     compile_seconds: float | None
     """Compile time of JAX, s; None if not known."""
     memory_mb: float | None
-    """The largest address space of the worker; None where it is not known."""
+    """The largest address space of the worker before its first case; None where it is not
+    known."""
     parameters: dict[str, float]
     """Those that the model names."""
     printed: tuple[str, ...]
@@ -330,9 +331,9 @@ class ExperimentEvidence:
                     errors=by_output(known.errors if known else ()),
                     train_errors=by_output(known.train_errors if known else ()),
                     steps={str(s.step): by_output(s.errors) for s in known.steps} if known else {},
-                    fit_seconds=round(fold.fit_seconds, 2),
-                    compile_seconds=round(known.compile_seconds, 2) if known else None,
-                    memory_mb=round(known.memory_mb) if known and known.memory_mb else None,
+                    fit_seconds=coarse(fold.fit_seconds),
+                    compile_seconds=coarse(known.compile_seconds) if known else None,
+                    memory_mb=coarse(known.memory_mb) if known and known.memory_mb else None,
                     parameters=dict(known.parameters) if known else {},
                     printed=tuple(last_lines(known.printed, 40)) if known else (),
                 )
@@ -562,12 +563,16 @@ class RunDesk:
         """Some training cases of an experiment, simulated again, one experiment at a time;
         held-out ones too where the problem shows their residuals."""
         run = self.run()
+        if run.view.started.ladder is not None:
+            raise UserError(
+                'this problem limits what agents see (feedback = "ladder"): a picture would show '
+                "values that a candidate computed from records"
+            )
         with self._extra_workers():
             return simulated_excerpts(run, experiment, self._isolation)
 
     def dry_run(self, source: str) -> DryRunResult:
-        """Try a candidate on a short cut of training records, one at a time: no experiment, no
-        score."""
+        """Try a candidate on a few made-up samples, one at a time: no experiment, no score."""
         run = self.run()
         with self._extra_workers():
             return DryRunResult.of(dry_run(run, source, self._isolation))

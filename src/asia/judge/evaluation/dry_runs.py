@@ -1,5 +1,5 @@
-"""A trial of a candidate that costs no experiment: on a short cut of the first fold's training
-records, and on nothing else. It gives no score."""
+"""A trial of a candidate that costs no experiment: on made-up records like those that the first
+fold trains on, and on nothing else. It gives no score."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from asia._text import rounded
 from asia._timer import Activity
-from asia.data.trajectory import spread_of
+from asia.data.trajectory import Array, Trajectory, spread_of
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.requests import spread
@@ -22,11 +23,12 @@ _FEWEST_SAMPLES = 300
 _MOST_SAMPLES = 2000
 _MOST_RECORDS = 3
 _MOST_WINDOWS = 64
+_HELD, _POLE = 10, 0.9
 
 
 @dataclass(frozen=True)
 class DryFold:
-    """A short cut of a fold, both to train on and to simulate."""
+    """A short made-up fold, both to train on and to simulate."""
 
     fold: Fold
     """Short fold for the trial; its simulated samples train as well."""
@@ -64,24 +66,69 @@ class DryRun:
         return compiling + (self.fit_seconds - compiling) * self.of_samples / self.samples
 
 
-def short_fold(fold: Fold, rule: ProtocolRule) -> DryFold:
-    """Cut the first training records of `fold` to a quarter of its samples or a few hundred.
+def made_up_fold(fold: Fold, rule: ProtocolRule) -> DryFold:
+    """Make records up that are like the first training records of `fold`: a quarter of its samples
+    or a few hundred, with the same shapes, gaps and rough ranges. They train and are simulated.
 
-    Their own samples are simulated, so that no held-out sample is used.
+    No measured value is in them, because what a candidate prints of them is shown: any record that
+    trains one fold is held out by another.
     """
     full = sum(len(record) for record in fold.train)
     wanted = max(_FEWEST_SAMPLES, min(int(_SHARE * full), _MOST_SAMPLES))
     chosen = fold.train[:_MOST_RECORDS]
     # A record must hold a past window and some cases.
     size = max(-(-wanted // len(chosen)), rule.past + max(4 * (rule.horizon or 1), 50))
-    records = [record[: min(size, len(record))] for record in chosen]
-    if not all(np.ptp(np.concatenate([r.y for r in records]), axis=0) > 0):
-        records = list(fold.train)
+    random = np.random.default_rng(0)
+    inputs = _Ranges(np.concatenate([record.u for record in fold.train]))
+    outputs = _Ranges(np.concatenate([record.y for record in fold.train]))
+    gains = random.normal(size=(inputs.mean.size, outputs.mean.size))
+    records = [
+        _made_up(record[: min(size, len(record))], inputs, outputs, gains, random)
+        for record in chosen
+    ]
     blocks = spread(whole(records, rule), _MOST_WINDOWS)
     scale = spread_of(np.concatenate([block.y for block in blocks]))
     scale = np.where(scale > 0, scale, 1.0)
     short = Fold(0, tuple(records), blocks, scale, (False,) * len(blocks))
     return DryFold(short, sum(map(len, records)), full)
+
+
+class _Ranges:
+    """Rough ranges of signals (T, n): mean, least and greatest value to a tenth of their spread,
+    which has one significant digit. They carry 5 bits each."""
+
+    def __init__(self, values: Array) -> None:
+        spread = np.array([rounded(float(one), 1) for one in values.std(axis=0)])
+        step = np.where(spread > 0, spread / 10, 1.0)
+        self.spread = spread
+        self.mean, self.low, self.high = (
+            np.where(spread > 0, np.round(one / step) * step, values[0])
+            for one in (values.mean(axis=0), values.min(axis=0), values.max(axis=0))
+        )
+
+    def fitted(self, values: Array) -> Array:
+        """Signals of mean 0 and variance 1 brought to these ranges."""
+        return np.clip(self.mean + self.spread * values, self.low, self.high)
+
+
+def _made_up(
+    like: Trajectory,
+    inputs: _Ranges,
+    outputs: _Ranges,
+    gains: Array,
+    random: np.random.Generator,
+) -> Trajectory:
+    """A record in which first-order lags answer steps of the inputs, with some noise."""
+    samples = len(like)
+    levels = np.repeat(random.normal(size=(-(-samples // _HELD), gains.shape[0])), _HELD, axis=0)
+    u = levels[:samples] + 0.1 * random.normal(size=(samples, gains.shape[0]))
+    y = np.zeros((samples, gains.shape[1]))
+    for k in range(1, samples):
+        y[k] = _POLE * y[k - 1] + u[k - 1] @ gains
+    y = (y - y.mean(axis=0)) / np.maximum(y.std(axis=0), 1e-12)
+    y += 0.05 * random.normal(size=y.shape)
+    u, y = inputs.fitted(u), outputs.fitted(y)
+    return Trajectory(u, y, like.sampling_time, like.name, like.missing)
 
 
 def allowed_seconds(limit_seconds: float) -> float:

@@ -40,9 +40,9 @@ class Fitted:
     train_y_hat: tuple[Array, ...]
     """Simulated outputs (H, ny) of each block of the training records."""
     memory_mb: float | None
-    """The largest address space of the worker."""
+    """The largest address space of the worker before its first case."""
     compile_seconds: float
-    """Time in which JAX traced and compiled."""
+    """Time in which JAX traced and compiled before the first case."""
     device: str = ""
     """Device of JAX, as reported by the worker; "" where no GPU was requested."""
 

@@ -10,7 +10,6 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache, partial
 
-from asia._timer import Activity
 from asia.candidate import Context, imported_libraries
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.judge.evaluation.findings import Fitted
@@ -69,15 +68,16 @@ def fit_fold(
                 printed = worker.printed
             device = worker.device() if work.limits.gpu else ""
             parameters, model = worker.parameters(), worker.dump()
-            found = simulate_requests(worker, data.blocks, data.requests, largest(data.requests))
+            # Before the first case: later a candidate could let held-out values decide on them.
+            memory, compiling = worker.peak_memory_mb, worker.compile_seconds()
+            # Before the held-out cases too: the residuals on the training records are reported.
             inside = whole(data.train, data.rule)
             train_y_hat = simulate_training(worker, inside, data.rule.horizon)
-            memory = worker.peak_memory_mb
+            found = simulate_requests(worker, data.blocks, data.requests, largest(data.requests))
     except CandidateError as error:
         return FoldAnswer(error, printed)
-    seconds = [worker.spent.get(a, (0.0, 0.0))[0] for a in (Activity.TRACE, Activity.COMPILE)]
     y_hat = tuple(found[i] for i in range(len(data.cases)))
-    fitted = Fitted(reply, model, parameters, y_hat, train_y_hat, memory, sum(seconds), device)
+    fitted = Fitted(reply, model, parameters, y_hat, train_y_hat, memory, compiling, device)
     return FoldAnswer(fitted, printed)
 
 

@@ -44,9 +44,11 @@ class FoldFindings:
     parameters: tuple[tuple[str, float], ...] = ()
     """Names and values that the model offers."""
     compile_seconds: float = 0.0
-    """Time in which JAX traced and compiled, in the fit and the simulations."""
+    """Time in which JAX traced and compiled in the fit, as the worker reported before its first
+    case."""
     memory_mb: float | None = None
-    """The largest address space of the worker; None where the system does not say."""
+    """The largest address space of the worker before its first case; None where the system does not
+    say."""
     printed: str = ""
     """Text that the candidate printed during the fit, its middle left out where it is long."""
     held_out_residuals: tuple[SignedResidual, ...] = ()

@@ -17,6 +17,7 @@ from asia.errors import CandidateError, SandboxError, UserError
 from asia.judge.sandbox.layers import landlock
 from asia.judge.sandbox.layers.environment import in_container, layer_remedy, package_folder
 from asia.judge.sandbox.layers.gpu import gpu_nodes
+from asia.judge.sandbox.layers.pids import PidsMechanism
 from asia.judge.sandbox.level import Level
 from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation, Layer, Limits, Probe
@@ -79,8 +80,14 @@ def open_worker(
     Raises:
         SandboxError: if the worker cannot be started
     """
-    process = LEVELS[level].open(limits, layers_in_force(level, without), libraries)
-    return Worker(process, limits)
+    layers = layers_in_force(level, without)
+    process = LEVELS[level].open(limits, layers, libraries)
+    return Worker(process, limits, pids_mechanism(level) if Layer.PIDS in layers else None)
+
+
+def pids_mechanism(level: Isolation) -> PidsMechanism:
+    """What limits the threads and processes of a worker at a level here."""
+    return LEVELS[level].pids_mechanism()
 
 
 # Isolation levels that this machine supports, the missing layers and their remedies.
@@ -126,6 +133,8 @@ class LevelState:
     """Those it would really have, none where it does not work."""
     lacks: tuple[Lack, ...]
     """Missing parts that keep the level from working or from being complete."""
+    pids: PidsMechanism | None
+    """What limits the threads and processes of a worker; None where nothing does."""
 
 
 def machine() -> Machine:
@@ -156,11 +165,13 @@ def survey() -> tuple[LevelState, ...]:
         name, reason = level.isolation, level.why_not()
         if reason is not None:
             lack = Lack(name.value, reason, level.remedy())
-            states.append(LevelState(name, False, (), (lack,)))
+            states.append(LevelState(name, False, (), (lack,), None))
             continue
         absent = level.missing().items()
         lacks = tuple(Lack(layer.value, why, layer_remedy(layer)) for layer, why in absent)
-        states.append(LevelState(name, True, layers_in_force(name), lacks))
+        layers = layers_in_force(name)
+        pids = level.pids_mechanism() if Layer.PIDS in layers else None
+        states.append(LevelState(name, True, layers, lacks, pids))
     return tuple(states)
 
 

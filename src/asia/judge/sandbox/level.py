@@ -8,6 +8,7 @@ from collections.abc import Collection
 from typing import ClassVar
 
 from asia.judge.sandbox.layers.environment import missing_layers
+from asia.judge.sandbox.layers.pids import PidsMechanism, cgroup_works
 from asia.judge.sandbox.types import Isolation, Layer, Limits
 from asia.judge.sandbox.worker.process import WorkerProcess
 
@@ -33,6 +34,10 @@ class Level(ABC):
     def missing(self) -> dict[Layer, str]:
         """Return the layers that the kernel does not support, with reasons."""
         return {layer: why for layer, why in missing_layers().items() if layer in self.layers}
+
+    def pids_mechanism(self) -> PidsMechanism:
+        """What limits the threads and processes of a worker here."""
+        return PidsMechanism.CGROUP if cgroup_works() else PidsMechanism.WATCHER
 
     @abstractmethod
     def why_not(self) -> str | None:

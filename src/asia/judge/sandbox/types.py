@@ -27,6 +27,7 @@ class Layer(StrEnum):
     SECCOMP = "seccomp"
     PROFILE = "profile"
     RLIMITS = "rlimits"
+    PIDS = "pids"
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,10 @@
-"""A dry run fits and simulates samples that the first fold trains on, and no others."""
+"""A dry run fits and simulates made-up samples, and no measured ones."""
 
 import numpy as np
 import pytest
 
 from asia.data import Trajectory
-from asia.judge.evaluation.dry_runs import DryRun, allowed_seconds, short_fold
+from asia.judge.evaluation.dry_runs import DryRun, allowed_seconds, made_up_fold
 from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds
 
 
@@ -31,27 +31,52 @@ WINDOWS = ProtocolRule(kind="windows", horizon=20, past_inputs=0, past_outputs=1
         ),
     ],
 )
-def test_only_samples_that_train_are_cut(lengths: tuple[int, ...], rule: ProtocolRule) -> None:
+def test_no_measured_value_is_in_a_made_up_record(
+    lengths: tuple[int, ...], rule: ProtocolRule
+) -> None:
     records = [record(n, 1e5 * i, f"r{i}") for i, n in enumerate(lengths)]
     fold = make_folds(records, rule)[0]
-    trains = set(np.concatenate([t.y[:, 0] for t in fold.train]).tolist())
-    held_out = set(np.concatenate([b.y[:, 0] for b in fold.validation]).tolist())
-    short = short_fold(fold, rule)
-    fitted = set(np.concatenate([t.y[:, 0] for t in short.fold.train]).tolist())
-    asked = set(np.concatenate([b.y[:, 0] for b in short.fold.validation]).tolist())
-    assert asked <= fitted <= trains
-    assert not fitted & held_out
-    assert short.samples == len(fitted) <= short.of_samples == len(trains)
+    short = made_up_fold(fold, rule)
+    measured = set(np.concatenate([t.y[1:-1, 0] for t in records]).tolist())
+    measured |= {-value for value in measured}
+    ends = {t.y[k, 0] for t in short.fold.train for k in (t.y.argmin(), t.y.argmax())}
+    made_up = [*short.fold.train, *short.fold.validation]
+    values = set(np.concatenate([one.y[:, 0] for one in made_up]).tolist()) - ends
+    assert not values & measured
+    assert short.samples == sum(map(len, short.fold.train))
+    assert short.samples <= short.of_samples == sum(map(len, fold.train))
     assert len(short.fold.validation) <= 64
     assert (short.fold.scale > 0).all()
-    if len(trains) > 2000:
-        assert short.samples < 0.3 * len(trains)
+    if short.of_samples > 2000:
+        assert short.samples < 0.3 * short.of_samples
 
 
-def test_outputs_that_rest_at_first_are_not_cut_there() -> None:
-    y = np.concatenate([np.zeros(900), np.arange(1100.0)])
-    fold = make_folds([Trajectory(y, y, 1.0, "late")], ProtocolRule(folds=FoldRule(count=4)))[0]
-    assert np.ptp(short_fold(fold, ProtocolRule()).fold.train[0].y) > 0
+def test_made_up_records_have_the_shapes_gaps_and_rough_ranges_of_the_training_records() -> None:
+    rng = np.random.default_rng(1)
+    y = 30.0 + 4.0 * rng.normal(size=(400, 2))
+    missing = rng.random((400, 2)) < 0.3
+    one = Trajectory(rng.random((400, 3)), y, 0.5, "tank", missing)
+    fold = make_folds([one], ProtocolRule())[0]
+    (made_up,) = made_up_fold(fold, ProtocolRule()).fold.train
+    assert (made_up.u.shape[1], made_up.y.shape[1], made_up.sampling_time) == (3, 2, 0.5)
+    train = fold.train[0]
+    assert (made_up.missing == train.missing[: len(made_up)]).all()
+    for values, like, step in ((made_up.u, train.u, 0.03), (made_up.y, train.y, 0.4)):
+        assert (values.min(axis=0) >= like.min(axis=0) - step).all()
+        assert (values.max(axis=0) <= like.max(axis=0) + step).all()
+        assert np.abs(values.mean(axis=0) - like.mean(axis=0)).max() < 10 * step
+        assert (values.std(axis=0) > 5 * step).all()
+
+
+def test_the_same_ranges_give_the_same_records() -> None:
+    """The outputs decide through one or two digits of their ranges and nothing else."""
+    rng = np.random.default_rng(1)
+    u, y = rng.normal(size=(300, 1)), rng.normal(size=(300, 1))
+    first, second = (
+        made_up_fold(make_folds([Trajectory(u, v, 1.0, "a")], ProtocolRule())[0], ProtocolRule())
+        for v in (y, np.where(np.abs(y) < 2, y + 1e-4 * rng.normal(size=y.shape), y))
+    )
+    assert first.fold.train[0].y.tobytes() == second.fold.train[0].y.tobytes()
 
 
 def test_the_estimate_leaves_compilation_as_it_is() -> None:

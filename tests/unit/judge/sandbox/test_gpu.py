@@ -14,7 +14,7 @@ from asia.judge.sandbox.availability import chosen_gpu, gpu_here, open_worker
 from asia.judge.sandbox.layers import bubblewrap, environment, seccomp
 from asia.judge.sandbox.layers.gpu import GPU_FACTS, gpu_nodes
 from asia.judge.sandbox.types import Isolation, Limits
-from asia.judge.sandbox.worker.process import MemoryWatch, resident_bytes
+from asia.judge.sandbox.worker.process import ResourceWatch, resident_bytes
 
 from .conftest import Case
 
@@ -143,13 +143,12 @@ def test_a_worker_on_a_gpu_has_a_limit_on_its_memory(level: Isolation, case: Cas
     assert "more than 400 MB in memory" in caught.value.detail
 
 
-def test_the_watch_looks_until_it_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("asia.judge.sandbox.worker.process._LOOK_SECONDS", 0.01)
+def test_the_watch_looks_until_it_is_closed() -> None:
     assert 1_000_000 < resident_bytes(os.getpid()) < 10**12
     assert resident_bytes(None) == 0
     ended: list[int] = []
-    MemoryWatch(lambda: None, 1, lambda: ended.append(1)).close()
-    watch = MemoryWatch(os.getpid, 1, lambda: ended.append(2))
+    ResourceWatch(lambda: 2, 1, lambda: ended.append(1), 9.0).close()
+    watch = ResourceWatch(lambda: 2, 1, lambda: ended.append(2), 0.01)
     for _ in range(1000):
         if watch.exceeded and ended:
             break

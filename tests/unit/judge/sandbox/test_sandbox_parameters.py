@@ -174,3 +174,35 @@ def test_estimates_come_back_as_they_were_packed():
 def test_an_invalid_table_of_estimates_is_refused(body):
     with pytest.raises(ValueError, match=r"estimates|parameter"):
         unpack_estimates(body)
+
+
+FORGED = """
+import gc
+
+
+class Model:
+    def simulate(self, past_u, past_y, u):
+        return u[..., :1].repeat(2, axis=2)
+
+
+def fit(trajectories, context):
+    for one in gc.get_objects():
+        if type(one).__name__ == "Meter":
+            one._spent["fit"] = [VALUE, 0.0]
+    return Model()
+"""
+
+
+@pytest.mark.parametrize("value", ["1e9", "float('nan')", "-1.0"])
+def test_compile_seconds_are_bounded_by_the_fit(worker, case, value):
+    with worker() as one:
+        one.fit(FORGED.replace("VALUE", value), case.trajectories, case.context)
+        assert 0.0 <= one.compile_seconds() <= sum(wall for wall, _ in one.spent.values())
+
+
+def test_compile_seconds_are_not_asked_for_once_a_case_was_seen(worker, case):
+    with worker() as one:
+        one.fit(FORGED.replace("VALUE", "1.0"), case.trajectories, case.context)
+        one.simulate(case.past_u, case.past_y, case.u)
+        with pytest.raises(SandboxError, match="before them"):
+            one.compile_seconds()

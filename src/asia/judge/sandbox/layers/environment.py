@@ -82,9 +82,10 @@ def child_command(
     limits: Limits,
     layers: Collection[Layer],
     libraries: Collection[str] = (),
+    pids: int = 0,
 ) -> list[str]:
     """Command line of a worker; `layers` are those it puts on itself, `libraries` those it loads
-    before its first request.
+    before its first request, `pids` its limit by RLIMIT_NPROC, 0 for none.
 
     -P and -s rather than -I: the environment is ours, and -I would drop PYTHONHASHSEED with it.
     """
@@ -92,7 +93,7 @@ def child_command(
     folders, packages = _user_site(), [f"asia={package_folder()}"]
     packages += [f"{one.name}={place}" for one in plugin_packages() for place in one.places]
     addresses_mb = 0 if limits.gpu else limits.memory_mb
-    words = [str(requests), str(replies), str(addresses_mb), ",".join(layers)]
+    words = [str(requests), str(replies), str(addresses_mb), str(pids), ",".join(layers)]
     devices = gpu_nodes() if limits.gpu else ()
     for part in (sorted(libraries), folders, packages, devices):
         words += [str(len(part)), *part]
@@ -178,7 +179,11 @@ ANOTHER_SYSTEM = "use a Linux machine, or a Linux virtual machine on this one"
 def missing_layers() -> dict[Layer, str]:
     """Return the layers that a worker cannot put on itself here, with reasons."""
     if sys.platform != "linux":
-        return {Layer.LANDLOCK: "Landlock needs Linux", Layer.SECCOMP: "seccomp needs Linux"}
+        return {
+            Layer.LANDLOCK: "Landlock needs Linux",
+            Layer.SECCOMP: "seccomp needs Linux",
+            Layer.PIDS: "threads are counted on Linux alone",
+        }
     reasons = {Layer.LANDLOCK: landlock.why_not(), Layer.SECCOMP: seccomp.why_not()}
     return {layer: reason for layer, reason in reasons.items() if reason is not None}
 
@@ -187,7 +192,7 @@ def layer_remedy(layer: Layer) -> str:
     """Describe how to get a missing layer."""
     if layer is Layer.SECCOMP:
         return "use a kernel with seccomp, on x86-64 or aarch64"
-    if sys.platform != "linux":
+    if sys.platform != "linux" or layer is Layer.PIDS:
         return ANOTHER_SYSTEM
     reason = landlock.why_not() or ""
     if "boot" in reason:

@@ -30,7 +30,7 @@ class Landlock(Level):
     """Level of a process that restricts itself, with Landlock and the system call filter."""
 
     isolation = Isolation.LANDLOCK
-    layers = (Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS)
+    layers = (Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS, Layer.PIDS)
 
     def why_not(self) -> str | None:
         absent = self.missing()

@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Collection
+from functools import cache
 from pathlib import Path
 
 from asia.errors import SandboxError
@@ -30,6 +31,7 @@ from asia.judge.sandbox.layers.environment import (
     last_line,
     run_trial,
 )
+from asia.judge.sandbox.layers.pids import PidsMechanism, most_pids
 from asia.judge.sandbox.level import Level
 from asia.judge.sandbox.types import Isolation, Layer, Limits
 from asia.judge.sandbox.worker.process import (
@@ -49,7 +51,7 @@ class Namespace(Level):
     """A process in namespaces of its own."""
 
     isolation = Isolation.NAMESPACE
-    layers = (Layer.NAMESPACES, Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS)
+    layers = (Layer.NAMESPACES, Layer.LANDLOCK, Layer.SECCOMP, Layer.RLIMITS, Layer.PIDS)
 
     def why_not(self) -> str | None:
         if sys.platform != "linux":
@@ -71,6 +73,10 @@ class Namespace(Level):
         if trial.returncode == 0:
             return None
         return f"bubblewrap could not start Python: {last_line(trial, 'no message')}"
+
+    def pids_mechanism(self) -> PidsMechanism:
+        found = super().pids_mechanism()
+        return PidsMechanism.RLIMIT if found is not PidsMechanism.CGROUP and _counts() else found
 
     def remedy(self) -> str:
         if sys.platform != "linux":
@@ -102,9 +108,10 @@ class Namespace(Level):
         bwrap = shutil.which("bwrap")
         if bwrap is None:
             raise SandboxError("bubblewrap is not installed")
+        by_limit = Layer.PIDS in layers and self.pids_mechanism() is PidsMechanism.RLIMIT
         watch = OrphanWatch()
         try:
-            return _open(bwrap, watch, limits, layers, libraries)
+            return _open(bwrap, watch, limits, layers, libraries, most_pids() if by_limit else 0)
         except BaseException:
             watch.end_orphans()
             raise
@@ -116,11 +123,12 @@ def _open(
     limits: Limits,
     layers: Collection[Layer],
     libraries: Collection[str],
+    pids: int,
 ) -> WorkerProcess:
     info, info_write = os.pipe()
 
     def command(requests: int, replies: int) -> list[str]:
-        worker = child_command(requests, replies, limits, layers, libraries)
+        worker = child_command(requests, replies, limits, layers, libraries, pids)
         inside = ["--info-fd", str(info_write), "--", *worker]
         return [watch.mark, *bubblewrap_options(gpu=limits.gpu), *inside]
 
@@ -165,7 +173,26 @@ def _open(
         tidy=tidy,
         beyond_reach=True,
         find=lambda: first_child(first),
+        guard=None if Layer.SECCOMP in layers else first,
     )
+
+
+@cache
+def _counts() -> bool:
+    """Whether RLIMIT_NPROC holds inside a user namespace here, by starting threads in one."""
+    bwrap = shutil.which("bwrap")
+    code = (
+        "import _thread, resource, time\n"
+        "resource.setrlimit(resource.RLIMIT_NPROC, (6, 6))\n"
+        "for _ in range(9):\n"
+        "    _thread.start_new_thread(time.sleep, (9,))"
+    )
+    python = [interpreter(), "-I", "-S", "-c", code]
+    try:
+        trial = run_trial([bwrap or "bwrap", *bubblewrap_options(), "--", *python])
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return "can't start new thread" in trial.stdout
 
 
 def _process_one(info: int) -> tuple[int, int]:

@@ -17,7 +17,7 @@ class Process(Level):
     """A plain process."""
 
     isolation = Isolation.PROCESS
-    layers = (Layer.RLIMITS,)
+    layers = (Layer.RLIMITS, Layer.PIDS)
     confined = False
 
     def why_not(self) -> str | None:

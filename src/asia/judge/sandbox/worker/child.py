@@ -1,7 +1,8 @@
 """The worker's own side of the sandbox, and the only file that runs candidate code.
 
 Run as a script in a fresh process; nothing in the parent imports it.
-Arguments: request fd, reply fd, memory limit in MB, the layers it puts on itself (commas between);
+Arguments: request fd, reply fd, memory limit in MB, limit on threads (0 for one that others hold),
+the layers it puts on itself (commas between);
 how many libraries to load ahead, then these; how many folders to add to the import path, then
 these; how many packages to import from a place of their own, then these, each as name=place; the
 places it may read.
@@ -64,9 +65,13 @@ def _restrict(memory_mb: int) -> None:
         # Queued signals are counted over all processes of the user.
         limits[resource.RLIMIT_SIGPENDING] = 0
     for what, wanted in limits.items():
-        hard = resource.getrlimit(what)[1]
-        value = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
-        resource.setrlimit(what, (value, value))
+        _limit(what, wanted)
+
+
+def _limit(what: int, wanted: int) -> None:
+    hard = resource.getrlimit(what)[1]
+    value = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+    resource.setrlimit(what, (value, value))
 
 
 class _PackageFinder(importlib.abc.MetaPathFinder):
@@ -368,9 +373,9 @@ def _candidate_traceback(error: BaseException) -> str:
 
 
 def main(arguments: list[str]) -> NoReturn:
-    requests, replies, memory_mb = (int(word) for word in arguments[:3])
-    layers = arguments[3].split(",")
-    readable = arguments[4:]
+    requests, replies, memory_mb, pids = (int(word) for word in arguments[:4])
+    layers = arguments[4].split(",")
+    readable = arguments[5:]
 
     def counted() -> list[str]:
         """Take a list that is preceded by its length from the remaining words."""
@@ -381,6 +386,8 @@ def main(arguments: list[str]) -> NoReturn:
     libraries, folders, packages, devices = counted(), counted(), counted(), counted()
     if lockdown.RLIMITS in layers:
         _restrict(memory_mb)
+    if pids:
+        _limit(resource.RLIMIT_NPROC, pids)
     # Before numpy, whose threads Landlock would not bind.
     lockdown.confine(layers, readable, devices)
     sys.path.extend(folder for folder in folders if folder not in sys.path)

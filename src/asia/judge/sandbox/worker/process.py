@@ -85,6 +85,15 @@ class WorkerProcess:
     """Whether `process` is a guard of the worker that no candidate can signal."""
     find: Callable[[], int | None]
     """The process id of the worker itself, None where it is not known."""
+    guard: int | None = None
+    """The process below which a worker's own processes are; None where it can start none."""
+
+    def pids(self) -> list[int]:
+        """Processes of the worker."""
+        if self.guard is not None:
+            return descendants(self.guard, alive=True)
+        found = self.find()
+        return [] if found is None else [found]
 
     def running(self) -> bool:
         """Return whether the worker is still there."""
@@ -358,8 +367,6 @@ def select_one(fd: int, event: int = select.POLLIN) -> bool:
 
 # Timer and memory meter of one worker, measured by the parent.
 
-_LOOK_SECONDS = 0.2
-
 
 class WorkerClock:
     """Sum of wall and processor seconds of a worker by activity."""
@@ -432,34 +439,35 @@ def first_child(pid: int) -> int | None:
     return int(children[0]) if children else None
 
 
-def peak_memory_mb(pid: int | None) -> float | None:
-    """The largest address space that a process has had, MB; None where the system does not say."""
+def peak_memory_mb(pid: int | str | None) -> float | None:
+    """The largest address space that a process has had, MB; None where the system does not say.
+    pid: or `self`."""
     with suppress(OSError, ValueError, IndexError):
         text = Path(f"/proc/{pid}/status").read_text("ascii", "replace")
         return int(text.split("VmPeak:")[1].split()[0]) / 1024
     return None
 
 
-class MemoryWatch:
-    """Looks at a process until it has more than so many MB in memory, and ends it then: for one
-    that a limit on its address space would break."""
+class ResourceWatch:
+    """Measures a worker until it uses more than it may, and ends it then: for a resource that no
+    limit of the kernel holds here."""
 
     def __init__(
-        self, find: Callable[[], int | None], most_mb: int, end: Callable[[], None]
+        self, measure: Callable[[], int], most: int, end: Callable[[], None], seconds: float
     ) -> None:
-        """find: its process id."""
+        """seconds: between two measurements."""
         self.exceeded = False
-        self._find, self._most, self._end = find, most_mb * 1024 * 1024, end
+        self._measure, self._most, self._end, self._seconds = measure, most, end, seconds
         self._over = threading.Event()
-        threading.Thread(target=self._look, name="memory", daemon=True).start()
+        threading.Thread(target=self._look, name="resources", daemon=True).start()
 
     def close(self) -> None:
         """Look no more."""
         self._over.set()
 
     def _look(self) -> None:
-        while not self._over.wait(_LOOK_SECONDS):
-            if resident_bytes(self._find()) > self._most:
+        while not self._over.wait(self._seconds):
+            if self._measure() > self._most:
                 self.exceeded = True
                 self._end()
                 return
@@ -515,6 +523,7 @@ def start_kept(
         tidy=lambda: shutil.rmtree(home, ignore_errors=True),
         beyond_reach=False,
         find=lambda: first_child(process.pid),
+        guard=process.pid,
     )
 
 

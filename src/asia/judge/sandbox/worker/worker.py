@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import contextlib
 import math
 import threading
@@ -16,7 +15,8 @@ from asia._text import printable
 from asia._timer import Activity, Seconds
 from asia.candidate import Context, ParameterEstimates
 from asia.data.trajectory import Array, Trajectory
-from asia.errors import CandidateError, Reason, SandboxError
+from asia.errors import KNOWN_ERRORS, CandidateError, Reason, SandboxError
+from asia.judge.sandbox.layers.pids import PidsCgroup, PidsMechanism, count_tasks, most_pids
 from asia.judge.sandbox.types import (
     FitReply,
     Limits,
@@ -35,11 +35,12 @@ from asia.judge.sandbox.worker.process import (
     GoneError,
     Head,
     LateError,
-    MemoryWatch,
+    ResourceWatch,
     UnsolicitedError,
     WorkerClock,
     WorkerProcess,
     peak_memory_mb,
+    resident_bytes,
 )
 from asia.judge.sandbox.worker.wire import (
     COMPILED_BYTES,
@@ -63,14 +64,11 @@ _REASONS = {
     ReplyKind.MEMORY: Reason.MEMORY,
     ReplyKind.SHAPE: Reason.WRONG_LENGTH,
 }
-_KNOWN_ERRORS = frozenset(
-    name
-    for name, value in vars(builtins).items()
-    if isinstance(value, type) and issubclass(value, BaseException)
-) | {"LinAlgError", "JaxRuntimeError", "XlaRuntimeError", "EquinoxRuntimeError", "UnpicklingError"}
 _OUT_OF_MEMORY = ("std::bad_alloc", "out of memory", "memory allocation", "cannot allocate memory")
+_NO_THREAD = "can't start new thread"
 _START_SECONDS = 60.0
 _COUNT_SECONDS = 1.0
+_LOOK_SECONDS, _LOOK_AT_ONE_SECONDS = 0.2, 0.05
 _LAST_WORDS = 1500
 
 
@@ -90,7 +88,7 @@ def _failure_words(
         return text
     if status is ReplyKind.CONTRACT:
         return "no array of numbers, or no model with simulate"
-    return text if text in _KNOWN_ERRORS else "an exception of its own"
+    return text if text in KNOWN_ERRORS else "an exception of its own"
 
 
 class Worker:
@@ -102,7 +100,10 @@ class Worker:
     candidate and SandboxError for any other one.
     """
 
-    def __init__(self, process: WorkerProcess, limits: Limits) -> None:
+    def __init__(
+        self, process: WorkerProcess, limits: Limits, pids: PidsMechanism | None = None
+    ) -> None:
+        """pids: what limits its threads and processes; None where nothing does."""
         self.printed = ""
         """Text that the candidate printed until its fit ended or failed; later output is dropped,
         because it could contain cases."""
@@ -121,9 +122,16 @@ class Worker:
         self._ny = 0
         self._model_loaded = False
         self._cases_seen = False
-        self._memory: MemoryWatch | None = None
+        self._memory: ResourceWatch | None = None
+        self._pids_mechanism = pids
+        self._pids: PidsCgroup | ResourceWatch | None = None
         if limits.gpu:
-            self._memory = MemoryWatch(process.find, limits.memory_mb, self.abort)
+            self._memory = ResourceWatch(
+                lambda: resident_bytes(process.find()),
+                limits.memory_mb * 1024 * 1024,
+                self.abort,
+                _LOOK_SECONDS,
+            )
 
     def __enter__(self) -> Worker:
         return self
@@ -247,6 +255,16 @@ class Worker:
             self._reply_before_cases("device", DEVICE_BYTES).decode("utf-8", "replace")
         )
 
+    def compile_seconds(self) -> float:
+        """Return JAX's time for tracing and compiling in the fit, as the worker reports it, at most
+        the time that the fit took. Call it before any case, as `parameters`."""
+        body = self._reply_before_cases("compiled", COMPILED_BYTES)
+        if len(body) != COMPILED_BYTES:
+            raise self._failure(Reason.UNSOLICITED, "no times of compilation")
+        longest = self.spent.get(Activity.FIT, (0.0, 0.0))[0]
+        seconds = float(np.frombuffer(body, "<f8")[:2].sum())
+        return min(seconds, longest) if seconds > 0 else 0.0
+
     def _reply_before_cases(self, request: str, most: int) -> bytes:
         if self._cases_seen:
             raise SandboxError(f"the worker has received cases: request {request} before them")
@@ -310,10 +328,14 @@ class Worker:
                 self._closed = True
             if self._memory is not None:
                 self._memory.close()
+            if isinstance(self._pids, ResourceWatch):
+                self._pids.close()
             with self._clock.activity(Activity.START):
                 self._channel.close()
                 if not self._process.end():
                     self.left_behind = self._process.process.pid
+            if isinstance(self._pids, PidsCgroup):
+                self._pids.close()
 
     def wait(self) -> None:
         """Wait until the process is ready, so that its start does not count as fit time.
@@ -326,6 +348,7 @@ class Worker:
         try:
             with self._clock.activity(Activity.START):
                 head = self._channel.receive_head(time.monotonic() + _START_SECONDS)
+            self._limit_pids()
             self._ready = head == Head(ReplyKind.STARTED, 0)
         except (LateError, GoneError, UnsolicitedError):
             pass
@@ -333,6 +356,28 @@ class Worker:
             said = self._channel.take_output()[-500:].strip()
             self.close()
             raise SandboxError(f"a worker did not start: {said or 'no message'}")
+
+    def _limit_pids(self) -> None:
+        """Limit the threads and processes, before anything of a candidate runs."""
+        match self._pids_mechanism:
+            case PidsMechanism.CGROUP:
+                try:
+                    self._pids = group = PidsCgroup(most_pids())
+                    group.add(self._process.find() or 0)
+                except OSError as error:
+                    self.close()
+                    raise SandboxError(
+                        f"a worker could not be put into a cgroup: {error}"
+                    ) from None
+            case PidsMechanism.WATCHER:
+                self._pids = ResourceWatch(
+                    lambda: count_tasks(self._process.pids()),
+                    most_pids(),
+                    self.abort,
+                    _LOOK_AT_ONE_SECONDS if self._process.guard is None else _LOOK_SECONDS,
+                )
+            case _:
+                pass
 
     def _start(self) -> None:
         if self._started or self._closed:
@@ -426,6 +471,8 @@ class Worker:
         ending = self._process.ending()
         if self._memory is not None and self._memory.exceeded:
             return self._failure(Reason.MEMORY, f"more than {self._limits.memory_mb} MB in memory")
+        if isinstance(self._pids, ResourceWatch) and self._pids.exceeded:
+            return self._failure(Reason.EXITED)
         if ending.outside is not None:
             self.close()
             number = int(ending.outside)
@@ -440,6 +487,10 @@ class Worker:
 
     def _failure(self, reason: Reason, detail: str = "") -> CandidateError:
         """End the worker; the error is the caller's to raise."""
+        crashed = reason in (Reason.CRASH, Reason.EXITED, Reason.MEMORY)
+        refused = self._pids_mechanism is not None and _NO_THREAD in detail
+        if crashed and (refused or (self._pids is not None and self._pids.exceeded)):
+            reason, detail = Reason.THREADS, f"at most {most_pids()} threads and processes"
         if not (self._closed or self._cases_seen or self._model_loaded):
             self.printed = self._channel.take_output()
         self.close()
