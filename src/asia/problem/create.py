@@ -250,9 +250,9 @@ class Preparation:
     decimate: int = 1
     """Every Nth sample is kept."""
     detrend: bool = False
-    """The mean over the training records is taken off every signal."""
+    """Each fit subtracts the mean of its training records from every signal."""
     scale: bool = False
-    """Every signal is divided by its standard deviation over the training records."""
+    """Each fit divides every signal by its standard deviation over the training records."""
 
 
 def _prepare(
@@ -278,15 +278,7 @@ def _prepare(
         if not wish.delay.isdecimal():
             raise UserError(f"--delay is {wish.delay}: expected auto, or a whole number of samples")
         delay = {name: int(wish.delay) for name in inputs if int(wish.delay)}
-    first = Preprocess(delay, wish.decimate)
-    signals = tuple(map(Signal, inputs)), tuple(map(Signal, outputs))
-    records = [first.record(t, *signals) for t in records]
-    columns = np.concatenate([np.hstack([t.u, t.measured_y]) for t in records]).T
-    values = dict(zip((*inputs, *outputs), columns, strict=True))
-    # Six digits suffice and are readable.
-    offset = {n: float(f"{np.nanmean(v):.6g}") for n, v in values.items()} if wish.detrend else {}
-    spread = {n: float(f"{np.nanstd(v):.6g}") for n, v in values.items()} if wish.scale else {}
-    return replace(first, offset=offset, scale={n: s for n, s in spread.items() if s > 0})
+    return Preprocess(delay, wish.decimate, wish.detrend, wish.scale)
 
 
 # A new problem directory from files of records.
@@ -482,12 +474,12 @@ def init_problem(
         data.append(f"test = {toml_value(test_files)}")
     else:
         data.append('# test = ["run2.csv"]             # opened once, at the end')
-    tables = {n: getattr(done, n) for n in ("delay", "decimate", "offset", "scale")}
-    preprocess = [f"{name} = {toml_value(v)}" for name, v in tables.items() if v and v != 1]
+    tables = {n: getattr(done, n) for n in ("delay", "decimate", "detrend", "scale")}
+    preprocess = [f"{name} = {toml_value(v)}" for name, v in tables.items() if v is True or v not in (1, {}, False)]
     if done:
         data += [
             "",
-            "[preprocess]                        # done to every record alike",
+            "[preprocess]                        # to every record; statistics by fold",
             *preprocess,
         ]
     signals = [

@@ -148,5 +148,7 @@ def search_context(problem: Problem, seed: int) -> Context:
         metric=rule.metric,
         physics=problem.physics,
         symmetry=problem.symmetry,
+        detrend=problem.preprocess.detrend,
+        scale=problem.preprocess.scale,
         seed=seed,
     )
