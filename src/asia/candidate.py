@@ -77,7 +77,7 @@ class Context:
     model receives signals of this kind and gives such outputs."""
     scale: bool = False
     """Whether every signal was divided by its standard deviation over the training records of this
-    fit, as the units say."""
+    fit; the units are then `std`."""
 
     @property
     def nu(self) -> int:

@@ -12,7 +12,6 @@ from pydantic import Field
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 
-
 _OLD_RULE = (
     "is of an older version, with offset or scale in numbers, which may come from samples that a "
     "fold holds out: write detrend = true, scale = true, and start a new run"
@@ -58,6 +57,11 @@ class Preprocess:
                 raise UserError(
                     f"preprocess.delay names '{name}', expected one of {', '.join(inputs)}"
                 )
+
+    def signals(self, signals: Sequence[Signal]) -> tuple[Signal, ...]:
+        """Return the signals with their units in a fit: `std`, of its training records, where they
+        are scaled."""
+        return tuple(Signal(s.name, "std") if self.scale else s for s in signals)
 
     def length(self, samples: int) -> int:
         """Return the length after preprocessing of a record of `samples` samples."""

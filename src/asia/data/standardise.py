@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asia.data.trajectory import LEAST_RANGE, Array, Signal, Trajectory, spread_of
+from asia.data.trajectory import LEAST_RANGE, Array, Trajectory, spread_of
 
 if TYPE_CHECKING:
-    from asia.candidate import Context, Model
+    from asia.candidate import Context
 
 
 @dataclass(frozen=True)
@@ -46,36 +46,26 @@ class Standard:
         found = found if found.dtype.kind == "O" else found.astype(np.float64, copy=False)
         return found * self.scale + self.offset
 
-    def units(self, signals: Sequence[Signal]) -> tuple[Signal, ...]:
-        """Return the signals with their units after `apply`: 3 V for a voltage divided by 3 V."""
-        return tuple(
-            replace(signal, unit=signal.unit if size == 1.0 else f"{size:g} {signal.unit}".strip())
-            for signal, size in zip(signals, self.scale.tolist(), strict=True)
-        )
-
 
 def standardised(
     records: list[Trajectory], context: Context
 ) -> tuple[list[Trajectory], Context, Callable[[Any], Any]]:
-    """Prepare a fit: its records and context as the candidate receives them.
+    """Prepare a fit as its context asks for.
 
     Mean and standard deviation are those of these records alone, so they say nothing about any
     other sample. Where the context asks for neither, all comes back as it is.
 
     Args:
         records: training records of the fit, in the units of the problem
-        context: context with these units
+        context: context of the candidate
 
     Returns:
-        Records and context in standardised units, and a function from the fitted model to one that
-        takes and gives the units of the problem.
+        Standardised records, the context, whose validation score takes a model of them, and a
+        function that makes of such a model one in the units of the problem.
     """
     if not (context.detrend or context.scale):
         return records, context, lambda model: model
-    u, y = (
-        _standard([getattr(r, side) for r in records], context)
-        for side in ("u", "measured_y")
-    )
+    u, y = (_standard([getattr(r, side) for r in records], context) for side in ("u", "measured_y"))
 
     def restored(model: Any) -> Any:
         if not callable(getattr(model, "simulate", None)):
@@ -84,16 +74,12 @@ def standardised(
         return (StandardisedSteps if steps else Standardised)(model, u, y)
 
     score = context.validation_score
-    known = replace(
-        context,
-        inputs=u.units(context.inputs),
-        outputs=y.units(context.outputs),
-        validation_score=None if score is None else lambda model: score(restored(model)),
-    )
+    if score is not None:
+        context = replace(context, validation_score=lambda model: score(restored(model)))
     prepared = [
         Trajectory(u.apply(r.u), y.apply(r.y), r.sampling_time, r.name, r.missing) for r in records
     ]
-    return prepared, known, restored
+    return prepared, context, restored
 
 
 def _standard(parts: Sequence[Array], context: Context) -> Standard:

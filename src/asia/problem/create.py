@@ -16,8 +16,6 @@ from functools import partial
 from math import ceil
 from pathlib import Path
 
-import numpy as np
-
 from asia._files import read_file, sync_folder
 from asia.data.intake.records import Intake, take_in
 from asia.data.intake.sheet import Wanted
@@ -26,7 +24,6 @@ from asia.data.preprocess import Preprocess
 from asia.data.relations import find_delay
 from asia.data.store import PlainFile, key_folder
 from asia.data.trajectory import (
-    Signal,
     Trajectory,
     check_magnitudes,
     check_ranges,
@@ -474,8 +471,9 @@ def init_problem(
         data.append(f"test = {toml_value(test_files)}")
     else:
         data.append('# test = ["run2.csv"]             # opened once, at the end')
-    tables = {n: getattr(done, n) for n in ("delay", "decimate", "detrend", "scale")}
-    preprocess = [f"{name} = {toml_value(v)}" for name, v in tables.items() if v is True or v not in (1, {}, False)]
+    names = ("delay", "decimate", "detrend", "scale")
+    asked = [(n, getattr(done, n)) for n in names if getattr(done, n) != getattr(Preprocess(), n)]
+    preprocess = [f"{name} = {toml_value(value)}" for name, value in asked]
     if done:
         data += [
             "",

@@ -235,9 +235,7 @@ def simulate(
         (folds,) = simulate_members(evaluator, run, behind, [block])
     basis = band_basis(evaluator, run.view, run.store, named)
     found, outside = basis.around(block.case, folds, y_hat, bands)
-    mean, lower, upper = (
-        done.refined(edge, len(u)) for edge in (y_hat, found.lower, found.upper)
-    )
+    mean, lower, upper = (done.refined(edge, len(u)) for edge in (y_hat, found.lower, found.upper))
     outside = np.repeat(outside, done.decimate)[: len(u)]
     return BandedSimulation(mean, lower, upper, bands, outside)
 

@@ -217,7 +217,8 @@ def init(
     detrend: Annotated[
         bool,
         typer.Option(
-            "--detrend", help="In each fold, subtract the training mean from every signal. [preprocess]"
+            "--detrend",
+            help="In each fold, subtract the training mean from every signal. [preprocess]",
         ),
     ] = False,
     scale: Annotated[
