@@ -6,9 +6,13 @@ from asia.assurance.redteam.attacks.answers import RELATIONS
 from asia.assurance.redteam.attacks.probing import PROBING
 from asia.assurance.redteam.attacks.scores import SCORES
 from asia.assurance.redteam.attacks.searches import SEARCHES
+from asia.assurance.redteam.attacks.statistics import STATISTICS
 from asia.assurance.redteam.attacks.walls import WALLS
 from asia.assurance.redteam.types import Attack
 
 ATTACKS: tuple[Attack, ...] = tuple(
-    sorted((*SCORES, *WALLS, *SEARCHES, *PROBING, *RELATIONS), key=lambda attack: attack.number)
+    sorted(
+        (*SCORES, *WALLS, *SEARCHES, *PROBING, *RELATIONS, *STATISTICS),
+        key=lambda attack: attack.number,
+    )
 )
