@@ -72,17 +72,8 @@ class SmallProblem:
         """The context that candidates receive."""
         rule = self.rule
         past = rule.past_inputs, rule.past_outputs
-        asked = self.standardised
-        return Context(
-            _INPUTS,
-            (Signal("level"),),
-            1.0,
-            *past,
-            rule.horizon,
-            seed=7,
-            detrend=asked,
-            scale=asked,
-        )
+        known = Context(_INPUTS, (Signal("level"),), 1.0, *past, rule.horizon, seed=7)
+        return replace(known, detrend=self.standardised, scale=self.standardised)
 
     @property
     def by_whole_records(self) -> SmallProblem:

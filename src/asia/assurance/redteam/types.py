@@ -120,7 +120,8 @@ class CandidateAttack:
     mistake: Mistake | None = None
     """The mistake of an evaluation without isolation that it needs."""
     checks: tuple[Check, ...] = ()
-    """The relations or principles without which all of its variants succeed; () where others stop it too."""
+    """The relations or principles without which all of its variants succeed; () where others stop
+    it too."""
 
     @property
     def walled(self) -> bool:
