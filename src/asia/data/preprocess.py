@@ -14,7 +14,8 @@ from asia.errors import UserError
 
 _OLD_RULE = (
     "is of an older version, with offset or scale in numbers, which may come from samples that a "
-    "fold holds out: write detrend = true, scale = true, and start a new run"
+    "fold holds out: write detrend = true, scale = true, and start a new run; the version that "
+    "began an old run can still use it"
 )
 
 
