@@ -1,5 +1,4 @@
-"""Everything that reads outputs, on searches whose records miss one output sample in five, and whose
-fits standardise them too."""
+"""Everything that reads outputs, on searches whose records miss one output sample in five; in one\nof them fits standardise their records too."""
 
 from __future__ import annotations
 
