@@ -1,4 +1,7 @@
-"""Everything that reads outputs, on searches whose records miss one output sample in five; in one\nof them fits standardise their records too."""
+"""Everything that reads outputs, on searches whose records miss one output sample in five.
+
+In one of them fits standardise their records too.
+"""
 
 from __future__ import annotations
 
