@@ -68,6 +68,12 @@ class Context:
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
     """Changes of the signals that leave the system's laws as they are, by name: for each signal
     that changes, the one that takes its place, with a minus where its sign changes."""
+    detrend: bool = False
+    """Whether the mean over the training records of this fit was subtracted from every signal. The
+    model receives signals of this kind and gives such outputs."""
+    scale: bool = False
+    """Whether every signal was divided by its standard deviation over the training records of this
+    fit; the units are then `std`."""
 
     @property
     def nu(self) -> int:

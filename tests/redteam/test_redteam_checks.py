@@ -1,11 +1,13 @@
 """Each relation matters: what cheats score when those that stop them are left out."""
 
+import re
 from dataclasses import replace
 
 import pytest
 from typer.testing import CliRunner
 
 from asia.assurance.redteam.attacks.table import ATTACKS
+from asia.assurance.redteam.problem import Principle
 from asia.assurance.redteam.suite import unchecked_table, without_checks
 from asia.assurance.redteam.types import AttackVerdict, CandidateAttack
 from asia.errors import UserError
@@ -38,6 +40,21 @@ def test_an_attack_succeeds_without_the_checks_that_stop_it_and_not_with_them():
     words = unchecked_table([replace(found, succeeded=False)])
     assert "DOES NOT SUCCEED" in words
     assert "flagged: causality" in words
+
+
+@needs_level
+def test_held_out_outputs_cannot_be_inferred_where_each_fit_standardises_its_own_records():
+    attack = next(a for a in CHECKED if Principle.FOLD_STATISTICS in a.checks)
+    found = without_checks([ONE_LEVEL], [attack])
+    assert len(found) == 3
+    for one in found:
+        assert one.succeeded
+        assert one.value < 0.8 * one.honest
+        # With the principle it answers as the honest candidate does.
+        told = re.fullmatch(r".*V (\S+), honest (\S+)", one.checked.note)
+        assert told is not None
+        assert told[1] == told[2]
+        assert one.checked.verdict is AttackVerdict.NO_GAIN
 
 
 @pytest.mark.long

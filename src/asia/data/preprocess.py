@@ -1,10 +1,10 @@
-"""Preprocessing of every record before a search, and its inverse for simulated outputs."""
+"""Preprocessing of every record before a search, and what each fit does to its own records."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -12,14 +12,25 @@ from pydantic import Field
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 
-_Positive = Annotated[float, Field(gt=0)]
+_OLD_RULE = (
+    "is of an older version, with offset or scale in numbers, which may come from samples that a "
+    "fold holds out: write detrend = true, scale = true, and start a new run; the version that "
+    "began an old run can still use it"
+)
+
+
+def without_numbers(table: Any) -> Any:
+    """Return a table `[preprocess]` unchanged. Raises ValueError where it is of the old rule."""
+    if isinstance(table, dict) and ("offset" in table or isinstance(table.get("scale"), dict)):
+        raise ValueError(_OLD_RULE)
+    return table
 
 
 @dataclass(frozen=True)
 class Preprocess:
-    """`[preprocess]` of a problem file. In this order: inputs are delayed, every Nth sample is kept
-    (inputs averaged over the N samples from it on), and every signal becomes
-    (value - offset) / scale."""
+    """`[preprocess]` of a problem file. In this order: inputs are delayed, and every Nth sample is
+    kept (inputs averaged over the N samples from it on). Each fit then subtracts the mean of its
+    own training records, and divides by their standard deviation: `asia.data.standardise`."""
 
     delay: Mapping[str, Annotated[int, Field(ge=0, le=1_000_000)]] = field(
         default_factory=dict[str, int]
@@ -27,8 +38,10 @@ class Preprocess:
     """Delay of each input in samples: a model receives values measured this many samples
     earlier."""
     decimate: Annotated[int, Field(ge=1, le=1_000_000)] = 1
-    offset: Mapping[str, float] = field(default_factory=dict[str, float])
-    scale: Mapping[str, _Positive] = field(default_factory=dict[str, float])
+    detrend: bool = False
+    """Whether each fit subtracts the mean of its training records from every signal."""
+    scale: bool = False
+    """Whether each fit divides every signal by its standard deviation over the training records."""
 
     def __bool__(self) -> bool:
         return self != Preprocess()
@@ -38,49 +51,40 @@ class Preprocess:
         """Samples."""
         return max(self.delay.values(), default=0)
 
-    def check(self, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """Raise UserError for a name that is no signal, or no input where one is wanted."""
-        signals = [*inputs, *outputs]
-        for table, known in (("delay", inputs), ("offset", signals), ("scale", signals)):
-            for name in getattr(self, table):
-                if name not in known:
-                    raise UserError(
-                        f"preprocess.{table} names '{name}', expected one of {', '.join(known)}"
-                    )
+    def check(self, inputs: Sequence[str]) -> None:
+        """Raise UserError for a delay of what is no input."""
+        for name in self.delay:
+            if name not in inputs:
+                raise UserError(
+                    f"preprocess.delay names '{name}', expected one of {', '.join(inputs)}"
+                )
 
     def signals(self, signals: Sequence[Signal]) -> tuple[Signal, ...]:
-        """Return the signals with their units after preprocessing: 3 V for a voltage scaled by 3
-        V."""
-        return tuple(
-            Signal(s.name, f"{self.scale[s.name]:g} {s.unit}".strip())
-            if s.name in self.scale
-            else s
-            for s in signals
-        )
+        """Return the signals with their units in a fit: `std`, of its training records, where they
+        are scaled."""
+        return tuple(Signal(s.name, "std") if self.scale else s for s in signals)
 
     def length(self, samples: int) -> int:
         """Return the length after preprocessing of a record of `samples` samples."""
         return max(samples - self.longest_delay, 0) // self.decimate
 
-    def record(
-        self, record: Trajectory, inputs: Sequence[Signal], outputs: Sequence[Signal]
-    ) -> Trajectory:
+    def record(self, record: Trajectory, inputs: Sequence[Signal]) -> Trajectory:
         """The record as the search sees it."""
-        if not self:
+        if not (self.longest_delay or self.decimate > 1):
             return record
         rows = self.length(len(record)) * self.decimate
         return Trajectory(
             self.inputs(record.u, inputs)[: self.length(len(record))],
-            self.outputs(record.measured_y[self.longest_delay :][:rows], outputs),
+            self.outputs(record.measured_y[self.longest_delay :][:rows]),
             record.sampling_time * self.decimate,
             record.name,
         )
 
     def records(
-        self, records: Sequence[Trajectory], inputs: Sequence[Signal], outputs: Sequence[Signal]
+        self, records: Sequence[Trajectory], inputs: Sequence[Signal]
     ) -> tuple[Trajectory, ...]:
         """Preprocess several records, as `record`."""
-        return tuple(self.record(record, inputs, outputs) for record in records)
+        return tuple(self.record(record, inputs) for record in records)
 
     def inputs(self, u: Array, signals: Sequence[Signal]) -> Array:
         """Preprocess measured inputs (T, nu) to model inputs (length(T), nu).
@@ -91,29 +95,16 @@ class Preprocess:
         late = [longest - self.delay.get(s.name, 0) for s in signals]
         moved = [u[k : rows - longest + k, i] for i, k in enumerate(late)]
         whole = np.stack(moved, axis=1)[: self.length(rows) * self.decimate]
-        means = whole.reshape(-1, self.decimate, len(signals)).mean(axis=1)
-        return (means - self._offsets(signals)) / self._scales(signals)
+        return whole.reshape(-1, self.decimate, len(signals)).mean(axis=1)
 
-    def outputs(self, y: Array, signals: Sequence[Signal]) -> Array:
+    def outputs(self, y: Array) -> Array:
         """Measured outputs (T, ny) -> those of the samples that are kept, from the first on."""
-        return (y[:: self.decimate] - self._offsets(signals)) / self._scales(signals)
-
-    def back(self, y: Array, signals: Sequence[Signal], samples: int) -> Array:
-        """Convert simulated outputs -> (samples, ny) in physical units; on straight lines between
-        the samples that were kept, and held after the last."""
-        if not self:
-            return y
-        return self.refined(y * self._scales(signals) + self._offsets(signals), samples)
+        return y[:: self.decimate]
 
     def refined(self, values: Array, samples: int) -> Array:
-        """(K, n) -> (samples, n), on straight lines between the samples that were kept."""
+        """(K, n) -> (samples, n), on straight lines between the samples that were kept, and held
+        after the last."""
         if self.decimate == 1:
             return values[:samples]
         kept = np.arange(len(values), dtype=np.float64) * self.decimate
         return np.stack([np.interp(np.arange(samples), kept, c) for c in values.T], axis=1)
-
-    def _offsets(self, signals: Sequence[Signal]) -> Array:
-        return np.array([self.offset.get(s.name, 0.0) for s in signals])
-
-    def _scales(self, signals: Sequence[Signal]) -> Array:
-        return np.array([self.scale.get(s.name, 1.0) for s in signals])

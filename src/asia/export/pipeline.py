@@ -136,7 +136,8 @@ def table(rows: Sequence[ParityRow]) -> list[str]:
     return found
 
 
-# `[preprocess]` composed into a model, so that exported files read and return measured signals.
+# Delays and decimation of `[preprocess]` composed into a model, so that exported files read and
+# return measured signals. What a fit does to its own records is part of its model.
 #
 # The files step at the rate of the samples that were kept. Their state holds the inputs that a
 # delay still keeps back.
@@ -161,46 +162,37 @@ def kept_delays(done: Preprocess, inputs: Sequence[Signal]) -> list[int]:
     return kept
 
 
-def measured(
-    low: LoweredModel, done: Preprocess, inputs: Sequence[Signal], outputs: Sequence[Signal]
-) -> LoweredModel:
-    """Convert a model of preprocessed signals to one of measured signals.
+def measured(low: LoweredModel, done: Preprocess, inputs: Sequence[Signal]) -> LoweredModel:
+    """Convert a model of delayed inputs to one of measured inputs.
 
     Raises:
         UserError: as for `kept_delays`.
     """
-    if not done:
-        return low
     late = np.array(kept_delays(done, inputs))
     longest, n, nu = int(late.max()), low.n_past_u, low.nu
+    if not longest:
+        return low
     channels = np.arange(nu)
 
     def latest(build: Builder, known: int, first: int) -> list[int]:
-        """Inputs that delays keep back: the rows of `known` from `first` on, if there are any."""
+        """Inputs that delays keep back: the rows of `known` from `first` on."""
         rows = np.arange(first, first + longest)[:, None] * nu + channels
-        return [_picked(build, known, rows)] if longest else []
+        return [_picked(build, known, rows)]
 
     # The states begin from the measured past window.
     build = Builder(((n + longest, nu), (low.n_past_y, low.ny), (nu,)))
     known = _stacked(build, 0, 2)
     rows = np.arange(n)[:, None] + longest - late
-    past_u = _standard(build, _picked(build, known, rows * nu + channels), done, inputs)
-    past_y = _standard(build, 1, done, outputs)
-    acting = _picked(build, known, (n + longest - late) * nu + channels)
-    u = _standard(build, acting, done, inputs)
+    past_u = _picked(build, known, rows * nu + channels)
+    u = _picked(build, known, (n + longest - late) * nu + channels)
     held_back = latest(build, known, n)
-    initial = build.program([*held_back, *inlined(build, low.initial, [past_u, past_y, u])])
+    initial = build.program([*held_back, *inlined(build, low.initial, [past_u, 1, u])])
 
     # A step reads the inputs that act now, and keeps the newest back.
-    held = [(longest, nu)] if longest else []
-    step = Builder((*held, *low.states, (nu,)))
-    u = len(step.inputs) - 1
-    known = _stacked(step, 0, u) if longest else step.add("reshape", (u,), (1, nu))
+    step = Builder(((longest, nu), *low.states, (nu,)))
+    known = _stacked(step, 0, len(step.inputs) - 1)
     acting = _picked(step, known, (longest - late) * nu + channels)
-    states = range(len(held), len(held) + len(low.states))
-    y, *after = inlined(step, low.step, [*states, _standard(step, acting, done, inputs)])
-    offset, scale = (step.constant(a) for a in _numbers(done, outputs))
-    y = step.add("add", (step.add("mul", (y, scale)), offset))
+    y, *after = inlined(step, low.step, [*range(1, 1 + len(low.states)), acting])
     held_back = latest(step, known, 1)
     return LoweredModel(
         n + longest,
@@ -214,44 +206,20 @@ def measured(
 
 
 def measured_window(
-    window: TrainingWindow,
-    done: Preprocess,
-    inputs: Sequence[Signal],
-    outputs: Sequence[Signal],
+    window: TrainingWindow, done: Preprocess, inputs: Sequence[Signal]
 ) -> TrainingWindow:
-    """Window in measured units, at the samples that are kept.
+    """Window with inputs as measured, at the samples that are kept.
 
     It is shorter by the longest delay; inputs before it that no model reads are made up.
     """
     late = kept_delays(done, inputs)
     longest, n = max(late), len(window.past_u)
-    acting = physical(np.concatenate([window.past_u, window.u]), done, inputs)
+    acting = np.concatenate([window.past_u, window.u])
     rows = np.arange(len(acting))[:, None] - longest + np.array(late)
     u = acting[np.clip(rows, 0, len(acting) - 1), np.arange(acting.shape[1])]
-    y_hat, y, past_y = (
-        physical(side, done, outputs) for side in (window.y_hat, window.y, window.past_y)
-    )
     samples = len(window.u) - longest
-    return TrainingWindow(u[: n + longest], past_y, u[n + longest :], y_hat[:samples], y[:samples])
-
-
-def physical(values: Array, done: Preprocess, signals: Sequence[Signal]) -> Array:
-    """Convert preprocessed values (T, n) to the units they were measured in."""
-    offset, scale = _numbers(done, signals)
-    return values * scale + offset
-
-
-def _numbers(done: Preprocess, signals: Sequence[Signal]) -> tuple[Array, Array]:
-    offset = [done.offset.get(s.name, 0.0) for s in signals]
-    scale = [done.scale.get(s.name, 1.0) for s in signals]
-    return np.array(offset), np.array(scale)
-
-
-def _standard(build: Builder, value: int, done: Preprocess, signals: Sequence[Signal]) -> int:
-    """Compute (value - offset) / scale."""
-    shape = build.shape(value)
-    offset, scale = (build.constant(np.broadcast_to(a, shape)) for a in _numbers(done, signals))
-    return build.add("div", (build.add("sub", (value, offset)), scale))
+    y_hat, y = window.y_hat[:samples], window.y[:samples]
+    return TrainingWindow(u[: n + longest], window.past_y, u[n + longest :], y_hat, y)
 
 
 def _stacked(build: Builder, rows: int, last: int) -> int:
@@ -375,7 +343,7 @@ def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None)
     """
     use, members = _members(run, model)
     problem = load_lock(run.directory / LOCK)
-    done, inputs, outputs = problem.preprocess, problem.channels.inputs, problem.channels.outputs
+    done, inputs = problem.preprocess, problem.inputs
     kept_delays(done, inputs)
     evaluator = make_evaluator(problem, run.view, isolation=isolation)
     parts: list[tuple[float, LoweredModel]] = []
@@ -385,9 +353,9 @@ def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None)
             if isinstance(one, str):
                 raise UserError(f"run '{run.name}': the model cannot be exported: {one}")
             parts.append((member.weight / len(models), one))
-    lowered = measured(weighted_mean(parts), done, inputs, outputs)
+    lowered = measured(weighted_mean(parts), done, inputs)
     each = _windows(evaluator, run, members)
-    windows = [measured_window(window, done, inputs, outputs) for window in each]
+    windows = [measured_window(window, done, inputs) for window in each]
     named = next((known for known in get_args(Use) if known == use), None)
     u, y = (
         np.concatenate([getattr(r, side) for r in evaluator.data.records]) for side in ("u", "y")
@@ -406,10 +374,10 @@ def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None)
             problem=problem.name,
             lowered=lowered,
             inputs=inputs,
-            outputs=outputs,
+            outputs=problem.outputs,
             sampling_time=problem.sampling_time,
-            input_range=_range(physical(u, done, inputs)),
-            output_range=_range(physical(y, done, outputs)),
+            input_range=_range(u),
+            output_range=_range(y),
             example=windows[0].first(_EXAMPLE),
             bands=() if named is None else _bands(run, named, windows[0], done.decimate, isolation),
             notes=notes,

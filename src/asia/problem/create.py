@@ -16,8 +16,6 @@ from functools import partial
 from math import ceil
 from pathlib import Path
 
-import numpy as np
-
 from asia._files import read_file, sync_folder
 from asia.data.intake.records import Intake, take_in
 from asia.data.intake.sheet import Wanted
@@ -26,7 +24,6 @@ from asia.data.preprocess import Preprocess
 from asia.data.relations import find_delay
 from asia.data.store import PlainFile, key_folder
 from asia.data.trajectory import (
-    Signal,
     Trajectory,
     check_magnitudes,
     check_ranges,
@@ -250,9 +247,9 @@ class Preparation:
     decimate: int = 1
     """Every Nth sample is kept."""
     detrend: bool = False
-    """The mean over the training records is taken off every signal."""
+    """Each fit subtracts the mean of its training records from every signal."""
     scale: bool = False
-    """Every signal is divided by its standard deviation over the training records."""
+    """Each fit divides every signal by its standard deviation over the training records."""
 
 
 def _prepare(
@@ -278,15 +275,7 @@ def _prepare(
         if not wish.delay.isdecimal():
             raise UserError(f"--delay is {wish.delay}: expected auto, or a whole number of samples")
         delay = {name: int(wish.delay) for name in inputs if int(wish.delay)}
-    first = Preprocess(delay, wish.decimate)
-    signals = tuple(map(Signal, inputs)), tuple(map(Signal, outputs))
-    records = [first.record(t, *signals) for t in records]
-    columns = np.concatenate([np.hstack([t.u, t.measured_y]) for t in records]).T
-    values = dict(zip((*inputs, *outputs), columns, strict=True))
-    # Six digits suffice and are readable.
-    offset = {n: float(f"{np.nanmean(v):.6g}") for n, v in values.items()} if wish.detrend else {}
-    spread = {n: float(f"{np.nanstd(v):.6g}") for n, v in values.items()} if wish.scale else {}
-    return replace(first, offset=offset, scale={n: s for n, s in spread.items() if s > 0})
+    return Preprocess(delay, wish.decimate, wish.detrend, wish.scale)
 
 
 # A new problem directory from files of records.
@@ -482,12 +471,13 @@ def init_problem(
         data.append(f"test = {toml_value(test_files)}")
     else:
         data.append('# test = ["run2.csv"]             # opened once, at the end')
-    tables = {n: getattr(done, n) for n in ("delay", "decimate", "offset", "scale")}
-    preprocess = [f"{name} = {toml_value(v)}" for name, v in tables.items() if v and v != 1]
+    names = ("delay", "decimate", "detrend", "scale")
+    asked = [(n, getattr(done, n)) for n in names if getattr(done, n) != getattr(Preprocess(), n)]
+    preprocess = [f"{name} = {toml_value(value)}" for name, value in asked]
     if done:
         data += [
             "",
-            "[preprocess]                        # done to every record alike",
+            "[preprocess]                        # to every record; statistics by fold",
             *preprocess,
         ]
     signals = [

@@ -136,11 +136,11 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
     if physics is not None:
         check_physics(physics, inputs, outputs)
     check_symmetry(file.symmetry, inputs, outputs, physics)
-    done.check(inputs, outputs)
-    if physics is not None and (done.offset or done.scale):
+    done.check(inputs)
+    if physics is not None and (done.detrend or done.scale):
         raise UserError(
-            "preprocess.offset and preprocess.scale change the units in which [physics] is "
-            "written: leave them out, or the equations"
+            "preprocess.detrend and preprocess.scale change the signals that [physics] is written "
+            "in: leave them out, or the equations"
         )
     if isinstance(file.data.guard, int) and done:
         raise UserError("[preprocess] is for measured records: leave it out for a simulated source")
@@ -152,7 +152,7 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
             f"data.source '{file.data.source}' has no training records: name a folder that has them"
         )
     rule = with_groups(rule, file.data.groups, [t.name for t in records.trajectories])
-    train = done.records(records.trajectories, channels.inputs, channels.outputs)
+    train = done.records(records.trajectories, channels.inputs)
     require_length(train, rule)
     check_period(train, file.data.period)
     for index, name in enumerate(outputs):
@@ -166,8 +166,8 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         name="",
         description="",
         sampling_time=channels.sampling_time * done.decimate,
-        inputs=done.signals(channels.inputs),
-        outputs=done.signals(channels.outputs),
+        inputs=channels.inputs,
+        outputs=channels.outputs,
         train=train,
         data=data,
         test=TestSource(test_source(file.data, data, root)),

@@ -200,8 +200,7 @@ def _plain(value: Any) -> Any:
 
 def prepared(problem: Problem, records: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
     """Records as they were read, as the search sees them."""
-    channels = problem.channels
-    return problem.preprocess.records(records, channels.inputs, channels.outputs)
+    return problem.preprocess.records(records, problem.inputs)
 
 
 def kept_places(problem: Problem) -> tuple[Path, ...]:
@@ -252,6 +251,10 @@ def training_text(problem: Problem, names: Sequence[str]) -> str:
         "protocol": protocol_table(problem.protocol),
         "budget": {"fit_seconds": budget.fit_seconds, "memory_mb": budget.memory_mb},
         "physics": None if problem.physics is None else asdict(problem.physics),
+        # The records were delayed and thinned out before they were written.
+        "preprocess": {
+            name: True for name in ("detrend", "scale") if getattr(problem.preprocess, name)
+        },
         "symmetry": {k: dict(v) for k, v in problem.symmetry.items()} or None,
     }
     return _HEADER + toml_text(tables)

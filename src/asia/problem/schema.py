@@ -12,7 +12,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, with_config
 
-from asia.data.preprocess import Preprocess
+from asia.data.preprocess import Preprocess, without_numbers
 from asia.data.sources.source import DataTable, FileName
 from asia.data.trajectory import Signal
 from asia.problem.budget import Budget
@@ -48,7 +48,9 @@ class ProblemTables:
     protocol: ProtocolTable = field(default_factory=ProtocolTable)
     budget: Budget = field(default_factory=Budget)
     physics: Physics | None = None
-    preprocess: Preprocess = field(default_factory=Preprocess)
+    preprocess: Annotated[Preprocess, BeforeValidator(without_numbers)] = field(
+        default_factory=Preprocess
+    )
     symmetry: Mapping[str, Mapping[str, str]] = field(
         default_factory=dict[str, "Mapping[str, str]"]
     )

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from asia.agents.view import AgentView, Effort, Facts, Running, Trial
 from asia.candidate import source_digest
+from asia.data.standardise import standardised
+from asia.data.trajectory import Trajectory
 from asia.errors import CandidateError
+from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.references import LINEAR_REFERENCE, MEAN_REFERENCE
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
@@ -23,14 +27,14 @@ CURVE_POINTS = 200
 
 
 def problem_facts(problem: Problem) -> Facts:
-    """The problem as agents may know it."""
-    rule = problem.protocol
+    """The problem as agents may know it, its signals standardised as fits do."""
+    rule, signals = problem.protocol, problem.preprocess.signals
     return Facts(
         description=problem.description,
-        inputs=problem.inputs,
-        outputs=problem.outputs,
+        inputs=signals(problem.inputs),
+        outputs=signals(problem.outputs),
         sampling_time=problem.sampling_time,
-        records=problem.train,
+        records=_standardised(problem),
         past_inputs=rule.past_inputs,
         past_outputs=rule.past_outputs,
         physics=problem.physics,
@@ -45,6 +49,12 @@ def problem_facts(problem: Problem) -> Facts:
         strategies=problem.strategies,
         symmetry=problem.symmetry,
     )
+
+
+@lru_cache(maxsize=2)
+def _standardised(problem: Problem) -> tuple[Trajectory, ...]:
+    """Return the same objects for the same problem: analyses of records are kept by them."""
+    return tuple(standardised(list(problem.train), search_context(problem, 0))[0])
 
 
 class KnownTrials:

@@ -235,17 +235,14 @@ def simulate(
     y_hat = each.mean(axis=0)
     done = problem.preprocess
     if bands is None:
-        return done.back(y_hat, problem.channels.outputs, len(u))
+        return done.refined(y_hat, len(u))
     behind = models_behind(run.view, named)
     folds = each
     if behind != members:
         (folds,) = simulate_members(evaluator, run, behind, [block])
     basis = band_basis(evaluator, run.view, run.store, named)
     found, outside = basis.around(block.case, folds, y_hat, bands)
-    mean, lower, upper = (
-        done.back(edge, problem.channels.outputs, len(u))
-        for edge in (y_hat, found.lower, found.upper)
-    )
+    mean, lower, upper = (done.refined(edge, len(u)) for edge in (y_hat, found.lower, found.upper))
     outside = np.repeat(outside, done.decimate)[: len(u)]
     return BandedSimulation(mean, lower, upper, bands, outside)
 
@@ -260,9 +257,8 @@ def simulate_cases(
     blocks = [_block(run, problem, *case, record=k) for k, case in enumerate(cases)]
     evaluator = make_evaluator(problem, run.view)
     simulated = simulate_members(evaluator, run, final_members(run.view, named), blocks)
-    done, outputs = problem.preprocess, problem.channels.outputs
     return [
-        done.back(each.mean(axis=0), outputs, len(case[2]))
+        problem.preprocess.refined(each.mean(axis=0), len(case[2]))
         for each, case in zip(simulated, cases, strict=True)
     ]
 
@@ -287,9 +283,9 @@ def _block(
     if done:
         # The last input is held until a whole number of samples that a model receives.
         held = np.repeat(after[-1:], -len(after) % every, axis=0)
-        whole = done.inputs(np.concatenate([before, after, held]), problem.channels.inputs)
+        whole = done.inputs(np.concatenate([before, after, held]), problem.inputs)
         before, after = whole[: rule.past_inputs], whole[rule.past_inputs :]
-        past = done.outputs(past, problem.channels.outputs)
+        past = done.outputs(past)
     case = Case(run.name, before, past, after)
     return Block(case, np.zeros((len(after), ny)), record=record, start=0)
 

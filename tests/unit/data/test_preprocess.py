@@ -16,7 +16,7 @@ from asia.problem.protocol import Case
 from asia.problem.seal import open_test, seal
 from asia.search import simulation
 
-U, Y = (Signal("u", "V"),), (Signal("y", "m"),)
+U = (Signal("u", "V"),)
 
 
 def log(seed: int, samples: int = 600, delay: int = 3) -> Trajectory:
@@ -57,16 +57,14 @@ def test_every_record_is_prepared_alike(made: Path) -> None:
     problem = load_problem(made)
     done = problem.preprocess
     assert dict(done.delay) == {"u": 3}
+    assert done.detrend
+    assert done.scale
     assert problem.sampling_time == 0.2
-    assert problem.outputs[0].unit == f"{done.scale['y']:g}"
     (train,), (test,) = problem.train, open_test(problem)
     assert len(train) == len(test) == (600 - 3) // 2
-    assert abs(train.y.mean()) < 1e-4
-    assert train.y.std() == pytest.approx(1.0, abs=1e-4)
     raw = log(2)
-    offset, scale = done.offset["u"], done.scale["u"]
-    assert test.u[4, 0] == pytest.approx((raw.u[8:10, 0].mean() - offset) / scale)
-    assert test.y[4, 0] == (raw.y[11, 0] - done.offset["y"]) / done.scale["y"]
+    assert test.u[4, 0] == pytest.approx(raw.u[8:10, 0].mean())
+    assert test.y[4, 0] == raw.y[11, 0]
     assert seal(problem).lengths == (len(test),)
 
 
@@ -94,14 +92,15 @@ def test_model_inputs_and_outputs(made: Path) -> None:
     assert np.array_equal(case.past_u, test.u[:past])
     assert np.array_equal(case.past_y, test.y[:past])
     assert np.allclose(case.u[:count], test.u[past:])
-    back = problem.preprocess.back(test.y[past:], problem.channels.outputs, 2 * count)
+    back = problem.preprocess.refined(test.y[past:], 2 * count)
     assert back.shape == (2 * count, 1)
     assert np.allclose(back[::2], raw.y[start : start + 2 * count : 2])
 
 
 def test_nothing_is_done_by_default() -> None:
     record = log(1)
-    assert Preprocess().record(record, U, Y) is record
+    assert Preprocess().record(record, U) is record
+    assert Preprocess(detrend=True).record(record, U) is record
     assert not Preprocess()
 
 
@@ -114,8 +113,12 @@ def test_wrong_tables_are_refused(made: Path) -> None:
     path.write_text(text.replace("decimate = 2", "decimate = 0"))
     with pytest.raises(UserError, match=r"preprocess\.decimate is 0"):
         load_problem(made)
+    for old in ("offset = { y = 40.0 }", "scale = { u = 1.0 }"):
+        path.write_text(text.replace("scale = true", old))
+        with pytest.raises(UserError, match="of an older version, with offset or scale in numbers"):
+            load_problem(made)
     path.write_text(text + '[physics]\nstates = ["y"]\n[physics.dynamics]\ny = "u"\n')
-    with pytest.raises(UserError, match=r"change the units in which \[physics\]"):
+    with pytest.raises(UserError, match=r"change the signals that \[physics\]"):
         load_problem(made)
 
 

@@ -19,37 +19,35 @@ from tests.unit.interfaces.cli.conftest import command_line
 
 from .models import CONTEXT, MODELS, PAST, ready
 
-SIGNALS = CONTEXT.inputs, CONTEXT.outputs
-OFFSET = {"u0": 3.0, "y1": -2.0}
-SCALE = {"u1": 0.5, "y0": 4.0}
+INPUTS = CONTEXT.inputs
 
 
 @pytest.mark.parametrize("delay", [{}, {"u0": 4}, {"u0": 2, "u1": 6}])
 @pytest.mark.parametrize("every", [1, 2])
 @pytest.mark.parametrize("name", ["linear", "gru"])
 def test_it_reads_and_gives_what_is_measured(name: str, every: int, delay: dict[str, int]) -> None:
-    done = Preprocess(delay, every, OFFSET, SCALE)
+    done = Preprocess(delay, every)
     model = MODELS[name]()
-    low = measured(ready(model).model.lowered, done, *SIGNALS)
+    low = measured(ready(model).model.lowered, done, INPUTS)
     low.check()
     rng = np.random.default_rng(0)
     longest, samples = done.longest_delay, 24 * every
     u = rng.uniform(-1, 1, (PAST * every + longest + samples, 2)) + 3.0
     past_y = rng.uniform(-1, 1, (PAST * every, 2))
-    acting, past = done.inputs(u, SIGNALS[0]), done.outputs(past_y, SIGNALS[1])
+    acting, past = done.inputs(u, INPUTS), done.outputs(past_y)
     y = model.simulate(acting[None, :PAST], past[None], acting[None, PAST:])[0]
     means = u.reshape(-1, every, 2).mean(axis=1)
     begin = PAST + longest // every
     found = simulate(low, means[:begin], past_y[::every], means[begin:])
-    expected = done.back(y, SIGNALS[1], samples)[::every]
+    expected = done.refined(y, samples)[::every]
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4 if low.single else 1e-10)
 
 
 def test_windows_of_the_training_records_are_as_they_were_measured(tmp_path: Path) -> None:
-    done = Preprocess({"u0": 4}, 1, OFFSET, SCALE)
+    done = Preprocess({"u0": 4})
     given = ready(MODELS["linear"]())
-    low = measured(given.model.lowered, done, *SIGNALS)
-    windows = tuple(measured_window(w, done, *SIGNALS) for w in given.windows)
+    low = measured(given.model.lowered, done, INPUTS)
+    windows = tuple(measured_window(w, done, INPUTS) for w in given.windows)
     for window in windows:
         found = simulate(low, window.past_u, window.past_y, window.u)
         np.testing.assert_allclose(found, window.y_hat, rtol=1e-10, atol=1e-10)
@@ -58,13 +56,14 @@ def test_windows_of_the_training_records_are_as_they_were_measured(tmp_path: Pat
 
 def test_a_delay_between_two_kept_samples_is_refused() -> None:
     with pytest.raises(UserError, match="no multiple of decimate 2"):
-        kept_delays(Preprocess({"u1": 3}, 2), SIGNALS[0])
-    assert kept_delays(Preprocess({"u1": 6}, 2), SIGNALS[0]) == [0, 3]
+        kept_delays(Preprocess({"u1": 3}, 2), INPUTS)
+    assert kept_delays(Preprocess({"u1": 6}, 2), INPUTS) == [0, 3]
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The baseline alone, on records of 2 inputs that were delayed, thinned out and scaled."""
+    """The baseline alone, on records of 2 inputs that were delayed, thinned out and standardised
+    in each fold."""
     folder = tmp_path_factory.mktemp("mill")
     rng = np.random.default_rng(1)
     u = np.repeat(rng.uniform(-1, 1, (90, 2)), 4, axis=0)
@@ -77,7 +76,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     np.savetxt(path, rows, delimiter=",", header="t,u1,u2,y", comments="", fmt="%.9f")
     made = command_line(
         "init", folder / "mill", "--train", path, "--inputs", "u1", "u2", "--outputs", "y",
-        "--time", "t", "--decimate", 2, "--scale",
+        "--time", "t", "--decimate", 2, "--detrend", "--scale",
     )  # fmt: skip
     assert made.code == 0, made.err
     toml = folder / "mill" / "problem.toml"

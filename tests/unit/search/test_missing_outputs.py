@@ -1,4 +1,7 @@
-"""Everything that reads outputs, on searches whose records miss one output sample in five."""
+"""Everything that reads outputs, on searches whose records miss one output sample in five.
+
+In one of them fits standardise their records too.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +65,7 @@ class Searched:
     folder: Path
 
 
-@pytest.fixture(scope="module", params=["simulation", "windows"])
+@pytest.fixture(scope="module", params=["simulation", "windows", "standardised"])
 def searched(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Searched:
     folder = tmp_path_factory.mktemp(request.param)
     problem = write_problem(folder / "toy", experiments=2)
@@ -72,6 +75,8 @@ def searched(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     text = (problem / "problem.toml").read_text()
     if request.param == "windows":
         text = text.replace("[protocol]", '[protocol]\nkind = "windows"\nhorizon = 20')
+    if request.param == "standardised":
+        text += "[preprocess]\ndetrend = true\nscale = true\n"
     (problem / "problem.toml").write_text(text.replace("[budget]", "[budget]\nretests = 0"))
     agent = Scripted((LINEAR,))
     ready = prepare(load_problem(problem), agent.name, seed=0, runs=folder / "runs")

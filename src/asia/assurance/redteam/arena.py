@@ -10,11 +10,10 @@ from functools import cache
 
 from asia.assurance.redteam.attacks.source import HONEST, fill_in
 from asia.assurance.redteam.evidence import conclude, said_steps, targets, worst_of
-from asia.assurance.redteam.problem import ProblemName, small_problem
+from asia.assurance.redteam.problem import Check, Principle, ProblemName, small_problem
 from asia.assurance.redteam.types import CandidateAttack, Finding, Observed, SuspicionFinding
 from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import Evaluation, FoldResult
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
@@ -63,9 +62,9 @@ def attack_candidate(
 
 
 def attack_unchecked(
-    attack: CandidateAttack, level: Isolation, without: Collection[SuspicionKind]
+    attack: CandidateAttack, level: Isolation, without: Collection[Check]
 ) -> Iterator[SuspicionFinding]:
-    """Each variant of an attack, with relations left out and with all; no layer is left out."""
+    """Each variant of an attack, with checks left out and with all; no layer is left out."""
     layers = layers_in_force(level, ())
     for name in attack.sources:
         seen, checked = (_observe(attack, name, level, (), off) for off in (without, ()))
@@ -83,9 +82,13 @@ def attack_unchecked(
 
 
 @cache
-def honest_value(name: ProblemName, level: Isolation) -> float:
-    """V of the honest candidate on which all attacks are built."""
-    problem = small_problem(name)
+def honest_value(name: ProblemName, level: Isolation, *, whole: bool = False) -> float:
+    """V of the honest candidate on which all attacks are built.
+
+    Args:
+        whole: whether whole records are standardised
+    """
+    problem = small_problem(name).by_whole_records if whole else small_problem(name)
     evaluator = problem.evaluator(WorkerRunner, level, seconds=60.0, memory_mb=2048)
     with targets(2048) as given:
         outcome = evaluator.evaluate(fill_in(HONEST, given.source, problem)).outcome
@@ -99,10 +102,13 @@ def _observe(
     name: str,
     level: Isolation,
     without: Collection[Layer],
-    unchecked: Collection[SuspicionKind] = (),
+    unchecked: Collection[Check] = (),
     executor: Executor | None = None,
 ) -> Observed:
-    problem, honest = small_problem(attack.problem), honest_value(attack.problem, level)
+    whole = Principle.FOLD_STATISTICS in unchecked
+    problem = small_problem(attack.problem)
+    problem = problem.by_whole_records if whole else problem
+    honest = honest_value(attack.problem, level, whole=whole)
     # Both folds at the same time, or one after the other.
     at_once = name in attack.at_once
     if executor is None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from asia.candidate import Context
+from asia.data.standardise import standardised
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.relations import SuspicionKind
@@ -18,10 +20,24 @@ from asia.judge.sandbox.types import Isolation
 from asia.problem.budget import Budget
 from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds
 
-ProblemName = Literal["simulation", "windows", "weather", "machines", "pulses", "drift"]
+ProblemName = Literal["simulation", "windows", "weather", "machines", "pulses", "drift", "levels"]
+
+
+class Principle(StrEnum):
+    """Rule of the evaluation that leaves a kind of cheat nothing to use."""
+
+    FOLD_STATISTICS = "fold statistics"
+    """Mean and standard deviation by which signals are standardised are those of a fit's own
+    training records."""
+
+
+Check: TypeAlias = SuspicionKind | Principle
+"""Relation or principle that can be left out, to show what it stops."""
+
 _INPUTS = (Signal("drive"), Signal("measured before"), Signal("sample"))
-# Pole and gain of an honest model of the fleet, and of the drifting record.
-_FLEET, _DRIFT = (0.95, 0.1), (0.99, 0.1)
+# Pole and gain of an honest model of the fleet, of the drifting record, and of the record of two
+# levels when it is standardised.
+_FLEET, _DRIFT, _LEVELS = (0.95, 0.1), (0.99, 0.1), (0.9, 0.2)
 _RECORDS = 10
 _DAYS = FoldRule(
     "leave_one_group_out",
@@ -43,6 +59,8 @@ class SmallProblem:
     rule: ProtocolRule
     crude: tuple[float, float]
     """Pole and gain of an honest model that leaves something to gain."""
+    standardised: bool = False
+    """Whether fits standardise their records."""
 
     @property
     def record(self) -> Trajectory:
@@ -54,7 +72,14 @@ class SmallProblem:
         """The context that candidates receive."""
         rule = self.rule
         past = rule.past_inputs, rule.past_outputs
-        return Context(_INPUTS, (Signal("level"),), 1.0, *past, rule.horizon, seed=7)
+        known = Context(_INPUTS, (Signal("level"),), 1.0, *past, rule.horizon, seed=7)
+        return replace(known, detrend=self.standardised, scale=self.standardised)
+
+    @property
+    def by_whole_records(self) -> SmallProblem:
+        """The same without the principle: standardised before the folds are cut."""
+        records, *_ = standardised(list(self.records), self.context)
+        return replace(self, records=tuple(records), standardised=False)
 
     def evaluator(
         self,
@@ -64,7 +89,7 @@ class SmallProblem:
         memory_mb: int,
         folds: int | None = None,
         executor: Executor | None = None,
-        without: Collection[SuspicionKind] = (),
+        without: Collection[Check] = (),
     ) -> Evaluator:
         """The real one, with a runner of this kind.
 
@@ -72,10 +97,11 @@ class SmallProblem:
             executor: where folds run; None for one after the other, here
             without: relations that it does not check
         """
+        relations = [one for one in without if isinstance(one, SuspicionKind)]
         chosen = make_folds(self.records, self.rule)[:folds]
         data = EvaluationData(chosen, self.records, self.context, self.rule)
         workers = kind(level, Budget(1, seconds, memory_mb), executor or LocalExecutor(1))
-        return Evaluator(data, workers, EvaluatorOptions(without=without))
+        return Evaluator(data, workers, EvaluatorOptions(without=relations))
 
 
 def _saturating(slow: bool) -> Trajectory:
@@ -121,6 +147,19 @@ def _drifting() -> Trajectory:
     return Trajectory(u, y, 1.0, "record")
 
 
+def _two_levels() -> Trajectory:
+    """A record whose second half has another level and answers more to the drive. No feedback
+    signal is recorded."""
+    rng = np.random.default_rng(0)
+    samples, pole, level = 242, _LEVELS[0], 0.4
+    drive = np.repeat(rng.normal(size=samples // 6 + 2), 6)[:samples]
+    first = np.arange(samples) <= samples // 2
+    pushed = np.where(first, 0.08, 0.3) * drive + (1 - pole) * np.where(first, level, -level)
+    y = _lag(pole, pushed, level) + 0.02 * rng.normal(size=samples)
+    u = np.stack([drive, rng.normal(size=samples), np.arange(float(samples))], axis=1)
+    return Trajectory(u, y, 1.0, "record")
+
+
 def _lag(pole: float, pushed: Array, start: float) -> Array:
     """The first-order lag's outputs, each pushed by the sample before."""
     y = np.full(len(pushed), start)
@@ -162,10 +201,15 @@ _PROBLEMS: dict[ProblemName, _Row] = {
         _DRIFT,
         lambda: (_drifting(),),
     ),
+    "levels": (
+        ProtocolRule("simulation", _TWO_FOLDS, 2, 2),
+        _LEVELS,
+        lambda: (_two_levels(),),
+    ),
 }
 
 
 def small_problem(name: ProblemName) -> SmallProblem:
     """The same numbers each time."""
     rule, crude, make = _PROBLEMS[name]
-    return SmallProblem(make(), rule, crude)
+    return SmallProblem(make(), rule, crude, standardised=name == "levels")

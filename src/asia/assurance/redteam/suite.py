@@ -19,6 +19,7 @@ from asia.assurance.redteam.attacks.table import ATTACKS
 from asia.assurance.redteam.honest import HonestProblem, small_problems, try_honest
 from asia.assurance.redteam.outside.outer_sandbox import inside
 from asia.assurance.redteam.outside.without_isolation import OFF
+from asia.assurance.redteam.problem import Check
 from asia.assurance.redteam.types import (
     ANY_LEVEL,
     Attack,
@@ -29,7 +30,6 @@ from asia.assurance.redteam.types import (
     SearchAttack,
     SuspicionFinding,
 )
-from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.executors import Executor
 from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation, Layer
@@ -174,10 +174,10 @@ def without_layers(
 def without_checks(
     levels: Sequence[Isolation],
     attacks: Sequence[Attack],
-    kinds: Collection[SuspicionKind] = (),
+    kinds: Collection[Check] = (),
     on_result: OnResult = lambda result: None,
 ) -> tuple[SuspicionFinding, ...]:
-    """The variants of attacks that relations stop, with these relations left out, or each with
+    """The variants of attacks that relations or principles stop, with these left out, or each with
     those that stop it; and with all. Attacks that none of them has a part in are left out. Raises
     SandboxError."""
     jobs: list[Job] = [

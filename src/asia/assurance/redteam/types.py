@@ -8,9 +8,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from asia.assurance.redteam.problem import ProblemName
+from asia.assurance.redteam.problem import Check, ProblemName
 from asia.errors import Reason
-from asia.judge.evaluation.relations import SuspicionKind
 
 if TYPE_CHECKING:
     from asia.assurance.redteam.attacks.searches import Scene
@@ -125,8 +124,9 @@ class CandidateAttack:
     """The variants whose folds run at the same time."""
     mistake: Mistake | None = None
     """The mistake of an evaluation without isolation that it needs."""
-    checks: tuple[SuspicionKind, ...] = ()
-    """The relations without which all of its variants succeed; () where others stop it too."""
+    checks: tuple[Check, ...] = ()
+    """The relations or principles without which all of its variants succeed; () where others stop
+    it too."""
 
     @property
     def walled(self) -> bool:
@@ -201,13 +201,13 @@ class Finding:
 
 @dataclass(frozen=True)
 class SuspicionFinding:
-    """Finding about one variant of an attack with some relations left out, and with all."""
+    """Finding about one variant of an attack with some checks left out, and with all."""
 
     number: int
     variant: str
     level: str
     without: tuple[str, ...]
-    """The relations that were left out."""
+    """The relations and principles that were left out."""
     honest: float
     """The score of the honest candidate it is built on."""
     value: float | None

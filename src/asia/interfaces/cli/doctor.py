@@ -22,8 +22,8 @@ from asia.errors import SandboxError, UserError
 from asia.interfaces.cli.options import Json, given
 
 if TYPE_CHECKING:
+    from asia.assurance.redteam.problem import Check
     from asia.assurance.redteam.types import Attack, Finding, HonestFinding, SuspicionFinding
-    from asia.judge.evaluation.relations import SuspicionKind
     from asia.judge.sandbox.availability import LevelState, Machine
     from asia.judge.sandbox.types import Isolation
 
@@ -438,10 +438,11 @@ def _run_without_checks(
         return unchecked_table(without_checks(levels, concerned, kinds, print_result))
 
 
-def _check_names() -> dict[str, SuspicionKind]:
+def _check_names() -> dict[str, Check]:
+    from asia.assurance.redteam.problem import Principle
     from asia.judge.evaluation.relations import SuspicionKind
 
-    return {str(kind).replace(" ", "-"): kind for kind in SuspicionKind}
+    return {str(kind).replace(" ", "-"): kind for kind in (*SuspicionKind, *Principle)}
 
 
 @contextmanager

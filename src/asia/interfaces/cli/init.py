@@ -217,12 +217,17 @@ def init(
     detrend: Annotated[
         bool,
         typer.Option(
-            "--detrend", help="Subtract the training mean from every signal. [preprocess]"
+            "--detrend",
+            help="In each fold, subtract the training mean from every signal. [preprocess]",
         ),
     ] = False,
     scale: Annotated[
         bool,
-        typer.Option("--scale", help="Divide every signal by its standard deviation. [preprocess]"),
+        typer.Option(
+            "--scale",
+            help="In each fold, divide every signal by its training standard deviation. "
+            "[preprocess]",
+        ),
     ] = False,
     keys: Keys = None,
     yes: Annotated[

@@ -176,6 +176,19 @@ def _contract(problem: Problem) -> str:
             "`t.measured` (T, ny) is False where an output was not measured: there `t.y` is a\n"
             "straight line, and the sample does not count.\n"
         )
+    standard = " and ".join(
+        words
+        for asked, words in (
+            (problem.preprocess.detrend, "mean 0"),
+            (problem.preprocess.scale, "standard deviation 1"),
+        )
+        if asked
+    )
+    if standard:
+        gaps += (
+            f"Each fit and its model have signals of {standard} over the training records of the\n"
+            "fold. `data/` and V are in the units above.\n"
+        )
     return f"""## The contract
 
 {_CONTRACT}

@@ -19,6 +19,7 @@ import numpy as np
 from asia._files import read_text
 from asia._text import say, suggestion
 from asia.candidate import VALIDATION_SCORES, Context, Model, check_source, executed_source
+from asia.data.standardise import standardised
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.findings import search_context
@@ -138,8 +139,9 @@ def _evaluate_fold(
         deadline=time.monotonic() + fit_seconds,
         validation_score=validation_score if rule.early_stopping == "validation" else None,
     )
+    train, known, restored = standardised(list(fold.train), known)
     begin = time.monotonic()
-    model = module.fit(list(fold.train), known)
+    model = restored(module.fit(train, known))
     seconds = time.monotonic() - begin
     simulator, training = _Simulator(model), whole(fold.train, rule)
     y_hat = simulate_held_out(simulator, fold.validation, rule.horizon)

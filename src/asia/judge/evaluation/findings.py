@@ -139,8 +139,8 @@ def search_context(problem: Problem, seed: int) -> Context:
     fold."""
     rule = problem.protocol
     return Context(
-        inputs=problem.inputs,
-        outputs=problem.outputs,
+        inputs=problem.preprocess.signals(problem.inputs),
+        outputs=problem.preprocess.signals(problem.outputs),
         sampling_time=problem.sampling_time,
         n_past_u=rule.past_inputs,
         n_past_y=rule.past_outputs,
@@ -148,5 +148,7 @@ def search_context(problem: Problem, seed: int) -> Context:
         metric=rule.metric,
         physics=problem.physics,
         symmetry=problem.symmetry,
+        detrend=problem.preprocess.detrend,
+        scale=problem.preprocess.scale,
         seed=seed,
     )

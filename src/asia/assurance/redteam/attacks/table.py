@@ -7,12 +7,13 @@ from asia.assurance.redteam.attacks.limits import LIMITS
 from asia.assurance.redteam.attacks.probing import PROBING
 from asia.assurance.redteam.attacks.scores import SCORES
 from asia.assurance.redteam.attacks.searches import SEARCHES
+from asia.assurance.redteam.attacks.statistics import STATISTICS
 from asia.assurance.redteam.attacks.walls import WALLS
 from asia.assurance.redteam.types import Attack
 
 ATTACKS: tuple[Attack, ...] = tuple(
     sorted(
-        (*SCORES, *WALLS, *SEARCHES, *PROBING, *RELATIONS, *LIMITS),
+        (*SCORES, *WALLS, *SEARCHES, *PROBING, *RELATIONS, *LIMITS, *STATISTICS),
         key=lambda attack: attack.number,
     )
 )

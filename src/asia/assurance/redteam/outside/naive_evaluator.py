@@ -31,6 +31,7 @@ def print_score(source: str, problem: SmallProblem, mistake: Mistake | None) -> 
     Raises:
         Exception: the failure of a fold, unless failed folds are left out
     """
+    problem = problem.by_whole_records
     scores: list[float] = []
     for fold in make_folds(problem.records, problem.rule):
         try:

@@ -218,6 +218,7 @@ class _Session:
         import numpy as np
 
         from asia.candidate import Context
+        from asia.data.standardise import standardised
         from asia.data.trajectory import Trajectory
 
         trajectories: list[Trajectory] = []
@@ -237,9 +238,10 @@ class _Session:
         points = _TrainingCurve()
         validation_score = self._validation_score if scored else None
         context = Context(**known, log=points.log, validation_score=validation_score)
+        trajectories, context, restored = standardised(trajectories, context)
         self._reply(wire.ReplyKind.STARTED)
         self._fitting = True
-        self._model = _as_model(fit(trajectories, context))
+        self._model = _as_model(restored(fit(trajectories, context)))
         self._fitting = False
         self._fitted_to = trajectories, context
         for stream in (sys.stdout, sys.stderr):
