@@ -13,7 +13,8 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import log2
+from decimal import Decimal
+from math import isfinite, log2
 from typing import TypeAlias
 
 DIGIT = log2(10.0)
@@ -50,6 +51,12 @@ class Literals:
     text: str = ""
     """The whole text, where the program can read it; "" where not."""
 
+    def string_bits(self, *known: Literals) -> float:
+        """Bits of the strings that none of the `known` sources has."""
+        return _deflated_bits(
+            "\n".join(sorted(self.strings.difference(*(k.strings for k in known))))
+        )
+
     def bits_beyond(self, *known: Literals) -> float:
         """Bits that are not in any of the `known` sources.
 
@@ -62,10 +69,9 @@ class Literals:
             * number_bits(text)
             for text, uses in self.numbers.items()
         )
-        strings = self.strings.difference(*(k.strings for k in known))
         known_runs = [run for k in known for run in k.runs]
-        runs = sum(min((_changed(run, one) for one in ((), *known_runs))) for run in self.runs)
-        total = numbers + _deflated_bits("\n".join(sorted(strings))) + runs
+        runs = sum(min(_changed(run, one) for one in ((), *known_runs)) for run in self.runs)
+        total = numbers + self.string_bits(*known) + runs
         if self.text and all(self.text != k.text for k in known):
             total += _deflated_bits(self.text)
         return total
@@ -145,7 +151,9 @@ def literals(text: str, tree: ast.Module) -> Literals:
             strings.add(value if isinstance(value, str) else repr(value))
         elif id(node) not in in_runs:
             numbers[_written(node, lines)] += 1
-    return Literals(dict(numbers), frozenset(strings), tuple(runs), text if _is_reflective(tree) else "")
+    return Literals(
+        dict(numbers), frozenset(strings), tuple(runs), text if _is_reflective(tree) else ""
+    )
 
 
 def merged(parts: Iterable[Literals]) -> Literals:
@@ -159,75 +167,100 @@ def merged(parts: Iterable[Literals]) -> Literals:
     return Literals(numbers, frozenset(strings), ())
 
 
-def perturbed(text: str, tree: ast.Module, known: Literals, seed: int) -> str | None:
-    """Return the source with its new numbers moved by one in their last significant digit, up or
-    down at random; None where it has no such number.
+def perturbed(tree: ast.Module, known: Literals, seed: int, *, strings: bool = True) -> str | None:
+    """Return the source with its new literals moved a little, at random; None where none can be.
 
-    Numbers in runs move whatever their length. Other numbers move if they have two significant
-    digits or more: one digit is a choice (a power, an index, an order), and moving it makes another
-    program.
+    Numbers move by one in their last significant digit if they have two digits or more (whole
+    numbers outside of runs: three). A number of one digit is a choice, such as a power, an index or
+    an order: moving it makes another program. In tables of 32 entries and more all numbers move,
+    and a quarter of the truth values, names and signs of a sum are exchanged. In strings of 32
+    characters and more, each letter and digit moves to the next or the one before. The layout is
+    not that of the given source.
 
     Args:
-        text: the source without comments and docstrings.
-        tree: the same source, parsed.
+        tree: the source without comments and docstrings, parsed; it is changed.
         known: literals that stay.
         seed: for the directions, unknown to the author.
+        strings: false to leave strings as they are.
     """
     rng = random.Random(seed)
-    lines = text.encode().splitlines(keepends=True)
-    moved: list[tuple[int, int, int, bytes]] = []
-    in_runs = {id(n) for s in _runs(tree) for one in s for top in one for n in ast.walk(top)}
-    seen: Counter[str] = Counter()
+    runs = list(_runs(tree))
+    in_runs = {id(n) for s in runs for one in s for top in one for n in ast.walk(top)}
+    tables = [s for s in runs if len(s) >= _TABLE]
+    in_tables = {id(n) for s in tables for one in s for top in one for n in ast.walk(top)}
+    uses: Counter[str] = Counter()
+    moved = 0
     for node in ast.walk(tree):
-        if not isinstance(node, ast.Constant) or not _is_number(node):
-            continue
-        value, written = node.value, _written(node, lines)
-        seen[written] += 1
-        if isinstance(value, bool | None | type(...)):
-            if id(node) in in_runs and isinstance(value, bool) and rng.random() < 0.25:
-                moved.append(_edit(node, str(not value)))
-            continue
-        digits = len(re.sub(r"e.*|[^0-9]", "", written.lower()).strip("0"))
-        if id(node) not in in_runs:
-            if seen[written] <= known.numbers.get(written, 0):
-                continue
-            if digits < 2 or (isinstance(value, int) and digits < 3):
-                continue
-        moved.append(_edit(node, _moved(written, value, rng.choice((-1, 1)))))
-    if not moved:
-        return None
-    for row, start, stop, new in sorted(moved, reverse=True):
-        lines[row] = lines[row][:start] + new + lines[row][stop:]
-    return b"".join(lines).decode()
+        match node:
+            case ast.Constant(value=bool(value)):
+                if id(node) in in_tables and rng.random() < _EXCHANGED:
+                    node.value, moved = not value, moved + 1
+            case ast.Constant(value=int() | float() as value):
+                written = repr(value)
+                uses[written] += 1
+                digits = len(re.sub(r"e.*|[^0-9]", "", written).strip("0"))
+                least = 2 if isinstance(value, float) or id(node) in in_runs else 3
+                if id(node) not in in_runs and uses[written] <= known.numbers.get(written, 0):
+                    continue
+                if digits >= least or (id(node) in in_tables and value):
+                    node.value, moved = _moved(value, rng.choice((-1, 1))), moved + 1
+            case ast.Constant(value=str(value)) if strings and len(value) >= _TABLE:
+                if value not in known.strings:
+                    node.value, moved = _shifted(value, rng), moved + 1
+            case ast.Constant(value=bytes(value)) if strings and len(value) >= _TABLE:
+                if repr(value) not in known.strings:
+                    shifted = _shifted(value.decode("latin-1"), rng).encode("latin-1")
+                    node.value, moved = shifted, moved + 1
+            case ast.BinOp(op=ast.Add() | ast.Sub()) if id(node.op) in in_tables:
+                if rng.random() < _EXCHANGED:
+                    node.op = ast.Sub() if isinstance(node.op, ast.Add) else ast.Add()
+                    moved += 1
+            case _:
+                pass
+    for siblings in tables:
+        names = [n for one in siblings for top in one for n in _names_of(top)]
+        chosen = sorted({n.id for n in names})
+        for name in names if len(chosen) > 1 else ():
+            if isinstance(name.ctx, ast.Load) and rng.random() < _EXCHANGED:
+                name.id, moved = rng.choice(chosen), moved + 1
+    return ast.unparse(tree) if moved else None
 
 
-def _edit(node: ast.Constant, new: str) -> tuple[int, int, int, bytes]:
-    assert node.end_col_offset is not None
-    return node.lineno - 1, node.col_offset, node.end_col_offset, new.encode()
+_TABLE = 32
+"""Entries from which on a run is a table, and characters of a string that may be one."""
+_EXCHANGED = 0.25
 
 
-def _moved(written: str, value: complex, direction: int) -> str:
-    """The number with its last significant digit moved by one; a number that would become negative
-    or zero moves up."""
+def _names_of(node: ast.AST) -> list[ast.Name]:
+    """The name that a link consists of."""
+    return [node] if isinstance(node, ast.Name) else []
+
+
+def _shifted(text: str, rng: random.Random) -> str:
+    """The text with each letter and digit moved by one place in its alphabet."""
+
+    def moved(letter: str) -> str:
+        for first, last in ("09", "az", "AZ"):
+            if first <= letter <= last:
+                size = ord(last) - ord(first) + 1
+                return chr(ord(first) + (ord(letter) - ord(first) + rng.choice((-1, 1))) % size)
+        return letter
+
+    return "".join(map(moved, text))
+
+
+def _moved(value: float, direction: int) -> float:
+    """The number with its last significant digit moved by one; up where it would become zero."""
     if isinstance(value, int):
         step = 1
         while value and value % (step * 10) == 0:
             step *= 10
-        found = value + direction * step
-        return str(found if found > 0 else value + step)
-    plain = written.lower().replace("_", "")
-    mantissa, e, exponent = plain.rstrip("j").partition("e")
-    whole, _, behind = mantissa.partition(".")
-    behind = behind.rstrip("0")
-    unscaled = int((whole + behind) or "0")
-    step = 1
-    while not behind and unscaled and unscaled % (step * 10) == 0:
-        step *= 10
-    found = unscaled + direction * step
-    found = found if found > 0 else unscaled + step
-    digits = str(found).rjust(len(behind) + 1, "0")
-    cut = len(digits) - len(behind)
-    return f"{digits[:cut]}.{digits[cut:]}{e}{exponent}{'j' if plain.endswith('j') else ''}"
+        return value + direction * step if abs(value) > step else value + step
+    if value == 0.0 or not isfinite(value):
+        return value
+    digits, exponent = Decimal(repr(value)).normalize().as_tuple()[1:]
+    unscaled = int("".join(map(str, digits)))
+    return float(Decimal(unscaled + (direction if unscaled > 1 else 1)).scaleb(int(exponent)))
 
 
 def _is_number(node: ast.Constant) -> bool:
@@ -273,8 +306,9 @@ def _is_reflective(tree: ast.Module) -> bool:
                 found = [name]
             case ast.Call(func=ast.Name(id="dict"), keywords=keywords) if len(keywords) >= RUN:
                 return True
-            case ast.FunctionDef(args=ast.arguments(kwarg=ast.arg())) | ast.Lambda(
-                args=ast.arguments(kwarg=ast.arg())
+            case (
+                ast.FunctionDef(args=ast.arguments(kwarg=ast.arg()))
+                | ast.Lambda(args=ast.arguments(kwarg=ast.arg()))
             ):
                 return True
             case _:

@@ -244,6 +244,7 @@ def prepare(
         parallel=parallel,
         stop_folds=stop_folds,
         device="gpu" if gpu else "cpu",
+        literal_check=True,
     )
     return Prepared(problem, directory, lock, started, resumes)
 
