@@ -141,6 +141,13 @@ class Prepared:
     """True if the run exists already."""
 
 
+def run_name(problem: Problem, agent: str, seed: int) -> str:
+    """Return the name of a run that the user does not name."""
+    name = f"{problem.name}-{agent}-s{seed}"
+    name += "" if problem.protocol.early_stopping == "inner" else "-validation"
+    return name + ("" if problem.protocol.residuals == "train" else "-residuals")
+
+
 def prepare(
     problem: Problem,
     agent_name: str,
@@ -185,11 +192,7 @@ def prepare(
         check_relay_budget(legs, budget.experiments)
     folds = make_folds(problem.train, rule)
     sealed = replace(seal(problem), guard=guard_digest(problem))
-    if not name:
-        name = f"{problem.name}-{agent_name}-s{seed}"
-        name += "" if rule.early_stopping == "inner" else "-validation"
-        name += "" if rule.residuals == "train" else "-residuals"
-    directory = runs / name
+    directory = runs / (name or run_name(problem, agent_name, seed))
     try:
         found = probe(isolation)
     except SandboxError as error:

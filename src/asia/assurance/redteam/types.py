@@ -31,6 +31,8 @@ class Barrier(StrEnum):
     FRESH = "fresh worker"
     LINT = "lint"
     METAMORPHIC = "metamorphic check"
+    DESCRIPTION = "description length"
+    """Literals of a new best against the information that it gained."""
     FEEDBACK = "feedback"
     LEDGER = "ledger"
     PROBLEM = "problem check"

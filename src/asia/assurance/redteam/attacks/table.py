@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from asia.assurance.redteam.attacks.answers import RELATIONS
+from asia.assurance.redteam.attacks.literals import LITERALS
 from asia.assurance.redteam.attacks.probing import PROBING
 from asia.assurance.redteam.attacks.scores import SCORES
 from asia.assurance.redteam.attacks.searches import SEARCHES
@@ -10,5 +11,8 @@ from asia.assurance.redteam.attacks.walls import WALLS
 from asia.assurance.redteam.types import Attack
 
 ATTACKS: tuple[Attack, ...] = tuple(
-    sorted((*SCORES, *WALLS, *SEARCHES, *PROBING, *RELATIONS), key=lambda attack: attack.number)
+    sorted(
+        (*SCORES, *WALLS, *SEARCHES, *PROBING, *RELATIONS, *LITERALS),
+        key=lambda attack: attack.number,
+    )
 )
