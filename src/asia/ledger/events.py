@@ -627,6 +627,9 @@ class TestedModel:
     y_hat: ArtifactName
     mee: MeeTable | None = None
     """The table of Mean Euclidean Errors, where the protocol asks for one."""
+    error: Annotated[float | None, _omitted(None)] = None
+    """The search's metric as it enters V, over the standard deviations of the training outputs;
+    None in older ledgers."""
 
 
 @dataclass(frozen=True)

@@ -126,7 +126,7 @@ def workspace(
         f"judge    isolation {prepared.started.isolation_words}; "
         f"test {'sealed, ' + sealed[:8] if sealed else 'none'}"
     )
-    say(f"guard    {guard_words(prepared.problem)}")
+    say(f"guard    {guard_words(prepared.problem, request)}")
     if access is not None:
         say(f"{program[0]:<8} {jail_words(access)}", flush=True)
         start_search(prepared.directory)
@@ -382,7 +382,7 @@ def mcp(
         raise UserError("--token-env belongs to --http: stdio uses no token")
     opened = open_search(request, runs, options.name)
     # The standard output is the protocol's.
-    say(f"guard    {guard_words(opened.problem)}", file=sys.stderr)
+    say(f"guard    {guard_words(opened.problem, request)}", file=sys.stderr)
     if http is not None:
         from asia.interfaces.mcp.http import serve
 

@@ -363,15 +363,13 @@ def with_guard(
     return replace(request, guard=None if wanted is False else GUARD_SHARE)
 
 
-def guard_words(problem: Problem) -> str:
-    """Return a sentence on the guard records of a problem."""
-    names = problem.guard_names
+def guard_words(problem: Problem, request: SearchRequest) -> str:
+    """Return a phrase on the guard records of a problem, and how to choose otherwise."""
+    names = ", ".join(problem.guard_names)
     if not names:
-        return "none; V alone tells good candidates from lucky ones (--guard holds back 15 %)"
-    own = problem.guard_share is None and not problem.name.endswith("_sim")
-    return f"{', '.join(names)}, shown to no candidate and no agent" + (
-        "" if own else "; --no-guard switches it off"
-    )
+        return f"none (--guard holds back {GUARD_SHARE:.0%} of the training records)"
+    change = "" if request.guard is None else "; --no-guard switches this off"
+    return f"{names}, shown to no candidate and no agent{change}"
 
 
 def requested_problem(request: SearchRequest) -> Problem:
