@@ -51,12 +51,6 @@ class Literals:
     text: str = ""
     """The whole text, where the program can read it; "" where not."""
 
-    def string_bits(self, *known: Literals) -> float:
-        """Bits of the strings that none of the `known` sources has."""
-        return _deflated_bits(
-            "\n".join(sorted(self.strings.difference(*(k.strings for k in known))))
-        )
-
     def bits_beyond(self, *known: Literals) -> float:
         """Bits that are not in any of the `known` sources.
 
@@ -71,7 +65,8 @@ class Literals:
         )
         known_runs = [run for k in known for run in k.runs]
         runs = sum(min(_changed(run, one) for one in ((), *known_runs)) for run in self.runs)
-        total = numbers + self.string_bits(*known) + runs
+        strings = self.strings.difference(*(k.strings for k in known))
+        total = numbers + _deflated_bits("\n".join(sorted(strings))) + runs
         if self.text and all(self.text != k.text for k in known):
             total += _deflated_bits(self.text)
         return total
@@ -111,7 +106,8 @@ def number_bits(text: str) -> float:
     if not point:
         # The zeros behind a whole number say how large it is.
         digits, ended = digits.rstrip("0"), len(digits)
-        return max(len(digits), 1) * DIGIT + log2(1 + ended - len(digits))
+        size = log2(1 + ended - len(digits)) + len(exponent) * DIGIT
+        return max(len(digits), 1) * DIGIT + size
     places = len(behind) - len(behind.lstrip("0")) if not whole.strip("0") else len(whole)
     return max(len(digits), 1) * DIGIT + log2(1 + places) + len(exponent) * DIGIT
 

@@ -39,8 +39,8 @@ from asia.ledger.events import (
 
 FAR_ABOVE_V = 3.0
 """Test error over V, both normalised, from which on V is no measure of a model. In 12 honest
-searches on six measured systems (the development zoo in benchmarks/RESULTS.md) it is 0.83 to 2.3; in
-the two on `ph`, whose models fail on the test, 24 and 50."""
+searches on six measured systems (the development zoo in benchmarks/RESULTS.md) it is 0.83 to 2.3;
+in the two on `ph`, whose models fail on the test, 24 and 50."""
 BELOW_TRUTH = 0.98
 """V over that of the simulated truth that no model reaches by luck: with N held-out samples chance
 gives 1 - 4.5 / N at three standard deviations, 0.98 with 225."""

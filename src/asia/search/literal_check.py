@@ -7,7 +7,13 @@ from functools import cached_property
 
 import numpy as np
 
-from asia.judge.evaluation.description import Guard, Standard, check_literals, guard_error
+from asia.judge.evaluation.description import (
+    SCATTER,
+    Guard,
+    Standard,
+    check_literals,
+    guard_error,
+)
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR, MEAN_REFERENCE, training_mean
 from asia.judge.evaluation.results import Evaluation
@@ -75,7 +81,7 @@ class LiteralExaminer:
             if e.score is not None and found is not None and found.guard is not None
         ]
         first = self._first_gap(view.bests[0]) if view.bests else self._mean_gap(standard)
-        return Guard(self._blocks, min([first, *gaps]))
+        return Guard(self._blocks, min([first, *(gap + SCATTER for gap in gaps)]))
 
     @cached_property
     def _blocks(self) -> tuple[Block, ...]:

@@ -31,12 +31,16 @@ from asia.problem.protocol import Block
 
 COLLAPSE = 0.5
 """Bits by which the error of a fold grows where literals decide it: a factor of 1.41."""
+SCATTER = 1.0
+"""Bits by which log2 of the error on the guard records over V scatters among honest candidates: 0.92
+measured from one best to the next, on 154 guard samples."""
 CONFIRMED, CONTRADICTED = 0.25, 1.0
-"""Bits by which V may fall more than the error on the guard records, at least as it did in one best
-before: up to the first the guard confirms the gain, beyond the second it contradicts it."""
+"""Bits by which V may fall more than the error on the guard records: up to the first the guard
+confirms the gain, beyond the second it contradicts it."""
+UNGUARDED = 4096.0
+"""Bits of literals that are refused without guard records: nearly twice what honest hand-written
+candidates hold (2.3 kbit)."""
 _LARGEST_RATIO = 1e6
-STRING_DATA = 2048.0
-"""Bits of strings that are refused where neither question can be asked."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,8 @@ class Guard:
 
     blocks: tuple[Block, ...]
     least_gap: float
-    """Lowest log2 of the error on them over V, of the bests before."""
+    """log2 of the error on them over V that honest models have: that of the first best, or, where
+    it is lower, the lowest of the bests before plus SCATTER."""
 
 
 def literals_of(source: str) -> Literals:
@@ -132,34 +137,32 @@ def check_literals(
         if beyond > CONTRADICTED:
             words = f"{spent}, and the guard records, which nobody was shown, do not confirm it"
             return replace(found, suspect=words)
-    ratio, kept = _perturbed_ratio(evaluator, source, known, folds)
+    elif bits > UNGUARDED:
+        return replace(found, suspect=f"{spent}, and there are no guard records to judge it by")
+    ratio = _perturbed_ratio(evaluator, source, known, folds)
     found = replace(found, perturbed=None if ratio is None else min(ratio, _LARGEST_RATIO))
     words = ""
     if ratio is not None and ratio > 2**COLLAPSE:
         words = f"{spent}, and refitted with them changed in their last digits it loses the gain"
-    elif kept and guard is None and own.string_bits(known) > STRING_DATA:
-        words = f"{spent}, most of it in strings"
     return replace(found, suspect=words)
 
 
 def _perturbed_ratio(
     evaluator: Evaluator, source: str, known: Literals, folds: Sequence[FoldResult]
-) -> tuple[float | None, bool]:
-    """Error of one fold, refitted from the perturbed source, over its error before, and whether
-    strings stayed as they were because the program fails without them. None where there is nothing
-    to perturb, or the perturbed program fails: then it is another program."""
+) -> float | None:
+    """Error of one fold, refitted from the perturbed source, over its error before. None where
+    there is nothing to perturb, or the perturbed program fails even with its strings as they were:
+    then it is another program."""
     seed = evaluator.models.check_seed(source, "literals")
     place, text = seed % len(folds), executed_source(source)
-    kept = False
     for strings in (True, False):
         moved = perturbed(syntax_tree(text, "candidate.py"), known, seed, strings=strings)
         if moved is None:
-            return None, kept
+            return None
         result = evaluator.fit_fold(moved, place)
         if isinstance(result, FoldResult):
             before = folds[place].score.value
-            return (result.score.value / before if before > 0 else inf), kept
+            return result.score.value / before if before > 0 else inf
         if result.reason is Reason.NOT_FINITE:
-            return inf, kept
-        kept = True
-    return None, kept
+            return inf
+    return None
