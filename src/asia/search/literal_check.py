@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,6 +25,9 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.problem import Problem
 from asia.problem.protocol import Block, whole
 from asia.problem.seal import open_guard
+
+LiteralCheckFunction = Callable[[str, Evaluation, SearchView], LiteralCheck | None]
+"""Check of the literals of a source with this evaluation."""
 
 
 @dataclass(frozen=True)

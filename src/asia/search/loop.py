@@ -55,7 +55,7 @@ from asia.problem.problem import Problem
 from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, problem_facts
 from asia.search.final import refit_winner
 from asia.search.guard import look_at_guard
-from asia.search.literal_check import LiteralExaminer
+from asia.search.literal_check import LiteralCheckFunction, LiteralExaminer
 from asia.search.pending import PendingFits, keep_folds, keep_output
 from asia.search.rules import bound_on_folds, decide, next_leg, stop_reason
 from asia.search.steering import Steering
@@ -120,10 +120,6 @@ new best very unlikely."""
 
 _NARROW = 0.1
 """The largest floor, over the mean, that an incumbent fitted from fewer seeds may leave."""
-
-
-LiteralCheckFunction = Callable[[str, Evaluation, SearchView], LiteralCheck | None]
-"""Check of the literals of a source with this evaluation."""
 
 
 @dataclass(frozen=True)
@@ -370,7 +366,9 @@ class Loop:
         best = self.view.best
         if self.view.refitted is None and best is not None:
             with self.watch.activity(Activity.REFIT, swallows=True):
-                refitted = refit_winner(self.evaluator, self.view, best, self.store, metric)
+                refitted = refit_winner(
+                    self.evaluator, self.view, best, self.store, metric, self.literal_examiner.check
+                )
             self.record(refitted)
         if self.view.guard_due:
             with self.watch.activity(Activity.GUARD, swallows=True):

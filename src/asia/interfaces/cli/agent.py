@@ -54,7 +54,7 @@ NO_SCORE = 3
 CHECK_PROBLEM = "two_tanks_sim"
 BRIEF_HELP = frozenset(
     {"problem", "folder", "experiments", "seed", "hours", "name", "runs", "isolation", "jail"}
-    | {"network", "start"}
+    | {"network", "start", "guard"}
 )
 
 
