@@ -187,7 +187,7 @@ class Problem:
     def guard_names(self) -> tuple[str, ...]:
         """Names of the guard records, known without reading them."""
         if self.guard_share is not None:
-            return (f"{self.guard_share:.0%} of the training data",)
+            return (f"{100 * self.guard_share:g} % of the training data",)
         return self.data.guard_names
 
     @property

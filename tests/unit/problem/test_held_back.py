@@ -68,7 +68,7 @@ def test_a_lock_restores_the_division(tmp_path: Path):
     folder = write(tmp_path / "cut")
     problem = load_problem(folder, 0.15)
     assert len(problem.train[0]) == 170
-    assert problem.guard_names == ("15% of the training data",)
+    assert problem.guard_names == ("15 % of the training data",)
     sealed = seal(problem)
     lock = tmp_path / "problem.lock.toml"
     text = lock_text(problem, sealed)

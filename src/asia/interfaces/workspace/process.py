@@ -367,7 +367,7 @@ def guard_words(problem: Problem, request: SearchRequest) -> str:
     """Return a phrase on the guard records of a problem, and how to choose otherwise."""
     names = ", ".join(problem.guard_names)
     if not names:
-        return f"none (--guard holds back {GUARD_SHARE:.0%} of the training records)"
+        return f"none (--guard holds back {100 * GUARD_SHARE:g} % of the training records)"
     change = "" if request.guard is None else "; --no-guard switches this off"
     return f"{names}, shown to no candidate and no agent{change}"
 
