@@ -32,8 +32,8 @@ from asia.problem.protocol import Block
 COLLAPSE = 0.5
 """Bits by which the error of a fold grows where literals decide it: a factor of 1.41."""
 SCATTER = 1.0
-"""Bits by which log2 of the error on the guard records over V scatters among honest candidates:
-0.92 from one best to the next, measured on 154 guard samples."""
+"""Bits by which log2 of the error on the guard records over V may scatter among honest bests before
+the perturbation is asked: 1.14 at most between two of them, measured on 154 guard samples."""
 CONFIRMED, CONTRADICTED = 0.25, 1.0
 """Bits by which V may fall more than the error on the guard records: up to the first the guard
 confirms the gain, beyond the second it contradicts it."""
