@@ -32,6 +32,7 @@ class Reason(StrEnum):
     NOT_REPRODUCIBLE = "not_reproducible"
     LITERAL_DATA = "literal_data"
     SUSPECT = "suspect"
+    LITERALS = "literals"
     RESTART = "restart"
     BEHIND = "behind"
 
@@ -79,6 +80,8 @@ _ADVICE = {
     Reason.SUSPECT: "the simulation does not behave like a dynamical system: "
     "make simulate a causal, continuous function of each row alone, with no memory between "
     "calls and no statistics over the rows of a request",
+    Reason.LITERALS: "suspect: data in the source seem to explain the gain: "
+    "let fit estimate numbers from the training records",
     Reason.RESTART: "the model is accurate from the scored initial samples only: "
     "make simulate equally accurate from any other sample of a record",
     Reason.BEHIND: "V is far above the best for any result of the other folds, so they were "

@@ -15,6 +15,7 @@ from pydantic import Field, TypeAdapter
 from asia._timer import TimeSpent
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.confirmation import Attribution, ExpectedError, Interval
+from asia.judge.scoring.description import LiteralCheck
 from asia.judge.scoring.outcome import Failure, MeeTable, Outcome, TestScore
 from asia.judge.scoring.residuals import Diagnostics
 from asia.problem.protocol import EarlyStopping, ShownResidual
@@ -369,6 +370,8 @@ class Started:
     """True if folds of a first fit are pruned once V must be above `Proposed.over`."""
     device: Annotated[Device, _omitted("cpu")] = "cpu"
     """Device of candidates that train networks; `environment` names the GPU."""
+    literal_check: Annotated[bool, _omitted(False)] = False
+    """True if the literals of new bests are compared with their gain; False in older ledgers."""
     event: Literal["started"] = "started"
 
     @property
@@ -487,6 +490,8 @@ class Evaluated:
     ended_folds: Annotated[int, _omitted(0)] = field(default=0, compare=False)
     """Folds that were cancelled while they ran, see `asia.search.rules.FAR_ABOVE`."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
+    literals: Annotated[LiteralCheck | None, _omitted(None)] = field(default=None, compare=False)
+    """Literals of a new best against its gain; None for others, and in older ledgers."""
     event: Literal["evaluated"] = "evaluated"
 
 
@@ -622,6 +627,9 @@ class TestedModel:
     y_hat: ArtifactName
     mee: MeeTable | None = None
     """The table of Mean Euclidean Errors, where the protocol asks for one."""
+    error: Annotated[float | None, _omitted(None)] = None
+    """The search's metric as it enters V, over the standard deviations of the training outputs;
+    None in older ledgers."""
 
 
 @dataclass(frozen=True)

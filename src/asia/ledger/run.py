@@ -15,7 +15,7 @@ from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Line, in_use, ledger_of, read_lines, write_whole
 from asia.ledger.events import Started, TestedModel, Unsealed, Use
-from asia.ledger.view import SearchView, replay
+from asia.ledger.view import FAR_ABOVE_V, SearchView, replay
 
 ERROR = "error.txt"
 """Name of the file next to the ledger with the error that stopped the search last."""
@@ -143,6 +143,30 @@ def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:
     """The result of the sealed test for this model; that of the ensemble if it has none."""
     found = {"ensemble": record.ensemble, "refit": record.refit, "stack": record.stack}[use]
     return record.ensemble if found is None else found
+
+
+def alarms(view: SearchView) -> tuple[str, ...]:
+    """Return what is said before everything else: a test error far above V, and a V that no model
+    can have."""
+    found: list[str] = []
+    best = view.best
+    if best is None or best.score is None:
+        return ()
+    value, named = best.score.value, model_to_use(view)
+    if view.unsealed is not None and named is not None:
+        model = tested_model(view.unsealed, named.model)
+        error = model.error if isinstance(model, TestedModel) else None
+        if error is not None and error > FAR_ABOVE_V * value > 0:
+            found.append(
+                f"the test error is {error / value:.3g} times V, far more than in honest searches "
+                f"that went well ({FAR_ABOVE_V:g} at most): V is no measure of this model"
+            )
+    if view.truth is not None and view.below_truth(value):
+        found.append(
+            f"V {value:.4g} of #{best.number:02d} is below that of the simulated truth, "
+            f"{view.truth:.4g}, which no model can reach: the candidate contains held-out data"
+        )
+    return tuple(found)
 
 
 # Result of the expert at the same budget, for comparison with a search that costs money.

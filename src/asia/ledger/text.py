@@ -11,6 +11,7 @@ from typing import Any
 from asia._text import coarse, one_line
 from asia.judge.evaluation.training_checks import TrainingCheck
 from asia.judge.scoring.checks.records import listed
+from asia.judge.scoring.description import LiteralCheck
 from asia.ledger.events import (
     Evaluated,
     HandedOver,
@@ -32,6 +33,20 @@ from asia.ledger.run import Control
 from asia.ledger.view import Experiment, SearchView
 
 # Events and results, one line each.
+
+
+def literal_words(found: LiteralCheck) -> str:
+    """Describe the literals of a new best, its gain, and what it was asked."""
+    text = (
+        f"{found.bits:.0f} bits more than #{found.since:02d} and the library; gain of the held-out "
+        f"log-likelihood {found.gain:.0f} bits"
+    )
+    if found.guard is not None:
+        text += f"; error on the guard records {error_value(found.guard)}"
+    if found.perturbed is not None:
+        text += f"; a refit with its literals perturbed has {found.perturbed:.3g} times the error"
+    return text
+
 
 _FRAME = re.compile(r'File "[^"]*candidate(?:\.py)?", line (\d+)')
 _PHASES: dict[Phase, str] = {

@@ -125,9 +125,9 @@ class CheckReport:
         lines.append(_seal_line(self.seal, rule, in_workspace=self.in_workspace))
         if problem.test.source is not None:
             lines.append(f"test kept: {problem.test.source.test_kept}")
-        if problem.data.guard_names:
+        if problem.guard_names:
             lines.append(
-                f"guard: {', '.join(problem.data.guard_names)}; seen by no fold and no agent, "
+                f"guard: {', '.join(problem.guard_names)}; seen by no fold and no agent, "
                 "looked at when the search ends"
             )
         if physics is None:

@@ -17,6 +17,7 @@ from asia.data.sources.source import Channels
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.problem.check import check_period
+from asia.problem.held_back import divided
 from asia.problem.lock import check_digests
 from asia.problem.physics import check_physics
 from asia.problem.problem import Problem, TestSource, prepared
@@ -35,16 +36,24 @@ def builtin_problems() -> tuple[str, ...]:
     return tuple(sorted(p.parent.name for p in _BUILTIN.glob(f"*/{_FILE}")))
 
 
-def load_problem(name_or_path: str | Path) -> Problem:
+def load_problem(name_or_path: str | Path, guard_share: float | None = None) -> Problem:
     """Load a built-in problem by name, a directory with problem.toml, or that file.
 
     The training records are read; the test records stay closed.
+
+    Args:
+        guard_share: share of the training records to hold back as guard records, where the problem
+            names none; a simulated source makes a fresh record instead.
 
     Raises:
         UserError: with one sentence for each problem that the user can fix
     """
     path = _find(name_or_path)
     file = read_table(path, ProblemFile)
+    if guard_share is not None and not file.data.guard and file.data.guard_share is None:
+        simulated = (file.data.source or "").startswith("simulated:")
+        given = {"guard": 1} if simulated else {"guard_share": guard_share}
+        file = replace(file, data=replace(file.data, **given))
 
     def text(named: str | None, default: str) -> str | None:
         if named is not None:
@@ -152,7 +161,14 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
             f"data.source '{file.data.source}' has no training records: name a folder that has them"
         )
     rule = with_groups(rule, file.data.groups, [t.name for t in records.trajectories])
-    train = done.records(records.trajectories, channels.inputs)
+    measured, truth = records.trajectories, records.truth
+    guard_share = file.data.guard_share
+    if guard_share is not None:
+        division = divided(measured, guard_share, rule, done)
+        if not division.guard(measured):
+            guard_share = None
+        measured, truth = division.train(measured), truth and division.truth(truth)
+    train = done.records(measured, channels.inputs)
     require_length(train, rule)
     check_period(train, file.data.period)
     for index, name in enumerate(outputs):
@@ -174,10 +190,11 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         protocol=rule,
         budget=file.budget,
         physics=physics,
-        truth=None if done else records.truth,
+        truth=None if done else truth,
         preprocess=done,
         recorded=channels if done else None,
         warnings=records.warnings,
         symmetry=file.symmetry,
         period=file.data.period,
+        guard_share=guard_share,
     )

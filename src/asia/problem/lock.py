@@ -106,6 +106,7 @@ def lock_text(problem: Problem, seal: Seal) -> str:
             **data,
             "groups": groups_table(problem.protocol),
             "guard": guard,
+            "guard_share": problem.guard_share,
             "period": problem.period,
         },
         "protocol": protocol_table(problem.protocol),

@@ -85,6 +85,8 @@ class Problem:
     """Suggested strategies in plain words, for agents that read."""
     guard_sha256: str | None = None
     """Expected digest of the guard records, known once a run has begun."""
+    guard_share: float | None = None
+    """Share of the training records that is held back as guard records; None for none."""
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
     """Changes of the signals that leave the system's laws as they are."""
     period: int | None = None
@@ -182,6 +184,13 @@ class Problem:
         return replace(problem, warnings=(*train.notes, *test.notes, *problem.warnings))
 
     @property
+    def guard_names(self) -> tuple[str, ...]:
+        """Names of the guard records, known without reading them."""
+        if self.guard_share is not None:
+            return (f"{100 * self.guard_share:g} % of the training data",)
+        return self.data.guard_names
+
+    @property
     def channels(self) -> Channels:
         """Channels of the data to read, as they were recorded."""
         return self.recorded or Channels(self.inputs, self.outputs, self.sampling_time)
@@ -212,7 +221,8 @@ def kept_places(problem: Problem) -> tuple[Path, ...]:
     """
     source = problem.test.source
     test = () if source is None else source.places("test")
-    return (*test, *problem.data.places("guard"))
+    guard = problem.data.places("guard" if problem.guard_share is None else "train")
+    return (*test, *guard)
 
 
 def record_places(problem: Problem) -> tuple[Path, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from asia.data.relations import samples_outside, shared_samples
 from asia.data.trajectory import Trajectory, data_digest
 from asia.errors import UserError
+from asia.problem.held_back import divided
 from asia.problem.problem import Problem, Seal, prepared
 from asia.problem.protocol import least_case
 
@@ -105,7 +106,7 @@ def guard_digest(problem: Problem) -> str | None:
         UserError: when they cannot be read, do not fit the problem, or are too short for one
             case
     """
-    if not problem.data.guard_names:
+    if not problem.guard_names:
         return None
     records = _read(problem)
     least = problem.protocol.past + least_case(problem.protocol)
@@ -140,4 +141,8 @@ def open_guard(problem: Problem) -> tuple[Trajectory, ...]:
 
 
 def _read(problem: Problem) -> tuple[Trajectory, ...]:
-    return prepared(problem, problem.data.records("guard", problem.channels).trajectories)
+    if problem.guard_share is None:
+        return prepared(problem, problem.data.records("guard", problem.channels).trajectories)
+    records = problem.data.records("train", problem.channels).trajectories
+    division = divided(records, problem.guard_share, problem.protocol, problem.preprocess)
+    return prepared(problem, division.guard(records))

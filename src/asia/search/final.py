@@ -18,6 +18,7 @@ from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import (
     SUSPICIOUS_RATIO,
+    Evaluation,
     FoldResult,
     Refit,
     RefitModel,
@@ -33,6 +34,7 @@ from asia.ledger.text import error_line, error_value
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.metrics import find_metric
 from asia.problem.protocol import Fold
+from asia.search.literal_check import LiteralCheckFunction
 
 # Check of a refit: it saw all training records and must fit them as well as the fold models do.
 
@@ -377,7 +379,13 @@ def _greedy(
     return np.bincount(chosen[:best_length], minlength=count) / best_length
 
 
-def make_stack(evaluator: Evaluator, view: SearchView, store: Store, metric: str) -> Stack | None:
+def make_stack(
+    evaluator: Evaluator,
+    view: SearchView,
+    store: Store,
+    metric: str,
+    check_literals: LiteralCheckFunction | None = None,
+) -> Stack | None:
     """The stack of all scored candidates; None where it would be one candidate alone. A member that
     was never checked, because it was no new best, is asked what new bests are asked, and left out
     where it objects."""
@@ -397,7 +405,9 @@ def make_stack(evaluator: Evaluator, view: SearchView, store: Store, metric: str
             return found  # with the Ladder all were checked; otherwise this stack is not named
         members = [view.experiment(m.experiment) for m in found.members]
         unchecked = [e for e in members if not (e.kept or e.lowest)]
-        refused = {e.number for e in unchecked if not _answers_like_a_model(evaluator, e, store)}
+        refused = {
+            e.number for e in unchecked if not _passes(evaluator, e, store, view, check_literals)
+        }
         if not refused:
             return found
         left = [e for e in left if e.number not in refused]
@@ -445,7 +455,14 @@ def _stack_of(
     return Stack(members, float(np.mean(judged)), tuple(judged))
 
 
-def _answers_like_a_model(evaluator: Evaluator, experiment: Experiment, store: Store) -> bool:
+def _passes(
+    evaluator: Evaluator,
+    experiment: Experiment,
+    store: Store,
+    view: SearchView,
+    check_literals: LiteralCheckFunction | None,
+) -> bool:
+    """Whether a candidate answers like a model, and its literals are not suspect."""
     result, score = experiment.result, experiment.score
     assert result is not None
     assert score is not None
@@ -454,7 +471,13 @@ def _answers_like_a_model(evaluator: Evaluator, experiment: Experiment, store: S
                    np.zeros((0, 2)), kept.diagnostics, kept.fit_seconds)
         for one, kept, fold in zip(score.folds, result.folds, evaluator.data.folds, strict=True)
     ]  # fmt: skip
-    return evaluator.objection(store.text(experiment.proposed.source), folds) is None
+    source = store.text(experiment.proposed.source)
+    if evaluator.objection(source, folds) is not None:
+        return False
+    found = None
+    if check_literals is not None:
+        found = check_literals(source, Evaluation(score, tuple(folds)), view)
+    return found is None or not found.suspect
 
 
 def _held_out_answers(store: Store, experiment: Experiment, fold: Fold) -> Answers:
@@ -464,7 +487,12 @@ def _held_out_answers(store: Store, experiment: Experiment, fold: Fold) -> Answe
 
 
 def refit_winner(
-    evaluator: Evaluator, view: SearchView, best: Experiment, store: Store, metric: str
+    evaluator: Evaluator,
+    view: SearchView,
+    best: Experiment,
+    store: Store,
+    metric: str,
+    check_literals: LiteralCheckFunction | None = None,
 ) -> Refitted:
     """The last line of a search, but for looks at the guard. Workers that end for no fault of the
     candidate leave a search without a refit, not without a model."""
@@ -474,7 +502,7 @@ def refit_winner(
 
     def stacked() -> Stack | None:
         with diagnostic("stack", failed):
-            return make_stack(evaluator, view, store, metric)
+            return make_stack(evaluator, view, store, metric, check_literals)
         return None
 
     with ExitStack() as opened:

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from asia.data.trajectory import spread_of
-from asia.errors import CandidateError
+from asia.judge.evaluation.description import guard_error
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import mean_simulation
-from asia.judge.scoring.outcome import Failure, Outcome, Score, combine, score_fold
+from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import GuardLooked, GuardScore
 from asia.ledger.view import SearchView
@@ -30,19 +26,11 @@ def look_at_guard(
     if last is not None and [s.experiment for s in last.scores] == [e.number for e in bests]:
         return last
     blocks = whole(open_guard(problem), problem.protocol)
-    y = [block.y for block in blocks]
-    scale = spread_of(np.concatenate([record.measured_y for record in problem.train]))
     scores: list[GuardScore] = []
     for experiment in bests:
         assert experiment.result is not None
         models = [store.get(fold.model) for fold in experiment.result.folds]
-        outcome: Outcome
-        try:
-            source = store.text(experiment.proposed.source)
-            y_hat = mean_simulation(evaluator.models.simulate_scored(source, models, blocks))
-            outcome = combine([score_fold(y, y_hat, scale, problem.protocol.metric)])
-        except CandidateError as error:
-            outcome = Failure(error.reason, error.detail)
+        outcome = guard_error(evaluator, store.text(experiment.proposed.source), models, blocks)
         scores.append(GuardScore(experiment.number, outcome))
     values = [(s.outcome.value, s.experiment) for s in scores if isinstance(s.outcome, Score)]
     pick = min(values)[1] if values else None

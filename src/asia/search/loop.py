@@ -22,11 +22,13 @@ from asia.agents.view import (
     InterruptedWaitError,
     Proposal,
 )
+from asia.errors import Reason
 from asia.judge.evaluation.background import BackgroundJob, JobSettings
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import score_references
 from asia.judge.evaluation.results import Evaluation, same_simulations
 from asia.judge.scoring.confirmation import least_significant_difference
+from asia.judge.scoring.description import LiteralCheck
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
@@ -53,6 +55,7 @@ from asia.problem.problem import Problem
 from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, problem_facts
 from asia.search.final import refit_winner
 from asia.search.guard import look_at_guard
+from asia.search.literal_check import LiteralCheckFunction, LiteralExaminer
 from asia.search.pending import PendingFits, keep_folds, keep_output
 from asia.search.rules import bound_on_folds, decide, next_leg, stop_reason
 from asia.search.steering import Steering
@@ -135,6 +138,8 @@ class Judged:
     """Validation scores given in all fits."""
     lowest: bool = False
     """True if its own fit is the best so far."""
+    literals: LiteralCheck | None = None
+    """Its literals against its gain; None where it is no new best."""
 
 
 def judge(
@@ -143,12 +148,14 @@ def judge(
     view: SearchView,
     evaluation: Evaluation | None = None,
     over: float | None = None,
+    check_literals: LiteralCheckFunction | None = None,
 ) -> Judged:
     """Evaluate and decide, by the rule that the ledger names. A candidate that would be kept, or
     handed over, must also come back bitwise the same from its bytes, and answer like a model. With
     the Ladder every candidate with a score must: otherwise the check, and the time it takes, would
     say which one is kept. After an objection the folds stay. evaluation: where its first fit was
-    made before; over: as in `Proposed`."""
+    made before; over: as in `Proposed`; check_literals: compares the literals of a new best with
+    its gain."""
     if evaluation is None:
         evaluation = evaluator.evaluate(source, over=over)
     scores, outcome = evaluation.validation_scores, evaluation.outcome
@@ -156,7 +163,7 @@ def judge(
         status = outcome.reason.status
         timed_out = status == "timeout"
         return Judged(evaluation, status, deadline=timed_out, validation_scores=scores)
-    folds, answers = evaluation.folds, None
+    folds, answers, literals = evaluation.folds, None, None
     best = view.best.score if view.best else None
     lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
     with ExitStack() as opened:
@@ -177,6 +184,10 @@ def judge(
                 failure = evaluator.objection(source, folds)
             else:
                 failure = answers.result() or evaluator.objection_to_consistency(source, folds)
+            if failure is None and check_literals is not None and (status == "keep" or lowest):
+                literals = check_literals(source, evaluation, view)
+                if literals is not None and literals.suspect:
+                    failure = Failure(Reason.LITERALS, literals.suspect)
             if failure is not None:
                 evaluation = replace(evaluation, outcome=failure)
                 status, lowest = failure.reason.status, False
@@ -186,6 +197,7 @@ def judge(
         status=status,
         deadline=judged.deadline or status == "timeout",
         lowest=lowest,
+        literals=literals,
     )
 
 
@@ -310,6 +322,11 @@ class Loop:
         return PendingFits(self.view.started.parallel, self.evaluator, self.store, self._completed)
 
     @cached_property
+    def literal_examiner(self) -> LiteralExaminer:
+        """Check of the literals of new bests."""
+        return LiteralExaminer(self.problem, self.evaluator, self.store)
+
+    @cached_property
     def known_trials(self) -> KnownTrials:
         """Trials that agents were shown so far."""
         return KnownTrials(self.store)
@@ -349,7 +366,9 @@ class Loop:
         best = self.view.best
         if self.view.refitted is None and best is not None:
             with self.watch.activity(Activity.REFIT, swallows=True):
-                refitted = refit_winner(self.evaluator, self.view, best, self.store, metric)
+                refitted = refit_winner(
+                    self.evaluator, self.view, best, self.store, metric, self.literal_examiner.check
+                )
             self.record(refitted)
         if self.view.guard_due:
             with self.watch.activity(Activity.GUARD, swallows=True):
@@ -502,7 +521,10 @@ class Loop:
         if fitted is not None:
             self.watch.waited(fitted.lane, begin - start)
         first = None if fitted is None else fitted.evaluation
-        judged = judge(self.evaluator, self.store.text(proposed.source), view, first, proposed.over)
+        source = self.store.text(proposed.source)
+        judged = judge(
+            self.evaluator, source, view, first, proposed.over, self.literal_examiner.check
+        )
         evaluation = judged.evaluation
         with self.watch.activity(Activity.LEDGER):
             folds = keep_folds(self.store, evaluation.folds)
@@ -525,6 +547,7 @@ class Loop:
             elapsed=None if view.started.parallel == 1 else now - start,
             ended_folds=evaluation.ended_folds,
             failed_checks=evaluation.failed_checks,
+            literals=judged.literals,
         )
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -36,6 +37,7 @@ from asia.ledger.view import SearchView, replay
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.search.agent_views import agent_view, as_bytes, problem_facts
+from asia.search.literal_check import LiteralExaminer
 from asia.search.loop import judge
 from asia.search.rules import stop_reason
 from asia.search.run import (
@@ -153,6 +155,10 @@ class _Replaying:
     on_item: Callable[[Replayed], None]
     items: list[Replayed] = field(default_factory=list[Replayed])
 
+    @cached_property
+    def _examiner(self) -> LiteralExaminer:
+        return LiteralExaminer(self.problem, self.evaluator, self.run.store)
+
     def run_all(self) -> None:
         """Replay every event in order, each with the view before it."""
         run, events = self.run, [line.event for line in self.run.lines]
@@ -256,7 +262,9 @@ class _Replaying:
             return _concluded(item, "exempt", "the deadline affected it")
         proposed = view.experiment(event.experiment).proposed
         source = self.run.store.text(proposed.source)
-        judged = judge(self.evaluator, source, view, over=proposed.over)
+        judged = judge(
+            self.evaluator, source, view, over=proposed.over, check_literals=self._examiner.check
+        )
         item = self._compare(item, event.outcome, judged.evaluation.outcome)
         if item.outcome != "same":
             return item

@@ -142,6 +142,13 @@ class Prepared:
     """True if the run exists already."""
 
 
+def run_name(problem: Problem, agent: str, seed: int) -> str:
+    """Return the name of a run that the user does not name."""
+    name = f"{problem.name}-{agent}-s{seed}"
+    name += "" if problem.protocol.early_stopping == "inner" else "-validation"
+    return name + ("" if problem.protocol.residuals == "train" else "-residuals")
+
+
 def prepare(
     problem: Problem,
     agent_name: str,
@@ -186,11 +193,7 @@ def prepare(
         check_relay_budget(legs, budget.experiments)
     folds = make_folds(problem.train, rule)
     sealed = replace(seal(problem), guard=guard_digest(problem))
-    if not name:
-        name = f"{problem.name}-{agent_name}-s{seed}"
-        name += "" if rule.early_stopping == "inner" else "-validation"
-        name += "" if rule.residuals == "train" else "-residuals"
-    directory = runs / name
+    directory = runs / (name or run_name(problem, agent_name, seed))
     check_run_folder(directory)
     found = _probed(isolation)
     check_run_is_hidden(problem, directory, found.level)
@@ -243,6 +246,7 @@ def prepare(
         parallel=parallel,
         stop_folds=stop_folds,
         device="gpu" if gpu else "cpu",
+        literal_check=True,
     )
     return Prepared(problem, directory, lock, started, resumes)
 

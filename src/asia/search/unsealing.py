@@ -16,7 +16,7 @@ from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import mean_simulation
 from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation
-from asia.judge.scoring.outcome import Failure
+from asia.judge.scoring.outcome import Failure, score_fold
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import TestBands, TestedModel, Unsealed, Unsealing, Use
@@ -203,11 +203,16 @@ class _TestScorer:
             total = [t + member.weight * one for t, one in zip(total, y_hat, strict=True)]
         y = [b.y for b in self.blocks]
         measured, simulated = (by_record(parts, self.blocks) for parts in (y, total))
+        skip = self.problem.protocol.test.skip
         try:
             scores, mee = score_sealed(self.problem, measured, simulated)
         except CandidateError as error:
             return Failure(error.reason, error.detail)
-        return TestedModel(scores, self.store.put_arrays(simulated), mee)
+        error = score_fold(
+            [part[skip:] for part in measured], [part[skip:] for part in simulated],
+            self.evaluator.data.scale, self.problem.protocol.metric,
+        ).value  # fmt: skip
+        return TestedModel(scores, self.store.put_arrays(simulated), mee, error)
 
     def bands(self, view: SearchView) -> TestBands | None:
         """The bands of the model to use, and how many of the measured samples they hold."""

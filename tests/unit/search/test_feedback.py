@@ -170,9 +170,10 @@ def judged_as_without_the_ladder(
     view: SearchView,
     first: Evaluation | None = None,
     over: float | None = None,
+    check_literals: object = None,
 ) -> Judged:
     """Only a would-be winner is doubted."""
-    del first, over
+    del first, over, check_literals
     evaluation = evaluator.evaluate(source)
     assert isinstance(evaluation.outcome, Score)
     if decide(evaluation.outcome, view) != "keep":

@@ -294,8 +294,8 @@ def test_from_scratch_says_how_far_apart(
 def unjudged(searched: Searched, factor: float = 1.0) -> Any:
     """In place of `judge`: the recorded outcomes, their scores times a factor."""
 
-    def judge(evaluator: Any, source: str, view: Any, over: float | None = None) -> Any:
-        del evaluator, over
+    def judge(evaluator: Any, source: str, view: Any, **given: Any) -> Any:
+        del evaluator, given
         from asia.judge.evaluation.results import Evaluation
         from asia.judge.scoring.outcome import Score
         from asia.search.loop import Judged

@@ -9,20 +9,24 @@ from dataclasses import replace
 from functools import cache
 
 from asia.assurance.redteam.attacks.source import HONEST, fill_in
-from asia.assurance.redteam.evidence import conclude, said_steps, targets, worst_of
+from asia.assurance.redteam.evidence import Targets, conclude, said_steps, targets, worst_of
 from asia.assurance.redteam.problem import Check, Principle, ProblemName, small_problem
 from asia.assurance.redteam.types import CandidateAttack, Finding, Observed, SuspicionFinding
 from asia.errors import Reason
+from asia.judge.evaluation.description import Guard, Standard, check_literals, guard_error
 from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import Evaluation, FoldResult
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
 from asia.judge.sandbox.availability import layers_in_force, open_worker
 from asia.judge.sandbox.types import Isolation, Layer, Limits
 from asia.judge.sandbox.worker.worker import Worker
+from asia.judge.scoring.description import guard_gap
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.events import Evaluated, Event, Proposed, Started
 from asia.ledger.view import published, replay
+from asia.problem.protocol import whole
 from asia.search.loop import judge
 
 # Evaluation of one cheating candidate with the real evaluator, and detection of its traces.
@@ -135,6 +139,10 @@ def _observe(
         least = honest if attack.folds != 1 else 0.0
         if isinstance(outcome, Score) and outcome.value < least:
             outcome = evaluator.objection(source, evaluation.folds) or outcome
+        if isinstance(outcome, Score) and outcome.value < least:
+            outcome = (
+                _objection_to_literals(attack, evaluator, source, given, evaluation) or outcome
+            )
         seconds = time.monotonic() - begin
         failed = isinstance(outcome, Failure)
         timeouts = (Reason.FIT_TIMEOUT, Reason.SIMULATE_TIMEOUT)
@@ -156,6 +164,26 @@ def _observe(
             survivors=survivors,
             strays=given.traces.strays(),
         )
+
+
+def _objection_to_literals(
+    attack: CandidateAttack, evaluator: Evaluator, source: str, given: Targets, found: Evaluation
+) -> Failure | None:
+    """As in a search with guard records, for attacks that bring data along: the others are stopped
+    without."""
+    if SuspicionKind.LITERALS not in attack.checks or not isinstance(found.outcome, Score):
+        return None
+    problem = small_problem(attack.problem)
+    first = fill_in(HONEST, given.source, problem)
+    plain = evaluator.evaluate(first)
+    assert isinstance(plain.outcome, Score)
+    standard = Standard(1, first, plain.outcome, plain.y_hats)
+    blocks = tuple(whole(problem.guard, problem.rule))
+    honest = guard_error(evaluator, first, [fold.model for fold in plain.folds], blocks)
+    assert isinstance(honest, Score)
+    guard = Guard(blocks, guard_gap(honest.value, plain.outcome.value))
+    check = check_literals(evaluator, source, found.outcome, found.folds, standard, guard)
+    return Failure(Reason.LITERALS, check.suspect) if check.suspect else None
 
 
 # Early end of work in other threads.

@@ -373,6 +373,7 @@ _BY_REASON = {
     Reason.LITERAL_DATA: Barrier.LINT,
     Reason.SUSPECT: Barrier.METAMORPHIC,
     Reason.RESTART: Barrier.METAMORPHIC,
+    Reason.LITERALS: Barrier.DESCRIPTION,
     Reason.FIT_TIMEOUT: Barrier.DEADLINE,
     Reason.SIMULATE_TIMEOUT: Barrier.DEADLINE,
     Reason.MEMORY: Barrier.RLIMITS,
@@ -442,7 +443,7 @@ def conclude(
         return finding(verdict, stops or [Barrier.PARENT], note)
     if seen.reason is not None:
         stop = _BY_REASON.get(seen.reason, Barrier.PARENT)
-        flagged = stop in (Barrier.LINT, Barrier.METAMORPHIC)
+        flagged = stop in (Barrier.LINT, Barrier.METAMORPHIC, Barrier.DESCRIPTION)
         words = seen.reason.value
         if seen.reason is Reason.SUSPECT:
             words = ", ".join(part.partition(":")[0].strip() for part in seen.detail.split(";"))

@@ -61,6 +61,8 @@ class SmallProblem:
     """Pole and gain of an honest model that leaves something to gain."""
     standardised: bool = False
     """Whether fits standardise their records."""
+    guard: tuple[Trajectory, ...] = ()
+    """Records that no candidate sees."""
 
     @property
     def record(self) -> Trajectory:
@@ -104,9 +106,9 @@ class SmallProblem:
         return Evaluator(data, workers, EvaluatorOptions(without=relations))
 
 
-def _saturating(slow: bool) -> Trajectory:
+def _saturating(slow: bool, seed: int = 5) -> Trajectory:
     """A record whose second half is driven harder and saturates."""
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(seed)
     pole, gain = (0.95, 0.05) if slow else (0.75, 0.25)
     drive = np.repeat(rng.normal(size=12), 10)
     drive[60:] *= 2
@@ -212,4 +214,5 @@ _PROBLEMS: dict[ProblemName, _Row] = {
 def small_problem(name: ProblemName) -> SmallProblem:
     """The same numbers each time."""
     rule, crude, make = _PROBLEMS[name]
-    return SmallProblem(make(), rule, crude, standardised=name == "levels")
+    guard = (_saturating(slow=False, seed=6),) if name == "simulation" else ()
+    return SmallProblem(make(), rule, crude, standardised=name == "levels", guard=guard)

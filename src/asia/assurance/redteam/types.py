@@ -33,6 +33,8 @@ class Barrier(StrEnum):
     """The process with limits that reads sources before the search does."""
     LINT = "lint"
     METAMORPHIC = "metamorphic check"
+    DESCRIPTION = "description length"
+    """Literals of a new best against the information that it gained."""
     FEEDBACK = "feedback"
     LEDGER = "ledger"
     PROBLEM = "problem check"

@@ -93,6 +93,8 @@ class DataTable:
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     guard: tuple[FileName, ...] | Annotated[int, Field(ge=1, le=100)] = ()
     """Guard records: files, names of training records, or a number of simulated records."""
+    guard_share: Annotated[float, Field(gt=0.0, le=0.5)] | None = None
+    """Share of the training records, or of their samples, that is held back as guard records."""
     period: Annotated[int, Field(ge=2, le=100_000_000)] | None = None
     """Samples after which the inputs of every record repeat; found where it is not given."""
     time: str | None = None

@@ -22,6 +22,7 @@ from asia._timer import duration
 from asia.errors import Reason, UserError
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
+    GuardRecords,
     JailOptions,
     Json,
     LlmOptions,
@@ -53,7 +54,7 @@ NO_SCORE = 3
 CHECK_PROBLEM = "two_tanks_sim"
 BRIEF_HELP = frozenset(
     {"problem", "folder", "experiments", "seed", "hours", "name", "runs", "isolation", "jail"}
-    | {"network", "start"}
+    | {"network", "start", "guard"}
 )
 
 
@@ -78,6 +79,7 @@ def workspace(
             "--start/--no-start", help="Evaluate the baseline now, or at the first asia try."
         ),
     ] = True,
+    guard: GuardRecords = None,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Make a folder with the training data, the task and the baseline. Edit the candidate there and
@@ -87,7 +89,12 @@ def workspace(
     With --jail the exit code is that of the program.
     """
     from asia.interfaces.coding_agents.session import check_jail, run_jailed
-    from asia.interfaces.workspace.process import prepare_request, start_search
+    from asia.interfaces.workspace.process import (
+        guard_words,
+        prepare_request,
+        start_search,
+        with_guard,
+    )
     from asia.interfaces.workspace.program import Confinement
     from asia.interfaces.workspace.server import wait
     from asia.interfaces.workspace.workspace import make_workspace
@@ -105,6 +112,7 @@ def workspace(
             raise UserError(
                 f"--{name.replace('_', '-')} belongs to --jail CMD: add it or leave it out"
             )
+    request = with_guard(request, guard, runs, options.name)
     prepared = prepare_request(request, runs, options.name)
     if access is not None:
         check_jail(program, access, prepared.directory, prepared.problem)
@@ -118,6 +126,7 @@ def workspace(
         f"judge    isolation {prepared.started.isolation_words}; "
         f"test {'sealed, ' + sealed[:8] if sealed else 'none'}"
     )
+    say(f"guard    {guard_words(prepared.problem, request)}")
     if access is not None:
         say(f"{program[0]:<8} {jail_words(access)}", flush=True)
         start_search(prepared.directory)
@@ -356,6 +365,7 @@ def mcp(
         str | None,
         typer.Option(metavar="NAME", help="Environment variable with the bearer token of --http."),
     ] = None,
+    guard: GuardRecords = None,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Serve a search to a coding agent: it submits candidates, the search evaluates them.
@@ -364,12 +374,15 @@ def mcp(
     search is a separate process and outlives this one; asia status and asia steer work on it.
     """
     from asia.interfaces.mcp.opened import AGENT, open_search, require_sdk
+    from asia.interfaces.workspace.process import guard_words, with_guard
 
     require_sdk()
-    request = options.request(problem, AGENT)
+    request = with_guard(options.request(problem, AGENT), guard, runs, options.name)
     if token_env is not None and http is None:
         raise UserError("--token-env belongs to --http: stdio uses no token")
     opened = open_search(request, runs, options.name)
+    # The standard output is the protocol's.
+    say(f"guard    {guard_words(opened.problem, request)}", file=sys.stderr)
     if http is not None:
         from asia.interfaces.mcp.http import serve
 
@@ -387,6 +400,7 @@ def mcp_config(
     client: Annotated[str, typer.Argument(metavar="CLIENT", help="claude, codex or gemini.")],
     problem: ProblemName,
     options: SearchOptions,
+    guard: GuardRecords = None,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Print the configuration with which a coding agent starts asia agent mcp.
@@ -403,7 +417,8 @@ def mcp_config(
     path = Path(problem)
     own = path.is_file() or (path / "problem.toml").is_file()
     name = str(path.resolve()) if own else problem
-    words = [name, *options.words(), "--runs", str(runs.resolve())]
+    chosen = [] if guard is None else ["--guard" if guard else "--no-guard"]
+    words = [name, *options.words(), *chosen, "--runs", str(runs.resolve())]
     # Clients start a server with little of their own environment.
     data = os.environ.get("ASIA_DATA_DIR")
     environment = {} if data is None else {"ASIA_DATA_DIR": str(Path(data).resolve())}

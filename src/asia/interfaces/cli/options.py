@@ -401,6 +401,15 @@ ProblemName = Annotated[
         "problem.toml.",
     ),
 ]
+GuardRecords = Annotated[
+    bool | None,
+    typer.Option(
+        "--guard/--no-guard",
+        help="Hold back 15 % of the training records, which no candidate and no agent sees, to "
+        "judge candidates that carry data in. On by default.",
+        show_default=False,
+    ),
+]
 Time = Annotated[
     str | None, typer.Option(help='Column with the time stamps; "none": do not use any.')
 ]

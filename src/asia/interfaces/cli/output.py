@@ -13,7 +13,7 @@ from asia._text import printable
 from asia._timer import Activity, Seconds, TimeSpent, add_seconds, duration
 from asia.judge.scoring.outcome import Outcome, Score
 from asia.ledger.events import Evaluated, Event, GuardLooked, Refitted, Usage
-from asia.ledger.run import model_to_use
+from asia.ledger.run import alarms, model_to_use
 from asia.ledger.text import error_value, seed_mean_words, stack_words, validation_score_words
 from asia.ledger.view import Experiment, SearchView
 
@@ -105,6 +105,13 @@ def running_words(view: SearchView) -> list[str]:
         + (" (fitted, waits for its turn)" if e.landed is not None else "")
         for e in view.running
     ]
+
+
+def print_alarms(view: SearchView) -> None:
+    """Print the alarms of a search, in red where the terminal has colours."""
+    console = Terminal(soft_wrap=True)
+    for words in alarms(view):
+        console.print(f"ALARM   {words}", style="bold red")
 
 
 def guard_words(view: SearchView) -> str:

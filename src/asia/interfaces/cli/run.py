@@ -64,7 +64,7 @@ from asia.ledger.events import (
     RungScored,
 )
 from asia.ledger.evidence import identified, significance_threshold
-from asia.ledger.run import control, open_run
+from asia.ledger.run import alarms, control, open_run
 from asia.ledger.text import (
     control_text,
     error_value,
@@ -503,6 +503,8 @@ class TextDisplay:
 
     def _print_best(self, view: SearchView) -> None:
         """Print the winner and the evidence for its quality."""
+        for words in alarms(view):
+            self._print(f"ALARM    {words}", style="bold red")
         best = view.best
         if best is None or best.score is None:
             self._print("best     none: every candidate failed")

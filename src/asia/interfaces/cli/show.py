@@ -13,7 +13,7 @@ from rich.text import Text
 from asia._text import hand_over, printable, printable_line, say
 from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Runs, run_directory
-from asia.interfaces.cli.output import Terminal, again_words, use_lines
+from asia.interfaces.cli.output import Terminal, again_words, print_alarms, use_lines
 from asia.interfaces.cli.validate import confirmation_lines
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.ledger.evidence import evidence_of, identified, settings_of_run
@@ -24,6 +24,7 @@ from asia.ledger.text import (
     evidence_lines,
     identified_lines,
     identified_object,
+    literal_words,
     phase_text,
 )
 from asia.ledger.view import Experiment
@@ -75,6 +76,7 @@ def show(
             hand_over(json.dumps(_experiment_object(run, experiment), allow_nan=False) + "\n")
         return
     console = wide_console()
+    print_alarms(view)
     if len(shown) > 1:
         for e in shown:
             say(f"#{e.number:02d} {e.proposed.title}: {describe_result(e, view)}")
@@ -150,6 +152,8 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     if r is None:
         return
     row("decision", r.status)
+    if r.literals is not None:
+        row("literals", literal_words(r.literals))
     refitted = view.refitted
     if refitted is not None and refitted.experiment != experiment.number:
         refitted = None

@@ -14,6 +14,7 @@ from asia.interfaces.cli.output import (
     again_words,
     experiment_line,
     guard_words,
+    print_alarms,
     profile_lines,
     profile_object,
     running_words,
@@ -26,7 +27,7 @@ from asia.interfaces.cli.output import (
 from asia.interfaces.cli.validate import noise_words, verdict
 from asia.judge.scoring.outcome import Score
 from asia.ledger.evidence import cancelled_folds, pruned_folds, significance_threshold
-from asia.ledger.run import control, error_of, metric_of, model_to_use, open_run
+from asia.ledger.run import alarms, control, error_of, metric_of, model_to_use, open_run
 from asia.ledger.text import (
     control_text,
     floor_words,
@@ -95,6 +96,7 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "remark": (view.experiments and view.experiments[-1].proposed.remark) or None,
         "error": error_of(directory) if found.state == "interrupted" else None,
         "failed_checks": list(view.failed_checks),
+        "alarms": list(alarms(view)),
         "floor": significance_threshold(view),
         "use": named.model if named else None,
         "use_reason": named.reason if named else None,
@@ -121,6 +123,7 @@ def state_words(found: Brief) -> str:
 
 def _print_status(directory: Path, found: Brief) -> None:
     view, start = found.view, found.view.started
+    print_alarms(view)
     say(
         f"run {start.run}  problem {start.problem}  agent {start.agent}  "
         f"seed {start.seed}  isolation {start.isolation_words}"

@@ -22,10 +22,10 @@ from asia.interfaces.cli.options import (
     candidate_level,
     run_directory,
 )
-from asia.interfaces.cli.output import use_lines, validation_words
+from asia.interfaces.cli.output import print_alarms, use_lines, validation_words
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import TestedModel, Unsealed
-from asia.ledger.run import Run, model_to_use, open_run, tested_model
+from asia.ledger.run import Run, alarms, model_to_use, open_run, tested_model
 from asia.ledger.view import SearchView
 from asia.problem.metrics import metric_label
 
@@ -150,6 +150,7 @@ def _result_object(record: Unsealed, view: SearchView, board: Board) -> dict[str
     assert named is not None
     used = scores(tested_model(record, named.model))
     answer["use"] = {"model": named.model, "reason": named.reason, **used}
+    answer["alarms"] = list(alarms(view))
     answer |= {"early_stopping": start.early_stopping, "residuals": start.residuals}
     if _is_benchmark(board):
         figures = {
@@ -175,6 +176,7 @@ def _print_result(record: Unsealed, view: SearchView, *, by_record: bool) -> Non
     how = f"{record.skip} samples skipped"
     if record.horizon is not None:
         how = f"windows of {record.horizon} samples"
+    print_alarms(view)
     say(f"sealed test, experiment #{record.experiment:02d}, {how}")
     for title, model in (
         ("ensemble of the fold models", record.ensemble),

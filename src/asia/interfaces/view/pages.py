@@ -18,7 +18,7 @@ from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.ledger.events import TestedModel
 from asia.ledger.evidence import evidence_of, settings_of_run
-from asia.ledger.run import model_to_use, tested_model
+from asia.ledger.run import alarms, model_to_use, tested_model
 from asia.ledger.text import error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
@@ -555,7 +555,8 @@ def now_panel(snapshot: Snapshot) -> Html:
     if snapshot.trouble:
         missing = "No simulations, because the records are missing: "
         trouble = tag("p", missing, said(snapshot.trouble, 600), class_="trouble")
-    return join((tag("dl", *shown, class_="tiles"), trouble))
+    said_first = [tag("p", said(words, 600), class_="alarm") for words in alarms(view)]
+    return join((*said_first, tag("dl", *shown, class_="tiles"), trouble))
 
 
 def steering_panel(name: str, *, running: bool, deaf: str = "") -> Html:

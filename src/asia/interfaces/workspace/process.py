@@ -28,7 +28,14 @@ from asia.ledger.run import open_run
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
-from asia.search.run import Prepared, check_same_search, prepare, search, with_early_stopping
+from asia.search.run import (
+    Prepared,
+    check_same_search,
+    prepare,
+    run_name,
+    search,
+    with_early_stopping,
+)
 
 # The process behind a desk: what it was asked for, and how it is started.
 
@@ -66,6 +73,8 @@ class SearchRequest:
     """Lines that the ledger had when this was asked for."""
     settings: dict[str, str] = field(default_factory=dict[str, str])
     """Recorded settings of the interface besides its name: the jail."""
+    guard: float | None = None
+    """Share of the training records held back as guard records; None for the problem's own."""
 
     def save(self, directory: Path) -> None:
         """Write it, with the number of lines the ledger has now: a request made after a stop
@@ -333,9 +342,39 @@ class NewRequestError(Exception):
     """More was requested while the search waited."""
 
 
+GUARD_SHARE = 0.15
+"""Share of the training records that workspaces and servers hold back as guard records."""
+
+
+def with_guard(
+    request: SearchRequest, wanted: bool | None, runs: Path, name: str | None
+) -> SearchRequest:
+    """Return the request with guard records held back, or without.
+
+    Args:
+        wanted: None for the choice of the run, where it exists, else to hold back some
+    """
+    if wanted is None:
+        problem = load_problem(request.problem)
+        directory = runs / (name or run_name(problem, request.agent, request.seed))
+        before = SearchRequest.find(directory)
+        if before is not None and has_begun(directory):
+            return replace(request, guard=before.guard)
+    return replace(request, guard=None if wanted is False else GUARD_SHARE)
+
+
+def guard_words(problem: Problem, request: SearchRequest) -> str:
+    """Return a phrase on the guard records of a problem, and how to choose otherwise."""
+    names = ", ".join(problem.guard_names)
+    if not names:
+        return f"none (--guard holds back {100 * GUARD_SHARE:g} % of the training records)"
+    change = "" if request.guard is None else "; --no-guard switches this off"
+    return f"{names}, shown to no candidate and no agent{change}"
+
+
 def requested_problem(request: SearchRequest) -> Problem:
     """The problem with what was requested in place of its own."""
-    problem = load_problem(request.problem)
+    problem = load_problem(request.problem, request.guard)
     budget = problem.budget
     budget = replace(
         budget,

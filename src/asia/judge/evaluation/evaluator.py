@@ -222,6 +222,20 @@ class Evaluator:
         self._ranges = ranges_of([r.u for r in data.records], [r.y for r in data.records])
 
     @property
+    def without(self) -> Collection[SuspicionKind]:
+        """Relations that are not checked."""
+        return self._options.without
+
+    def fit_fold(self, source: str, place: int) -> FoldResult | Failure:
+        """Fit and score a source on one fold, by its place from 0, as in a search."""
+        job = partial(self._fold_or_failure, source, self.data.folds[place])
+        try:
+            with self.workers.stopwatch.activity(Activity.CHECKS, swallows=True):
+                return self.workers.run([job])[0].result
+        except CandidateError as error:
+            return Failure(error.reason, error.detail)
+
+    @property
     def may_fit_ahead(self) -> bool:
         """Whether fits that turn out not to be needed may be made: not one by one, nor where each
         of them may ask for validation scores, which are counted."""

@@ -95,12 +95,12 @@ def score_references(
     folds, horizon = evaluator.data.folds, evaluator.data.horizon
     past = len(folds[0].validation[0].case.past_y)
     simulations: dict[str, Callable[[Fold, Block], Array]] = {
-        MEAN_REFERENCE: _training_mean,
+        MEAN_REFERENCE: training_mean,
         # The training mean where the protocol gives no past output.
         "last output held": (
             (lambda _, block: np.tile(block.case.past_y[-1], (len(block.y), 1)))
             if past
-            else _training_mean
+            else training_mean
         ),
     }
     if horizon is not None and past:
@@ -127,7 +127,9 @@ def score_references(
         )
 
 
-def _training_mean(fold: Fold, block: Block) -> Array:
+def training_mean(fold: Fold, block: Block) -> Array:
+    """Mean (H, ny) of the measured outputs of a fold's training records, for each sample of a
+    block."""
     y = np.concatenate([t.measured_y for t in fold.train])
     mean = np.nanmean(y, axis=0) if np.isnan(y).any() else y.mean(axis=0)
     return np.tile(mean, (len(block.y), 1))

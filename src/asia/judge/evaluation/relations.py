@@ -55,6 +55,8 @@ class SuspicionKind(StrEnum):
     TABLE = "table"
     RESTART = "restart"
     CONSISTENCY = "consistency"
+    LITERALS = "literals"
+    """The gain of a new best does not come from data in its source."""
 
 
 @dataclass(frozen=True)

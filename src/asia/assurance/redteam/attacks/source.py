@@ -6,6 +6,8 @@ import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from asia.assurance.redteam.attacks.stored import stored
+
 if TYPE_CHECKING:
     from asia.assurance.redteam.problem import SmallProblem
 
@@ -100,6 +102,7 @@ def fill_in(source: str, given: str, problem: SmallProblem) -> str:
         "THREE_DIGITS": repr([round(1000 * v) for v in y.tolist()]),
         "ALL_INPUTS": repr([round(100 * v) for v in problem.record.u[:, 0].tolist()]),
     }
+    facts |= stored(problem)
     for name, text in facts.items():
         source = source.replace(name, text)
     return source

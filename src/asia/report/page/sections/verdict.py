@@ -10,7 +10,7 @@ from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.checks.records import listed
 from asia.ledger.events import Refitted, TestedModel, Unsealed
 from asia.ledger.evidence import identified
-from asia.ledger.run import model_to_use, tested_model
+from asia.ledger.run import alarms, model_to_use, tested_model
 from asia.ledger.view import Experiment
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
@@ -40,6 +40,7 @@ def doubts(subject: Subject) -> Iterator[str]:
     if best is None or best.score is None:
         return
     value = best.score.value
+    yield from _false_scores(subject)
     for name, text in (
         ("training mean", "than the training mean"),
         ("linear model", "than a linear model"),
@@ -78,6 +79,19 @@ def doubts(subject: Subject) -> Iterator[str]:
         yield "the winner's fit reached its deadline, so it depends on the machine"
 
 
+def _false_scores(subject: Subject) -> Iterator[str]:
+    """Yield the alarms of the search, without figures."""
+    view, best = subject.view, subject.view.best
+    if best is None or best.score is None:
+        return
+    found = alarms(view)
+    below = view.below_truth(best.score.value)
+    if len(found) > below:
+        yield "the test error is far above V, so V is no measure of this model"
+    if below:
+        yield "V is below that of the simulated truth, so the candidate contains held-out data"
+
+
 def stamp(subject: Subject) -> tuple[str, str]:
     """Return the verdict in two or three words, and its kind: `good`, `doubt` or `none`."""
     view = subject.view
@@ -85,6 +99,8 @@ def stamp(subject: Subject) -> tuple[str, str]:
         return "No model", "none"
     raised = (Verdict.DOUBT, Verdict.FAIL)
     if any(c.weight > 1.0 and c.verdict in raised for d in view.validated for c in d.checks):
+        return "Not usable", "none"
+    if next(_false_scores(subject), None) is not None:
         return "Not usable", "none"
     if next(doubts(subject), None) is not None:
         return "Usable with limits", "doubt"
@@ -106,6 +122,7 @@ def _write(subject: Subject) -> Html:
         lines = [join(("None of the candidates has a score. They were ", count, " in all."))]
     else:
         lines = [
+            *(tag("b", said(words)) for words in _false_scores(subject)),
             _found(subject, best),
             _error(subject, best),
             _test(subject),
