@@ -21,9 +21,7 @@ def export(
     run: RunName = None,
     to: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Target, repeatable, such as c or onnx; a wrong name prints them all."
-        ),
+        typer.Option(help="Target, repeatable, such as c or onnx; a wrong name prints them all."),
     ] = None,
     model: Annotated[
         str | None,

@@ -330,7 +330,7 @@ PLACES = {
 
 
 _ALL_ASKED = (
-    SuspicionKind.CAUSALITY,
+    SuspicionKind.LOOK_AHEAD,
     SuspicionKind.STRANGERS,
     SuspicionKind.REPLAY,
     SuspicionKind.PERTURBATION,
@@ -378,7 +378,7 @@ RELATIONS = (
         scores_better,
         (Barrier.METAMORPHIC,),
         problem="drift",
-        checks=(SuspicionKind.BLOCK_END, SuspicionKind.CAUSALITY),
+        checks=(SuspicionKind.BLOCK_END, SuspicionKind.LOOK_AHEAD),
     ),
     CandidateAttack(
         43,
