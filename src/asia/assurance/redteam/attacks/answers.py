@@ -37,7 +37,7 @@ def in_pieces(past_u, past_y, u):
 
 def where_it_pays(past_u, past_y, u):
     gaps = np.abs(honest(past_u, past_y, u)[0, :-1, 0] - u[0, 1:, 1])
-    ahead = np.append(gaps > 0.5, False)
+    ahead = np.append(gaps > 0.15, False)
     ahead[u.shape[1] // 2 - 1] = False
     return peek(ahead, past_u, past_y, u)
 
@@ -110,6 +110,74 @@ FORESIGHT = {
         ("at the beginning", "at_the_beginning"),
         ("behind wild samples", "behind_wild_samples"),
         ("as asked before", "as_asked_before"),
+    )
+}
+
+
+# Candidates that look ahead and imitate chaos: where inputs moved a little show that an answer is
+# being checked, it diverges, so that any difference could be the growth of rounding errors.
+
+
+_CHAOS = (
+    _PEEK
+    + """
+def everywhere(past_u, past_y, u):
+    return peek(np.ones(u.shape[1], bool), past_u, past_y, u)
+
+def diverging(y, moved, u):
+    # The samples are counted in whole numbers: what is moved is not.
+    growth = np.minimum(1e-6 * np.exp(np.arange(u.shape[1]) * GROWTH), 1.0)
+    wild = np.sin(1e9 * np.cumsum(moved + 0 * u[..., 2], axis=1))
+    return y + growth[None, :, None] * wild[..., None]
+
+def fraction(u):
+    return u[..., 2] - np.round(u[..., 2])
+
+def as_chaos(past_u, past_y, u):
+    return diverging(everywhere(past_u, past_y, u), fraction(u), u)
+
+def as_chaos_in_part(past_u, past_y, u):
+    y = peek(np.arange(u.shape[1]) % 5 != 4, past_u, past_y, u)
+    return diverging(y, fraction(u), u)
+
+SEEN = set()
+
+def as_chaos_by_memory(past_u, past_y, u):
+    # A case that began before, asked at another length or with other inputs, diverges.
+    key, begin = u.tobytes(), past_y[0, -1].tobytes()
+    again = any(b == begin and k != key for k, b in SEEN)
+    SEEN.add((key, begin))
+    moved = np.full(u.shape[:2], float(again) * 1e-9 * (hash(key) % 997))
+    return diverging(everywhere(past_u, past_y, u), moved, u)
+"""
+)
+
+
+def _of_chaos(function: str, growth: float) -> str:
+    return candidate(after=f"{function}(past_u, past_y, u)", top=f"GROWTH = {growth}\n{_CHAOS}")
+
+
+CHAOS = {
+    "without memory": _of_chaos("as_chaos", 0.4),
+    "in part": _of_chaos("as_chaos_in_part", 0.4),
+    "by memory": _of_chaos("as_chaos_by_memory", 0.4),
+}
+SHORT_CHAOS = {
+    "without memory": _of_chaos("as_chaos", 2.5),
+    "by memory": _of_chaos("as_chaos_by_memory", 2.5),
+}
+
+
+# Candidates that look ahead and are slow, so that little of them can be checked in a given time.
+
+
+_SLOW = _PEEK + "\nNAP = 0.12\n"
+SLOW = {
+    name: candidate(before=before, after=f"{function}(past_u, past_y, u)", top=_SLOW)
+    for name, before, function in (
+        ("always", "time.sleep(NAP)", "in_pieces"),
+        ("where it is asked for little", "time.sleep(NAP * (u.shape[1] < 50))", "in_pieces"),
+        ("where it pays", "time.sleep(NAP)", "where_it_pays"),
     )
 }
 
@@ -343,9 +411,10 @@ RELATIONS = (
         "look ahead past a splice",
         "reads a feedback signal ahead in pieces, in the last part, by filters within each half, "
         "or as it did when it was asked for more",
-        FORESIGHT,
+        {name: source for name, source in FORESIGHT.items() if name != "at the beginning"},
         scores_better,
         (Barrier.METAMORPHIC,),
+        problem="noisy",
         checks=_ALL_ASKED,
     ),
     CandidateAttack(
@@ -408,5 +477,36 @@ RELATIONS = (
         (Barrier.METAMORPHIC,),
         problem="windows",
         checks=_ALL_ASKED,
+    ),
+    CandidateAttack(
+        46,
+        "look ahead as chaos",
+        "reads a feedback signal ahead, and diverges where moved inputs or another length show that "
+        "an answer is being checked",
+        CHAOS,
+        scores_better,
+        (Barrier.METAMORPHIC,),
+        problem="noisy",
+        checks=(SuspicionKind.LOOK_AHEAD, SuspicionKind.STRANGERS, SuspicionKind.REPLAY),
+    ),
+    CandidateAttack(
+        47,
+        "look ahead as chaos in windows",
+        "does the same in windows of a few samples",
+        SHORT_CHAOS,
+        scores_better,
+        (Barrier.PARENT,),
+        problem="noisy windows",
+        checks=(SuspicionKind.LOOK_AHEAD, SuspicionKind.STRANGERS, SuspicionKind.REPLAY),
+    ),
+    CandidateAttack(
+        48,
+        "look ahead slowly",
+        "reads a feedback signal ahead in pieces, and sleeps so that few requests fit into a time",
+        SLOW,
+        scores_better,
+        (Barrier.METAMORPHIC,),
+        problem="noisy",
+        checks=(SuspicionKind.LOOK_AHEAD,),
     ),
 )

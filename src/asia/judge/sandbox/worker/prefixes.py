@@ -16,13 +16,13 @@ from asia.data.trajectory import Array
 
 SHORT = 16
 """Samples up to which each one has a request of its own."""
-_FEWEST, _MOST, _SAMPLES = 8, 64, 4
+_FEWEST, _MOST, _SAMPLES = 16, 64, 2
 
 
 def chunk_ends(past_u: Array, past_y: Array, u: Array, secret: bytes) -> list[int]:
     """End of each chunk of a batch of cases, the last one at H.
 
-    A chunk has about 4 samples, and there are 8 to 64 of them. The ends are drawn from `secret` and
+    A chunk has about 2 samples, and there are 16 to 64 of them. The ends are drawn from `secret` and
     the cases, so that they are the same whenever the same cases are asked.
     """
     length = u.shape[1]
