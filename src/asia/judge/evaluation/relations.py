@@ -13,6 +13,8 @@ import numpy as np
 from asia.data.trajectory import Array, filled
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.requests import (
+    MOST_BLOCKS,
+    MOST_WINDOWS,
     CaseSimulator,
     ScoredCase,
     scored_cases,
@@ -31,6 +33,7 @@ STARTS = 4
 _SAME = 1e-3
 _STILL = 1e-9
 _MOVES = 1e-2
+_UNCHANGED = 40
 _ISOLATED = 30.0
 _EARLY = 5
 _WORSE, _MUCH_WORSE = 0.1, 5.0
@@ -91,7 +94,7 @@ class CaseCheck:
     def nearby(self) -> tuple[Array | None, Array | None]:
         """Simulate with inputs and past changed by 1e-6, in both directions."""
         moved = self.case.moved(TINY, self.scale, self.random)
-        return self.ask(next(moved)), self.ask(next(moved))
+        return self.ask(next(moved), scored=True), self.ask(next(moved), scored=True)
 
     def perturbation(self) -> Suspicion | None:
         """Test continuity: two perturbed simulations must be about as near to the scored one as to
@@ -115,19 +118,22 @@ class CaseCheck:
 
     def table(self) -> Suspicion | None:
         """Outputs that move in time but depend on no input and no past output are stored data."""
-        near = self.ask(next(self.case.moved(COARSE, self.scale, self.random)))
-        if near is None:
+        y_hat, length = self.case.y_hat, self.case.u.shape[1]
+        moves = float((y_hat.std(axis=1) / self.scale).max())
+        if moves <= _MOVES:
             return None
-        y_hat = self.case.y_hat
-        moves = (y_hat.std(axis=1) / self.scale).max(axis=1)
-        still = self._apart(near, self.case.y_hat).max(axis=1) <= _STILL
-        taped = moves[still & (moves > _MOVES)]
-        if taped.size == 0:
+        unchanged = 0
+        for moved in self.case.moved(COARSE, self.scale, self.random):
+            near = self.ask(moved, scored=True)
+            if near is not None and self.apart(near) <= _STILL:
+                unchanged += length
+        # A short output may be rounded to the same numbers by chance.
+        if unchanged < min(_UNCHANGED, 2 * length):
             return None
         words = (
             "changing inputs and past by 1e-2 changes no output, although the output varies in time"
         )
-        return Suspicion(SuspicionKind.TABLE, words, float(taped.max()))
+        return Suspicion(SuspicionKind.TABLE, words, moves)
 
     def continued(self, fractions: Sequence[float]) -> list[Array]:
         """Simulate the last samples of the block, started from the simulated outputs before
@@ -280,11 +286,12 @@ def suspicions(
     block's end (`block end`: another end, though it began alike). Then `strangers` and, for a model
     without `step`, `look_ahead` are tested.
 
-    Then, on at most 6 blocks or 24 windows, inputs and past are moved by 1e-6 of their standard
-    deviations, there and back (`perturbation`: an isolated response, or an immediate jump), and by
-    1e-2 (`table`: no change at all). The scored cases are repeated (`replay`). Last, because their
-    past windows are held-out outputs, four later starts on the same record are simulated where the
-    output moves about as fast (`restart`: all much worse over the rest of it, or failing).
+    Then, on at most 6 blocks or 24 windows (a third of them for a model without `step`), inputs and
+    past are moved by 1e-6 of their standard deviations, there and back (`perturbation`: an isolated
+    response, or an immediate jump), and by 1e-2 (`table`: no change at all). The scored cases are
+    repeated (`replay`). Last, because their past windows are held-out outputs, four later starts on
+    the same record are simulated where the output moves about as fast (`restart`: all much worse
+    over the rest of it, or failing).
 
     Args:
         simulator: the model, best in a fresh worker, which has simulated nothing
@@ -305,7 +312,8 @@ def suspicions(
     """
     random = np.random.default_rng(seed)
     secret = None if SuspicionKind.LOOK_AHEAD in without else secret_of(blocks)
-    cases = scored_cases(blocks, y_hat, horizon, random, followed)
+    most = (MOST_BLOCKS if horizon is None else MOST_WINDOWS) // (1 if simulator.has_steps else 3)
+    cases = scored_cases(blocks, y_hat, most, random, followed)
     fractions: list[float] = np.sort(random.uniform(*_FURTHER, size=2)).tolist()
     checks = [CaseCheck(simulator, case, scale, random, secret) for case in cases]
     # Continuations come before all other requests: a longer one would reveal where they start.

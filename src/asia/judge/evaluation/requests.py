@@ -222,17 +222,16 @@ def _past(before: Array, values: Array, start: int) -> Array:
 def scored_cases(
     blocks: Sequence[Block],
     y_hat: Sequence[Array],
-    horizon: int | None,
+    most: int,
     random: np.random.Generator,
     followed: Collection[int] = (),
 ) -> tuple[ScoredCase, ...]:
-    """Draw a few of the scored cases at random.
+    """Draw at most `most` of the scored cases at random.
 
     Args:
         y_hat: simulated outputs (H, ny)
         followed: blocks right after which data train
     """
-    most = MOST_BLOCKS if horizon is None else MOST_WINDOWS
     places = np.sort(random.choice(len(blocks), min(len(blocks), most), replace=False)).tolist()
     return tuple(
         ScoredCase(

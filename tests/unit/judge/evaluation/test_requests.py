@@ -4,6 +4,7 @@ input is not known to an earlier one."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from hypothesis import given
@@ -60,7 +61,7 @@ def test_no_worker_knows_an_input_before_its_time(lengths: list[int]) -> None:
     for part in parts:
         for record in {found[i].record for i in part}:
             own = [found[i] for i in part if found[i].record == record]
-            for one, other in zip(own, own[1:], strict=False):
+            for one, other in pairwise(own):
                 assert one.stop <= other.start
     if len(parts) < MOST_SESSIONS:
         assert all(len({found[i].record for i in part}) == 1 for part in parts)

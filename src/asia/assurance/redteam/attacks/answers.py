@@ -481,8 +481,8 @@ RELATIONS = (
     CandidateAttack(
         46,
         "look ahead as chaos",
-        "reads a feedback signal ahead, and diverges where moved inputs or another length show that "
-        "an answer is being checked",
+        "reads a feedback signal ahead, and diverges where moved inputs or another length show "
+        "that an answer is being checked",
         CHAOS,
         scores_better,
         (Barrier.METAMORPHIC,),

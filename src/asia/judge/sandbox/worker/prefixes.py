@@ -14,21 +14,21 @@ import numpy as np
 
 from asia.data.trajectory import Array
 
-SHORT = 16
+SHORT = 32
 """Samples up to which each one has a request of its own."""
-_FEWEST, _MOST, _SAMPLES = 16, 64, 2
+_MOST = 64
 
 
 def chunk_ends(past_u: Array, past_y: Array, u: Array, secret: bytes) -> list[int]:
     """End of each chunk of a batch of cases, the last one at H.
 
-    A chunk has about 2 samples, and there are 16 to 64 of them. The ends are drawn from `secret` and
-    the cases, so that they are the same whenever the same cases are asked.
+    A chunk has about 2 samples or more, and there are at most 64 of them. The ends are drawn from
+    `secret` and the cases, so that they are the same whenever the same cases are asked.
     """
     length = u.shape[1]
     if length <= SHORT:
         return list(range(1, length + 1))
-    count = min(max(length // _SAMPLES, _FEWEST), _MOST)
+    count = min(length // 2, _MOST)
     digest = hashlib.sha256(secret)
     for array in (past_u, past_y, u):
         digest.update(np.ascontiguousarray(array).tobytes())
