@@ -171,9 +171,15 @@ class StoredModels:
         blocks: Sequence[Block],
         y_hat: Sequence[Array],
         ask: _Ask,
+        *,
+        together: bool = False,
     ) -> Sequence[Suspicion]:
         """Suspicions that `ask` finds in a worker that has seen no case. Raises CandidateError,
-        with reason NOT_REPRODUCIBLE where not even the scored order gives the scored answers."""
+        with reason NOT_REPRODUCIBLE where not even the scored order gives the scored answers.
+
+        Args:
+            together: whether one worker gave all of them
+        """
         with ExitStack() as opened:
             try:
                 worker = opened.enter_context(self._loaded(source, model))
@@ -186,7 +192,10 @@ class StoredModels:
                 raise CandidateError(error.reason, detail) from None
         kind = SuspicionKind.STRANGERS
         if any(one.kind is kind for one in found):
-            again = self._simulate(source, model, blocks)
+            if together:
+                again = self._simulate(source, model, blocks)
+            else:
+                again = self._simulate_sessions(source, model, blocks, sessions(blocks))
             pairs = zip(again, y_hat, strict=True)
             if any(one.tobytes() != other.tobytes() for one, other in pairs):
                 raise CandidateError(Reason.NOT_REPRODUCIBLE)
@@ -345,7 +354,8 @@ class Evaluator:
             seed=self.models.check_seed(source, "refit"), without=without,
         )  # fmt: skip
         blocks = self.data.training_blocks
-        found = self._run_checks([partial(self.models.ask, source, model, blocks, y_hat, ask)])
+        job = partial(self.models.ask, source, model, blocks, y_hat, ask, together=True)
+        found = self._run_checks([job])
         return found if isinstance(found, Failure) else objection_to(found[0], None)
 
     def refit(self, source: str) -> Refit:
