@@ -67,8 +67,7 @@ _ADVICE = {
     Reason.LITERAL_DATA: "the source contains too many literal numbers: "
     "let fit estimate them from the training records, and shorten the rest",
     Reason.SUSPECT: "the simulation does not behave like a dynamical system: "
-    "make simulate a causal, continuous function of each row alone, with no memory between "
-    "calls and no statistics over the rows of a request",
+    "make simulate a causal, continuous function of each row alone, with no memory between calls",
     Reason.RESTART: "the model is accurate from the scored initial samples only: "
     "make simulate equally accurate from any other sample of a record",
     Reason.BEHIND: "V is far above the best for any result of the other folds, so they were "

@@ -102,6 +102,10 @@ context), and fit that calls both.
 - simulate gets past_u (B, {pu}, {nu}), past_y (B, {py}, {ny}), u (B, H, {nu}) and returns y_hat
   (B, H, {ny}) as float64, finite. u[:, k] and y_hat[:, k] are the same sample; past_*[:, -1] is the
   one before the first. Inputs are held between samples.
+- Better still, the model also has initial(past_u, past_y, u), a state from the past and the first
+  input (B, {nu}), and step(state, u), which returns the next state and the output (B, {ny}) of this
+  sample: then it is scored by these, sample by sample. Without them simulate is called for up to 64
+  prefixes of each case, which takes that much longer. No other methods may have these two names.
 - context has inputs, outputs, sampling_time, n_past_u, n_past_y, horizon, metric, physics, seed,
   deadline, log(step, loss), nu, ny.
 - Python with {libraries} and asia.models, one CPU thread, no network, no

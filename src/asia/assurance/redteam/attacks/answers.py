@@ -405,9 +405,8 @@ RELATIONS = (
         "from the start or late in the row",
         ROWS,
         scores_better,
-        (Barrier.METAMORPHIC,),
+        (Barrier.PARENT,),
         problem="weather",
-        checks=(SuspicionKind.STRANGERS, SuspicionKind.BLOCK_END),
     ),
     CandidateAttack(
         39,
@@ -445,9 +444,8 @@ RELATIONS = (
         "learns of a disturbance by all rows where each record has one window",
         ROWS,
         scores_better,
-        (Barrier.METAMORPHIC,),
+        (Barrier.PARENT,),
         problem="pulses",
-        checks=_ALL_ASKED,
     ),
     CandidateAttack(
         45,
