@@ -442,7 +442,8 @@ RELATIONS = (
         44,
         "average over the only request",
         "learns of a disturbance by all rows where each record has one window",
-        ROWS,
+        # The others are honest where a row is alone.
+        {name: ROWS[name] for name in ("mean", "median", "trimmed mean")},
         scores_better,
         (Barrier.PARENT,),
         problem="pulses",
