@@ -116,9 +116,8 @@ context), and fit that calls both.
 - {stopping}
 - {model}"""
 
-MODEL_RULES = """The model must be causal in u: to the first k inputs alone, for any k, it answers
-the first k samples of its answer to all of them. It must answer a window alike whatever other
-windows are in the request or came before, from any start of a record about as well, and without a
+MODEL_RULES = """The model must be causal in u: later inputs are not there when it answers. It must
+answer a window alike whatever came before, from any start of a record about as well, and without a
 jump for a tiny change of what it is given. The source must carry no data and no long tables. What
 breaks this is refused or never kept."""
 

@@ -190,8 +190,8 @@ blocks), `metric`, `physics` (below, or None), `symmetry`, `seed` (int, for all 
 `deadline` (of `time.monotonic()`), `threads` (int), `log(step, loss)`. The model may have
 `parameters()`, at most 64 names and floats: you are shown them fold by fold. A fit may take
 {budget.fit_seconds:g} s on one core and {budget.memory_mb} MB. End it by a number of iterations,
-not by the clock. {", ".join(installed_libraries())} and `asia.models` (`models.md`) can be
-imported. A fit has no network and no files. {MODEL_RULES}
+not by the clock. Import {", ".join(installed_libraries())} and `asia.models` (`models.md`). There
+is no network and no file. {MODEL_RULES}
 {gaps}"""
 
 
