@@ -454,7 +454,7 @@ RELATIONS = (
         "reads a feedback signal ahead in windows of a few samples",
         {name: FORESIGHT[name] for name in ("but at the splice", "in pieces")},
         scores_better,
-        (Barrier.METAMORPHIC,),
+        (Barrier.PARENT,),
         problem="noisy windows",
         checks=_ALL_ASKED,
     ),

@@ -301,7 +301,7 @@ SCORES = (
             ),
         },
         scores_better,
-        (Barrier.LINT, Barrier.METAMORPHIC),
+        (Barrier.LINT, Barrier.METAMORPHIC, Barrier.PARENT),
     ),
     CandidateAttack(
         30,
