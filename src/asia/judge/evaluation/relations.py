@@ -320,7 +320,7 @@ def suspicions(
     continued = [
         (check, check.continued(fractions))
         for check in (checks if SuspicionKind.BLOCK_END not in without else ())
-        if check.block.followed and check.case.u.shape[1] >= 2
+        if horizon is None and check.block.followed and check.case.u.shape[1] >= 2
     ]
     found: list[Suspicion | None] = []
     if secret is not None and not simulator.has_steps:

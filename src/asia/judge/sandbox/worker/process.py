@@ -247,6 +247,8 @@ class Channel:
 
     def send(self, request: object, deadline: float) -> None:
         """Send one request. Raises LateError, GoneError."""
+        if not self._keep_output:
+            self._printed_bytes = 0  # The limit on what is dropped is one on each request.
         arrays: list[memoryview] = []
 
         def in_pickle(buffer: pickle.PickleBuffer) -> bool:
