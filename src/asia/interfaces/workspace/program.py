@@ -237,7 +237,7 @@ def _procedure(problem: Problem, experiments: int) -> str:
     return f"""## What to do
 
 ```sh
-asia try --dry-run                # free: contract, shapes and speed on one short fold, no score
+asia try --dry-run                # free: contract and shapes, on made-up records, no score
 python tools.py                   # free: your own run of the folds, with residuals
 asia try -m "what you changed, and why it should help" --expect "V, words or a number" --parent N
 ```
@@ -246,16 +246,16 @@ You may edit `candidate.py` and write scripts of your own. `results.tsv`, `searc
 `best.py`, the best candidate, are written for you; `--plot` adds pictures in `plots/`, of the
 training part{pictured}. `python` is `{sys.executable}`. There are
 {experiments} experiments, and each candidate that `asia try` judges is one. Experiment 1 is the
-baseline, `candidate.py` as it was made: it is judged without you, and {experiments - 1} are left
-for you. A source that was judged before is answered from the ledger and costs nothing.
+baseline, judged without you; {experiments - 1} are left for you. A source that was judged before
+is answered from the ledger and costs nothing.
 First try model classes that differ, one idea an experiment. Then refine the best: change one thing
 at a time, and say beforehand what you expect. Read `results.tsv` and the journal before each idea.
 Prefer the simpler of two equally good candidates. Continue until all experiments are spent.
 
-Your own analysis of `data/` is allowed: plots, correlations, fits, your own folds. What you learn
-of the physics may go into a candidate as structure, as ranges and as priors with a reason. Numbers
-read off the held-out parts may not: each record is the answer of some fold. A model that
-memorises it fails on the sealed test.
+You may analyse `data/`: plots, correlations, fits, folds of your own. What you learn of the physics
+may go into a candidate as structure, ranges and priors with a reason. Numbers read off the held-out
+parts may not: each record is the answer of some fold, and a model that memorises it fails on the
+sealed test.
 
 | symptom after a try | possible cause and remedy |
 |---|---|
