@@ -96,7 +96,7 @@ class LiteralExaminer:
         return {}
 
     def _first_gap(self, first: Experiment) -> float:
-        """Of the error of the first best on the guard records."""
+        """Gap between guard records and V of the first best."""
         assert first.result is not None
         assert first.score is not None
         if first.number not in self._gaps:
@@ -108,7 +108,7 @@ class LiteralExaminer:
         return self._gaps[first.number]
 
     def _mean_gap(self, standard: Standard) -> float:
-        """Of the error of the training mean."""
+        """Gap between guard records and V of the training mean."""
         data = self.evaluator.data
         y = np.concatenate([record.measured_y for record in data.records])
         apart = np.concatenate([block.y for block in self._blocks]) - np.nanmean(y, axis=0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -20,9 +20,6 @@ from asia.interfaces.cli.options import (
     candidate_level,
     run_directory,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 def export(

@@ -86,7 +86,7 @@ def open_worker(
 
 
 def pids_mechanism(level: Isolation) -> PidsMechanism:
-    """What limits the threads and processes of a worker at a level here."""
+    """Return the mechanism that limits threads and processes of a worker at a level here."""
     return LEVELS[level].pids_mechanism()
 
 
@@ -134,7 +134,7 @@ class LevelState:
     lacks: tuple[Lack, ...]
     """Missing parts that keep the level from working or from being complete."""
     pids: PidsMechanism | None
-    """What limits the threads and processes of a worker; None where nothing does."""
+    """Mechanism that limits threads and processes of a worker; None where nothing does."""
 
 
 def machine() -> Machine:

@@ -36,7 +36,7 @@ class Level(ABC):
         return {layer: why for layer, why in missing_layers().items() if layer in self.layers}
 
     def pids_mechanism(self) -> PidsMechanism:
-        """What limits the threads and processes of a worker here."""
+        """Return the mechanism that limits threads and processes of a worker here."""
         return PidsMechanism.CGROUP if cgroup_works() else PidsMechanism.WATCHER
 
     @abstractmethod

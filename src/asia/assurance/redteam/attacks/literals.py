@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from asia.assurance.redteam.attacks.source import HONEST_FUNCTION
 from asia.assurance.redteam.evidence import scores_better
 from asia.assurance.redteam.types import Barrier, CandidateAttack
 from asia.judge.evaluation.relations import SuspicionKind
@@ -15,13 +16,7 @@ IMPORTS
 POLE, GAIN = CRUDE
 
 
-def honest(past_u, past_y, u):
-    x, v, y = past_y[:, -1], past_u[:, -1, :1], np.empty(u.shape[:2] + past_y.shape[2:])
-    for k in range(u.shape[1]):
-        x = POLE * x + GAIN * v
-        v = u[:, k, :1]
-        y[:, k] = x
-    return y
+HONEST_FUNCTION
 
 
 STORE
@@ -42,7 +37,8 @@ def fit(trajectories, context):
 
 
 def _storing(store: str, imports: str = "") -> str:
-    return _TEXT.replace("STORE", store.strip("\n")).replace("IMPORTS", imports)
+    text = _TEXT.replace("HONEST_FUNCTION\n", HONEST_FUNCTION).replace("IMPORTS", imports)
+    return text.replace("STORE", store.strip("\n"))
 
 
 _LETTERS = """

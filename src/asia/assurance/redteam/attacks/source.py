@@ -12,6 +12,16 @@ if TYPE_CHECKING:
     from asia.assurance.redteam.problem import SmallProblem
 
 STEPS = "STEPS "
+HONEST_FUNCTION = """\
+def honest(past_u, past_y, u):
+    x, v, y = past_y[:, -1], past_u[:, -1, :1], np.empty(u.shape[:2] + past_y.shape[2:])
+    for k in range(u.shape[1]):
+        x = POLE * x + GAIN * v
+        v = u[:, k, :1]
+        y[:, k] = x
+    return y
+"""
+"""Simulation of an honest first-order model."""
 _TEXT = """
 import ctypes, errno, gc, json, os, pickle, signal, socket, struct, subprocess, sys, time
 import numpy as np
@@ -22,13 +32,7 @@ libc = ctypes.CDLL(None, use_errno=True)
 libc.prctl(15, MARK.encode(), 0, 0, 0)
 
 
-def honest(past_u, past_y, u):
-    x, v, y = past_y[:, -1], past_u[:, -1, :1], np.empty(u.shape[:2] + past_y.shape[2:])
-    for k in range(u.shape[1]):
-        x = POLE * x + GAIN * v
-        v = u[:, k, :1]
-        y[:, k] = x
-    return y
+HONEST_FUNCTION
 
 
 def call(result):
@@ -77,7 +81,8 @@ def candidate(
         after: result of `simulate`
         top: code at the top level
     """
-    text = _TEXT.replace("BEFORE", textwrap.indent(before, " " * 8).strip())
+    text = _TEXT.replace("HONEST_FUNCTION\n", HONEST_FUNCTION)
+    text = text.replace("BEFORE", textwrap.indent(before, " " * 8).strip())
     text = text.replace("AFTER", after).replace("TOP", top)
     return text.replace("    FIT", textwrap.indent(fit.strip("\n"), " " * 4))
 

@@ -24,7 +24,7 @@ _REMOVE_SECONDS = 1.0
 
 
 class PidsMechanism(StrEnum):
-    """What holds the limit, strongest first."""
+    """Mechanism that holds the limit, strongest first."""
 
     CGROUP = "cgroup"
     RLIMIT = "RLIMIT_NPROC"
