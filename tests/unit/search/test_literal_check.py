@@ -60,7 +60,7 @@ def write_counted(directory: Path, *, guard: bool) -> Path:
 
 
 def errors(problem: Path) -> list[float]:
-    """What the first-order model misses of the training record."""
+    """Error of the first-order model on the training record."""
     record = load_problem(problem).train[0]
     u, y = record.u, record.y[:, 0]
     rows = np.column_stack([y[:-1], u[1:], u[:-1]])
