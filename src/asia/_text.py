@@ -95,7 +95,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return close or (f"; known: {', '.join(names)}" if names else "")
 
 
-# Figures that a candidate can influence, as they are told to agents.
+# Figures that a candidate can influence, rounded for agents.
 
 
 def coarse(value: float) -> float:
