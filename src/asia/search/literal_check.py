@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -52,7 +52,8 @@ class LiteralExaminer:
             return None
         truth = view.truth
         return check_literals(
-            self.evaluator, source, score, evaluation.folds, standard, self._guard(view, standard),
+            self.evaluator, source, score, evaluation.folds, standard,
+            partial(self._guard, view, standard),
             doubted=truth is not None and view.below_truth(score.value),
         )  # fmt: skip
 

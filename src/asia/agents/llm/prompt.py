@@ -116,7 +116,7 @@ MODEL_RULES = """The model must be causal in u: to the first k inputs alone, for
 the first k samples of its answer to all of them. It must answer a window alike whatever windows are
 in the request or came before, from any start of a record about as well, and without a jump for a
 tiny change. What breaks this is refused or never kept. The source must carry no data: literals with
-more bits than a tenth of the log-likelihood gained are judged by unseen records and a refit."""
+more bits than a tenth of the log-likelihood gained are judged by held-back records and a refit."""
 
 _INNER = """To stop early, hold out a part of the training trajectories, choose the number of
   iterations with it, and fit again on all of them."""

@@ -182,7 +182,7 @@ def _objection_to_literals(
     honest = guard_error(evaluator, first, [fold.model for fold in plain.folds], blocks)
     assert isinstance(honest, Score)
     guard = Guard(blocks, guard_gap(honest.value, plain.outcome.value))
-    check = check_literals(evaluator, source, found.outcome, found.folds, standard, guard)
+    check = check_literals(evaluator, source, found.outcome, found.folds, standard, lambda: guard)
     return Failure(Reason.LITERALS, check.suspect) if check.suspect else None
 
 

@@ -10,7 +10,7 @@ keep its gain where its literals change in their last digits?
 from __future__ import annotations
 
 import ast
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from math import inf
@@ -98,7 +98,7 @@ def check_literals(
     score: Score,
     folds: Sequence[FoldResult],
     standard: Standard,
-    guard: Guard | None,
+    guard: Callable[[], Guard | None],
     *,
     doubted: bool = False,
 ) -> LiteralCheck:
@@ -109,7 +109,8 @@ def check_literals(
         score: its score
         folds: its results, one a fold
         standard: first best of the search
-        guard: None where the problem has no guard records
+        guard: asked only where it decides, since it simulates; None where the problem has no
+            guard records
         doubted: ask whatever the literals take
     """
     own, known = literals_of(source), literals_of(standard.source)
@@ -124,14 +125,15 @@ def check_literals(
         f"literals: the source holds {bits:.0f} bits of data more than "
         f"#{standard.experiment:02d} and the library, above a tenth of what V gained"
     )
-    beyond = inf
-    if guard is not None:
-        outcome = guard_error(evaluator, source, [fold.model for fold in folds], guard.blocks)
+    beyond, known_guard = inf, guard()
+    if known_guard is not None:
+        models = [fold.model for fold in folds]
+        outcome = guard_error(evaluator, source, models, known_guard.blocks)
         if isinstance(outcome, Failure):
             words = f"{spent}, and it has no score on the guard records ({outcome.reason.value})"
             return replace(found, suspect=words)
         found = replace(found, guard=outcome.value)
-        beyond = guard_gap(outcome.value, score.value) - guard.least_gap
+        beyond = guard_gap(outcome.value, score.value) - known_guard.least_gap
         if beyond <= CONFIRMED:
             return found
         if beyond > CONTRADICTED:
