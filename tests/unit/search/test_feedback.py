@@ -117,10 +117,13 @@ def told(directory: Path, number: int) -> str:
 
 FORGETFUL = """
 class Forgetful(Model):
-    calls = 0
+    calls, start = 0, None
 
     def simulate(self, past_u, past_y, u):
-        self.calls += 1
+        # Counts anew for each case, so that the first answer to one is always the same.
+        start = round(float(past_y[0, -1, 0]), 3)
+        self.calls = self.calls + 1 if start == self.start else 1
+        self.start = start
         return super().simulate(past_u, past_y, u) + SIZE * self.calls
 
 
