@@ -1,4 +1,4 @@
-"""Export targets: protocol and registry."""
+"""Registry of export targets."""
 
 from __future__ import annotations
 

@@ -132,14 +132,18 @@ def control_text(found: Control, start: Started) -> str:
 
 
 def method_note(view: SearchView) -> str:
-    """Why the experiment that is handed over is not the incumbent; "" where it is."""
+    """Explain why the experiment that is handed over is not the incumbent; "" where it is."""
     best, held = view.best, view.incumbent
     if best is None or held is None or best.number == held.number:
         return ""
-    return (
-        f"#{best.number:02d} and #{held.number:02d} are statistically equal; #{best.number:02d} is "
-        "handed over, because its own fit has the lowest V"
-    )
+    one, other = f"#{best.number:02d}", f"#{held.number:02d}"
+    if best.result is not None and any(retest.failed for retest in best.result.retests):
+        finding = f"a fit of {one} from another seed failed, so {other} remains the incumbent"
+    elif fmean(best.seed_values) > fmean(held.seed_values):
+        finding = f"over several seeds {other} has the lower mean"
+    else:
+        finding = f"{one} and {other} are statistically equal"
+    return f"{finding}; {one} is handed over, because its own fit has the lowest V"
 
 
 def floor_words(view: SearchView) -> str:

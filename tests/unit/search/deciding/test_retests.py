@@ -206,6 +206,17 @@ def test_the_fit_with_the_lowest_v_is_the_best_whatever_is_said_of_its_method(
     assert after.incumbent is not None
     assert after.incumbent.number == (2 if status == "keep" else 1)
     assert bool(method_note(after)) == (after.best.number != after.incumbent.number)
+    if after.best.number != after.incumbent.number:
+        higher = np.mean(after.best.seed_values) > np.mean(after.incumbent.seed_values)
+        assert ("has the lower mean" if higher else "statistically equal") in method_note(after)
+
+
+def test_a_retest_that_failed_is_not_called_equal() -> None:
+    view = a_search(2, *NOISY)
+    found, _ = judged(view, 0.50, 1.60)
+    failed = replace(found, retests=(Retest(failed="crash"),))
+    note = method_note(with_another(view, 2, failed))
+    assert note.startswith("a fit of #02 from another seed failed, so #01 remains the incumbent; ")
 
 
 def test_a_method_that_is_kept_does_not_replace_a_better_fit() -> None:
