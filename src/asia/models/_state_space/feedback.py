@@ -109,19 +109,21 @@ def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: 
     return states
 
 
+def state_responses(system: LinearSystem, signals: Array) -> Array:
+    """Outputs (T, ny, s, n) to signals (T, s) that act on each state."""
+    found = np.empty((len(signals), len(system.c), signals.shape[1], system.order))
+    # The outputs to one signal on every state are the states of the dual system.
+    state, c = np.zeros(found.shape[1:]), system.c[:, None, :]
+    for k, signal in enumerate(signals):
+        found[k] = state
+        state = state @ system.a + signal[:, None] * c
+    return found
+
+
 def responses(system: LinearSystem, signals: Array) -> Array:
     """Outputs (T, ny, s, n + ny) to signals (T, s) that act on each state and on each output."""
-    length, s = signals.shape
-    n, ny = system.order, len(system.c)
-    found = np.zeros((length, ny, s, n + ny))
-    state = np.zeros((s * n, n))
-    each, at = np.tile(np.eye(n), (s, 1)), system.a.T
-    for k in range(length):
-        found[k, :, :, :n] = (system.c @ state.T).reshape(ny, s, n)
-        state = state @ at + np.repeat(signals[k], n)[:, None] * each
-    for i in range(ny):
-        found[:, i, :, n + i] = signals
-    return found
+    direct = signals[:, None, :, None] * np.eye(len(system.c))[:, None, :]
+    return np.concatenate([state_responses(system, signals), direct], axis=-1)
 
 
 def _linear_terms(system: LinearSystem, record: ScaledTrajectory) -> Array:
@@ -257,25 +259,41 @@ class RegressorSearch:
         right-hand side and the mean square of the residual to explain."""
         if not candidates:
             return []
-        h, n_act = self.structure.hidden, self.structure.order + self.structure.ny
-        size = h * n_act
+        h, n, ny = self.structure.hidden, self.structure.order, self.structure.ny
+        size = h * (n + ny)
         grams = [np.zeros((size, size)) for _ in candidates]
         sides = [np.zeros(size) for _ in candidates]
         power, samples = 0.0, 0
         for r in self.records:
+            weight = r.weight[:, None]
             units = [
                 np.tanh(r.read(d, o) @ layer["w1"] + layer["b1"]) for d, o, layer in candidates
             ]
-            every = responses(self.system, np.hstack(units))
-            weight = np.repeat(r.weight, self.structure.ny)[:, None]
             rest = r.residual.ravel()
             rest = rest - r.basis @ (r.basis.T @ rest)
             power, samples = power + float(rest @ rest), samples + len(rest)
-            for i in range(len(candidates)):
-                columns = every[:, :, i * h : (i + 1) * h].reshape(len(rest), size) * weight
-                columns -= r.basis @ (r.basis.T @ columns)
-                grams[i] += columns.T @ columns
-                sides[i] += columns.T @ rest
+            on_states = state_responses(self.system, np.hstack(units)) * weight[..., None, None]
+            on_states = on_states.reshape(len(rest), -1)
+            for i, unit in enumerate(units):
+                # Columns of signals on states, and of the same signals on each of the outputs.
+                columns, signals = on_states[:, i * h * n : (i + 1) * h * n], unit * weight
+                known = r.basis.T @ columns
+                side = np.empty((h, n + ny))
+                gram = np.zeros((h, n + ny, h, n + ny))
+                side[:, :n] = (columns.T @ rest).reshape(h, n)
+                gram[:, :n, :, :n] = (columns.T @ columns - known.T @ known).reshape(h, n, h, n)
+                inner = signals.T @ signals
+                direct = [r.basis[o::ny].T @ signals for o in range(ny)]
+                for o in range(ny):
+                    side[:, n + o] = signals.T @ rest[o::ny]
+                    both = columns[o::ny].T @ signals - known.T @ direct[o]
+                    gram[:, :n, :, n + o] = both.reshape(h, n, h)
+                    gram[:, n + o, :, :n] = both.reshape(h, n, h).transpose(2, 0, 1)
+                    gram[:, n + o, :, n + o] = inner
+                    for other in range(ny):
+                        gram[:, n + o, :, n + other] -= direct[o].T @ direct[other]
+                grams[i] += gram.reshape(size, size)
+                sides[i] += side.ravel()
         mean = [np.trace(g) / size for g in grams]
         return [
             ((g + _RIDGE * m * np.eye(size)) / samples, s / samples, power / samples)
