@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -425,6 +425,8 @@ class _Starts:
 _LINEAR, _FUNCTIONS = ("a", "b", "c", "d", "offset"), ("f", "read", "act")
 # Share of the iterations that every start gets, and number of starts that are continued.
 _TRIED, _GO_ON = 0.25, 2
+# Samples up to which compiling a program takes longer than running it with more states.
+_WIDENED = 4000
 
 
 class LinearCore(NamedTuple):
@@ -448,12 +450,51 @@ class FeedbackOptions:
     pieces: bool  # Begin the fits with short segments of the records
 
 
+@dataclass(frozen=True)
+class _Widening:
+    """States without effect that are added before the integrators, so that models of several orders
+    share compiled programs. They stay without effect: all derivatives by their entries are zero."""
+
+    structure: StateSpaceStructure  # Model without them
+    more: int  # Number of added states
+
+    @property
+    def wide(self) -> StateSpaceStructure:
+        """Model with them."""
+        return replace(self.structure, order=self.structure.order + self.more)
+
+    def widened(self, params: dict[str, Any]) -> dict[str, Any]:
+        """Parameters, or initial states "x0", with zeros for the added states."""
+        at = [self.structure.order - self.structure.integrators] * self.more
+        return {
+            name: self._along(name, value, lambda v, axis: np.insert(v, at, 0.0, axis=axis))
+            for name, value in params.items()
+        }
+
+    def narrowed(self, params: dict[str, Any]) -> dict[str, Any]:
+        """The same without the added states."""
+        first = self.structure.order - self.structure.integrators
+        gone = range(first, first + self.more)
+        return {
+            name: self._along(name, value, lambda v, axis: np.delete(v, gone, axis=axis))
+            for name, value in params.items()
+        }
+
+    @staticmethod
+    def _along(name: str, value: Any, change: Callable[[Array, int], Array]) -> Any:
+        """Change each axis of a parameter that counts states."""
+        axes = {"a": (0, 1), "b": (1,), "c": (0,), "read": (0,), "act": (1,), "x0": (1,)}
+        for axis in axes.get(name, ()):
+            value = change(value, axis)
+        return value
+
+
 class _Fit(NamedTuple):
     """Unfinished fit."""
 
     core: LinearCore
     structure: StateSpaceStructure
-    start: dict[str, object]
+    start: dict[str, Any]
     now: StateFit
     expected_error: float  # Final prediction error: estimate of the error on new records
 
@@ -466,7 +507,7 @@ def fit_feedback(
     method: LevenbergMarquardt,
 ) -> FittedStateSpace:
     """Best of the fits from `method.starts` starts for each linear model."""
-    fits = _Fits(options, context, method)
+    fits = _Fits(options, context, method, max(core.found.system.order for core in cores))
     tried = sorted(
         (one for core in cores for one in fits.begun(core)), key=lambda t: t.expected_error
     )
@@ -489,9 +530,11 @@ class _Fits:
     """Fits of one model, with their common settings."""
 
     def __init__(
-        self, options: FeedbackOptions, context: Context, method: LevenbergMarquardt
+        self, options: FeedbackOptions, context: Context, method: LevenbergMarquardt, largest: int
     ) -> None:
+        """largest: greatest order of the linear models."""
         self.options, self.context, self.method = options, context, method
+        self.largest = largest
         first = max(1, round(_TRIED * method.iterations))
         self.first = replace(method, iterations=first, noise_model="white")
         self.rest = replace(method, iterations=max(0, method.iterations - first))
@@ -523,16 +566,21 @@ class _Fits:
         self,
         core: LinearCore,
         structure: StateSpaceStructure,
-        start: dict[str, object],
+        start: dict[str, Any],
         now: StateFit,
         method: LevenbergMarquardt,
     ) -> _Fit:
         """Continue a fit; the ridge holds it to its start."""
-        samples = of_records(core.records, core.found.x0)
-        one = fit_states(
-            structure, [start], samples, self._ridges(core), method, self.context.log,
-            self.context.sampling_time, [now.params], [now.x0],
+        short = sum(len(r) for r in core.records) <= _WIDENED
+        both = _Widening(structure, self.largest - structure.order if short else 0)
+        samples = of_records(core.records, both.widened({"x0": core.found.x0})["x0"])
+        wide = fit_states(
+            both.wide, [both.widened(start)], samples, self._ridges(core), method,
+            self.context.log, self.context.sampling_time, [both.widened(now.params)],
+            [both.widened({"x0": now.x0})["x0"]],
         )[0]  # fmt: skip
+        x0 = both.narrowed({"x0": wide.x0})["x0"]
+        one = wide._replace(params=both.narrowed(wide.params), x0=x0)
         count = sum(float(r.weight.sum()) for r in core.records) * structure.ny
         # Akaike's final prediction error penalises further states.
         p = min(float(tree_size(one.params)), 0.9 * count)
