@@ -143,7 +143,7 @@ def fit(source: str, one: Measured, take: Callable[[Array], Array]) -> tuple[flo
         missed = np.concatenate(
             [
                 y_hat - one.truth[block.record][block.start : block.stop]
-                for block, y_hat in zip(local.fold.validation, local.y_hat, strict=True)
+                for block, y_hat in zip(local.fold.held_out, local.y_hat, strict=True)
             ]
         )
         errors.append(float(np.mean(np.sqrt((missed**2).mean(axis=0)) / local.fold.scale)))

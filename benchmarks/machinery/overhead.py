@@ -308,7 +308,7 @@ def _bare(source: str, fold: Fold, context: Context, rule: ProtocolRule) -> floa
     module = ModuleType("candidate")
     exec(source, module.__dict__)
     model = module.fit(fold.train, context)
-    for block in (*fold.validation, *whole(fold.train, rule)):
+    for block in (*fold.held_out, *whole(fold.train, rule)):
         case = block.case
         model.simulate(case.past_u[None], case.past_y[None], case.u[None])
     return time.perf_counter() - begin

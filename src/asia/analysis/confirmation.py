@@ -260,7 +260,7 @@ class _Confirmation:
         """Return the simulations of each fold's held-out blocks from the search."""
         assert experiment.result is not None
         return [
-            self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.validation])
+            self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.held_out])
             for kept, fold in zip(experiment.result.folds, self.evaluator.data.folds, strict=True)
         ]
 
@@ -269,7 +269,7 @@ class _Confirmation:
         return tuple(
             tuple(
                 block_values(
-                    [block.y for block in fold.validation], y_hat, fold.scale, self.metric
+                    [block.y for block in fold.held_out], y_hat, fold.scale, self.metric
                 ).tolist()
             )
             for fold, y_hat in zip(self.evaluator.data.folds, y_hats, strict=True)

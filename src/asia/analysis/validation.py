@@ -152,7 +152,8 @@ def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
     return found
 
 
-# Make the dossier of a run: held-out simulations from the ledger, further answers in the sandbox.
+# Make the validation report of a run: held-out simulations from the ledger, further answers in the
+# sandbox.
 #
 # It uses training records alone, and a record that the user brings. The sealed test stays closed.
 
@@ -208,8 +209,8 @@ def validate(
         raise UserError(f"run '{run.name}' has no scored model, so nothing to validate")
     if run.view.started.ladder is not None:
         raise UserError(
-            f"run '{run.name}' has ladder feedback, which hides the exact scores that a dossier "
-            "prints: validate a run without it"
+            f"run '{run.name}' has ladder feedback, which hides the exact scores that a "
+            "validation report prints: validate a run without it"
         )
     if not run.store.kept:
         raise UserError(without_artifacts(directory))
@@ -262,7 +263,7 @@ def _run_check(name: str, make: Callable[[], Check | tuple[Check, ...]]) -> tupl
 
 @dataclass(frozen=True)
 class _Validation:
-    """A dossier under way."""
+    """A validation report under way."""
 
     run: Run
     problem: Problem
@@ -272,12 +273,12 @@ class _Validation:
     progress: Callable[[str], None]
 
     def held_out(self) -> tuple[Check, ...]:
-        """The dossier on what the folds held out."""
+        """The validation report on what the folds held out."""
         basis = self._basis
         pairs = [
             (block, y_hat)
             for fold, simulated in zip(self.evaluator.data.folds, basis.simulated, strict=True)
-            for block, y_hat in zip(fold.validation, simulated, strict=True)
+            for block, y_hat in zip(fold.held_out, simulated, strict=True)
         ]
         found = self._simulations(pairs)
         windows = self.evaluator.data.horizon is not None
@@ -292,7 +293,7 @@ class _Validation:
         )
 
     def new_records(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
-        """The dossier on new records."""
+        """The validation report on new records."""
         blocks = whole(records, self.problem.protocol)
         if not blocks:
             raise UserError(
@@ -399,7 +400,7 @@ class _Validation:
         model_errors: list[Array] = []
         hold_errors: list[Array] = []
         for fold, name in zip(self.evaluator.data.folds, member.models, strict=True):
-            blocks = starts(self._probe_range, fold.validation)
+            blocks = starts(self._probe_range, fold.held_out)
             if not blocks:
                 continue
             one = FinalMember(member.source, (name,))

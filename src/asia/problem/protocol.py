@@ -295,7 +295,7 @@ class Fold:
 
     index: int
     train: tuple[Trajectory, ...]
-    validation: tuple[Block, ...]
+    held_out: tuple[Block, ...]
     """Held-out blocks, those of each record in time order."""
     scale: Array
     """Standard deviation (ny,), ddof 0, of each output over the training samples; with a horizon
@@ -473,7 +473,7 @@ def fold_names(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[str, ...]:
         return tuple(f"{group.name}: {count}" for group, count in pairs)
     names: list[str] = []
     for fold in folds:
-        blocks = fold.validation
+        blocks = fold.held_out
         records = {block.record for block in blocks}
         if len(records) > 1:
             where = f"of each of {len(records)} records"

@@ -90,7 +90,8 @@ def write_report(
 def write_validation(
     directory: Path, checks: Sequence[Check], title: str, failed: list[str] | None = None
 ) -> tuple[Path, ...]:
-    """Draw the checks of a dossier into `<directory>/report` as validation.png and validation.pdf.
+    """Draw the checks of a validation report into `<directory>/report` as validation.png and
+    validation.pdf.
     failed: as in `write_report`. Returns the paths written."""
     drawn: Picture = ("validation", lambda: draw_validation(checks, title))
     return save([drawn], directory / "report", failed)

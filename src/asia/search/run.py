@@ -241,7 +241,7 @@ def prepare(
         folds=fold_names(folds, rule),
         # The number of the last leg is the budget's: a larger budget extends it.
         legs=(*legs[:-1], *(replace(leg, experiments=None) for leg in legs[-1:])),
-        # The Ladder has a floor of its own, and retests would say by their time what is kept.
+        # The Ladder has a threshold of its own, and retests would say by their time what is kept.
         retests=0 if rule.ladder is not None else budget.retests,
         parallel=parallel,
         stop_folds=stop_folds,

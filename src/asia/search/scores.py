@@ -121,7 +121,7 @@ class ScoreCheck:
             )
         try:
             y_hat = [
-                self._store.get_arrays(one.y_hat, [block.y.shape for block in fold.validation])
+                self._store.get_arrays(one.y_hat, [block.y.shape for block in fold.held_out])
                 for one, fold in zip(event.folds, self._folds, strict=True)
             ]
             in_parts = rule.ladder is not None

@@ -140,13 +140,13 @@ def band_basis(evaluator: Evaluator, view: SearchView, store: Store, use: Use) -
     simulated: list[tuple[Array, ...]] = []
     errors: list[HeldOutErrors] = []
     for fold in evaluator.data.folds:
-        shapes = [block.y.shape for block in fold.validation]
+        shapes = [block.y.shape for block in fold.held_out]
         total = [np.zeros(shape) for shape in shapes]
         for result, weight in parts:
             assert result is not None
             kept = store.get_arrays(result.folds[fold.index].y_hat, shapes)
             total = [t + weight * y_hat for t, y_hat in zip(total, kept, strict=True)]
-        pairs = zip(fold.validation, total, strict=True)
+        pairs = zip(fold.held_out, total, strict=True)
         simulated.append(tuple(total))
         errors.append(HeldOutErrors(tuple(b.y - y for b, y in pairs)))
     region = region_of([(r.u, r.y) for r in evaluator.data.records])
@@ -349,10 +349,10 @@ def simulated_excerpts(run: Run, number: int, isolation: Isolation | None = None
             ) from None
         cases += simulated_cases(fold, blocks, y_hat, held_out=False)
         if rule.residuals == "held_out":
-            shapes = [block.y.shape for block in fold.validation]
+            shapes = [block.y.shape for block in fold.held_out]
             stored = run.store.get_arrays(kept.y_hat, shapes)
-            places = _spread(fold.validation, rule, most)
-            chosen = [fold.validation[k] for k in places], [stored[k] for k in places]
+            places = _spread(fold.held_out, rule, most)
+            chosen = [fold.held_out[k] for k in places], [stored[k] for k in places]
             cases += simulated_cases(fold, *chosen, held_out=True)
     return SimulatedCases(
         title=f"Experiment {number}, {one_line(experiment.description, 200)}",

@@ -70,7 +70,7 @@ def test_no_held_out_output_reaches_training(seed: int, past: int) -> None:
     _, one = masked(seed)
     rule = ProtocolRule(folds=FoldRule(count=3), past_inputs=past, past_outputs=past)
     for fold in make_folds([one], rule):
-        block = fold.validation[0]
+        block = fold.held_out[0]
         moved = one.measured_y.copy()
         moved[block.start : block.stop] += 100.0
         other = make_folds([Trajectory(one.u, moved, 1.0, "r")], rule)[fold.index]

@@ -125,7 +125,7 @@ def test_the_horizon_is_drawn_from_the_recorded_simulations(tmp_path: Path) -> N
     y_hat = fold_outputs(run.store, best, make_folds(problem.train, problem.protocol))[0]
     names = [s.name for s in problem.outputs]
     groups = problem.protocol.test.groups
-    table = mee_table([b.y for b in fold.validation], y_hat, names, groups, ())
+    table = mee_table([b.y for b in fold.held_out], y_hat, names, groups, ())
     assert curve == pytest.approx(table.groups[0].steps)
 
 

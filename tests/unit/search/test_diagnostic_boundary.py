@@ -20,7 +20,7 @@ from asia.search.run import prepare, search
 
 from .toy import Scripted, arx, write_problem
 
-DOSSIER = import_module("asia.analysis.validation")
+VALIDATION = import_module("asia.analysis.validation")
 REGISTRY = import_module("asia.judge.scoring.checks.registry")
 IN_A_FOLD = {
     "residual analysis": "diagnose",
@@ -34,7 +34,7 @@ AT_THE_END = {
     "comparison of the refit": "check_refit",
     "parameter intervals": "_kept_estimates",
 }
-IN_A_DOSSIER = {
+IN_A_VALIDATION = {
     "small steps": "linear_responses",
     "ten horizons": "long_run",
     "residuals": "residual_checks",
@@ -88,7 +88,7 @@ def test_every_step_fails_and_the_search_ends_well(
     assert view.best is not None
     assert view.best.number == 2
     assert error_of(run.directory) is None
-    reference = next(rung for rung in view.rungs if rung.name == "linear model")
+    reference = next(reference for reference in view.references if reference.name == "linear model")
     assert reference.failed_checks[: len(IN_A_FOLD)] == tuple(map(line, IN_A_FOLD))
     first, second = (e.result for e in view.finished)
     assert first is not None
@@ -105,12 +105,12 @@ def test_every_step_fails_and_the_search_ends_well(
         assert asia(monkeypatch, *words, *runs) == 0
         assert shown in capsys.readouterr().out
 
-    for function in IN_A_DOSSIER.values():
-        place = REGISTRY if hasattr(REGISTRY, function) else DOSSIER
+    for function in IN_A_VALIDATION.values():
+        place = REGISTRY if hasattr(REGISTRY, function) else VALIDATION
         monkeypatch.setattr(place, function, fail)
     found = {c.name: c for c in validate(run.directory).checks}
-    assert {name: found[name].sentence for name in IN_A_DOSSIER} == {
-        name: line(name) for name in IN_A_DOSSIER
+    assert {name: found[name].sentence for name in IN_A_VALIDATION} == {
+        name: line(name) for name in IN_A_VALIDATION
     }
 
     monkeypatch.setattr(files, "draw_residuals", fail)

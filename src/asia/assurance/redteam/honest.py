@@ -133,14 +133,12 @@ def try_honest(
         check_source(source)
         with open_worker(level, limits) as worker, interruption.ends(worker):
             worker.fit(executed_source(source), fold.train, problem.context)
-            y_hat = simulate_held_out(worker, fold.validation, horizon)
+            y_hat = simulate_held_out(worker, fold.held_out, horizon)
             model = worker.dump()
         with open_worker(level, limits) as worker, interruption.ends(worker):
             worker.load(executed_source(source), model, problem.context)
             followed = [i for i, known in enumerate(fold.followed) if known]
-            found = suspicions(
-                worker, fold.validation, y_hat, fold.scale, horizon, followed=followed
-            )
+            found = suspicions(worker, fold.held_out, y_hat, fold.scale, horizon, followed=followed)
     except CandidateError as error:
         flagged = error.reason in (Reason.LITERAL_DATA, Reason.SUSPECT, Reason.RESTART)
         failure = None if flagged else error.reason

@@ -115,7 +115,7 @@ def check_literals(
     """
     own, known = literals_of(source), literals_of(standard.source)
     bits = own.bits_beyond(known, library_literals())
-    y = [[block.y for block in fold.validation] for fold in evaluator.data.folds]
+    y = [[block.y for block in fold.held_out] for fold in evaluator.data.folds]
     gain = gained_bits(y, standard.y_hats, [fold.y_hat for fold in folds])
     found = LiteralCheck(standard.experiment, bits, gain)
     if SuspicionKind.LITERALS in evaluator.without or (found.affordable and not doubted):

@@ -154,7 +154,7 @@ def dry_run(evaluator: Evaluator, short: DryFold, source: str, limit_seconds: fl
     else:
         first = evaluation.folds[0]
         try:
-            again = evaluator.models.simulate(source, [first.model], short.fold.validation)
+            again = evaluator.models.simulate(source, [first.model], short.fold.held_out)
             if not same_simulations(again, [first.y_hat]):
                 failure = Failure(Reason.NOT_REPRODUCIBLE)
         except CandidateError as error:

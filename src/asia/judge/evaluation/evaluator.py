@@ -299,7 +299,7 @@ class Evaluator:
                 without=self._options.without, rounding=0.0,
             )  # fmt: skip
             try:
-                found = self.models.ask(source, result.model, fold.validation, result.y_hat, ask)
+                found = self.models.ask(source, result.model, fold.held_out, result.y_hat, ask)
             except CandidateError as error:
                 return Failure(error.reason, error.detail, place)
             return objection_to(found, place)
@@ -424,6 +424,6 @@ class Evaluator:
             )
             return () if found is None else (found,)
 
-        failure = objection_to(self.models.ask(source, model, fold.validation, y_hat, ask), None)
+        failure = objection_to(self.models.ask(source, model, fold.held_out, y_hat, ask), None)
         if failure is not None:
             raise CandidateError(failure.reason, failure.detail)

@@ -192,7 +192,7 @@ def score_outputs(
 ) -> Outcome:
     """Score given simulations, one (H, ny) array a held-out block of each fold."""
     scores = [
-        score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric, in_parts=in_parts)
+        score_fold([b.y for b in fold.held_out], y_hat, fold.scale, metric, in_parts=in_parts)
         for fold, y_hat in zip(folds, outputs, strict=True)
     ]
     return combine(scores)

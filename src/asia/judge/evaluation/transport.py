@@ -90,7 +90,7 @@ class FoldAnswer:
 
 def fold_data(fold: Fold, rule: ProtocolRule) -> FoldData:
     """Collect the data of a fold: everything but the outputs that it holds out."""
-    blocks = fold.validation
+    blocks = fold.held_out
     return FoldData(
         train=fold.train,
         cases=tuple(block.case for block in blocks),

@@ -63,7 +63,7 @@ class Oracle:
                 self._worker = self._stack.enter_context(self.open_worker())
             self._worker.answer_by(deadline)
             self._worker.load(self.source, model, self.context)
-            blocks = self.fold.validation
+            blocks = self.fold.held_out
             y_hat = simulate_held_out(self._worker, blocks, self.rule.horizon)
             score = score_fold([b.y for b in blocks], y_hat, self.fold.scale, self.rule.metric)
             return rounded_score(score.value)

@@ -25,7 +25,7 @@ def student_quantile(level: float, degrees: float) -> float:
     return float(stdtrit(degrees, 0.5 + level / 2.0))
 
 
-def least_significant_difference(one: Sequence[float], other: Sequence[float]) -> float:
+def significance_threshold(one: Sequence[float], other: Sequence[float]) -> float:
     """Return the least difference of the means of two candidates over their seeds that is
     significant.
 

@@ -134,9 +134,9 @@ class Subject:
         """`#07`."""
         return self.number(experiment.proposed, "experiment", "number")
 
-    def rung(self, name: str) -> tuple[Event, float] | None:
+    def reference(self, name: str) -> tuple[Event, float] | None:
         """Return a reference model's event with its V; None without a score."""
-        for reference in self.view.rungs:
+        for reference in self.view.references:
             if reference.name == name and isinstance(reference.outcome, Score):
                 return reference, reference.outcome.value
         return None

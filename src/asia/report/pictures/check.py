@@ -121,7 +121,7 @@ def _tint_folds(
 def _spans(fold: Fold) -> dict[int, range]:
     """Return the held-out samples of each record, from the first to the last."""
     spans: dict[int, range] = {}
-    for block in fold.validation:
+    for block in fold.held_out:
         old = spans.get(block.record, range(block.start, block.stop))
         spans[block.record] = range(min(old.start, block.start), max(old.stop, block.stop))
     return spans

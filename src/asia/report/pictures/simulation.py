@@ -256,7 +256,7 @@ def _fold_segments(
 ) -> list[Segment]:
     """The first records, or the windows with the least, the middle and the largest error over all
     outputs."""
-    blocks = fold.validation
+    blocks = fold.held_out
     chosen = [(block.case.name, k) for k, block in enumerate(blocks[:_MOST_SEGMENTS])]
     if problem.protocol.kind == "windows":
         chosen = []
@@ -481,8 +481,8 @@ def draw_horizon(
     for fold, y_hat in zip(folds, outputs, strict=True):
         groups = problem.protocol.folds.groups
         held_out = f", {groups[fold.index].name}" if groups else ""
-        name = f"fold {fold.index + 1}{held_out}: {len(fold.validation)} windows"
-        simulations[name] = [block.y for block in fold.validation], y_hat
+        name = f"fold {fold.index + 1}{held_out}: {len(fold.held_out)} windows"
+        simulations[name] = [block.y for block in fold.held_out], y_hat
     title = f"{_experiment(experiment)}: error over the horizon, held-out folds"
     return _draw_errors(problem, simulations, title)
 

@@ -66,7 +66,7 @@ def test_a_line_a_check_and_a_summary_at_the_end(run: Path, asia: Asia) -> None:
 
 
 @pytest.mark.slow
-def test_the_ledger_has_a_dossier_once_and_the_report_shows_it(run: Path, asia: Asia) -> None:
+def test_the_ledger_has_a_validation_once_and_the_report_shows_it(run: Path, asia: Asia) -> None:
     asia("validate", run)
     before = len(open_run(run).lines)
     asia("validate", run)
@@ -77,7 +77,7 @@ def test_the_ledger_has_a_dossier_once_and_the_report_shows_it(run: Path, asia: 
 
 
 @pytest.mark.slow
-def test_a_search_that_is_not_finished_keeps_no_dossier(
+def test_a_search_that_is_not_finished_keeps_no_validation_report(
     run: Path, tmp_path: Path, asia: Asia
 ) -> None:
     part = shutil.copytree(run, tmp_path / "part")

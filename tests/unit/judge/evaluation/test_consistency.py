@@ -108,7 +108,7 @@ def test_remotely_scored_candidates_get_the_same_checks() -> None:
     ahead = source(None).replace("u[:, k]\n", "u[:, min(k + 1, u.shape[1] - 1)]\n")
     for text, fine in ((source(None), True), (ahead, False)):
         models = [fold.model for fold in judge.evaluate(text).folds]
-        blocks = judge.data.folds[0].validation
+        blocks = judge.data.folds[0].held_out
         assert len(judge.models.simulate(text, models, blocks)) == 2
         for found in judge.models.simulate_scored(text, models, blocks):
             assert isinstance(found, CandidateError) is not fine

@@ -44,7 +44,7 @@ def test_forward_folds_train_only_on_the_past(
     ends = dict.fromkeys(range(len(records)), 0)
     for fold in folds:
         assert not any(fold.followed)
-        for block in fold.validation:
+        for block in fold.held_out:
             (trained,) = [t for t in fold.train if t.name == str(block.record)]
             assert trained.u[-1, 0] == block.start - gap - 1
             assert ends[block.record] in (0, block.start)
@@ -58,7 +58,7 @@ def test_a_gap_next_to_a_held_out_block_trains_nothing(length: int, count: int, 
     plain = ProtocolRule(folds=FoldRule(count=count), past_inputs=2, past_outputs=2)
     folds = make_folds([record(length)], rule)
     for fold, same in zip(folds, make_folds([record(length)], plain), strict=True):
-        (block,) = fold.validation
+        (block,) = fold.held_out
         assert (block.start, block.stop) == (same.validation[0].start, same.validation[0].stop)
         trained = np.concatenate([t.u[:, 0] for t in fold.train])
         near = (trained >= block.start - gap) & (trained < block.stop + gap)
@@ -78,7 +78,7 @@ def test_laws_of_contiguous_folds(lengths: list[int], count: int, past: int) -> 
     folds = make_folds(records, rule)
     seen: list[set[int]] = [set() for _ in records]
     for fold in folds:
-        for block in fold.validation:
+        for block in fold.held_out:
             held = set(range(block.start, block.stop))
             assert not seen[block.record] & held
             seen[block.record] |= held
@@ -127,7 +127,7 @@ def test_tail_folds_hold_out_the_end_of_each_record(length: int, count: int, gap
     found = make_folds([record(length, "a"), record(length + 9, "b")], rule)
     assert len(found) == count
     for number, samples in enumerate((length, length + 9)):
-        blocks = [fold.validation[number] for fold in found]
+        blocks = [fold.held_out[number] for fold in found]
         assert (blocks[0].start, blocks[-1].stop) == (samples - 20, samples)
         assert all(a.stop == b.start for a, b in pairwise(blocks))
         for fold, block in zip(found, blocks, strict=True):
@@ -140,5 +140,5 @@ def test_folds_share_the_records_memory() -> None:
     rule = ProtocolRule(folds=FoldRule(count=2), past_inputs=4, past_outputs=4)
     whole_record = record(90)
     for fold in make_folds([whole_record], rule):
-        for part in (*fold.train, fold.validation[0].case):
+        for part in (*fold.train, fold.held_out[0].case):
             assert np.shares_memory(part.u, whole_record.u)

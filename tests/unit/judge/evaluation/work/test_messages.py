@@ -99,7 +99,7 @@ def test_held_out_outputs_do_not_travel(problem: Problem) -> None:
     for fold in folds:
         raw = encode_data(fold_data(fold, problem.protocol))[1]
         assert raw in there.sent
-        for block in fold.validation:
+        for block in fold.held_out:
             pairs = [block.y[k : k + 2].tobytes() for k in range(len(block.y) - 1)]
             assert not any(pair in sent for pair in pairs for sent in (raw, *there.requests))
     fold = folds[0]

@@ -5,7 +5,7 @@ are fitted to each fold, the lowest V wins, and its fold models and its refit ar
 record of the same kind, one with a larger input and two with a faster and a slower one. Folds,
 errors, region and bands are those of asia.simulate and asia unseal.
 
-    python benchmarks/dossier/bands.py --seeds 0 9
+    python benchmarks/validation/bands.py --seeds 0 9
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ def searched(
     best, kept = np.inf, None
     for candidate in CANDIDATES:
         models = [fit(fold.train, *candidate, seed=fold.index) for fold in folds]
-        answers = [simulated(m, f.validation) for m, f in zip(models, folds, strict=True)]
-        measured = [[b.y for b in fold.validation] for fold in folds]
+        answers = [simulated(m, f.held_out) for m, f in zip(models, folds, strict=True)]
+        measured = [[b.y for b in fold.held_out] for fold in folds]
         value = np.mean([
             score_fold(y, y_hat, fold.scale, "rmse").value
             for y, y_hat, fold in zip(measured, answers, folds, strict=True)

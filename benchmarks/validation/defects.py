@@ -1,9 +1,9 @@
-"""Does the validation dossier name a planted defect, and none where there is none?
+"""Does the validation report name a planted defect, and none where there is none?
 
 Eight systems, each with one of eight defects or none, five seeds. The model has the structure of
 the system without the defect, fitted to noisy records by Levenberg-Marquardt on two of three
-contiguous folds at a time. The pure functions of the dossier see held-out simulations and answers
-of the model, as in asia validate. Options: --seeds FIRST LAST (default 0 4; thresholds were set on
+contiguous folds at a time. The pure functions of the validation report see held-out simulations
+and answers of the model, as in asia validate. Options: --seeds FIRST LAST (default 0 4; thresholds were set on
 100 to 109), --jobs, --planted to look at some rows alone, --show to print each flag that is missed
 or false.
 """
@@ -85,7 +85,7 @@ def fit(system: Motion, u: Array, y: Array, weights: Array) -> Array:
     return best
 
 
-def dossiers(number: int, planted: str, seeds: range) -> list[tuple[Check, ...]]:
+def validation_reports(number: int, planted: str, seeds: range) -> list[tuple[Check, ...]]:
     """The checks of each seed of one system."""
     system = SYSTEMS[number]
     defect = PLANTED[planted][0]
@@ -175,7 +175,7 @@ def main() -> None:
     print("|---|---|---|---|")
     asked = [(k, planted, seeds) for planted in options.planted for k in range(len(SYSTEMS))]
     with Pool(options.jobs) as pool:
-        answers = pool.starmap(dossiers, asked, chunksize=1)
+        answers = pool.starmap(validation_reports, asked, chunksize=1)
     for place, planted in enumerate(options.planted):
         own = answers[place * len(SYSTEMS) : (place + 1) * len(SYSTEMS)]
         print(row(planted, own, options.show))
