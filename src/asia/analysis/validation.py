@@ -25,9 +25,14 @@ from asia.judge.scoring.checks.errors import (
     no_bands,
     no_steps_ahead,
 )
-from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
-from asia.judge.scoring.checks.registry import ValidationData, validation_checks
-from asia.judge.scoring.checks.response import HORIZONS, SMALL, LinearResponse, impulse_response
+from asia.judge.scoring.checks.registry import validation_checks
+from asia.judge.scoring.checks.response import HORIZONS, SMALL, impulse_response
+from asia.judge.scoring.checks.validation_data import (
+    LinearResponse,
+    SimulatedBlock,
+    SimulatedBlocks,
+    ValidationData,
+)
 from asia.ledger.artifacts import without_artifacts
 from asia.ledger.chain import Chain
 from asia.ledger.events import RecordedCheck, Use, Validated

@@ -732,8 +732,8 @@ class Validated:
 
 Event = (
     Started | ReferenceScored | Proposed | Evaluated | Landed | HandedOver | Extended | Stopped
-    | Resumed | Steered | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted | GuardLooked
-    | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated | Validated
+    | Resumed | Steered | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted
+    | GuardLooked | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated | Validated
 )  # fmt: skip
 
 adapter: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator="event")])

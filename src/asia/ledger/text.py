@@ -10,7 +10,7 @@ from typing import Any
 
 from asia._text import coarse, one_line
 from asia.judge.evaluation.training_checks import TrainingCheck
-from asia.judge.scoring.checks.records import listed
+from asia.judge.scoring.checks.validation_data import listed
 from asia.judge.scoring.description import LiteralCheck
 from asia.ledger.events import (
     Evaluated,

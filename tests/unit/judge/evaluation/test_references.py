@@ -82,7 +82,7 @@ def test_a_rate_is_found_among_the_outputs_and_used() -> None:
 
 
 def test_two_past_outputs_tell_a_velocity() -> None:
-    block = make_folds(carts(), windows(3))[0].validation[0]
+    block = make_folds(carts(), windows(3))[0].held_out[0]
     past = block.case.past_y
     y_hat = constant_velocity(block, (None, None, None), 0.1)
     assert y_hat[0] == pytest.approx(past[-1] + (past[2] - past[0]) / 2)

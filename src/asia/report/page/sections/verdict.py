@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from asia._text import one_line
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.checks.check import Verdict
-from asia.judge.scoring.checks.records import listed
+from asia.judge.scoring.checks.validation_data import listed
 from asia.ledger.events import Refitted, TestedModel, Unsealed
 from asia.ledger.evidence import identified
 from asia.ledger.run import alarms, model_to_use, tested_model
