@@ -24,14 +24,14 @@ from asia.models._numerics.lags import (
     lagged_inputs,
     regressors,
 )
-from asia.models._numerics.records import (
+from asia.models._numerics.segments import Stretches, left_out_error, simulation_error
+from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
     Scaling,
     past_length,
     shortened,
 )
-from asia.models._numerics.segments import Stretches, left_out_error, simulation_error
 from asia.models._steps import WrappedModel
 
 # Polynomial one-step models, linear in their parameters: products of lagged signals.

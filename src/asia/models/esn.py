@@ -22,7 +22,8 @@ from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace, scan
 from asia.models._config import check_at_least, demand
 from asia.models._numerics.encoder import Encoder, fit_encoder
-from asia.models._numerics.records import (
+from asia.models._numerics.segments import segments
+from asia.models._numerics.training_records import (
     ScaledData,
     Scaling,
     check,
@@ -32,7 +33,6 @@ from asia.models._numerics.records import (
     window_rows,
     windows,
 )
-from asia.models._numerics.segments import segments
 from asia.models._steps import TrainableModel, mean
 from asia.models.methods import LeastSquares
 

@@ -41,7 +41,7 @@ from asia.models._linear.windows import (
     window_error,
 )
 from asia.models._numerics.encoder import Encoder
-from asia.models._numerics.records import (
+from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
     Scaling,

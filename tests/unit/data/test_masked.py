@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.data import Array, Trajectory, data_digest
-from asia.data.intake.records import take_in
+from asia.data.intake.conversion import take_in
 from asia.data.intake.sheet import Wanted
 from asia.errors import UserError
 from asia.judge.scoring.outcome import fit_index, mee_table, score_fold, score_test, without_gaps

@@ -7,7 +7,7 @@ from statistics import NormalDist
 
 from asia.agents.library.methods import by_multiple_shooting
 from asia.agents.library.move import Move, Situation
-from asia.agents.library.records import (
+from asia.agents.library.record_facts import (
     Relation,
     integrating,
     noise_of_periods,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe, Value
-from asia.agents.library.records import (
+from asia.agents.library.record_facts import (
     Cause,
     biased,
     by_overfit,

@@ -32,7 +32,7 @@ from asia.models._noise.model import (
     settled,
 )
 from asia.models._numerics.encoder import BlockedRidge, Encoder, window_encoder
-from asia.models._numerics.records import (
+from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
     Scaling,

@@ -24,7 +24,13 @@ from asia.models._least_squares import (
 from asia.models._linear.fit import Observability
 from asia.models._linear.system import LinearSystem, Spectrum, unpacked
 from asia.models._numerics.encoder import Encoder, fit_encoder
-from asia.models._numerics.records import Indices, ScaledData, past_length, spread, windows_before
+from asia.models._numerics.training_records import (
+    Indices,
+    ScaledData,
+    past_length,
+    spread,
+    windows_before,
+)
 
 # Excited lines of periodic records, with all realisations compressed to few columns.
 

@@ -13,7 +13,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models._arrays import AnyArray, namespace
-from asia.models._numerics.records import (
+from asia.models._numerics.training_records import (
     Indices,
     ScaledData,
     past_length,

@@ -12,7 +12,7 @@ from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models._arrays import AnyArray, bounded, namespace, scan
 from asia.models._numerics.encoder import Encoder, fit_encoder
-from asia.models._numerics.records import (
+from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
     past_length,

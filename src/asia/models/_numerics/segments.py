@@ -11,7 +11,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace
-from asia.models._numerics.records import (
+from asia.models._numerics.training_records import (
     PaddedBatch,
     ScaledData,
     contiguous_splits,

@@ -26,7 +26,8 @@ from asia.models._linear.system import LinearSystem
 from asia.models._networks.network import outputs_of
 from asia.models._networks.structure import Cell, cast_tree
 from asia.models._numerics.encoder import Encoder, affine, fit_encoder
-from asia.models._numerics.records import (
+from asia.models._numerics.symmetry import SignalTransformations
+from asia.models._numerics.training_records import (
     ScaledData,
     Scaling,
     delayed,
@@ -36,7 +37,6 @@ from asia.models._numerics.records import (
     window_size,
     windows,
 )
-from asia.models._numerics.symmetry import SignalTransformations
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models._steps import first_of_line, median, through_line
 from asia.models.methods import Adam

@@ -19,7 +19,7 @@ from asia.models._config import Progress
 from asia.models._least_squares import LevenbergMarquardt, NormalEquations, minimise
 from asia.models._linear.fit import Refinement, spread_poles
 from asia.models._linear.system import LinearSystem, unpacked
-from asia.models._numerics.records import ScaledData, ScaledTrajectory, holdout_masks
+from asia.models._numerics.training_records import ScaledData, ScaledTrajectory, holdout_masks
 from asia.models._state_space.structure import Coefficients, StateSpaceStructure
 
 # Wiener-Hammerstein structure: linear system, static function, linear system.

@@ -20,7 +20,13 @@ from asia.models._linear.windows import (
     one_step,
     refined,
 )
-from asia.models._numerics.records import HorizonWindows, Scaling, cut_windows, scaled, stretches
+from asia.models._numerics.training_records import (
+    HorizonWindows,
+    Scaling,
+    cut_windows,
+    scaled,
+    stretches,
+)
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import Adam
 

@@ -15,7 +15,7 @@ from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.records import (
+from asia.agents.library.record_facts import (
     biased,
     coloured,
     fails_on_top,

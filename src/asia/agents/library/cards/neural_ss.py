@@ -17,7 +17,7 @@ from asia.agents.library.methods import (
 )
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe, Value
-from asia.agents.library.records import Cause, coloured, curved, overfit, switching, transport
+from asia.agents.library.record_facts import Cause, coloured, curved, overfit, switching, transport
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.view import Facts
 

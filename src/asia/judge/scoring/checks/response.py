@@ -43,13 +43,11 @@ def check_gain(data: ValidationData) -> Check:
         for number, name in enumerate(found.inputs):
             # The columns of one input: every `inputs`-th.
             own = slice(number, None, inputs)
-            from_data, from_model = (x[:, own] @ fit[own] for fit in fits)
+            of_data, of_model = (x[:, own] @ fit[own] for fit in fits)
             sizes = (part.std() / max(whole.std(), 1e-300)
-                     for part, whole in ((from_data, measured), (from_model, simulated)))  # fmt: skip
+                     for part, whole in ((of_data, measured), (of_model, simulated)))  # fmt: skip
             if min(sizes) >= _LEAST_PART:
-                agreement = float(
-                    np.mean(from_data * from_model) / (from_data.std() * from_model.std())
-                )
+                agreement = float(np.mean(of_data * of_model) / (of_data.std() * of_model.std()))
                 judged.append((agreement, name, label))
     if not judged:
         sentence = "no single input affects an output enough to judge the direction of its gain"
