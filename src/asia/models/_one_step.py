@@ -87,7 +87,7 @@ def products(z: AnyArray, terms: Terms) -> AnyArray:
 def equations(
     records: ScaledData, lags: Lags, terms: Terms, most: int = 60_000_000
 ) -> tuple[Array, Array]:
-    """Regression matrix (N, M) and targets (N, ny) of all records; evenly spread rows of it if it
+    """Regression matrix (N, M) and responses (N, ny) of all records; evenly spread rows of it if it
     has more than `most` numbers."""
     stride = max(1, -(-sum(len(r) for r in records) * len(terms) // most))
     pairs = [regressors(r, lags) for r in records if len(r) > lags.memory]

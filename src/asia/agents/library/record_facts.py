@@ -73,8 +73,8 @@ def _one_step_poles(
         for u, y in signals
     ])  # fmt: skip
     spread = np.where(x.std(axis=0) > 0, x.std(axis=0), 1.0)
-    target = np.concatenate([y[order:, output] for _, y in signals])
-    theta = np.linalg.lstsq(x / spread, target, rcond=1e-10)[0] / spread
+    response = np.concatenate([y[order:, output] for _, y in signals])
+    theta = np.linalg.lstsq(x / spread, response, rcond=1e-10)[0] / spread
     return np.roots([1.0, *-theta[:order]])
 
 
@@ -252,8 +252,8 @@ def _innovations(signals: Sequence[Array]) -> tuple[Array, ...] | None:
         )
         for s in scaled
     ]
-    target = np.concatenate([s[_OWN_LAGS:] for s in scaled])
-    theta = np.linalg.lstsq(np.concatenate(pasts), target, rcond=1e-10)[0]
+    response = np.concatenate([s[_OWN_LAGS:] for s in scaled])
+    theta = np.linalg.lstsq(np.concatenate(pasts), response, rcond=1e-10)[0]
     new = [s[_OWN_LAGS:] - past @ theta for s, past in zip(scaled, pasts, strict=True)]
     left = float(np.concatenate(new).std())
     return tuple(n / left for n in new) if left > _PREDICTABLE else None
@@ -286,7 +286,7 @@ def _input_gain(records: Sequence[Trajectory], output: int, size: int) -> float:
     """Return the share of the one-step error of block means that the inputs take away."""
     own: list[Array] = []
     driven: list[Array] = []
-    targets: list[Array] = []
+    responses: list[Array] = []
     for record in records:
         y = _block_means(record.y[:, output : output + 1], size)[:, 0]
         u = _block_means(record.u, size)
@@ -298,12 +298,12 @@ def _input_gain(records: Sequence[Trajectory], output: int, size: int) -> float:
         late = _lagged(inputs, range(_BLOCK_LAGS + 1), _BLOCK_LAGS)
         own.append(np.column_stack([*past, np.ones(rows)]))
         driven.append(np.column_stack([*past, *late, np.ones(rows)]))
-        targets.append(y[_BLOCK_LAGS:])
-    if not targets:
+        responses.append(y[_BLOCK_LAGS:])
+    if not responses:
         return 0.0
-    target = np.concatenate(targets)
-    without = _left_out_error(np.concatenate(own), target)
-    return 1.0 - _left_out_error(np.concatenate(driven), target) / max(without, 1e-300)
+    response = np.concatenate(responses)
+    without = _left_out_error(np.concatenate(own), response)
+    return 1.0 - _left_out_error(np.concatenate(driven), response) / max(without, 1e-300)
 
 
 def _left_out_error(x: Array, y: Array) -> float:
@@ -376,8 +376,8 @@ def _switching_terms(records: Sequence[Trajectory], output: int) -> Iterator[Swi
         bent = [past**2, past**3, now**2, now**3, past * now, past**2 * now, past * now**2]
         smooth.append(np.hstack([np.ones((len(past), 1)), *lags, *bent]))
     basis = np.linalg.qr(np.concatenate(smooth))[0]
-    target = np.concatenate([v[_LAGS:] for v in outputs])
-    error = target - basis @ (basis.T @ target)
+    response = np.concatenate([v[_LAGS:] for v in outputs])
+    error = response - basis @ (basis.T @ response)
     pace = np.concatenate([np.diff(v) for v in outputs]).std() or 1.0
     directions = [np.tanh(np.diff(v, prepend=v[0]) / (_FINE * pace)) for v in outputs]
     terms: list[tuple[Cause, int, list[Array]]] = [

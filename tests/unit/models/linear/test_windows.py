@@ -11,7 +11,7 @@ from asia.candidate import Context, Model
 from asia.data import Array, Signal, Trajectory
 from asia.models import linear, neural_ss
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._linear.windows import (
+from asia.models._linear.window_predictor import (
     WindowLags,
     WindowPredictor,
     held,
