@@ -23,8 +23,8 @@ from statistics import median
 
 import numpy as np
 
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
 
 HERE = Path(__file__).parent
 PROBLEM = "two_tanks_sim"
@@ -39,7 +39,7 @@ from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
+from asia.problem.folds import (make_folds)
 from asia.judge.sandbox.availability import probe
 from asia.search.agent_views import problem_facts
 problem = load_problem(sys.argv[1])

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.interfaces.workspace.tools import evaluate
-from asia.problem.protocol import FoldRule, ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import FoldRule, ProtocolRule
 
 Array = NDArray[np.float64]
 

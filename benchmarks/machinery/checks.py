@@ -25,9 +25,9 @@ from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import machine, probe
 from asia.judge.scoring.outcome import Failure
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
-from asia.problem.protocol import make_folds
 from asia.search.agent_views import problem_facts
 
 FAMILIES = ("greybox", "physics_net", "linear", "narx", "recurrent")

@@ -35,7 +35,8 @@ from asia.judge.sandbox.types import FitReply, Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import Score
 from asia.problem import Budget
-from asia.problem.protocol import Fold, ProtocolRule, make_folds, whole
+from asia.problem.folds import Fold, make_folds, whole
+from asia.problem.protocol import ProtocolRule
 
 T = TypeVar("T")
 

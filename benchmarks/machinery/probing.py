@@ -37,9 +37,9 @@ from asia.judge.evaluation.results import score_outputs
 from asia.judge.scoring.outcome import Failure, Score
 from asia.models import linear
 from asia.models._least_squares import LevenbergMarquardt
+from asia.problem.folds import Fold, make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold, make_folds
 
 Outputs = list[list[Array]]
 AMPLITUDES = (0.03, 0.1, 0.3, 0.6)

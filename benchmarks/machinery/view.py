@@ -31,10 +31,10 @@ from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import Evaluated, FoldEvidence, Proposed, ReferenceScored, Started
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import Problem, Seal
-from asia.problem.protocol import make_folds
 
 NAME = "long"
 SCROLL = """async ([query, pixels, seconds]) => {

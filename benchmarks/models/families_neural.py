@@ -36,8 +36,8 @@ from asia.models import (
     transformer,
 )
 from asia.models.methods import Adam
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
 
 PAST = 8
 NOISE = 0.05

@@ -17,9 +17,9 @@ from asia.candidate import Context
 from asia.data import Trajectory
 from asia.models import linear
 from asia.models._least_squares import LevenbergMarquardt
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
-from asia.problem.protocol import make_folds
 
 ONE = linear.Config(order=None, delay=None, periodic=True)
 EACH = linear.Config(order=None, delay=None, periodic=True, levels=True)

@@ -24,7 +24,8 @@ from band_systems import KINDS, PAST, Kind, Model, fit, make_system
 from asia.data import Array, Trajectory
 from asia.judge.scoring.bands import HeldOutErrors, region_of
 from asia.judge.scoring.outcome import score_fold
-from asia.problem.protocol import Block, Fold, FoldRule, Group, ProtocolRule, make_folds, whole
+from asia.problem.folds import Block, Fold, make_folds, whole
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
 from asia.search.simulation import BandBasis
 
 LEVELS = (0.5, 0.9, 0.95)

@@ -23,7 +23,8 @@ from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.models._networks import compiled, network
 from asia.models._networks.network import Driven, NetworkModel, as_built
-from asia.models._numerics.training_records import Scaling, flat_past, scaled
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import flat_past, scaled
 from asia.problem import ParameterRange, Physics
 
 FLOAT32, FLOAT64 = 1e-5, 1e-9

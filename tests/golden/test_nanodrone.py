@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from asia.judge.evaluation.references import constant_velocity, find_rates
-from asia.judge.scoring.outcome import mee_table, score_fold
+from asia.judge.scoring.euclidean_error import mee_table
+from asia.judge.scoring.outcome import score_fold
+from asia.problem.folds import Fold, make_folds, whole
 from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import lock_text
 from asia.problem.physics import parse_expression
 from asia.problem.problem import Problem, Seal
-from asia.problem.protocol import Fold, make_folds, whole
 from asia.problem.seal import open_test, seal
 
 pytestmark = [

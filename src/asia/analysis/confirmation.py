@@ -16,7 +16,8 @@ from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import derive_seed, same_simulations
 from asia.judge.sandbox.types import Isolation
-from asia.judge.scoring.confirmation import (
+from asia.judge.scoring.outcome import Score
+from asia.judge.scoring.repeated_fits import (
     Interval,
     RepeatedFits,
     block_values,
@@ -27,7 +28,6 @@ from asia.judge.scoring.confirmation import (
     paired_difference,
     value_interval,
 )
-from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store, without_artifacts
 from asia.ledger.chain import Chain
 from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair, Repeated

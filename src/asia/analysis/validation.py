@@ -40,9 +40,9 @@ from asia.ledger.evidence import findings_of, identified, put_curves
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.ledger.view import Experiment
 from asia.problem.check import responses
+from asia.problem.folds import Block, Case, whole
 from asia.problem.load import load_lock, read_records
 from asia.problem.problem import Problem
-from asia.problem.protocol import Block, Case, whole
 from asia.search.run import LOCK, make_evaluator
 from asia.search.simulation import (
     BAND_LEVEL,

@@ -20,7 +20,7 @@ from asia.data.trajectory import Array, Signal
 from asia.errors import Reason, UserError
 from asia.judge.evaluation.results import FoldFindings
 from asia.judge.scoring.checks.check import Check, CheckCurve
-from asia.judge.scoring.confirmation import significance_threshold
+from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.judge.scoring.residuals import Diagnostics, Evidence, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
 from asia.ledger.run import Run

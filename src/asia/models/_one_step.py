@@ -24,11 +24,11 @@ from asia.models._numerics.lags import (
     lagged_inputs,
     regressors,
 )
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import Stretches, left_out_error, simulation_error
 from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
-    Scaling,
     past_length,
     shortened,
 )

@@ -22,10 +22,10 @@ from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace, scan
 from asia.models._config import check_at_least, demand
 from asia.models._numerics.encoder import Encoder, fit_encoder
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import segments
 from asia.models._numerics.training_records import (
     ScaledData,
-    Scaling,
     check,
     flat_past,
     past_length,

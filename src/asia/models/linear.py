@@ -41,10 +41,10 @@ from asia.models._linear.window_predictor import (
     window_error,
 )
 from asia.models._numerics.encoder import Encoder
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
-    Scaling,
     check,
     cut_windows,
     delayed_inputs,

@@ -37,7 +37,8 @@ from asia.models._networks.structure import (
     mlp_params,
     zeros,
 )
-from asia.models._numerics.training_records import ScaledData, Scaling, cut_windows, window_size
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import ScaledData, cut_windows, window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 

@@ -30,10 +30,11 @@ from asia.data.trajectory import (
     unique_names,
 )
 from asia.errors import UserError
+from asia.problem.folds import least_samples, require_length
 from asia.problem.load import load_problem
 from asia.problem.metrics import listed_metrics
 from asia.problem.problem import Problem
-from asia.problem.protocol import ProtocolRule, least_samples, require_length
+from asia.problem.protocol import ProtocolRule
 from asia.problem.sealing import STORE, Columns, Sealing, check_key_folder, remove_plain, seal_files
 from asia.problem.toml import toml_value
 

@@ -21,9 +21,9 @@ from asia.ledger.events import TestedModel
 from asia.ledger.evidence import get_curves
 from asia.ledger.run import Run, control, metric_of, open_run
 from asia.problem.check import input_delays, responses
+from asia.problem.folds import make_folds
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
-from asia.problem.protocol import make_folds
 from asia.report.comparison import BenchPictures
 from asia.report.drawing.style import DPI, drawing
 from asia.report.pictures.check import draw_data, draw_delays, draw_responses

@@ -13,7 +13,7 @@ from asia.ledger.artifacts import Store
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment
-from asia.problem.protocol import Block, Fold
+from asia.problem.folds import Block, Fold
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from statistics import fmean, stdev
 from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, same_simulations
-from asia.judge.scoring.confirmation import significance_threshold
 from asia.judge.scoring.description import LiteralCheck
 from asia.judge.scoring.outcome import Failure, Outcome, Score
+from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.ledger.events import Retest, Status
 from asia.ledger.view import SearchView, on_ladder
 from asia.search.literal_check import LiteralCheckFunction

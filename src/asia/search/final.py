@@ -32,8 +32,8 @@ from asia.ledger.evidence import put_estimates
 from asia.ledger.run import ModelToUse
 from asia.ledger.text import error_line, error_value
 from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
-from asia.problem.protocol import Fold
 from asia.search.literal_check import LiteralCheckFunction
 
 # Check of a refit: it saw all training records and must fit them as well as the fold models do.

@@ -22,8 +22,8 @@ from asia.judge.scoring.description import LiteralCheck, guard_gap
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Block, whole
 from asia.problem.problem import Problem
-from asia.problem.protocol import Block, whole
 from asia.problem.seal import open_guard
 
 LiteralCheckFunction = Callable[[str, Evaluation, SearchView], LiteralCheck | None]

@@ -23,8 +23,9 @@ from asia.ledger.artifacts import Store
 from asia.ledger.events import FoldEvidence, Landed, Proposed
 from asia.ledger.evidence import get_findings, put_findings
 from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
-from asia.problem.protocol import Fold, ProtocolRule
+from asia.problem.protocol import ProtocolRule
 
 
 def check_ways(rule: ProtocolRule, parallel: int, *, strict: bool, stop_folds: bool) -> None:

@@ -40,9 +40,10 @@ from asia.ledger.folder import check_run_folder
 from asia.ledger.run import ERROR, keep_error
 from asia.ledger.verification import check_lock
 from asia.ledger.view import SearchView
+from asia.problem.folds import Fold, fold_names, make_folds
 from asia.problem.lock import lock_differences, lock_text, protocol_digest
 from asia.problem.problem import Problem, kept_places, record_places
-from asia.problem.protocol import EarlyStopping, Fold, fold_names, make_folds
+from asia.problem.protocol import EarlyStopping
 from asia.problem.protocol_table import check_feedback
 from asia.problem.seal import guard_digest, seal
 from asia.search.loop import Loop, OnEvent

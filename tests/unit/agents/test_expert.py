@@ -13,8 +13,9 @@ from asia.agents.library.cards import neural_ss
 from asia.agents.library.cost import Timing
 from asia.agents.library.move import Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.record_facts import Switching, noise_of_periods, overfit, plateau_share
+from asia.agents.library.record_facts import Switching, noise_of_periods, plateau_share
 from asia.agents.library.registry import families, family
+from asia.agents.library.trial_evidence import overfit
 from asia.data import Trajectory
 from tests.unit.agents.records.test_relation import closed_loop, facts, lagged
 from tests.unit.agents.searches import (

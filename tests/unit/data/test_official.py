@@ -16,8 +16,8 @@ from asia.data import Signal, Trajectory
 from asia.data.sources import Channels, Subset
 from asia.data.sources.official import LAYOUTS, OfficialBenchmark, PublishedFile
 from asia.errors import UserError
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
 from asia.testing import check_source
 from tests.official_data import WRITERS
 

@@ -33,8 +33,9 @@ from asia.ledger.events import (
 )
 from asia.ledger.evidence import put_findings
 from asia.problem import Budget
+from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem, TestSource
-from asia.problem.protocol import Fold, ProtocolRule, TestRule, make_folds
+from asia.problem.protocol import ProtocolRule, TestRule
 
 Outcomes = Sequence[tuple[str, float | None]]
 

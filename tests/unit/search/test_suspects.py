@@ -12,8 +12,8 @@ from asia.judge.evaluation import workers as workers_module
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.ledger.view import SearchView
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
 from asia.search.replay import replay_run
 from asia.search.run import make_evaluator, prepare, search
 

@@ -13,11 +13,10 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.agents.view import Facts, Trial
+from asia.agents.view import Facts
 from asia.data.frequency import find_period, frequency_response
 from asia.data.relations import FoundTransport, find_transport
 from asia.data.trajectory import Array, Trajectory
-from asia.judge.scoring.residuals import Diagnostics
 
 T = TypeVar("T")
 
@@ -436,64 +435,9 @@ def transport(records: tuple[Trajectory, ...]) -> FoundTransport | None:
     return min(likely, key=lambda f: f.ratio, default=None)
 
 
-# Evidence from data and training residuals for the choice of the next move.
-
-
 def plateau_share(facts: Facts) -> float:
     """Largest share over the outputs of samples within 0.5 % of the range from the maximum: a
     signal that stays there is limited by the system or by its sensor."""
     y = np.concatenate([r.y for r in facts.records])
     reach = y.max(axis=0) - 0.005 * (y.max(axis=0) - y.min(axis=0))
     return float((y >= reach).mean(axis=0).max())
-
-
-def worst(trial: Trial, read: Callable[[Diagnostics], float]) -> float:
-    """The largest value of a diagnostic over the folds; 0 without evidence."""
-    return max((read(d) for d in trial.diagnostics), default=0.0)
-
-
-def overfit(trial: Trial) -> float:
-    """V over the training error: far above 1 the model has learned its own fold."""
-    train = trial.train_error
-    if trial.value is None or not train:
-        return 1.0
-    return trial.value / train
-
-
-def by_overfit(trial: Trial, far: float, some: float, none: float) -> float:
-    """A weight by how far V is above the training error."""
-    ratio = overfit(trial)
-    return far if ratio > 2.0 else some if ratio > 1.3 else none
-
-
-def coloured(trial: Trial) -> bool:
-    """The residual is far from white: dynamics are missing."""
-    return worst(trial, lambda d: d.whiteness) > 0.5
-
-
-def biased(trial: Trial) -> bool:
-    """The mean residual is not small."""
-    return worst(trial, lambda d: d.bias) > 0.03
-
-
-def fails_on_top(trial: Trial) -> bool:
-    """Errors gather where the output is highest."""
-    return worst(trial, lambda d: d.top_error) > 1.3
-
-
-def input_left(trial: Trial) -> bool:
-    """The input still explains part of the residual."""
-    return worst(trial, lambda d: d.input_correlation) > 0.25
-
-
-def curved(trial: Trial) -> bool:
-    """The residual goes with the square of the output: a static nonlinearity is missing."""
-    return worst(trial, lambda d: d.curvature) > 0.25
-
-
-def folds_disagree(trial: Trial) -> float:
-    """Return the largest over the smallest V of the folds: far above 1 the training parts differ in
-    information."""
-    if not trial.folds or min(trial.folds) <= 0:
-        return 1.0
-    return max(trial.folds) / min(trial.folds)

@@ -26,7 +26,7 @@ from asia.judge.scoring.description import guard_gap
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.events import Evaluated, Event, Proposed, Started
 from asia.ledger.view import published, replay
-from asia.problem.protocol import whole
+from asia.problem.folds import whole
 from asia.search.decision import decide
 
 # Evaluation of one cheating candidate with the real evaluator, and detection of its traces.

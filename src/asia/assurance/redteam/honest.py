@@ -20,10 +20,11 @@ from asia.judge.evaluation.relations import suspicions
 from asia.judge.evaluation.requests import simulate_held_out
 from asia.judge.sandbox.availability import open_worker
 from asia.judge.sandbox.types import Isolation, Limits
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.physics import ParameterRange, Physics
 from asia.problem.problem import Problem
-from asia.problem.protocol import ProtocolRule, make_folds
+from asia.problem.protocol import ProtocolRule
 from asia.search.agent_views import problem_facts
 
 TWO_TANKS, SMALL_DRONE = "two_tanks_sim", "small drone"

@@ -35,10 +35,11 @@ from asia.judge.scoring.residuals import (
     with_input,
     with_own_past,
 )
+from asia.problem.folds import Block, Fold, make_folds, whole
 from asia.problem.load import load_problem
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
-from asia.problem.protocol import Block, Fold, FoldRule, Group, ProtocolRule, make_folds, whole
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
 from asia.report import draw_cases
 from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
 

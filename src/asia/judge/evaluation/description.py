@@ -27,7 +27,7 @@ from asia.judge.evaluation.results import FoldResult, mean_simulation
 from asia.judge.scoring.description import LiteralCheck, gained_bits, guard_gap
 from asia.judge.scoring.outcome import Failure, Score, combine, score_fold
 from asia.literals import Literals, literals, merged, perturbed
-from asia.problem.protocol import Block
+from asia.problem.folds import Block
 
 COLLAPSE = 0.5
 """Bits by which the error of a fold grows where literals decide it: a factor of 1.41."""

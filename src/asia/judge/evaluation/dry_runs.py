@@ -15,7 +15,8 @@ from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.requests import spread
 from asia.judge.evaluation.results import same_simulations
 from asia.judge.scoring.outcome import Failure
-from asia.problem.protocol import Fold, ProtocolRule, whole
+from asia.problem.folds import Fold, whole
+from asia.problem.protocol import ProtocolRule
 
 _LONGEST_SECONDS = 120.0
 _SHARE = 0.25

@@ -45,7 +45,8 @@ from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import Failure, combine
 from asia.judge.scoring.residuals import ranges_of
 from asia.lowering.program import LoweredModel
-from asia.problem.protocol import Block, Fold, ProtocolRule, whole
+from asia.problem.folds import Block, Fold, whole
+from asia.problem.protocol import ProtocolRule
 
 T = TypeVar("T")
 _Ask: TypeAlias = Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]]

@@ -21,9 +21,10 @@ from asia.judge.scoring.residuals import (
     diagnose,
     signed_residuals,
 )
+from asia.problem.folds import Fold, whole
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold, ProtocolRule, whole
+from asia.problem.protocol import ProtocolRule
 
 _MOST_RESIDUALS = 120
 

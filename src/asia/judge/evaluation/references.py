@@ -12,7 +12,7 @@ from asia.data.trajectory import Array
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import score_outputs
 from asia.judge.scoring.outcome import Outcome
-from asia.problem.protocol import Block, Fold
+from asia.problem.folds import Block, Fold
 
 Rates = tuple[int | None, ...]
 

@@ -26,7 +26,7 @@ from asia.judge.evaluation.requests import (
 )
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, FoldResult, consistency
 from asia.judge.scoring.outcome import Failure
-from asia.problem.protocol import Block
+from asia.problem.folds import Block
 
 TINY, COARSE = 1e-6, 1e-2
 STARTS = 4

@@ -16,7 +16,7 @@ from asia.errors import CandidateError
 from asia.judge.evaluation.training_checks import TrainingCheck
 from asia.judge.scoring.outcome import Failure, FoldScore, Outcome, combine, score_fold
 from asia.judge.scoring.residuals import Diagnostics, SignedResidual
-from asia.problem.protocol import Fold
+from asia.problem.folds import Fold
 
 
 @dataclass(frozen=True)

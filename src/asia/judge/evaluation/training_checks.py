@@ -21,7 +21,7 @@ from asia.judge.scoring.checks.validation_data import (
     SimulatedBlocks,
     without_responses,
 )
-from asia.problem.protocol import Block
+from asia.problem.folds import Block
 
 _MOST_SAMPLES, _MOST_OUTPUTS, _MOST_INPUTS = 2000, 2, 4
 _FEWEST_SAMPLES = 200

@@ -23,7 +23,8 @@ from asia.errors import CandidateError, Reason, SandboxError, UserError
 from asia.judge.evaluation.findings import Fitted
 from asia.judge.evaluation.requests import held_out_requests
 from asia.judge.sandbox.types import FitReply, Isolation, Limits, WorkerKilledError
-from asia.problem.protocol import Block, Case, Fold, ProtocolRule
+from asia.problem.folds import Block, Case, Fold
+from asia.problem.protocol import ProtocolRule
 
 _HEAD_BYTES = 8
 

@@ -13,7 +13,8 @@ from asia.judge.evaluation.requests import simulate_held_out
 from asia.judge.sandbox.types import ScoreRefusedError
 from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import score_fold
-from asia.problem.protocol import Fold, ProtocolRule
+from asia.problem.folds import Fold
+from asia.problem.protocol import ProtocolRule
 
 LARGEST_SCORE = 100.0
 

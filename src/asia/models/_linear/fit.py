@@ -32,10 +32,10 @@ from asia.models._noise.model import (
     settled,
 )
 from asia.models._numerics.encoder import BlockedRidge, Encoder, window_encoder
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
-    Scaling,
     contiguous_splits,
     past_length,
     past_windows,

@@ -27,9 +27,10 @@ from asia.models._networks.structure import (
     rollout,
     trace,
 )
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import laid, whole
 from asia.models._numerics.symmetry import SignalTransformations, TransformedRecords
-from asia.models._numerics.training_records import ScaledData, Scaling, batch, check, flat_past
+from asia.models._numerics.training_records import ScaledData, batch, check, flat_past
 from asia.models._steps import mean
 from asia.models.methods import NetworkMethod
 

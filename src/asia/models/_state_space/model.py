@@ -26,10 +26,10 @@ from asia.models._linear.system import LinearSystem
 from asia.models._networks.network import outputs_of
 from asia.models._networks.structure import Cell, cast_tree
 from asia.models._numerics.encoder import Encoder, affine, fit_encoder
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.symmetry import SignalTransformations
 from asia.models._numerics.training_records import (
     ScaledData,
-    Scaling,
     delayed,
     flat_past,
     past_length,

@@ -12,8 +12,8 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Event
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold, make_folds
 from asia.report.page.html import ONE, Html, follow, join, tag, write_number
 
 

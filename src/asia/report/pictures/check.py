@@ -13,8 +13,8 @@ from matplotlib.ticker import MaxNLocator
 from asia.data.frequency import FrequencyResponse
 from asia.data.trajectory import Array
 from asia.problem.check import InputDelay
+from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold, make_folds
 from asia.report.drawing.places import Stretch, TimeAxis, last_sample, lay_out, time_unit
 from asia.report.drawing.style import (
     BLUE,

@@ -16,8 +16,8 @@ from asia.judge.scoring.residuals import Correlation, with_input, with_own_past
 from asia.ledger.events import Ablated
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment
+from asia.problem.folds import Fold
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold
 from asia.report.drawing.places import LOGARITHMIC_CHECKS
 from asia.report.drawing.style import (
     BLUE,

@@ -14,13 +14,15 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from asia.data.trajectory import Array, Signal, spread_of
-from asia.judge.scoring.outcome import FoldScore, fit_index, mee_table
+from asia.judge.scoring.euclidean_error import mee_table
+from asia.judge.scoring.outcome import FoldScore, fit_index
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment
+from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold, OutputGroup
+from asia.problem.protocol import OutputGroup
 from asia.report.comparison import PublishedMee
 from asia.report.drawing.places import Stretch, TimeAxis, last_sample, lay_out, time_unit
 from asia.report.drawing.style import (

@@ -11,7 +11,8 @@ from asia.data import Array, Trajectory
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.relations import Suspicion, suspicions
 from asia.judge.evaluation.requests import simulate_held_out
-from asia.problem.protocol import Block, Fold, ProtocolRule, make_folds
+from asia.problem.folds import Block, Fold, make_folds
+from asia.problem.protocol import ProtocolRule
 
 Answer = Callable[[Array, Array, Array], Array]
 
@@ -64,7 +65,7 @@ def fold(horizon: int | None = None, records: int = 3) -> Fold:
 def found(answer: Answer, horizon: int | None = None, records: int = 3) -> tuple[Suspicion, ...]:
     """Return the suspicions for simulations of the fold's held-out blocks."""
     held = fold(horizon, records)
-    return suspicions_of(Model(answer), held.validation, held.scale, horizon)
+    return suspicions_of(Model(answer), held.held_out, held.scale, horizon)
 
 
 def suspicions_of(

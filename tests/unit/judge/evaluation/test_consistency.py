@@ -16,7 +16,8 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Score
 from asia.problem import Budget
-from asia.problem.protocol import ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import ProtocolRule
 
 # Level `process` lets both folds write into one folder. Each waits a little for the other one.
 FIT = """

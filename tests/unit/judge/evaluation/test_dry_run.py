@@ -5,7 +5,8 @@ import pytest
 
 from asia.data import Trajectory
 from asia.judge.evaluation.dry_runs import DryRun, allowed_seconds, made_up_fold
-from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
 
 
 def record(length: int, first: float = 0.0, name: str = "a") -> Trajectory:

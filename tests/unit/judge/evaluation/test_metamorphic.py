@@ -27,7 +27,7 @@ def kinds(answer: Answer, horizon: int | None = None, records: int = 3) -> set[s
 
 def answers(horizon: int | None) -> tuple[Array, Array]:
     """Inputs and outputs of every held-out case, as one who has seen all records knows them."""
-    blocks = fold(horizon).validation
+    blocks = fold(horizon).held_out
     return np.stack([b.case.u for b in blocks]), np.stack([b.y for b in blocks])
 
 
@@ -115,7 +115,7 @@ class FailingLate:
     def __init__(self, reason: Reason) -> None:
         self.reason = reason
         model, held = Model(honest), fold()
-        assert suspicions_of(model, held.validation, held.scale, None) == ()
+        assert suspicions_of(model, held.held_out, held.scale, None) == ()
         self.left = len(model.asked)
 
     def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
@@ -158,10 +158,10 @@ def test_a_look_ahead_at_few_places_takes_more_lengths(monkeypatch: pytest.Monke
         return y
 
     held = fold(None)
-    y_hat = simulate_held_out(Model(ahead), held.validation, None)
+    y_hat = simulate_held_out(Model(ahead), held.held_out, None)
 
     def flagged(seed: int) -> bool:
-        found = suspicions(Model(ahead), held.validation, y_hat, held.scale, None, seed)
+        found = suspicions(Model(ahead), held.held_out, y_hat, held.scale, None, seed)
         return "causality" in {one.kind.value for one in found}
 
     few = sum(flagged(seed) for seed in range(20))
@@ -205,8 +205,8 @@ def test_wild_first_samples_excuse_no_later_ones():
 
 def test_a_simulation_drawn_to_data_after_the_block_is_detected():
     held = fold()
-    after = {round(float(b.case.past_u[-1, 0]), 9): b.y[-1, 0] for b in held.validation}
-    length = len(held.validation[0].y)
+    after = {round(float(b.case.past_u[-1, 0]), 9): b.y[-1, 0] for b in held.held_out}
+    length = len(held.held_out[0].y)
 
     def drawn(past_u: Array, past_y: Array, u: Array) -> Array:
         """The block's length reveals the end, from any start."""

@@ -17,7 +17,8 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure, score_fold
 from asia.problem import Budget
-from asia.problem.protocol import Block, ProtocolRule, make_folds
+from asia.problem.folds import Block, make_folds
+from asia.problem.protocol import ProtocolRule
 
 HORIZON = 20
 

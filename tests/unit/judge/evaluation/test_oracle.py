@@ -20,7 +20,8 @@ from asia.judge.sandbox.types import Isolation
 from asia.judge.sandbox.worker.process import Channel
 from asia.judge.scoring.outcome import Failure
 from asia.problem import Budget
-from asia.problem.protocol import EarlyStopping, ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import EarlyStopping, ProtocolRule
 
 LEVELS = sorted({Isolation.PROCESS, probe().level})
 DESCENT = """

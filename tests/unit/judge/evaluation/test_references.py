@@ -14,7 +14,8 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Score
 from asia.problem import Budget
-from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
 
 HOLD = """
 import numpy as np

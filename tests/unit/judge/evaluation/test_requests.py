@@ -17,7 +17,8 @@ from asia.judge.evaluation.requests import (
     time_order,
 )
 from asia.judge.sandbox.worker.worker import Worker
-from asia.problem.protocol import Block, ProtocolRule, whole
+from asia.problem.folds import Block, whole
+from asia.problem.protocol import ProtocolRule
 
 RULE = ProtocolRule(kind="windows", horizon=4, past_inputs=0, past_outputs=1)
 

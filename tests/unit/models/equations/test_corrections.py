@@ -16,7 +16,8 @@ from asia.models._equations.measured import MeasuredCell, measured_sizes
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._networks import compiled
 from asia.models._networks.structure import rollout
-from asia.models._numerics.training_records import Scaling, flat_past
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import flat_past
 from asia.models.methods import Adam
 from asia.problem import Correction, ParameterRange, Physics, Prior
 

@@ -20,13 +20,8 @@ from asia.models._linear.window_predictor import (
     one_step,
     refined,
 )
-from asia.models._numerics.training_records import (
-    HorizonWindows,
-    Scaling,
-    cut_windows,
-    scaled,
-    stretches,
-)
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import HorizonWindows, cut_windows, scaled, stretches
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import Adam
 

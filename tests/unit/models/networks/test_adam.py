@@ -17,10 +17,10 @@ from asia.models._networks.network import NetworkModel, as_built, train_network
 from asia.models._networks.objective import objective
 from asia.models._networks.structure import Params, rollout
 from asia.models._networks.training import FitTask, HoldoutSplit
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import laid, tracks
 from asia.models._numerics.training_records import (
     PaddedBatch,
-    Scaling,
     batch,
     holdout_masks,
     reweighted,

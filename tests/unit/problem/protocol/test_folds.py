@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from asia.data import Trajectory
 from asia.errors import UserError
-from asia.problem.protocol import FoldRule, ProtocolRule, make_folds, whole
+from asia.problem.folds import make_folds, whole
+from asia.problem.protocol import FoldRule, ProtocolRule
 
 
 def record(length: int, name: str = "r") -> Trajectory:
@@ -18,12 +19,12 @@ def record(length: int, name: str = "r") -> Trajectory:
 def test_cascaded_tanks_folds_are_those_of_the_paper() -> None:
     rule = ProtocolRule(folds=FoldRule(count=2), past_inputs=5, past_outputs=5)
     first, second = make_folds([record(1024)], rule)
-    block = first.validation[0]
+    block = first.held_out[0]
     assert (block.start + 1, block.stop) == (6, 515)
-    assert (second.validation[0].start + 1, second.validation[0].stop) == (516, 1024)
+    assert (second.held_out[0].start + 1, second.held_out[0].stop) == (516, 1024)
     assert first.train[0].u[0, 0] + 1 == 516
     assert (second.train[0].u[0, 0] + 1, len(second.train[0])) == (6, 510)
-    assert np.array_equal(second.validation[0].case.past_u[:, 0] + 1, [511, 512, 513, 514, 515])
+    assert np.array_equal(second.held_out[0].case.past_u[:, 0] + 1, [511, 512, 513, 514, 515])
 
 
 @given(
@@ -59,7 +60,7 @@ def test_a_gap_next_to_a_held_out_block_trains_nothing(length: int, count: int, 
     folds = make_folds([record(length)], rule)
     for fold, same in zip(folds, make_folds([record(length)], plain), strict=True):
         (block,) = fold.held_out
-        assert (block.start, block.stop) == (same.validation[0].start, same.validation[0].stop)
+        assert (block.start, block.stop) == (same.held_out[0].start, same.held_out[0].stop)
         trained = np.concatenate([t.u[:, 0] for t in fold.train])
         near = (trained >= block.start - gap) & (trained < block.stop + gap)
         assert not near.any()

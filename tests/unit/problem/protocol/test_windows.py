@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from asia.data import Trajectory
 from asia.errors import UserError
-from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds, whole
+from asia.problem.folds import make_folds, whole
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
 
 RULE = ProtocolRule(kind="windows", horizon=50, past_inputs=0, past_outputs=1, metric="mae")
 
@@ -77,7 +78,7 @@ def test_one_group_is_held_out_and_the_others_train_whole() -> None:
 def test_groups_go_with_long_simulation_too() -> None:
     rule = replace(grouped(("a",), ("b",)), kind="simulation", horizon=None)
     first, _ = make_folds([record(30, "a"), record(20, "b")], rule)
-    assert [(b.start, b.stop) for b in first.validation] == [(1, 30)]
+    assert [(b.start, b.stop) for b in first.held_out] == [(1, 30)]
     assert np.array_equal(first.scale, record(20, "b").y.std(axis=0))
 
 

@@ -15,8 +15,8 @@ from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, FoldResult
 from asia.judge.evaluation.workers import WorkerRunner
-from asia.judge.scoring.confirmation import significance_threshold
 from asia.judge.scoring.outcome import Failure, Score
+from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.ledger.events import Evaluated, Event, Proposed, Retest, Started
 from asia.ledger.evidence import incumbent_threshold
 from asia.ledger.text import method_note, threshold_text

@@ -38,7 +38,7 @@ from asia.judge.sandbox.types import Isolation
 from asia.judge.sandbox.worker.process import peak_memory_mb
 from asia.judge.scoring.outcome import Failure
 from asia.problem.budget import Budget
-from asia.problem.protocol import Fold, make_folds
+from asia.problem.folds import Fold, make_folds
 from asia.problem.protocol_table import LADDER_STEP
 
 # Threads: the candidate has a score only where all of them ran at once.

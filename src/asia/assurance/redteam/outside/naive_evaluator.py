@@ -20,7 +20,7 @@ import numpy as np
 
 from asia.assurance.redteam.problem import SmallProblem
 from asia.assurance.redteam.types import Mistake
-from asia.problem.protocol import Fold, make_folds
+from asia.problem.folds import Fold, make_folds
 
 _MODEL, _RESULT, _LOG = "model.bin", "result.npy", "log.txt"
 

@@ -29,9 +29,9 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation, Limits, WorkerKilledError
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
-from asia.problem.protocol import make_folds
 from asia.search.replay import replay_run
 from asia.search.run import prepare, search
 from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
