@@ -180,11 +180,11 @@ def test_the_only_window_of_each_record_has_its_own_request():
 
 
 def test_windows_of_a_record_stand_in_no_row_of_their_own():
-    requests = held_out_requests(fold(10).validation, 10)
-    records = [block.record for block in fold(10).validation]
+    requests = held_out_requests(fold(10).held_out, 10)
+    records = [block.record for block in fold(10).held_out]
     orders = {tuple(records[i] for i in request) for request in requests}
     assert len(orders) > 3
-    assert requests == held_out_requests(fold(10).validation, 10)
+    assert requests == held_out_requests(fold(10).held_out, 10)
 
 
 def test_a_short_window_has_prefixes():
@@ -316,9 +316,9 @@ def test_an_honest_model_is_not_suspected(answer: Answer, horizon: int | None):
 @pytest.mark.parametrize("horizon", HORIZONS)
 def test_requests_are_few_and_in_few_shapes(horizon: int | None):
     held_out, model = fold(horizon), Model(honest)
-    suspicions_of(model, held_out.validation, held_out.scale, horizon)
-    scored = len(held_out.validation) if horizon is None else -(-len(held_out.validation) // 3)
-    least, whole = min(shape[1] for shape in model.asked), held_out.validation[0].case.u.shape[0]
+    suspicions_of(model, held_out.held_out, held_out.scale, horizon)
+    scored = len(held_out.held_out) if horizon is None else -(-len(held_out.held_out) // 3)
+    least, whole = min(shape[1] for shape in model.asked), held_out.held_out[0].case.u.shape[0]
     assert least < 0.25 * whole
     assert max(model.asked)[1] == whole
     assert len(model.asked) <= 2 * scored + 24 + 6 * 11
@@ -333,10 +333,10 @@ def test_the_same_checks_twice_say_the_same():
 
 def test_the_checked_windows_are_unpredictable():
     held_out = fold(10)
-    requests = held_out_requests(held_out.validation, 10)
+    requests = held_out_requests(held_out.held_out, 10)
     assert len(requests) > 9
     spared = {0, len(requests) // 2, len(requests) - 1}
-    u = [held_out.validation[i].case.u for k in spared for i in requests[k]]
+    u = [held_out.held_out[i].case.u for k in spared for i in requests[k]]
     known = looked_up(10, 12)
 
     def answer(past_u: Array, past_y: Array, given: Array) -> Array:
@@ -344,19 +344,19 @@ def test_the_checked_windows_are_unpredictable():
             return honest(past_u, past_y, given)
         return known(past_u, past_y, given)
 
-    y_hat = simulate_held_out(Model(answer), held_out.validation, 10)
+    y_hat = simulate_held_out(Model(answer), held_out.held_out, 10)
     for seed in range(10):
-        assert suspicions(Model(answer), held_out.validation, y_hat, held_out.scale, 10, seed)
+        assert suspicions(Model(answer), held_out.held_out, y_hat, held_out.scale, 10, seed)
 
 
 def test_a_model_that_does_not_answer_fails():
     model = Model(honest)
     held_out = fold()
     y_hat = [model.simulate(*(a[None] for a in (b.case.past_u, b.case.past_y, b.case.u)))[0]
-             for b in held_out.validation]  # fmt: skip
+             for b in held_out.held_out]  # fmt: skip
 
     def crash(past_u: Array, past_y: Array, u: Array) -> Array:
         raise CandidateError(Reason.CRASH)
 
     with pytest.raises(CandidateError):
-        suspicions(Model(crash), held_out.validation, y_hat, held_out.scale, None)
+        suspicions(Model(crash), held_out.held_out, y_hat, held_out.scale, None)
