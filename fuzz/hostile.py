@@ -26,7 +26,7 @@ def parse_frames(data: bytes) -> None:
     past, u = np.zeros((2, 1, 1)), np.zeros((2, 3, 1))
     mode, script = data[:1] or b"\0", data[1:]
     with (
-        mock.patch.object(channel.secrets, "token_bytes", return_value=_TOKEN),
+        mock.patch.object(channel.secrets, "token_bytes", lambda size: _TOKEN * (size // 8)),
         mock.patch.object(channel, "_SLICE_SECONDS", 0.001),
     ):
         hostile = _Hostile(script)
@@ -49,18 +49,22 @@ def parse_frames(data: bytes) -> None:
 def seeds() -> tuple[bytes, ...]:
     part = b"\xff\xff"
     begun, done = b"\1\1\0", b"\1\0\0"
-    curve, model, y = bytes(32), b"model", np.zeros(6).tobytes()
+    curve, model = bytes(32), b"model"
     words = b"\1\4\0Traceback: ValueError"
     shape = b"\1\7\0" + np.array([2, 3, 9], "<i8").tobytes()
     frame = b"\xfe\xfe"
     fitted = begun + frame + done + curve
     asks = b"\1\x08\0" + model
+    # A model with steps answers samples, one without them a request for each prefix.
+    steps = part.join([done + b"\1", frame.join([done + bytes(16)] * 3)])
+    y = part.join([done + b"\0", *[done + bytes(48)] * 3])
     return (
-        b"\0" + part.join([fitted, done + model, done + y]),
-        b"\2" + part.join([begun + frame + asks, done + curve, done + model, done + y]),
-        b"\1" + part.join([done, done + y, done + bytes(48)]),
-        b"\1" + part.join([done, shape]),
-        b"\1" + part.join([done, words]),
+        b"\0" + part.join([fitted, done + model, steps]),
+        b"\2" + part.join([begun + frame + asks, done + curve, done + model, y]),
+        b"\1" + part.join([done, steps, done + bytes(48)]),
+        b"\1" + part.join([done, y, done + bytes(48)]),
+        b"\1" + part.join([done, done + b"\1", shape]),
+        b"\1" + part.join([done, done + b"\0", words]),
         b"\0" + part.join([words]),
         b"\0" + part.join([begun + frame + b"\1\0\1" + b"\xfd" * 8]),
     )

@@ -91,7 +91,8 @@ class Model(Protocol):
 
     It may also have `parameters() -> Mapping[str, float]`, by which the folds are compared: names
     of up to 48 characters and at most 64 finite numbers. It is asked for once, after the fit. And
-    it may be a `StepModel` as well, which `asia export` prints for other programs.
+    it may be a `StepModel` as well: then it is scored by its steps, one input sample at a time, and
+    `asia export` prints it for other programs.
     """
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:

@@ -78,8 +78,7 @@ _ADVICE = {
     Reason.LITERAL_DATA: "the source contains too many literal numbers: "
     "let fit estimate them from the training records, and shorten the rest",
     Reason.SUSPECT: "the simulation does not behave like a dynamical system: "
-    "make simulate a causal, continuous function of each row alone, with no memory between "
-    "calls and no statistics over the rows of a request",
+    "make simulate a causal, continuous function of each row alone, with no memory between calls",
     Reason.LITERALS: "suspect: data in the source seem to explain the gain: "
     "let fit estimate numbers from the training records",
     Reason.RESTART: "the model is accurate from the scored initial samples only: "

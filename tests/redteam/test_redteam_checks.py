@@ -39,7 +39,7 @@ def test_an_attack_succeeds_without_the_checks_that_stop_it_and_not_with_them():
     assert found.checked.verdict is AttackVerdict.FLAGGED
     words = unchecked_table([replace(found, succeeded=False)])
     assert "DOES NOT SUCCEED" in words
-    assert "flagged: causality" in words
+    assert "flagged: look-ahead" in words
 
 
 @needs_level
@@ -82,11 +82,11 @@ def refused(*words: str) -> str:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--without", "causality", "--without", "seccomp"), "name layers, or checks"),
-        (("--without", "checks", "--without", "causality"), "name layers, or checks"),
+        (("--without", "look-ahead", "--without", "seccomp"), "name layers, or checks"),
+        (("--without", "checks", "--without", "look-ahead"), "name layers, or checks"),
         (("--without", "checks", "--only", "1"), "no part in attack 1"),
         (("--without", "checks", "--level", "process"), "confines nothing"),
-        (("--without", "wall"), "causality"),
+        (("--without", "wall"), "look-ahead"),
     ],
 )
 def test_a_layer_that_cannot_be_left_out_is_refused(words, said):

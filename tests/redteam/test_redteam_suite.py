@@ -283,17 +283,19 @@ def test_a_neighbour_is_seen_to_be_hurt():
 
 
 @needs_level
-def test_an_honest_candidate_is_not_flagged_and_one_that_looks_ahead_is(honest, monkeypatch):
+def test_an_honest_candidate_is_not_flagged_and_one_that_remembers_is(honest, monkeypatch):
     from asia.assurance.redteam import honest as _honest
 
     assert (honest.flagged, honest.failure, honest.words) == (False, None, "")
     tanks, _ = small_problems()
-    ahead = "import numpy as np\nclass M:\n    def simulate(self, past_u, past_y, u):\n"
-    ahead += "        return np.roll(u, -5, axis=1)\ndef fit(t, c):\n    return M()\n"
-    monkeypatch.setattr(_honest.HonestProblem, "source", lambda self, row: ahead)
+    counts = "CALLS = []\nclass M:\n    def simulate(self, past_u, past_y, u):\n"
+    counts += (
+        "        CALLS.append(1)\n        return u + len(CALLS)\ndef fit(t, c):\n    return M()\n"
+    )
+    monkeypatch.setattr(_honest.HonestProblem, "source", lambda self, row: counts)
     found = try_honest(tanks, arx(tanks), ONE_LEVEL, Interruption())
     assert found.flagged
-    assert "causality" in found.words
+    assert "replay" in found.words
 
 
 @needs_level

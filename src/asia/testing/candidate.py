@@ -67,7 +67,7 @@ def _check(source: str, records: Sequence[Trajectory], context: Context, level: 
     assert max(float(y.std(axis=0).max()) for y in y_hat) > 0, "no output moves"
     with open_worker(level, _LIMITS) as fresh:
         fresh.load(executed_source(source), model, context)
-        again = simulate_held_out(fresh, blocks, rule.horizon)
+        again = simulate_held_out(fresh, blocks)
     assert _same(again, y_hat), "the model reloaded from its bytes simulates differently"
     with open_worker(level, _LIMITS) as fresh:
         fresh.load(executed_source(source), model, context)
@@ -87,7 +87,7 @@ def _fitted(
     blocks: Sequence[Block],
 ) -> tuple[Array, ...]:
     worker.fit(executed_source(source), records, context)
-    return simulate_held_out(worker, blocks, context.horizon)
+    return simulate_held_out(worker, blocks)
 
 
 def _same(one: Sequence[Array], other: Sequence[Array]) -> bool:

@@ -102,6 +102,10 @@ context), and fit that calls both.
 - simulate gets past_u (B, {pu}, {nu}), past_y (B, {py}, {ny}), u (B, H, {nu}) and returns y_hat
   (B, H, {ny}) as float64, finite. u[:, k] and y_hat[:, k] are the same sample; past_*[:, -1] is the
   one before the first. Inputs are held between samples.
+- Better still, the model also has initial(past_u, past_y, u), a state from the past and the first
+  input (B, {nu}), and step(state, u), which returns the next state and the output (B, {ny}) of this
+  sample: then it is scored by these, sample by sample. Without them simulate is called for up to 64
+  prefixes of each case, which takes that much longer. No other methods may have these two names.
 - context has inputs, outputs, sampling_time, n_past_u, n_past_y, horizon, metric, physics, seed,
   deadline, log(step, loss), nu, ny.
 - Python with {libraries} and asia.models, one CPU thread, no network, no
@@ -112,11 +116,11 @@ context), and fit that calls both.
 - {stopping}
 - {model}"""
 
-MODEL_RULES = """The model must be causal in u: to the first k inputs alone, for any k, it answers
-the first k samples of its answer to all of them. It must answer a window alike whatever windows are
-in the request or came before, from any start of a record about as well, and without a jump for a
-tiny change. What breaks this is refused or never kept. The source must carry no data: literals with
-more bits than a tenth of the log-likelihood gained are judged by held-back records and a refit."""
+MODEL_RULES = """The model must be causal in u: later inputs are not there when it answers. It must
+answer a window alike whatever came before, from any start of a record about as well, and without a
+jump for a tiny change of what it is given. The source must carry no data: literals with more bits
+than a tenth of the log-likelihood gained are judged by held-back records and a refit. What breaks
+this is refused or never kept."""
 
 _INNER = """To stop early, hold out a part of the training trajectories, choose the number of
   iterations with it, and fit again on all of them."""

@@ -134,7 +134,7 @@ def try_honest(
         check_source(source)
         with open_worker(level, limits) as worker, interruption.ends(worker):
             worker.fit(executed_source(source), fold.train, problem.context)
-            y_hat = simulate_held_out(worker, fold.held_out, horizon)
+            y_hat = simulate_held_out(worker, fold.held_out)
             model = worker.dump()
         with open_worker(level, limits) as worker, interruption.ends(worker):
             worker.load(executed_source(source), model, problem.context)

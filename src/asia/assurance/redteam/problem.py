@@ -21,7 +21,17 @@ from asia.problem.budget import Budget
 from asia.problem.folds import make_folds
 from asia.problem.protocol import FoldRule, Group, ProtocolRule
 
-ProblemName = Literal["simulation", "windows", "weather", "machines", "pulses", "drift", "levels"]
+ProblemName = Literal[
+    "simulation",
+    "windows",
+    "weather",
+    "machines",
+    "pulses",
+    "drift",
+    "levels",
+    "noisy",
+    "noisy windows",
+]
 
 
 class Principle(StrEnum):
@@ -36,9 +46,9 @@ Check: TypeAlias = SuspicionKind | Principle
 """Relation or principle that can be left out, to show what it stops."""
 
 _INPUTS = (Signal("drive"), Signal("measured before"), Signal("sample"))
-# Pole and gain of an honest model of the fleet, of the drifting record, and of the record of two
-# levels when it is standardised.
-_FLEET, _DRIFT, _LEVELS = (0.95, 0.1), (0.99, 0.1), (0.9, 0.2)
+# Pole and gain of an honest model of the fleet, of the drifting record, of the record of two levels
+# when it is standardised, and of the noisy one.
+_FLEET, _DRIFT, _LEVELS, _NOISY = (0.95, 0.1), (0.99, 0.1), (0.9, 0.2), (0.75, 0.25)
 _RECORDS = 10
 _DAYS = FoldRule(
     "leave_one_group_out",
@@ -163,6 +173,16 @@ def _two_levels() -> Trajectory:
     return Trajectory(u, y, 1.0, "record")
 
 
+def _noisy(samples: int) -> Trajectory:
+    """A record whose noise nothing tells before the sample after it, which carries it."""
+    rng = np.random.default_rng(6)
+    drive = np.repeat(rng.normal(size=samples // 6), 6)
+    y = _lag(_NOISY[0], _NOISY[1] * drive, 0.0) + 0.2 * rng.normal(size=samples)
+    before = np.concatenate([[0.0], y[:-1]])
+    u = np.stack([drive, before, np.arange(float(samples))], axis=1)
+    return Trajectory(u, y, 1.0, "record")
+
+
 def _lag(pole: float, pushed: Array, start: float) -> Array:
     """The first-order lag's outputs, each pushed by the sample before."""
     y = np.full(len(pushed), start)
@@ -183,6 +203,16 @@ _PROBLEMS: dict[ProblemName, _Row] = {
         ProtocolRule("windows", _TWO_FOLDS, 1, 1, horizon=8),
         (0.93, 0.1),
         lambda: (_saturating(slow=True),),
+    ),
+    "noisy": (
+        ProtocolRule("simulation", _TWO_FOLDS, 4, 4),
+        _NOISY,
+        lambda: (_noisy(480),),
+    ),
+    "noisy windows": (
+        ProtocolRule("windows", _TWO_FOLDS, 1, 1, horizon=24),
+        _NOISY,
+        lambda: (_noisy(480),),
     ),
     "weather": (
         ProtocolRule("windows", _TWO_FOLDS, 2, 2, horizon=10),

@@ -68,7 +68,7 @@ class AttackOptions:
             metavar="LAYER|CHECK ...",
             help="Show which attacks succeed without some layers (landlock, seccomp, rlimits, "
             "pids; "
-            "'each': one layer after the other) or without some checks (causality, strangers, "
+            "'each': one layer after the other) or without some checks (look-ahead, strangers, "
             "block-end, ...; 'checks': each attack without the checks that stop it).",
         ),
     ] = None

@@ -194,16 +194,17 @@ def _contract(problem: Problem) -> str:
 {_CONTRACT}
 
 Arrays are float64 in physical units. `trajectories` are this fold's training records: `t.u`
-(T, nu), `t.y` (T, ny), `t.name`, `t.sampling_time`, `len(t)`. `u[:, k]` and `y_hat[:, k]` are the
-same sample; `past_*[:, -1]` is the one before. `context` has `inputs` and `outputs` (signals with
-`name` and `unit`), `sampling_time` (s), `n_past_u` = {rule.past_inputs}, `n_past_y` =
-{rule.past_outputs}, `horizon` = {rule.horizon} (samples of a window; None for whole blocks),
-`metric`, `physics` (below, or None), `symmetry`, `seed` (int, for everything random), `deadline`
-(float, on the clock of `time.monotonic()`), `threads` (int) and `log(step, loss)`. The model may
-have `parameters()`, a dict of at most 64 names and floats: you are shown them fold by fold. A fit
-may take {budget.fit_seconds:g} s on one core and {budget.memory_mb} MB. End it by a number of
-iterations, not by the clock. {", ".join(installed_libraries())} and the model library
-`asia.models` can be imported, see `models.md`. A fit has no network and no files. {MODEL_RULES}
+(T, nu), `t.y` (T, ny), `t.name`, `len(t)`. `u[:, k]` and `y_hat[:, k]` are the same sample;
+`past_*[:, -1]` is the one before. A model with `initial(past_u, past_y, u[:, 0])` -> state and
+`step(state, u[:, k])` -> state, y (B, ny) is scored sample by sample, any other by up to 64
+prefixes. `context` has `inputs` and `outputs` (`name`, `unit`), `sampling_time` (s), `n_past_u` =
+{rule.past_inputs}, `n_past_y` = {rule.past_outputs}, `horizon` = {rule.horizon} (None for whole
+blocks), `metric`, `physics` (below, or None), `symmetry`, `seed` (int, for all that is random),
+`deadline` (of `time.monotonic()`), `threads` (int), `log(step, loss)`. The model may have
+`parameters()`, at most 64 names and floats: you are shown them fold by fold. A fit may take
+{budget.fit_seconds:g} s on one core and {budget.memory_mb} MB. End it by a number of iterations,
+not by the clock. Import {", ".join(installed_libraries())} and `asia.models` (`models.md`). There
+is no network and no file. {MODEL_RULES}
 {gaps}"""
 
 

@@ -18,7 +18,15 @@ import numpy as np
 
 from asia._files import read_text
 from asia._text import say, suggestion
-from asia.candidate import VALIDATION_SCORES, Context, Model, check_source, executed_source
+from asia.candidate import (
+    VALIDATION_SCORES,
+    Context,
+    Model,
+    StepModel,
+    check_source,
+    executed_source,
+    simulate_steps,
+)
 from asia.data.standardise import standardised
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason, UserError
@@ -27,6 +35,7 @@ from asia.judge.evaluation.requests import simulate_held_out, simulate_training
 from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.validation_score import rounded_score
 from asia.judge.sandbox.layers.environment import REPEATABLE
+from asia.judge.sandbox.worker.prefixes import by_prefixes
 from asia.judge.scoring.outcome import FoldScore, check_reply, combine, score_fold, without_gaps
 from asia.judge.scoring.residuals import (
     Evidence,
@@ -120,7 +129,7 @@ def _evaluate_fold(
         if calls > VALIDATION_SCORES:
             raise RuntimeError(f"validation_score was called {VALIDATION_SCORES} times")
         try:
-            y_hat = simulate_held_out(_Simulator(model), fold.held_out, rule.horizon)
+            y_hat = simulate_held_out(_Simulator(model), fold.held_out)
             return rounded_score(score(fold.held_out, y_hat).value)
         except CandidateError as error:
             if error.reason is Reason.NOT_FINITE:
@@ -145,8 +154,8 @@ def _evaluate_fold(
     model = restored(module.fit(train, known))
     seconds = time.monotonic() - begin
     simulator, training = _Simulator(model), whole(fold.train, rule)
-    y_hat = simulate_held_out(simulator, fold.held_out, rule.horizon)
-    training_y_hat = simulate_training(simulator, training, rule.horizon)
+    y_hat = simulate_held_out(simulator, fold.held_out)
+    training_y_hat = simulate_training(simulator.simulate_known, training, rule.horizon)
     return LocalFold(
         fold=fold,
         model=model,
@@ -165,8 +174,22 @@ class _Simulator:
 
     model: Model
 
-    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        y = np.array(self.model.simulate(past_u, past_y, u), dtype=np.float64)
+    @property
+    def has_steps(self) -> bool:
+        return isinstance(self.model, StepModel)
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array, secret: bytes = b"") -> Array:
+        model, cases = self.model, (past_u, past_y, u)
+        if isinstance(model, StepModel):
+            return self._checked(simulate_steps(model, *cases), *cases)
+        return by_prefixes(self.simulate_known, *cases, secret)
+
+    def simulate_known(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        return self._checked(self.model.simulate(past_u, past_y, u), past_u, past_y, u)
+
+    def _checked(self, answer: object, past_u: Array, past_y: Array, u: Array) -> Array:
+        del past_u
+        y = np.array(answer, dtype=np.float64)
         check_reply(y, (*u.shape[:2], past_y.shape[2]))
         return y
 

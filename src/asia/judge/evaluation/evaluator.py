@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import chain
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -23,14 +24,19 @@ from asia.judge.evaluation.relations import (
     ROUNDING,
     Suspicion,
     SuspicionKind,
-    dependences,
     objection_to,
     sequential_objection,
     strangers,
     suspicions,
 )
 from asia.judge.evaluation.remote import FoldFitter
-from asia.judge.evaluation.requests import MOST_TRAINING_WINDOWS, simulate_held_out, spread
+from asia.judge.evaluation.requests import (
+    MOST_TRAINING_WINDOWS,
+    secret_of,
+    sessions,
+    simulate_each,
+    spread,
+)
 from asia.judge.evaluation.results import (
     Evaluation,
     FoldEnd,
@@ -124,17 +130,19 @@ class StoredModels:
     def simulate_scored(
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
     ) -> list[tuple[Array, ...] | CandidateError]:
-        """As `simulate`, for answers that will be scored: a second worker is asked as `dependences`
-        does. For each model its simulations, or what it did: reason SUSPECT where an answer depends
-        on what it must not."""
+        """As `simulate`, for answers that will be scored: with a fresh worker for each of the
+        `sessions`, and with some cases asked again in another one. For each model its simulations,
+        or what it did: reason SUSPECT where an answer depends on cases before it."""
         ask = partial(
-            dependences, scale=self._data.scale, horizon=self._data.horizon,
-            without=self._options.without, seed=self.check_seed(source, "other"), rounding=0.0,
+            strangers, secret=self.secret_of(blocks), scale=self._data.scale,
+            seed=self.check_seed(source, "other"), rounding=0.0,
         )  # fmt: skip
 
         def checked(model: bytes) -> tuple[Array, ...] | CandidateError:
             try:
-                y_hat = self._simulate(source, model, blocks)
+                y_hat = self._simulate_sessions(source, model, blocks, sessions(blocks))
+                if SuspicionKind.STRANGERS in self._options.without:
+                    return y_hat
                 failure = objection_to(self.ask(source, model, blocks, y_hat, ask), None)
             except CandidateError as error:
                 return error
@@ -164,9 +172,15 @@ class StoredModels:
         blocks: Sequence[Block],
         y_hat: Sequence[Array],
         ask: _Ask,
+        *,
+        together: bool = False,
     ) -> Sequence[Suspicion]:
         """Suspicions that `ask` finds in a worker that has seen no case. Raises CandidateError,
-        with reason NOT_REPRODUCIBLE where not even the scored order gives the scored answers."""
+        with reason NOT_REPRODUCIBLE where not even the scored order gives the scored answers.
+
+        Args:
+            together: whether one worker gave all of them
+        """
         with ExitStack() as opened:
             try:
                 worker = opened.enter_context(self._loaded(source, model))
@@ -179,7 +193,10 @@ class StoredModels:
                 raise CandidateError(error.reason, detail) from None
         kind = SuspicionKind.STRANGERS
         if any(one.kind is kind for one in found):
-            again = self._simulate(source, model, blocks)
+            if together:
+                again = self._simulate(source, model, blocks)
+            else:
+                again = self._simulate_sessions(source, model, blocks, sessions(blocks))
             pairs = zip(again, y_hat, strict=True)
             if any(one.tobytes() != other.tobytes() for one, other in pairs):
                 raise CandidateError(Reason.NOT_REPRODUCIBLE)
@@ -198,8 +215,20 @@ class StoredModels:
             yield worker
 
     def _simulate(self, source: str, model: bytes, blocks: Sequence[Block]) -> tuple[Array, ...]:
-        with self._loaded(source, model) as worker:
-            return simulate_held_out(worker, blocks, self._data.horizon)
+        return self._simulate_sessions(source, model, blocks, [list(chain(*sessions(blocks)))])
+
+    def _simulate_sessions(
+        self, source: str, model: bytes, blocks: Sequence[Block], parts: Sequence[Sequence[int]]
+    ) -> tuple[Array, ...]:
+        found: dict[int, Array] = {}
+        for part in parts:
+            with self._loaded(source, model) as worker:
+                found |= simulate_each(worker, blocks, part, self.secret_of(blocks))
+        return tuple(found[i] for i in range(len(blocks)))
+
+    def secret_of(self, blocks: Sequence[Block]) -> bytes | None:
+        """As `requests.secret_of`; None where models may look ahead."""
+        return None if SuspicionKind.LOOK_AHEAD in self._options.without else secret_of(blocks)
 
 
 class Evaluator:
@@ -217,7 +246,9 @@ class Evaluator:
         self._options = options or EvaluatorOptions()
         self.models = StoredModels(data, workers, self._options)
         self._analysing = threading.Lock()
-        self._fitter = FoldFitter(data.rule, data.context, workers, self._options.problem)
+        self._fitter = FoldFitter(
+            data.rule, data.context, workers, self._options.problem, self._options.without
+        )
         if sum(r.u.nbytes + r.y.nbytes for r in data.records) > LARGE_RECORDS:
             give_back_large_arrays()
         self._ranges = ranges_of([r.u for r in data.records], [r.y for r in data.records])
@@ -338,7 +369,8 @@ class Evaluator:
             seed=self.models.check_seed(source, "refit"), without=without,
         )  # fmt: skip
         blocks = self.data.training_blocks
-        found = self._run_checks([partial(self.models.ask, source, model, blocks, y_hat, ask)])
+        job = partial(self.models.ask, source, model, blocks, y_hat, ask, together=True)
+        found = self._run_checks([job])
         return found if isinstance(found, Failure) else objection_to(found[0], None)
 
     def refit(self, source: str) -> Refit:
@@ -410,21 +442,16 @@ class Evaluator:
     def _check_strangers(
         self, source: str, fold: Fold, model: bytes, y_hat: Sequence[Array]
     ) -> None:
-        """Repeat a few cases in a fresh worker where several requests share one. Raises
-        CandidateError where its answers differ."""
+        """Repeat a few cases in a fresh worker where several share one. Raises CandidateError where
+        its answers differ."""
         horizon = self.data.horizon
         if horizon is None or SuspicionKind.STRANGERS in self._options.without:
             return
-        seed = self.models.check_seed(source, fold.index, "strangers")
-
-        def ask(
-            worker: Worker, blocks: Sequence[Block], y_hat: Sequence[Array]
-        ) -> Sequence[Suspicion]:
-            found = strangers(
-                worker, blocks, y_hat, fold.scale, horizon, seed, 0.0, _STRANGERS_ASKED
-            )
-            return () if found is None else (found,)
-
+        ask = partial(
+            strangers, secret=self.models.secret_of(fold.held_out), scale=fold.scale,
+            rounding=0.0, most=_STRANGERS_ASKED,
+            seed=self.models.check_seed(source, fold.index, "strangers"),
+        )  # fmt: skip
         failure = objection_to(self.models.ask(source, model, fold.held_out, y_hat, ask), None)
         if failure is not None:
             raise CandidateError(failure.reason, failure.detail)

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from itertools import cycle
-from typing import TypeAlias
+from itertools import pairwise
 
 import numpy as np
 
-from asia.data.trajectory import Array
+from asia.data.trajectory import Array, filled
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.requests import (
-    CaseBatch,
+    MOST_BLOCKS,
+    MOST_WINDOWS,
     CaseSimulator,
-    among_strangers,
-    batches,
-    held_out_requests,
-    largest,
-    simulate_alone,
-    simulate_requests,
+    ScoredCase,
+    scored_cases,
+    secret_of,
+    simulate_each,
 )
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, FoldResult, consistency
+from asia.judge.sandbox.worker.prefixes import SHORT, chunk_ends
 from asia.judge.scoring.outcome import Failure
 from asia.problem.folds import Block
 
@@ -35,13 +33,15 @@ STARTS = 4
 _SAME = 1e-3
 _STILL = 1e-9
 _MOVES = 1e-2
+_UNCHANGED = 40
 _ISOLATED = 30.0
 _EARLY = 5
 _WORSE, _MUCH_WORSE = 0.1, 5.0
 _PARTED, _GROWS, _PARTS, _LEAST_APART = 0.1, 4.0, 6, 1e-3
 _OF_THE_MACHINE = (Reason.SIMULATE_TIMEOUT, Reason.MEMORY)
 _SHORTEST = 10
-_RECENT = 10
+# Samples of a long case that are checked.
+_LONGEST = 10_000
 
 
 class SuspicionKind(StrEnum):
@@ -50,7 +50,7 @@ class SuspicionKind(StrEnum):
     REPLAY = "replay"
     STRANGERS = "strangers"
     BLOCK_END = "block end"
-    CAUSALITY = "causality"
+    LOOK_AHEAD = "look-ahead"
     PERTURBATION = "perturbation"
     TABLE = "table"
     RESTART = "restart"
@@ -72,28 +72,31 @@ class Suspicion:
     later starts over the error from the scored one."""
 
 
-Continuation: TypeAlias = tuple[Array | None, Array | None, Array | None]
-"""Simulations continued inside a block from simulated outputs up to its end: outputs for the first
-inputs of the longer request, of the shorter request, and of the longer one; None where not
-finite."""
-
-
 @dataclass(frozen=True)
-class RequestCheck:
-    """The relations on one request."""
+class CaseCheck:
+    """The relations on one scored case."""
 
     simulator: CaseSimulator
-    batch: CaseBatch
+    block: ScoredCase
+    """The whole case."""
     scale: Array
     """Standard deviations of the outputs, (ny,)."""
     random: np.random.Generator
     """Draws the signs of perturbations."""
+    secret: bytes | None
+    """As for `requests.simulate_each`."""
+
+    @cached_property
+    def case(self) -> ScoredCase:
+        """The case, or its beginning: what a model with `step` answers to the first inputs hangs on
+        no later one."""
+        return self.block.beginning(_LONGEST) if self.simulator.has_steps else self.block
 
     @cached_property
     def nearby(self) -> tuple[Array | None, Array | None]:
         """Simulate with inputs and past changed by 1e-6, in both directions."""
-        moved = self.batch.moved(TINY, self.scale, self.random)
-        return self.ask(next(moved)), self.ask(next(moved))
+        moved = self.case.moved(TINY, self.scale, self.random)
+        return self.ask(next(moved), scored=True), self.ask(next(moved), scored=True)
 
     def perturbation(self) -> Suspicion | None:
         """Test continuity: two perturbed simulations must be about as near to the scored one as to
@@ -103,7 +106,7 @@ class RequestCheck:
             words = "changing the inputs by 1e-6 makes the simulation diverge"
             both = first is None and second is None
             return Suspicion(SuspicionKind.PERTURBATION, words, np.inf) if both else None
-        jumps = [self._apart(y, self.batch.y_hat) for y in (first, second)]
+        jumps = [self._apart(y, self.case.y_hat) for y in (first, second)]
         least = min(_rms(jump) for jump in jumps)
         between = _rms(self._apart(first, second))
         at_once = all(
@@ -117,63 +120,44 @@ class RequestCheck:
 
     def table(self) -> Suspicion | None:
         """Outputs that move in time but depend on no input and no past output are stored data."""
-        near = self.ask(next(self.batch.moved(COARSE, self.scale, self.random)))
-        if near is None:
+        y_hat, length = self.case.y_hat, self.case.u.shape[1]
+        moves = float((y_hat.std(axis=1) / self.scale).max())
+        if moves <= _MOVES:
             return None
-        y_hat = self.batch.y_hat[: self.batch.count]
-        moves = (y_hat.std(axis=1) / self.scale).max(axis=1)
-        still = self._apart(near, self.batch.y_hat).max(axis=1) <= _STILL
-        taped = moves[still & (moves > _MOVES)]
-        if taped.size == 0:
+        unchanged = 0
+        for moved in self.case.moved(COARSE, self.scale, self.random):
+            near = self.ask(moved, scored=True)
+            if near is not None and self.apart(near) <= _STILL:
+                unchanged += length
+        # A short output may be rounded to the same numbers by chance.
+        if unchanged < min(_UNCHANGED, 2 * length):
             return None
         words = (
             "changing inputs and past by 1e-2 changes no output, although the output varies in time"
         )
-        return Suspicion(SuspicionKind.TABLE, words, float(taped.max()))
+        return Suspicion(SuspicionKind.TABLE, words, moves)
 
-    def begins_with(self, answer: Array) -> bool:
-        """Return whether this is the start of the scored outputs: then `causality` has no
-        objection."""
-        whole = self.batch.y_hat[:, : answer.shape[1]]
-        return float(self._apart(answer, whole).max(initial=0.0)) <= _SAME
-
-    def causality(self, length: int, answer: Array | None) -> Suspicion | None:
-        """Test causality on the first `length` inputs alone, whose outputs must be the start of the
-        outputs for all inputs.
-
-        The test is void where a change of the inputs by 1e-6 has an effect of the same size.
-        """
-        change = np.inf
-        if answer is not None:
-            change = self._beyond_rounding(answer, self.batch.y_hat[:, :length])
-        if change <= _SAME:
-            return None
-        words = "inputs after a sample change the output before it"
-        return Suspicion(SuspicionKind.CAUSALITY, words, change)
-
-    def ask_continuation(self, short: int, long: int) -> Continuation:
+    def continued(self, fractions: Sequence[float]) -> list[Array]:
         """Simulate the last samples of the block, started from the simulated outputs before
-        them."""
-        later = self.batch.ending(long)
-        beginning, last = self.ask(later.prefix(short)), self.ask(self.batch.ending(short))
-        return beginning, last, self.ask(later)
+        them; those that are finite."""
+        longest = self.case.u.shape[1]
+        lengths = [min(max(int(f * self.block.u.shape[1]), 1), longest - 1) for f in fractions]
+        found = [self.ask(self.block.ending(length)) for length in lengths]
+        return [y for y in found if y is not None]
 
-    def block_end(self, found: Continuation) -> tuple[Suspicion | None, ...]:
+    def block_end(self, continued: Sequence[Array]) -> Suspicion | None:
         """Test whether a model that continues from its own outputs returns to its own simulation.
 
         An initial difference, because the past window shows only part of the state, must grow no
         more than a difference of 1e-6 does; a simulation that is drawn to the data after the block
         deviates from it.
         """
-        beginning, short, long = found
-        whole, overall = self.batch.y_hat, self.batch.y_hat - self.batch.y
-        if _rms(overall[: self.batch.count] / self.scale) >= 1.0:
-            return ()
+        whole = self.block.y_hat
+        if _rms((whole - self.block.y) / self.scale) >= 1.0:
+            return None
         first, second = self.nearby
         end = 0.0
-        for answer in (short, long):
-            if answer is None:
-                continue
+        for answer in continued:
             length = answer.shape[1]
             last, growth = _last_and_growth(self._apart(answer, whole[:, -length:]))
             usual = 1.0
@@ -181,85 +165,63 @@ class RequestCheck:
                 usual = _last_and_growth(self._apart(first, second)[:, :length])[1]
             if last > _PARTED and growth > _GROWS * max(usual, 1.0):
                 end = max(end, last)
-        ahead = 0.0
-        if beginning is not None and long is not None:
-            ahead = self._beyond_rounding(beginning, long[:, : beginning.shape[1]])
         words = "continued from its own outputs, the simulation reaches another end"
-        sooner = "the length of a simulation changes its output"
-        return (
-            Suspicion(SuspicionKind.BLOCK_END, words, end) if end > 0 else None,
-            Suspicion(SuspicionKind.CAUSALITY, sooner, ahead) if ahead > _SAME else None,
-        )
-
-    def _beyond_rounding(self, one: Array, other: Array) -> float:
-        """Return the largest difference beyond the growth of rounding errors: less than that of
-        1e-6, at that sample or the few before it."""
-        apart = self._apart(one, other)
-        first, second = self.nearby
-        if first is not None and second is not None:
-            grown = self._apart(first, second)[:, : apart.shape[1]]
-            grown = np.pad(grown, ((0, 0), (_RECENT, 0)))
-            recent = np.lib.stride_tricks.sliding_window_view(grown, _RECENT + 1, axis=1)
-            apart = np.where(apart > recent.max(axis=2), apart, 0.0)
-        return float(apart.max(initial=0.0))
+        return Suspicion(SuspicionKind.BLOCK_END, words, end) if end > 0 else None
 
     def replay(self) -> Suspicion | None:
         """Test that the outputs of a case do not depend on earlier requests."""
-        answer = self.ask(self.batch)
-        change = np.inf if answer is None else float(self._apart(answer, self.batch.y_hat).max())
+        answer = self.ask(self.case, scored=True)
+        change = np.inf if answer is None else self.apart(answer)
         if change <= _SAME:
             return None
         words = "the same case simulated again gives another output"
         return Suspicion(SuspicionKind.REPLAY, words, change)
 
     def restart(self) -> tuple[float, list[float]] | None:
-        """Mean squared error over the end of the blocks, from the scored start and from later
+        """Mean squared error over the end of the block, from the scored start and from later
         ones; None where there is no later start to compare with."""
-        batch = self.batch
-        if batch.past_y.shape[1] == 0 or batch.u.shape[1] < _SHORTEST:
+        case, length = self.case, self.case.u.shape[1]
+        if case.past_y.shape[1] == 0 or length < _SHORTEST:
             return None
-        end = batch.u.shape[1] * 3 // 5
-        wanted = np.s_[: batch.count, end:]
-        with np.errstate(over="ignore"):
-            own = float(np.mean(((batch.y_hat - batch.y)[wanted] / self.scale) ** 2))
-        others: list[float] = []
-        for later, starts in batch.later_starts(STARTS, self.scale):
-            answer = self.ask(later)
-            if answer is None:
-                others.append(np.inf)
-                continue
-            rows = [
-                (answer[i, end - s : len(answer[i]) - s] - batch.y[i, end:]) / self.scale
-                for i, s in enumerate(starts[: batch.count])
-            ]
+        end = length * 3 // 5
+
+        def error(y_hat: Array) -> float:
             with np.errstate(over="ignore"):
-                others.append(float(np.mean(np.square(rows))))
-        return own, others
+                return float(np.mean(((y_hat - case.y[:, end:]) / self.scale) ** 2))
 
-    def length(self, fraction: float) -> int:
-        """Length of a prefix, shorter than the cases."""
-        whole = self.batch.u.shape[1]
-        return min(max(int(fraction * whole), 1), whole - 1)
+        others: list[float] = []
+        for later, start in case.later_starts(STARTS, self.scale):
+            answer = self.ask(later)
+            part = slice(end - start, length - start)
+            others.append(np.inf if answer is None else error(answer[:, part]))
+        return error(case.y_hat[:, end:]), others
 
-    def ask(self, batch: CaseBatch) -> Array | None:
-        """Simulate a request; None where the outputs are not finite."""
+    def ask(self, case: ScoredCase, *, scored: bool = False) -> Array | None:
+        """Simulate a case; None where the outputs are not finite. Only one that is compared with
+        scored answers sample by sample is asked by prefixes."""
+        cases = case.past_u, case.past_y, case.u
         try:
-            return self.simulator.simulate(batch.past_u, batch.past_y, batch.u)
+            if self.secret is not None and (scored or self.simulator.has_steps):
+                return self.simulator.simulate(*cases, self.secret)
+            return self.simulator.simulate_known(*cases)
         except CandidateError as error:
             if error.reason is Reason.NOT_FINITE:
                 return None
             raise
 
+    def apart(self, answer: Array) -> float:
+        """Largest difference from the scored outputs."""
+        return float(self._apart(answer, self.case.y_hat).max(initial=0.0))
+
     def _apart(self, one: Array, other: Array) -> Array:
-        """(rows, H): largest difference over the outputs, of the rows that count."""
-        count = self.batch.count
-        apart = one[:count] - other[:count]
+        """(1, H): largest difference over the outputs."""
+        apart = one - other
         np.abs(apart, out=apart)
         apart /= self.scale
         return apart[..., 0] if apart.shape[2] == 1 else apart.max(axis=2)
 
 
-def restart_suspicion(checks: Sequence[RequestCheck]) -> Suspicion | None:
+def restart_suspicion(checks: Sequence[CaseCheck]) -> Suspicion | None:
     """Compare the best of the later starts with the scored one, over all requests."""
     try:
         known = [error for check in checks if (error := check.restart()) is not None]
@@ -301,11 +263,11 @@ def _rms(values: Array) -> float:
 ROUNDING = 1e-6
 # V of sequential fits over V, above which the folds exchanged data.
 _UNLIKE = 1.5
-_BY_ITSELF = 24
-# Parts of a case that are asked alone: a short one, and two anywhere beyond.
-_SHORT, _FURTHER = (0.02, 0.25), (0.25, 1.0)
-# Further lengths, for a model that answers in less time than a compilation takes.
-_MORE, _MORE_SECONDS, _COMPILES = 24, 1.0, 0.1
+MOST_STRANGERS = 24
+# Parts of a block from which a simulation is continued.
+_FURTHER = (0.25, 1.0)
+# Excess of the error without look-ahead, in its standard errors.
+_SIGNIFICANT = 2.5
 
 
 def suspicions(
@@ -323,14 +285,15 @@ def suspicions(
     """Return the relations that a model breaks on held-out blocks; () for an honest one.
 
     First, on whole blocks that data follow, the simulation is continued from its own outputs to the
-    block's end (`block end`: another end, though it began alike). Then the relations of
-    `dependences` are tested.
+    block's end (`block end`: another end, though it began alike). Then `strangers` and, for a model
+    without `step`, `look_ahead` are tested.
 
-    Then, on at most six requests, inputs and past are moved by 1e-6 of their standard deviations,
-    there and back (`perturbation`: an isolated response, or an immediate jump), and by 1e-2
-    (`table`: no change at all). The scored requests are repeated (`replay`). Last, because their
-    past windows are held-out outputs, four later starts on the same record are simulated where the
-    output moves about as fast (`restart`: all much worse over the rest of it, or failing).
+    Then, on at most 6 blocks or 24 windows (a third of them for a model without `step`), inputs and
+    past are moved by 1e-6 of their standard deviations, there and back (`perturbation`: an isolated
+    response, or an immediate jump), and by 1e-2 (`table`: no change at all). The scored cases are
+    repeated (`replay`). Last, because their past windows are held-out outputs, four later starts on
+    the same record are simulated where the output moves about as fast (`restart`: all much worse
+    over the rest of it, or failing).
 
     Args:
         simulator: the model, best in a fresh worker, which has simulated nothing
@@ -338,55 +301,39 @@ def suspicions(
         y_hat: the scored outputs (H, ny) of `blocks`
         scale: (ny,) standard deviations of the outputs
         horizon: that of the protocol
-        seed: for the choice of requests, of prefixes and of the signs of perturbations, unknown
+        seed: for the choice of cases, of continuations and of the signs of perturbations, unknown
             to the author of the model
         followed: the blocks right after which data train
         without: relations that are left out
-        rounding: standard deviations by which other cases in a request may change an output
+        rounding: standard deviations by which other cases before may change an output
 
     Raises:
         CandidateError: where a simulation fails; for `restart` only where time or memory ran
             out. An output that is not finite breaks `perturbation`, `restart`, `replay`,
-            `strangers` and `causality`, and is ignored by the others.
+            `strangers` and `look-ahead`, and is ignored by the others.
     """
-    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding, followed)
+    random = np.random.default_rng(seed)
+    secret = None if SuspicionKind.LOOK_AHEAD in without else secret_of(blocks)
+    most = (MOST_BLOCKS if horizon is None else MOST_WINDOWS) // (1 if simulator.has_steps else 3)
+    cases = scored_cases(blocks, y_hat, most, random, followed)
+    fractions: list[float] = np.sort(random.uniform(*_FURTHER, size=2)).tolist()
+    checks = [CaseCheck(simulator, case, scale, random, secret) for case in cases]
     # Continuations come before all other requests: a longer one would reveal where they start.
     continued = [
-        (check, check.ask_continuation(*map(check.length, inquiry.fractions[1:])))
-        for check in (inquiry.longer if SuspicionKind.BLOCK_END not in without else ())
-        if check.batch.followed
+        (check, check.continued(fractions))
+        for check in (checks if SuspicionKind.BLOCK_END not in without else ())
+        if horizon is None and check.block.followed and check.case.u.shape[1] >= 2
     ]
-    found = inquiry.dependences(ahead=SuspicionKind.CAUSALITY not in without)
-    for check in inquiry.checks:
+    found: list[Suspicion | None] = []
+    if secret is not None and not simulator.has_steps:
+        found.append(look_ahead(checks, blocks, y_hat, secret))
+    other_seed = int(random.integers(2**31))
+    found += strangers(simulator, blocks, y_hat, secret, scale, other_seed, rounding)
+    for check in checks:
         found += check.perturbation(), check.table()
-    found += [check.replay() for check in reversed(inquiry.checks)]
-    for check, answers in continued:
-        found += check.block_end(answers)
-    found.append(restart_suspicion(inquiry.checks))
-    return _worst(found, without)
-
-
-def dependences(
-    simulator: CaseSimulator,
-    blocks: Sequence[Block],
-    y_hat: Sequence[Array],
-    scale: Array,
-    horizon: int | None,
-    seed: int = 0,
-    *,
-    without: Collection[SuspicionKind] = (),
-    rounding: float = ROUNDING,
-) -> tuple[Suspicion, ...]:
-    """Return the broken relations that need no measured output; arguments as for `suspicions`.
-
-    The first inputs of at most six requests are simulated alone, at three random lengths, and at
-    more where that is quick (`causality`: the output is not the start of the scored one). Then a
-    few cases are simulated without any other, and all of them in another order and among other
-    cases (`strangers`: an output changes by more than rounding). So a simulation cannot depend on
-    the cases before it in the scored order, after it, or in the same request.
-    """
-    inquiry = _Inquiry(simulator, blocks, y_hat, scale, horizon, seed, rounding)
-    found = inquiry.dependences(ahead=SuspicionKind.CAUSALITY not in without)
+    found += [check.replay() for check in reversed(checks)]
+    found += [check.block_end(answers) for check, answers in continued]
+    found.append(restart_suspicion(checks))
     return _worst(found, without)
 
 
@@ -394,35 +341,63 @@ def strangers(
     simulator: CaseSimulator,
     blocks: Sequence[Block],
     y_hat: Sequence[Array],
+    secret: bytes | None,
     scale: Array,
-    horizon: int | None,
     seed: int,
     rounding: float = ROUNDING,
-    most: int | None = None,
-) -> Suspicion | None:
-    """The relation `strangers` alone: first a few cases without any other, then all of them, or
-    about `most`, among others."""
+    most: int = MOST_STRANGERS,
+) -> tuple[Suspicion, ...]:
+    """Ask at most `most` cases again, in random order: an answer depends on no case before it."""
     random = np.random.default_rng(seed)
-    requests = held_out_requests(blocks, horizon)
-    rows = largest(requests)
-    place = {index: row for request in requests for row, index in enumerate(request)}
-    count = min(len(blocks), _BY_ITSELF if most is None else most)
-    by_itself = random.choice(len(blocks), count, replace=False).tolist()
-    mixed = among_strangers(requests, random)[: None if most is None else -(-most // rows)]
-    answers: list[tuple[int, Array]] = []
+    order = random.choice(len(blocks), min(len(blocks), most), replace=False).tolist()
     try:
-        for index in by_itself if rows > 1 else ():
-            answers.append((index, simulate_alone(simulator, blocks[index], place[index], rows)))
-        answers += simulate_requests(simulator, blocks, mixed, rows).items()
+        answers = simulate_each(simulator, blocks, order, secret)
     except CandidateError as error:
         if error.reason is not Reason.NOT_FINITE:
             raise
         change = np.inf
     else:
-        apart = [np.abs(y - y_hat[index]) / scale for index, y in answers]
+        apart = [np.abs(y - y_hat[index]) / scale for index, y in answers.items()]
         change = max((float(a.max(initial=0.0)) for a in apart), default=0.0)
-    words = "a case asked in another order, alone or among other cases, is answered otherwise"
-    return Suspicion(SuspicionKind.STRANGERS, words, change) if change > rounding else None
+    words = "a case asked after other cases is answered otherwise"
+    return (Suspicion(SuspicionKind.STRANGERS, words, change),) if change > rounding else ()
+
+
+def look_ahead(
+    checks: Sequence[CaseCheck], blocks: Sequence[Block], y_hat: Sequence[Array], secret: bytes
+) -> Suspicion | None:
+    """Test whether a model answered by prefixes gains by the inputs that a chunk has sent ahead.
+
+    A causal model simulates a whole case as it simulates its prefixes. Where it does not, as an
+    adaptive solver may, samples answered without any later input must have no larger errors than
+    those around them.
+    """
+    whole = [check.ask(check.case) for check in checks]
+    pairs = zip(checks, whole, strict=True)
+    if all(y is not None and check.apart(y) <= _SAME for check, y in pairs):
+        return None
+    scale = checks[0].scale
+    excess: list[float] = []
+    free: list[float] = []
+    for block, simulated in zip(blocks, y_hat, strict=True):
+        case = block.case
+        if len(case.u) <= SHORT:
+            continue
+        errors = np.nanmean(((simulated - filled(block.y)) / scale) ** 2, axis=1)
+        ends = chunk_ends(case.past_u[None], case.past_y[None], case.u[None], secret)
+        chunks = [errors[a:b] for a, b in pairwise([0, *ends])]
+        for chunk, later in pairwise(chunks):
+            if len(chunk) > 1 and len(later) > 1:
+                free.append(float(chunk[-1]))
+                excess.append(float(chunk[-1] - (chunk[:-1].mean() + later[:-1].mean()) / 2))
+    if len(excess) < 2:
+        return None
+    error = float(np.std(excess, ddof=1)) / np.sqrt(len(excess))
+    if np.mean(excess) <= _SIGNIFICANT * error:
+        return None
+    words = "samples simulated without a later input have larger errors than those around them"
+    share = float(np.sum(excess) / np.sum(free))
+    return Suspicion(SuspicionKind.LOOK_AHEAD, words, share)
 
 
 def objection_to(found: Sequence[Suspicion], fold: int | None) -> Failure | None:
@@ -444,61 +419,6 @@ def _worst(
         if one.kind not in worst or one.figure > worst[one.kind].figure:
             worst[one.kind] = one
     return tuple(worst.values())
-
-
-class _Inquiry:
-    """Requests of one check, in an order in which no output can be copied from an earlier
-    request."""
-
-    def __init__(
-        self,
-        simulator: CaseSimulator,
-        blocks: Sequence[Block],
-        y_hat: Sequence[Array],
-        scale: Array,
-        horizon: int | None,
-        seed: int,
-        rounding: float,
-        followed: Collection[int] = (),
-    ) -> None:
-        random = np.random.default_rng(seed)
-        chosen = batches(blocks, y_hat, horizon, random, followed)
-        further = np.sort(random.uniform(*_FURTHER, size=2))
-        self.fractions = (float(random.uniform(*_SHORT)), float(further[0]), float(further[1]))
-        self._more_fractions = random.uniform(_SHORT[0], 1.0, size=_MORE).tolist()
-        self.checks = [RequestCheck(simulator, batch, scale, random) for batch in chosen]
-        self.longer = [check for check in self.checks if check.batch.u.shape[1] >= 2]
-        strangers_seed = int(random.integers(2**31))
-        self._strangers = lambda: strangers(
-            simulator, blocks, y_hat, scale, horizon, strangers_seed, rounding
-        )
-
-    def dependences(self, *, ahead: bool) -> list[Suspicion | None]:
-        """Prefixes, where `ahead` asks for them, come before any whole case, and are compared when
-        1e-6 was tried too."""
-        asked: list[tuple[RequestCheck, int, Array | None]] = []
-        checks = self.longer if ahead else []
-        slowest = 0.0
-
-        def ask(check: RequestCheck, fraction: float) -> None:
-            nonlocal slowest
-            begin, length = time.monotonic(), check.length(fraction)
-            answer = check.ask(check.batch.prefix(length))
-            slowest = max(slowest, time.monotonic() - begin)
-            # Equal outputs are dropped: long ones are large.
-            if answer is None or not check.begins_with(answer):
-                asked.append((check, length, answer))
-
-        # The same three lengths for all, for which a model compiles.
-        for place in range(max(len(checks), len(self.fractions)) if checks else 0):
-            ask(checks[place % len(checks)], self.fractions[place % len(self.fractions)])
-        # Then as many others as a model without compilation simulates in a second.
-        end = time.monotonic() + _MORE_SECONDS
-        for check, fraction in zip(cycle(checks), self._more_fractions, strict=False):
-            if slowest > _COMPILES or time.monotonic() > end:
-                break
-            ask(check, fraction)
-        return [self._strangers(), *(check.causality(k, answer) for check, k, answer in asked)]
 
 
 def sequential_objection(

@@ -5,16 +5,18 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Collection, Generator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache, partial
+from itertools import chain
 
 from asia.candidate import Context, imported_libraries
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.judge.evaluation.findings import Fitted
 from asia.judge.evaluation.machines import check_installation, installation_for
-from asia.judge.evaluation.requests import largest, simulate_requests, simulate_training
+from asia.judge.evaluation.relations import SuspicionKind
+from asia.judge.evaluation.requests import simulate_each, simulate_training
 from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.transport import (
     FoldAnswer,
@@ -49,7 +51,8 @@ OpenWorker = Callable[[frozenset[str], Limits], AbstractContextManager[Worker]]
 def fit_fold(
     work: FoldWork, data: FoldData, open_worker: OpenWorker, oracle: Oracle | None = None
 ) -> FoldAnswer:
-    """Fit and simulate in one worker, which reports its parameters before it receives a case.
+    """Fit in one worker, which reports its parameters before it receives a case, and simulate there
+    and in fresh ones.
 
     Args:
         oracle: scores the model on the held-out part during the fit, where the protocol allows
@@ -73,8 +76,14 @@ def fit_fold(
             memory, compiling = worker.peak_memory_mb, worker.compile_seconds()
             # Before the held-out cases too: the residuals on the training records are reported.
             inside = whole(data.train, data.rule)
-            train_y_hat = simulate_training(worker, inside, data.rule.horizon)
-            found = simulate_requests(worker, data.blocks, data.requests, largest(data.requests))
+            train_y_hat = simulate_training(worker.simulate_known, inside, data.rule.horizon)
+            blocks, (first, *others) = data.blocks, data.sessions
+            found = simulate_each(worker, blocks, first, data.secret)
+        for session in others:
+            libraries = imported_libraries(work.source, fitting=False)
+            with open_worker(libraries, work.limits) as fresh:
+                fresh.load(work.source, model, context)
+                found |= simulate_each(fresh, blocks, session, data.secret)
     except CandidateError as error:
         return FoldAnswer(error, printed)
     y_hat = tuple(found[i] for i in range(len(data.cases)))
@@ -210,10 +219,16 @@ class FoldFitter:
     """Fits the folds of one search on this machine or on remote ones."""
 
     def __init__(
-        self, rule: ProtocolRule, context: Context, workers: WorkerRunner, problem: str
+        self,
+        rule: ProtocolRule,
+        context: Context,
+        workers: WorkerRunner,
+        problem: str,
+        without: Collection[SuspicionKind] = (),
     ) -> None:
         """context: the part that is the same for all folds; problem: sha256 of the run's lock
-        file. Raises UserError where folds are fitted on other machines and candidates may ask for
+        file; without: as in `EvaluatorOptions`. Raises UserError where folds are fitted on other
+        machines and candidates may ask for
         their score, which takes the held-out outputs to the machine that fits."""
         if workers.remote is not None and rule.early_stopping != "inner":
             raise UserError(
@@ -221,7 +236,7 @@ class FoldFitter:
                 "and other machines do not get them: use --executor local"
             )
         self._rule, self._context = rule, context
-        self._workers, self._problem = workers, problem
+        self._workers, self._problem, self._without = workers, problem, without
         self._data: dict[int, tuple[FoldData, str, bytes]] = {}
 
     def fit(self, source: str, fold: Fold, start: int, oracle: Oracle | None) -> FoldAnswer:
@@ -231,6 +246,10 @@ class FoldFitter:
         workers, carrier = self._workers, self._workers.remote
         if fold.index not in self._data:
             data = fold_data(fold, self._rule)
+            if SuspicionKind.LOOK_AHEAD in self._without:
+                data = replace(data, secret=None)
+            if SuspicionKind.STRANGERS in self._without:
+                data = replace(data, sessions=(tuple(chain(*data.sessions)),))
             digest, raw = ("", b"") if carrier is None else encode_data(data)
             self._data[fold.index] = data, digest, raw
         data, digest, raw = self._data[fold.index]

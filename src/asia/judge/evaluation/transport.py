@@ -21,7 +21,7 @@ from asia.candidate import Context
 from asia.data.trajectory import Array, Trajectory
 from asia.errors import CandidateError, Reason, SandboxError, UserError
 from asia.judge.evaluation.findings import Fitted
-from asia.judge.evaluation.requests import held_out_requests
+from asia.judge.evaluation.requests import secret_of, sessions
 from asia.judge.sandbox.types import FitReply, Isolation, Limits, WorkerKilledError
 from asia.problem.folds import Block, Case, Fold
 from asia.problem.protocol import ProtocolRule
@@ -36,15 +36,17 @@ Blob: TypeAlias = bytes | memoryview
 class FoldData:
     """Data for the fit of a fold, the same for all candidates.
 
-    Of the held-out outputs it has the past windows alone, which candidates receive.
+    Of the held-out outputs it has the past windows, which candidates receive, and a digest.
     """
 
     train: tuple[Trajectory, ...]
     cases: tuple[Case, ...]
     shapes: tuple[tuple[int, int], ...]
     """(H, ny) of each case."""
-    requests: tuple[tuple[int, ...], ...]
-    """Cases of each request, in order: see `held_out_requests`."""
+    sessions: tuple[tuple[int, ...], ...]
+    """Cases of each worker, in order: see `requests.sessions`."""
+    secret: bytes | None
+    """A digest of the held-out outputs, see `requests.simulate_each`."""
     rule: ProtocolRule
 
     @property
@@ -96,7 +98,8 @@ def fold_data(fold: Fold, rule: ProtocolRule) -> FoldData:
         train=fold.train,
         cases=tuple(block.case for block in blocks),
         shapes=tuple((block.y.shape[0], block.y.shape[1]) for block in blocks),
-        requests=tuple(tuple(r) for r in held_out_requests(blocks, rule.horizon)),
+        sessions=tuple(map(tuple, sessions(blocks))),
+        secret=secret_of(blocks),
         rule=rule,
     )
 

@@ -65,7 +65,7 @@ class Oracle:
             self._worker.answer_by(deadline)
             self._worker.load(self.source, model, self.context)
             blocks = self.fold.held_out
-            y_hat = simulate_held_out(self._worker, blocks, self.rule.horizon)
+            y_hat = simulate_held_out(self._worker, blocks)
             score = score_fold([b.y for b in blocks], y_hat, self.fold.scale, self.rule.metric)
             return rounded_score(score.value)
         except CandidateError as error:

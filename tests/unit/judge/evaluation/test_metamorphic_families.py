@@ -9,7 +9,7 @@ from asia.agents.library.registry import all_families
 from asia.problem.folds import make_folds
 from asia.problem.protocol import ProtocolRule
 from asia.testing.family import family_problem, smallest_source
-from tests.unit.judge.evaluation.relations import Model, suspicions_of
+from tests.unit.judge.evaluation.relations import Stepping, suspicions_of
 
 CHOSEN = {"linear", "narx", "gp_narx", "esn", "recurrent", "cnn", "transformer"}
 
@@ -28,5 +28,5 @@ def test_a_family_is_not_suspected(row):
     held = make_folds([record], rule)[1]
     module = types.ModuleType(row.name)
     exec(smallest_source(row, record, context), module.__dict__)
-    model = Model(module.fit(held.train, context).simulate)
+    model = Stepping(module.fit(held.train, context))
     assert suspicions_of(model, held.held_out, held.scale, None) == ()

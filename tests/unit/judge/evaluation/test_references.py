@@ -22,7 +22,7 @@ import numpy as np
 
 class Hold:
     def simulate(self, past_u, past_y, u):
-        assert u.shape[0] in (2, 8) and u.shape[1] <= 10
+        assert u.shape[0] in (1, 8) and u.shape[1] <= 10
         return np.repeat(past_y[:, -1:], u.shape[1], axis=1)
 
 def fit(trajectories, context):
@@ -100,7 +100,7 @@ def test_no_velocity_where_nothing_tells_one() -> None:
 
 
 def test_a_candidate_is_judged_on_windows() -> None:
-    """The held-out windows come two a request, those it was trained on all at once."""
+    """The held-out windows come one by one, those it was trained on all at once."""
     found = evaluator(windows(1), carts())
     evaluation = found.evaluate(HOLD)
     assert isinstance(evaluation.outcome, Score)

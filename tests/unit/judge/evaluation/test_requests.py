@@ -1,9 +1,10 @@
-"""Windows in one request: a later past window would reveal an earlier window's output."""
+"""Order of held-out cases: a later past window would reveal an earlier window's output, and a later
+input is not known to an earlier one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import cast
+from itertools import pairwise
 
 import numpy as np
 from hypothesis import given
@@ -11,12 +12,12 @@ from hypothesis import strategies as st
 
 from asia.data import Array, Trajectory
 from asia.judge.evaluation.requests import (
+    MOST_SESSIONS,
     MOST_TRAINING_WINDOWS,
+    sessions,
     simulate_held_out,
     simulate_training,
-    time_order,
 )
-from asia.judge.sandbox.worker.worker import Worker
 from asia.problem.folds import Block, whole
 from asia.problem.protocol import ProtocolRule
 
@@ -26,10 +27,16 @@ RULE = ProtocolRule(kind="windows", horizon=4, past_inputs=0, past_outputs=1)
 class Recorder:
     """Stands for a worker: keeps what it is sent; its simulation is the sum of u so far."""
 
+    has_steps = True
+
     def __init__(self) -> None:
         self.sent: list[Array] = []
 
-    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+    def simulate(self, past_u: Array, past_y: Array, u: Array, secret: bytes = b"") -> Array:
+        del secret
+        return self.simulate_known(past_u, past_y, u)
+
+    def simulate_known(self, past_u: Array, past_y: Array, u: Array) -> Array:
         del past_u
         self.sent.append(past_y[:, -1, 0])
         return past_y[:, -1:] + np.cumsum(u, axis=1)
@@ -41,57 +48,46 @@ def blocks(lengths: Sequence[int], rule: ProtocolRule = RULE) -> tuple[Block, ..
     return whole([Trajectory(np.ones(len(v)), v, 1.0, str(v[0])) for v in values], rule)
 
 
-def ask(simulate: object, found: tuple[Block, ...], horizon: int | None) -> list[Array]:
-    worker = Recorder()
-    y_hat = simulate(cast(Worker, worker), found, horizon)  # type: ignore[operator]
+def check(found: Sequence[Block], y_hat: Sequence[Array]) -> None:
     for block, simulated in zip(found, y_hat, strict=True):
         assert np.array_equal(simulated, block.y)
-    return worker.sent
 
 
-@given(st.lists(st.integers(1, 30), min_size=1, max_size=8))
-def test_a_window_is_sent_after_all_earlier_ones_of_its_record(counts: list[int]) -> None:
-    records = [r for r, count in enumerate(counts) for _ in range(count)]
-    requests = time_order(records)
-    assert sorted(i for request in requests for i in request) == list(range(len(records)))
-    for request in requests:
-        owners = [records[i] for i in request]
-        assert len(set(owners)) == len(owners)
-    turn = {i: t for t, request in enumerate(requests) for i in request}
-    for i in range(1, len(records)):
-        if records[i] == records[i - 1]:
-            assert turn[i] > turn[i - 1]
-    assert len(requests) == max(counts)
-    sizes = [len(request) for request in requests]
-    assert max(sizes) - min(sizes) <= 1
+@given(st.lists(st.integers(5, 60), min_size=1, max_size=30))
+def test_no_worker_knows_an_input_before_its_time(lengths: list[int]) -> None:
+    found = blocks(lengths)
+    parts = sessions(found)
+    assert sorted(i for part in parts for i in part) == list(range(len(found)))
+    assert len(parts) <= MOST_SESSIONS
+    for part in parts:
+        for record in {found[i].record for i in part}:
+            own = [found[i] for i in part if found[i].record == record]
+            for one, other in pairwise(own):
+                assert one.stop <= other.start
+    if len(parts) < MOST_SESSIONS:
+        assert all(len({found[i].record for i in part}) == 1 for part in parts)
 
 
-def test_runs_of_one_length_go_side_by_side() -> None:
-    assert time_order([0, 0, 0, 1, 1, 1]) == [[0, 3], [1, 4], [2, 5]]
-    assert time_order([]) == []
-
-
-def test_held_out_windows_arrive_in_time_order_in_batches_of_one_size() -> None:
-    sent = ask(simulate_held_out, blocks([13, 17, 9]), 4)
-    assert {len(request) for request in sent} == {3}
-    seen: dict[int, float] = {}
-    for request in sent:
-        for record in {int(v // 1000) for v in request}:
-            times = {float(v) for v in request if v // 1000 == record}
-            assert len(times) == 1
-            assert times.pop() > seen.get(record, -1.0)
-            seen[record] = max(float(v) for v in request if v // 1000 == record)
+def test_held_out_windows_arrive_one_by_one_in_time_order() -> None:
+    found, worker = blocks([13, 17, 9]), Recorder()
+    check(found, simulate_held_out(worker, found))
+    assert all(len(request) == 1 for request in worker.sent)
+    sent = [float(request[0]) for request in worker.sent]
+    assert sent == sorted(sent)
 
 
 def test_training_windows_go_in_few_large_requests() -> None:
-    found = blocks([1401, 801])
-    sent = ask(simulate_training, found, 4)
-    assert [len(request) for request in sent] == [184, 184, 184]
-    assert max(len(request) for request in sent) <= MOST_TRAINING_WINDOWS
+    found, worker = blocks([1401, 801]), Recorder()
+    check(found, simulate_training(worker.simulate_known, found, 4))
+    assert [len(request) for request in worker.sent] == [184, 184, 184]
+    assert max(len(request) for request in worker.sent) <= MOST_TRAINING_WINDOWS
 
 
 def test_whole_blocks_go_one_by_one() -> None:
     rule = ProtocolRule(past_inputs=0, past_outputs=1)
-    for simulate in (simulate_held_out, simulate_training):
-        sent = ask(simulate, blocks([9, 5], rule), None)
-        assert [request.tolist() for request in sent] == [[0.0], [1000.0]]
+    found = blocks([9, 5], rule)
+    one, other = Recorder(), Recorder()
+    check(found, simulate_held_out(one, found))
+    check(found, simulate_training(other.simulate_known, found, None))
+    for worker in (one, other):
+        assert [request.tolist() for request in worker.sent] == [[0.0], [1000.0]]

@@ -74,7 +74,7 @@ def test_models_load_one_after_another_and_the_source_runs_once(worker, case):
         one.fit(source, case.trajectories, case.context, answers)
         for k, model in enumerate(answers.models):
             other.load(source, model, case.context)
-            y = other.simulate(case.past_u, case.past_y, case.u)
+            y = other.simulate_known(case.past_u, case.past_y, case.u)
             np.testing.assert_array_equal(y, k * case.u.repeat(2, axis=2) + 100.0 * (k + 1))
         with pytest.raises(SandboxError, match="one source"):
             other.load(source + "\n", answers.models[0], case.context)

@@ -37,7 +37,7 @@ def in_pieces(past_u, past_y, u):
 
 def where_it_pays(past_u, past_y, u):
     gaps = np.abs(honest(past_u, past_y, u)[0, :-1, 0] - u[0, 1:, 1])
-    ahead = np.append(gaps > 0.5, False)
+    ahead = np.append(gaps > 0.15, False)
     ahead[u.shape[1] // 2 - 1] = False
     return peek(ahead, past_u, past_y, u)
 
@@ -71,24 +71,6 @@ def as_asked_before(past_u, past_y, u):
     SEEN.append((u[0].copy(), plain[0], y[0].copy()))
     return y
 
-def at_the_beginning(past_u, past_y, u):
-    # Fits itself to the first fifth, which every longer request begins with.
-    y, known = honest(past_u, past_y, u), min(12, u.shape[1] - 1)
-    if known == 0:
-        return y
-    told = u[:, 1 : known + 1, 1:2]
-    grown = np.concatenate([past_u[:, -1:, :1], u[:, :-1, :1]], axis=1)
-    inputs = np.concatenate([np.concatenate([past_y[:, -1:], told[:, :-1]], axis=1),
-                             np.tanh(grown[:, :known]), grown[:, :known]], axis=2)[0]
-    pole, soft, gain = np.linalg.lstsq(
-        np.concatenate([inputs, 0.02 * np.eye(3)]),
-        np.concatenate([told[0, :, 0], 0.02 * np.array([POLE, 0.0, GAIN])]), rcond=None)[0]
-    y[:, :known], x = told, told[:, -1]
-    for k in range(known, u.shape[1]):
-        x = pole * x + soft * np.tanh(grown[:, k]) + gain * grown[:, k]
-        y[:, k] = x
-    return y
-
 def behind_wild_samples(past_u, past_y, u):
     # What moves wildly with the last digits of the inputs excuses what moves later on.
     y = peek(np.ones(u.shape[1], bool), past_u, past_y, u)
@@ -107,9 +89,76 @@ FORESIGHT = {
         ("in pieces", "in_pieces"),
         ("where it pays", "where_it_pays"),
         ("filter within each half", "half_by_half"),
-        ("at the beginning", "at_the_beginning"),
         ("behind wild samples", "behind_wild_samples"),
         ("as asked before", "as_asked_before"),
+    )
+}
+
+
+# Candidates that look ahead and imitate chaos: where inputs moved a little show that an answer is
+# being checked, it diverges, so that any difference could be the growth of rounding errors.
+
+
+_CHAOS = (
+    _PEEK
+    + """
+def everywhere(past_u, past_y, u):
+    return peek(np.ones(u.shape[1], bool), past_u, past_y, u)
+
+def diverging(y, moved, u):
+    # The samples are counted in whole numbers: what is moved is not.
+    growth = np.minimum(1e-6 * np.exp(np.arange(u.shape[1]) * GROWTH), 1.0)
+    wild = np.sin(1e9 * np.cumsum(moved + 0 * u[..., 2], axis=1))
+    return y + growth[None, :, None] * wild[..., None]
+
+def fraction(u):
+    return u[..., 2] - np.round(u[..., 2])
+
+def as_chaos(past_u, past_y, u):
+    return diverging(everywhere(past_u, past_y, u), fraction(u), u)
+
+def as_chaos_in_part(past_u, past_y, u):
+    y = peek(np.arange(u.shape[1]) % 5 != 4, past_u, past_y, u)
+    return diverging(y, fraction(u), u)
+
+SEEN = set()
+
+def as_chaos_by_memory(past_u, past_y, u):
+    # A case that began before, asked at another length or with other inputs, diverges.
+    key, begin = u.tobytes(), past_y[0, -1].tobytes()
+    again = any(b == begin and k != key for k, b in SEEN)
+    SEEN.add((key, begin))
+    moved = np.full(u.shape[:2], float(again) * 1e-9 * (hash(key) % 997))
+    return diverging(everywhere(past_u, past_y, u), moved, u)
+"""
+)
+
+
+def _of_chaos(function: str, growth: float) -> str:
+    return candidate(after=f"{function}(past_u, past_y, u)", top=f"GROWTH = {growth}\n{_CHAOS}")
+
+
+CHAOS = {
+    "without memory": _of_chaos("as_chaos", 0.4),
+    "in part": _of_chaos("as_chaos_in_part", 0.4),
+    "by memory": _of_chaos("as_chaos_by_memory", 0.4),
+}
+SHORT_CHAOS = {
+    "without memory": _of_chaos("as_chaos", 2.5),
+    "by memory": _of_chaos("as_chaos_by_memory", 2.5),
+}
+
+
+# Candidates that look ahead and are slow, so that little of them can be checked in a given time.
+
+
+_SLOW = _PEEK + "\nNAP = 0.12\n"
+SLOW = {
+    name: candidate(before=before, after=f"{function}(past_u, past_y, u)", top=_SLOW)
+    for name, before, function in (
+        ("always", "time.sleep(NAP)", "in_pieces"),
+        ("where it is asked for little", "time.sleep(NAP * (u.shape[1] < 50))", "in_pieces"),
+        ("where it pays", "time.sleep(NAP)", "where_it_pays"),
     )
 }
 
@@ -334,7 +383,7 @@ PLACES = {
 
 
 _ALL_ASKED = (
-    SuspicionKind.CAUSALITY,
+    SuspicionKind.LOOK_AHEAD,
     SuspicionKind.STRANGERS,
     SuspicionKind.REPLAY,
     SuspicionKind.PERTURBATION,
@@ -350,6 +399,7 @@ RELATIONS = (
         FORESIGHT,
         scores_better,
         (Barrier.METAMORPHIC,),
+        problem="noisy",
         checks=_ALL_ASKED,
     ),
     CandidateAttack(
@@ -359,9 +409,8 @@ RELATIONS = (
         "from the start or late in the row",
         ROWS,
         scores_better,
-        (Barrier.METAMORPHIC,),
+        (Barrier.PARENT,),
         problem="weather",
-        checks=(SuspicionKind.STRANGERS, SuspicionKind.BLOCK_END),
     ),
     CandidateAttack(
         39,
@@ -382,7 +431,7 @@ RELATIONS = (
         scores_better,
         (Barrier.METAMORPHIC,),
         problem="drift",
-        checks=(SuspicionKind.BLOCK_END, SuspicionKind.CAUSALITY),
+        checks=(SuspicionKind.BLOCK_END, SuspicionKind.LOOK_AHEAD),
     ),
     CandidateAttack(
         43,
@@ -397,20 +446,51 @@ RELATIONS = (
         44,
         "average over the only request",
         "learns of a disturbance by all rows where each record has one window",
-        ROWS,
+        # The others are honest where a row is alone.
+        {name: ROWS[name] for name in ("mean", "median", "trimmed mean")},
         scores_better,
-        (Barrier.METAMORPHIC,),
+        (Barrier.PARENT,),
         problem="pulses",
-        checks=_ALL_ASKED,
     ),
     CandidateAttack(
         45,
         "look ahead in short windows",
         "reads a feedback signal ahead in windows of a few samples",
-        {name: FORESIGHT[name] for name in ("but at the splice", "at the beginning")},
+        {name: FORESIGHT[name] for name in ("but at the splice", "in pieces")},
+        scores_better,
+        (Barrier.PARENT,),
+        problem="noisy windows",
+        checks=_ALL_ASKED,
+    ),
+    CandidateAttack(
+        55,
+        "look ahead as chaos",
+        "reads a feedback signal ahead, and diverges where moved inputs or another length show "
+        "that an answer is being checked",
+        CHAOS,
         scores_better,
         (Barrier.METAMORPHIC,),
-        problem="windows",
-        checks=_ALL_ASKED,
+        problem="noisy",
+        checks=(SuspicionKind.LOOK_AHEAD, SuspicionKind.STRANGERS, SuspicionKind.REPLAY),
+    ),
+    CandidateAttack(
+        56,
+        "look ahead as chaos in windows",
+        "does the same in windows of a few samples",
+        SHORT_CHAOS,
+        scores_better,
+        (Barrier.PARENT,),
+        problem="noisy windows",
+        checks=(SuspicionKind.LOOK_AHEAD, SuspicionKind.STRANGERS, SuspicionKind.REPLAY),
+    ),
+    CandidateAttack(
+        57,
+        "look ahead slowly",
+        "reads a feedback signal ahead in pieces, and sleeps so that few requests fit into a time",
+        SLOW,
+        scores_better,
+        (Barrier.METAMORPHIC,),
+        problem="noisy",
+        checks=(SuspicionKind.LOOK_AHEAD,),
     ),
 )

@@ -304,7 +304,7 @@ SCORES = (
             ),
         },
         scores_better,
-        (Barrier.LINT, Barrier.METAMORPHIC),
+        (Barrier.LINT, Barrier.METAMORPHIC, Barrier.PARENT),
     ),
     CandidateAttack(
         30,

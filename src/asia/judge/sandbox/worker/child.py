@@ -47,6 +47,7 @@ _SOURCE_NAME = "candidate.py"
 _LARGEST_FILE = 64 * 1024 * 1024
 _OPEN_FILES = 256
 _MESSAGE_CHARACTERS = 1000
+_SHORT = 4096
 
 
 def _restrict(memory_mb: int) -> None:
@@ -126,6 +127,22 @@ def _execute(source: str) -> ModuleType:
     return module
 
 
+def _real(result: object, shape: tuple[int, ...]) -> Array:
+    """Copy of an answer as float64; refused where it is not one of real numbers in this shape."""
+    import numpy as np
+
+    try:
+        y = np.array(result, order="C", subok=False)
+        if y.dtype.kind not in "biufO":
+            raise TypeError("not real numbers")
+        y = y.astype("<f8", copy=False)
+    except (TypeError, ValueError) as error:
+        raise _RefusedError from error
+    if y.shape != shape:
+        raise _WrongShapeError(y.shape)
+    return y
+
+
 def _as_model(value: object, what: str = "fit returned") -> Model:
     if not callable(getattr(value, "simulate", None)):
         raise _RefusedError(f"{what} {type(value).__name__}, which has no simulate method")
@@ -176,10 +193,12 @@ class _Session:
 
     def serve(self) -> NoReturn:
         self._reply(wire.ReplyKind.STARTED)
-        handlers: dict[str, Callable[..., bytes | memoryview]] = {
+        handlers: dict[str, Callable[..., bytes | memoryview | None]] = {
             "fit": self._fit,
             "load": self._load,
             "simulate": self._simulate,
+            "stream": self._stream,
+            "has_steps": self._has_steps,
             "dump": lambda: self._pickled(self._model),
             "parameters": self._parameters,
             "estimates": self._estimates,
@@ -190,20 +209,23 @@ class _Session:
         while True:
             self._token, name, arguments = wire.read_request(self._requests)
             status = wire.ReplyKind.OK
-            self._compiling.request = name
+            self._compiling.request = "simulate" if name == "stream" else name
             try:
                 body = handlers[name](*arguments)
                 arguments = ()
             except BaseException as error:  # noqa: BLE001 - the border to candidate code
-                status, body = self._describe(error, private=name in ("load", "simulate"))
+                status, body = self._describe(error, private=name in ("load", "simulate", "stream"))
                 del error
-            if os.getpid() != self._pid:
-                os._exit(0)  # a fork that strayed out of candidate code
-            self._reply(status, body)
+            if body is not None:
+                self._reply(status, body)
 
     def _reply(self, status: int, body: bytes | memoryview = b"") -> None:
+        if os.getpid() != self._pid:
+            os._exit(0)  # a fork that strayed out of candidate code
         head = wire.REPLY_HEAD.pack(status, self._token, len(body))
-        for data in (memoryview(head), memoryview(body)):
+        # A short reply goes at once: the parent waits for it at each step of a simulation.
+        parts = (head + body,) if len(body) < _SHORT else (head, body)
+        for data in map(memoryview, parts):
             done = 0
             while done < len(data):
                 done += os.write(self._replies, data[done:])
@@ -272,17 +294,32 @@ class _Session:
         import numpy as np
 
         assert self._model is not None
-        result = self._model.simulate(past_u, past_y, u)
-        try:
-            y = np.array(result, order="C", subok=False)
-            if y.dtype.kind not in "biufO":
-                raise TypeError("not real numbers")
-            y = y.astype("<f8", copy=False)
-        except (TypeError, ValueError) as error:
-            raise _RefusedError from error
-        if y.shape != (u.shape[0], u.shape[1], ny):
-            raise _WrongShapeError(y.shape)
+        y = _real(self._model.simulate(past_u, past_y, u), (u.shape[0], u.shape[1], ny))
         return y.reshape(-1).view(np.uint8).data
+
+    def _has_steps(self) -> bytes:
+        names = ("initial", "step")
+        return bytes([all(callable(getattr(self._model, name, None)) for name in names)])
+
+    def _stream(self, past_u: Array, past_y: Array, ny: int) -> None:
+        """Answer frames of one input sample until an empty one. How many samples are to come is not
+        known here."""
+        import numpy as np
+
+        model: Any = self._model
+        (rows, _, nu), begun, state = past_u.shape, False, None
+        frame = bytearray(wire.FRAME_HEAD.size + rows * nu * 8)
+        sample = np.frombuffer(frame, "<f8", rows * nu, wire.FRAME_HEAD.size).reshape(rows, nu)
+        while True:
+            wire.read_into(self._requests, memoryview(frame))
+            self._token, goes_on = wire.FRAME_HEAD.unpack_from(frame)
+            if not goes_on:
+                return
+            u = sample.copy()
+            if not begun:
+                begun, state = True, model.initial(past_u, past_y, u)
+            state, y = model.step(state, u)
+            self._reply(wire.ReplyKind.OK, _real(y, (rows, ny)).tobytes())
 
     def _lower(self, n_past_u: int, n_past_y: int, nu: int, ny: int) -> bytes:
         """Traced here, where the model's own code may run."""

@@ -36,6 +36,7 @@ from asia.judge.sandbox.worker.keeper import descendants
 from asia.judge.sandbox.worker.wire import (
     COMPILED,
     COMPILED_BYTES,
+    FRAME_HEAD,
     LARGE_BYTES,
     LENGTH,
     REPLY_HEAD,
@@ -235,6 +236,8 @@ class Channel:
         self._end = bytearray()
         self._printed_bytes = 0
         self._keep_output = True
+        self._early = bytearray()
+        self._pollers: dict[tuple[int, int], select.poll] = {}
         for fd in (pipes.requests, pipes.replies, pipes.output):
             os.set_blocking(fd, False)
         if sys.platform == "linux":
@@ -244,6 +247,8 @@ class Channel:
 
     def new_token(self) -> bytes:
         """Token for the next request. Raises UnsolicitedError, GoneError."""
+        if self._early:
+            raise UnsolicitedError
         if select_one(self._replies):
             raise UnsolicitedError if os.read(self._replies, 1) else GoneError
         self._token = secrets.token_bytes(TOKEN_BYTES)
@@ -251,6 +256,8 @@ class Channel:
 
     def send(self, request: object, deadline: float) -> None:
         """Send one request. Raises LateError, GoneError."""
+        if not self._keep_output:
+            self._printed_bytes = 0  # The limit on what is dropped is one on each request.
         arrays: list[memoryview] = []
 
         def in_pickle(buffer: pickle.PickleBuffer) -> bool:
@@ -263,15 +270,47 @@ class Channel:
         lengths = [LENGTH.pack(array.nbytes) for array in arrays]
         head = b"".join([REQUEST_HEAD.pack(len(body), len(arrays)), *lengths])
         for data in (memoryview(head), memoryview(body), *arrays):
-            done = 0
-            while done < len(data):
+            self._write(data, deadline)
+
+    def exchange(self, frame: bytearray, token: bytes, answer: memoryview, deadline: float) -> Head:
+        """Send one sample of a stream and wait for the reply with this token. Where it is OK and
+        has the size of `answer`, that is filled. Raises LateError, GoneError, UnsolicitedError."""
+        self._token = token
+        self.send_frame(frame, deadline, goes_on=True)
+        head = bytearray(REPLY_HEAD.size)
+        count = 0
+        while not count:
+            try:
+                count = os.readv(self._replies, [head, answer])
+            except BlockingIOError:
+                self._wait(self._replies, select.POLLIN, deadline)
+                continue
+            if not count:
+                raise GoneError
+        if count == len(head) + len(answer):
+            status, token, length = REPLY_HEAD.unpack(head)
+            if token == self._token and status == ReplyKind.OK and length == len(answer):
+                return Head(ReplyKind.OK, length)
+        self._early += (head + answer)[:count]
+        found = self.receive_head(deadline)
+        if found == Head(ReplyKind.OK, len(answer)):
+            self.receive_into(answer, deadline)
+        return found
+
+    def send_frame(self, frame: bytearray, deadline: float, *, goes_on: bool) -> None:
+        """Send a frame of a stream. Raises LateError, GoneError."""
+        FRAME_HEAD.pack_into(frame, 0, self._token, goes_on)
+        self._write(memoryview(frame), deadline)
+
+    def _write(self, data: memoryview, deadline: float) -> None:
+        done = 0
+        while done < len(data):
+            try:
+                done += os.write(self._requests, data[done : done + _PIPE_BYTES])
+            except BlockingIOError:
                 self._wait(self._requests, select.POLLOUT, deadline)
-                try:
-                    done += os.write(self._requests, data[done : done + _PIPE_BYTES])
-                except BlockingIOError:
-                    continue
-                except BrokenPipeError as error:
-                    raise GoneError from error
+            except BrokenPipeError as error:
+                raise GoneError from error
 
     def receive_head(self, deadline: float) -> Head:
         """Wait for the next reply. Raises LateError, GoneError, UnsolicitedError."""
@@ -291,12 +330,14 @@ class Channel:
 
     def receive_into(self, data: memoryview, deadline: float) -> None:
         """Exactly as many bytes as there is room for. Raises LateError, GoneError."""
-        done = 0
+        done = min(len(self._early), len(data))
+        data[:done] = self._early[:done]
+        del self._early[:done]
         while done < len(data):
-            self._wait(self._replies, select.POLLIN, deadline)
             try:
                 count = os.readv(self._replies, [data[done : done + _PIPE_BYTES]])
             except BlockingIOError:
+                self._wait(self._replies, select.POLLIN, deadline)
                 continue
             if not count:
                 raise GoneError
@@ -324,10 +365,12 @@ class Channel:
             left = deadline - time.monotonic()
             if left <= 0:
                 raise LateError
-            poller = select.poll()
-            poller.register(fd, event)
-            if self._output is not None:
-                poller.register(self._output, select.POLLIN)
+            poller = self._pollers.get((fd, event))
+            if poller is None:
+                poller = self._pollers[fd, event] = select.poll()
+                poller.register(fd, event)
+                if self._output is not None:
+                    poller.register(self._output, select.POLLIN)
             ready = {place for place, _ in poller.poll(min(left, _SLICE_SECONDS) * 1000)}
             if self._output in ready:
                 self._drain()
@@ -356,6 +399,7 @@ class Channel:
         if self._output is not None:
             os.close(self._output)
             self._output = None
+            self._pollers.clear()
 
 
 def select_one(fd: int, event: int = select.POLLIN) -> bool:

@@ -4,6 +4,10 @@ A request is the u64 length of a pickle, which only travels into the sandbox, th
 large arrays, their u64 lengths, the pickle, and these arrays, which neither end copies. A reply is
 a status byte, the token of the request it answers, a u64 length and raw bytes: nothing in it is
 parsed. During a fit a SCORE reply brings a model, and the next request brings its score.
+
+A `stream` request is followed by frames of one size: the token of the reply, 1, and one input
+sample as float64 (B, nu). Each is answered before the next is sent. A frame with 0 ends the stream
+and has no reply.
 """
 
 from __future__ import annotations
@@ -19,6 +23,7 @@ LENGTH = struct.Struct("<Q")
 LARGE_BYTES = 65_536
 """Size from which an array travels outside the pickle."""
 REPLY_HEAD = struct.Struct("<B8sQ")
+FRAME_HEAD = struct.Struct("<8sQ")
 TOKEN_BYTES = 8
 
 CURVE_ROWS = 2000
@@ -58,17 +63,18 @@ def read_request(requests: int) -> tuple[bytes, str, Any]:
         give_back_large_arrays()
     arrays = [np.empty(size, np.uint8) for size in lengths]
     for array in arrays:
-        _read_into(requests, array.data)
+        read_into(requests, array.data)
     return pickle.loads(body, buffers=arrays)
 
 
 def _read(requests: int, length: int) -> bytearray:
     data = bytearray(length)
-    _read_into(requests, memoryview(data))
+    read_into(requests, memoryview(data))
     return data
 
 
-def _read_into(requests: int, data: memoryview) -> None:
+def read_into(requests: int, data: memoryview) -> None:
+    """Fill `data` from the parent, in the worker, which ends with its pipe."""
     done = 0
     while done < len(data):
         count = os.readv(requests, [data[done : done + (1 << 20)]])

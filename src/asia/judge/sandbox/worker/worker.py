@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
+import secrets
 import threading
 import time
 from collections.abc import Generator, Sequence
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 
@@ -30,6 +32,7 @@ from asia.judge.sandbox.worker.figures import (
     unpack_estimates,
     unpack_parameters,
 )
+from asia.judge.sandbox.worker.prefixes import by_prefixes
 from asia.judge.sandbox.worker.process import (
     Channel,
     GoneError,
@@ -47,8 +50,10 @@ from asia.judge.sandbox.worker.wire import (
     CURVE_ROW_BYTES,
     CURVE_ROWS,
     DEVICE_BYTES,
+    FRAME_HEAD,
     SHAPE_DIMENSIONS,
     TEXT_BYTES,
+    TOKEN_BYTES,
     ReplyKind,
 )
 from asia.lowering.program import LoweredModel
@@ -91,6 +96,12 @@ def _failure_words(
     return text if text in KNOWN_ERRORS else "an exception of its own"
 
 
+def _finite(y: Array) -> Array:
+    if not np.isfinite(y).all():
+        raise CandidateError(Reason.NOT_FINITE)
+    return y
+
+
 class Worker:
     """Worker process inside one isolation level; use it as a context manager.
 
@@ -122,6 +133,7 @@ class Worker:
         self._ny = 0
         self._model_loaded = False
         self._cases_seen = False
+        self._has_steps: bool | None = None
         self._memory: ResourceWatch | None = None
         self._pids_mechanism = pids
         self._pids: PidsCgroup | ResourceWatch | None = None
@@ -186,26 +198,71 @@ class Worker:
         with self._clock.activity(Activity.IMPORT):
             if self._ask("load", (source, model), deadline, Reason.SIMULATE_TIMEOUT).length:
                 raise self._failure(Reason.UNSOLICITED)
-        self._ny, self._model_loaded = context.ny, True
+        self._ny, self._model_loaded, self._has_steps = context.ny, True, None
 
-    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
-        """Simulate a batch of cases, shapes as in `Model.simulate`; returns (B, H, ny), finite."""
-        self._need_model()
-        late = Reason.SIMULATE_TIMEOUT
-        self._cases_seen = True
-        shape = (u.shape[0], u.shape[1], self._ny)
-        deadline = min(time.monotonic() + self._limits.simulate_seconds, self._latest)
+    def simulate(self, past_u: Array, past_y: Array, u: Array, secret: bytes = b"") -> Array:
+        """Simulate a batch of cases, shapes as in `Model.simulate`; returns (B, H, ny), finite.
+
+        The model receives one input sample at a time and answers it before it receives the next. A
+        model without `step` is asked for whole simulations of prefixes, whose ends hang on
+        `secret`: see `prefixes`.
+        """
+        deadline = self._begin_cases()
+        stepwise = self.has_steps
         with self._clock.activity(Activity.SIMULATE):
-            arguments = (past_u, past_y, u, self._ny)
-            head = self._ask("simulate", arguments, deadline, late, expected=shape)
-            if head.length != math.prod(shape) * 8:
-                raise self._failure(Reason.WRONG_LENGTH, f"expected shape {shape}")
-            y = np.empty(shape, "<f8")
-            with self._channel_errors(late):
-                self._channel.receive_into(y.reshape(-1).view(np.uint8).data, deadline)
-        if not np.isfinite(y).all():
-            raise CandidateError(Reason.NOT_FINITE)
+            if stepwise:
+                return _finite(self._streamed(past_u, past_y, u, deadline))
+            whole = partial(self._whole, deadline=deadline)
+            return _finite(by_prefixes(whole, past_u, past_y, u, secret))
+
+    def simulate_known(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """As `simulate`, by the model's own `simulate`: for cases that it was fitted to."""
+        deadline = self._begin_cases()
+        with self._clock.activity(Activity.SIMULATE):
+            return _finite(self._whole(past_u, past_y, u, deadline))
+
+    def _begin_cases(self) -> float:
+        self._need_model()
+        self._cases_seen = True
+        return min(time.monotonic() + self._limits.simulate_seconds, self._latest)
+
+    def _whole(self, past_u: Array, past_y: Array, u: Array, deadline: float) -> Array:
+        late, shape = Reason.SIMULATE_TIMEOUT, (u.shape[0], u.shape[1], self._ny)
+        arguments = (past_u, past_y, u, self._ny)
+        head = self._ask("simulate", arguments, deadline, late, expected=shape)
+        if head.length != math.prod(shape) * 8:
+            raise self._failure(Reason.WRONG_LENGTH, f"expected shape {shape}")
+        y = np.empty(shape, "<f8")
+        with self._channel_errors(late):
+            self._channel.receive_into(y.reshape(-1).view(np.uint8).data, deadline)
         return y
+
+    @property
+    def has_steps(self) -> bool:
+        """Whether the model can be asked sample by sample."""
+        if self._has_steps is None:
+            self._has_steps = self._reply("has_steps", (), 1) == b"\1"
+        return self._has_steps
+
+    def _streamed(self, past_u: Array, past_y: Array, u: Array, deadline: float) -> Array:
+        late, (rows, length, nu) = Reason.SIMULATE_TIMEOUT, u.shape
+        shape = rows, self._ny
+        self._send("stream", (past_u, past_y, self._ny), deadline, late)
+        y = np.empty((length, *shape), "<f8")
+        inputs, outputs = np.ascontiguousarray(u.swapaxes(0, 1), "<f8"), y.view(np.uint8)
+        frame = bytearray(FRAME_HEAD.size + rows * nu * 8)
+        tokens = secrets.token_bytes(TOKEN_BYTES * length)
+        with self._channel_errors(late):
+            for k in range(length):
+                frame[FRAME_HEAD.size :] = inputs[k].data.cast("B")
+                token = tokens[TOKEN_BYTES * k : TOKEN_BYTES * (k + 1)]
+                answer = outputs[k].data.cast("B")
+                head = self._channel.exchange(frame, token, answer, deadline)
+                self._check_head(head, deadline, (ReplyKind.OK,), shape)
+                if head.length != len(answer):
+                    raise self._failure(Reason.WRONG_LENGTH, f"expected shape {shape}")
+            self._channel.send_frame(frame, deadline, goes_on=False)
+        return y.swapaxes(0, 1)
 
     def lowered(self, context: Context) -> LoweredModel | str:
         """The model as a program to be printed, or why there is none."""
@@ -433,18 +490,24 @@ class Worker:
         self,
         deadline: float,
         late: Reason,
-        wanted: tuple[ReplyKind, ...],
+        wanted: tuple[ReplyKind, ...] = (ReplyKind.OK,),
         expected: tuple[int, ...] = (),
     ) -> Head:
         """Head of a reply that is no failure; `expected` is the shape to name in one."""
         with self._channel_errors(late):
             head = self._channel.receive_head(deadline)
-            if head.status in wanted:
-                return head
-            if head.status not in _REASONS:
-                raise UnsolicitedError
-            length = head.length if head.length <= TEXT_BYTES else 0
-            body = self._channel.receive(length, deadline)
+            self._check_head(head, deadline, wanted, expected)
+            return head
+
+    def _check_head(
+        self, head: Head, deadline: float, wanted: tuple[ReplyKind, ...], expected: tuple[int, ...]
+    ) -> None:
+        if head.status in wanted:
+            return
+        if head.status not in _REASONS:
+            raise UnsolicitedError
+        length = head.length if head.length <= TEXT_BYTES else 0
+        body = self._channel.receive(length, deadline)
         words = _failure_words(head.status, body, expected, private=self._cases_seen)
         raise self._failure(_REASONS[head.status], words)
 
