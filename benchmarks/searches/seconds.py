@@ -43,7 +43,7 @@ from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
+from asia.problem.folds import (make_folds)
 from asia.judge.sandbox.availability import probe
 from asia.search.agent_views import problem_facts
 problem = load_problem("two_tanks_sim")

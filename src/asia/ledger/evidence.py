@@ -20,7 +20,7 @@ from asia.data.trajectory import Array, Signal
 from asia.errors import Reason, UserError
 from asia.judge.evaluation.results import FoldFindings
 from asia.judge.scoring.checks.check import Check, CheckCurve
-from asia.judge.scoring.confirmation import least_significant_difference
+from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.judge.scoring.residuals import Diagnostics, Evidence, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
 from asia.ledger.run import Run
@@ -265,7 +265,7 @@ def noise_of_repeats(view: SearchView, among: Collection[int] = ()) -> float | N
     return None
 
 
-def significance_threshold(view: SearchView) -> float | None:
+def incumbent_threshold(view: SearchView) -> float | None:
     """Return the improvement of the mean over seeds that a candidate with the same variance needs
     to be kept; 0 if the incumbent does not depend on the seed, None if that is not known or one fit
     decides.
@@ -273,7 +273,7 @@ def significance_threshold(view: SearchView) -> float | None:
     held = view.incumbent
     if held is None or held.result is None or not held.result.retests:
         return None
-    return least_significant_difference(held.seed_values, held.seed_values)
+    return significance_threshold(held.seed_values, held.seed_values)
 
 
 # Evidence on one experiment besides its score.

@@ -10,7 +10,7 @@ from typing import Any
 
 from asia._text import coarse, one_line
 from asia.judge.evaluation.training_checks import TrainingCheck
-from asia.judge.scoring.checks.records import listed
+from asia.judge.scoring.checks.validation_data import listed
 from asia.judge.scoring.description import LiteralCheck
 from asia.ledger.events import (
     Evaluated,
@@ -27,7 +27,7 @@ from asia.ledger.evidence import (
     IdentifiedParameter,
     ParameterSpread,
     SharedResidual,
-    significance_threshold,
+    incumbent_threshold,
 )
 from asia.ledger.run import Control
 from asia.ledger.view import Experiment, SearchView
@@ -146,17 +146,17 @@ def method_note(view: SearchView) -> str:
     return f"{finding}; {one} is handed over, because its own fit has the lowest V"
 
 
-def floor_words(view: SearchView) -> str:
+def threshold_text(view: SearchView) -> str:
     """The mean V that a candidate needs in order to be kept; "" where it is not known."""
-    held, floor = view.incumbent, significance_threshold(view)
-    if held is None or floor is None:
+    held, threshold = view.incumbent, incumbent_threshold(view)
+    if held is None or threshold is None:
         return ""
     values = held.seed_values
     if len(values) == 1:
         return f"0: the fits of #{held.number:02d} do not depend on the seed"
     mean = error_value(fmean(values))
     return (
-        f"a candidate is kept if its mean V is more than {floor:.2g} below {mean}, the mean of "
+        f"a candidate is kept if its mean V is more than {threshold:.2g} below {mean}, the mean of "
         f"#{held.number:02d} over {len(values)} seeds"
     )
 
@@ -180,8 +180,10 @@ def describe_result(e: Experiment, view: SearchView) -> str:
             values = [r.failed if r.value is None else error_value(r.value) for r in result.retests]
             text += f"; other seeds {', '.join(values)}" if values else ""
             text += f", {mean}" if (mean := seed_mean_words(e)) else ""
-        if result.floor:
-            text += f"; required: a mean {result.floor:.2g} below that of the candidate kept before"
+        if result.threshold:
+            text += (
+                f"; required: a mean {result.threshold:.2g} below that of the candidate kept before"
+            )
     elif e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
         message = error_line(e.failure.detail)

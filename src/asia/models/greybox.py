@@ -28,7 +28,7 @@ from asia.models._equations.ode import equations
 from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._numerics.records import refuse_gaps
+from asia.models._numerics.training_records import refuse_gaps
 from asia.problem.physics import Bounds
 
 __all__ = ["Config", "GreyBox", "build", "train"]

@@ -15,10 +15,11 @@ from asia.data.frequency import FrequencyResponse, find_period, frequency_respon
 from asia.data.relations import FoundDelay, find_delay, find_feedback
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
+from asia.problem.folds import splits, windows
 from asia.problem.lock import protocol_digest
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem, Seal, correction_lines, prior_lines, symmetry_lines
-from asia.problem.protocol import ProtocolRule, splits, windows
+from asia.problem.protocol import ProtocolRule
 
 # Shorter records hold too little for a correlation.
 _SHORTEST = 64

@@ -17,7 +17,7 @@ from math import ceil
 from pathlib import Path
 
 from asia._files import read_file, sync_folder
-from asia.data.intake.records import Intake, take_in
+from asia.data.intake.conversion import Intake, take_in
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.text import Text
 from asia.data.preprocess import Preprocess
@@ -30,9 +30,11 @@ from asia.data.trajectory import (
     unique_names,
 )
 from asia.errors import UserError
+from asia.problem.folds import least_samples, require_length
 from asia.problem.load import load_problem
+from asia.problem.metrics import listed_metrics
 from asia.problem.problem import Problem
-from asia.problem.protocol import ProtocolRule, least_samples, require_length
+from asia.problem.protocol import ProtocolRule
 from asia.problem.sealing import STORE, Columns, Sealing, check_key_folder, remove_plain, seal_files
 from asia.problem.toml import toml_value
 
@@ -303,7 +305,7 @@ outputs = {outputs}
 folds = {{ kind = "contiguous", count = {folds} }}
 past_inputs = {past_inputs}                    # samples a model sees before it simulates
 past_outputs = {past_outputs}
-metric = "rmse"                     # or "mae"
+metric = "rmse"                     # or {metrics}
 
 [budget]
 experiments = 15
@@ -494,6 +496,7 @@ def init_problem(
         folds=rule.folds.count,
         past_inputs=rule.past_inputs,
         past_outputs=rule.past_outputs,
+        metrics=listed_metrics(but="rmse"),
     )
     many = f"{len(taken.train)} training and {len(taken.test)} test records"
     read = (f"{many}, sampled every {taken.sampling_time:g} s", *taken.notes, *preprocess)

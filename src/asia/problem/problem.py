@@ -16,8 +16,9 @@ from asia.data.preprocess import Preprocess
 from asia.data.sources.source import Channels, Source
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.problem.budget import Budget
+from asia.problem.folds import least_samples
 from asia.problem.physics import Physics
-from asia.problem.protocol import ProtocolRule, least_samples
+from asia.problem.protocol import ProtocolRule
 from asia.problem.protocol_table import ProtocolTable, groups_table, protocol_table
 from asia.problem.symmetry import Symmetry
 from asia.problem.toml import toml_text

@@ -62,7 +62,7 @@ def _search(view: SearchView, metric: str) -> Iterator[str]:
     )
     references = [
         f"{_quoted(r.name)} {error_value(r.outcome.value)}"
-        for r in view.rungs
+        for r in view.references
         if isinstance(r.outcome, Score)
     ]
     if references:
@@ -209,7 +209,7 @@ def _experiments_table(view: SearchView) -> str:
 def _winner_table(view: SearchView, metric: str) -> str:
     """V of the winner on each fold, with the reference models."""
     best = view.best
-    scores = [(r.name, r.outcome) for r in view.rungs if isinstance(r.outcome, Score)]
+    scores = [(r.name, r.outcome) for r in view.references if isinstance(r.outcome, Score)]
     if best is not None and best.score is not None:
         scores.append((best.proposed.title, best.score))
     folds = max((len(score.folds) for _, score in scores), default=0)

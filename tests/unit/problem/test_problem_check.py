@@ -10,9 +10,10 @@ import pytest
 from asia.data import Signal, Trajectory
 from asia.problem import Correction, Prior
 from asia.problem.check import check_problem
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem, Seal
-from asia.problem.protocol import Group, make_folds
+from asia.problem.protocol import Group
 
 
 @pytest.fixture

@@ -142,7 +142,7 @@ def use_lines(view: SearchView) -> list[str]:
     if named is None or refitted is None:
         return []
     lines = [f"use     {named.model}: {named.reason}"]
-    mean = next((r.outcome for r in view.rungs if r.name == "training mean"), None)
+    mean = next((r.outcome for r in view.references if r.name == "training mean"), None)
     best = view.best.score if view.best is not None else None
     if best is not None and isinstance(mean, Score) and best.value >= _BETTER * mean.value:
         lines.append(

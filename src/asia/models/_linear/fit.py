@@ -32,16 +32,16 @@ from asia.models._noise.model import (
     settled,
 )
 from asia.models._numerics.encoder import BlockedRidge, Encoder, window_encoder
-from asia.models._numerics.records import (
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
-    Scaling,
     contiguous_splits,
     past_length,
+    past_windows,
     refuse_gaps,
     side_by_side,
     window_rows,
-    windows,
 )
 
 # Starts for a linear state-space fit: (A, C) from subspace and realisation methods.
@@ -324,7 +324,7 @@ def choose_order(
     for kept, left in contiguous_splits(records, 3, 2 * past + 4 * max_order):
         long = [r for r in kept if len(r) > past]
         rows = window_rows(long, context)
-        shown = [windows(r, context)[at] for r, at in zip(long, rows, strict=True)]
+        shown = [past_windows(r, context)[at] for r, at in zip(long, rows, strict=True)]
         splits.append((kept, left, BlockedRidge(np.concatenate(shown))))
     errors: list[float] = []
     least = min(max(1, refinement.integrators), max_order)
@@ -360,7 +360,7 @@ def unseen_error(
     """
     start, total = past_length(context), 0.0
     for r in (r for r in records if len(r) > start):
-        x0 = encoder(windows(r, context)[:1])
+        x0 = encoder(past_windows(r, context)[:1])
         _, y = fitted.system.simulate(x0, r.u[None, start:])
         total += float((r.counts[start:, None] * (y[0] - r.y[start:]) ** 2).sum())
     return total

@@ -15,7 +15,7 @@ from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace, scan
 from asia.models._config import check_choice, demand, owner
-from asia.models._numerics.records import spread
+from asia.models._numerics.training_records import spread
 
 NoiseKind: TypeAlias = Literal["white", "slow"]
 

@@ -16,7 +16,8 @@ from asia.models._arrays import tree_size
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
-from asia.models._numerics.records import ScaledData, ScaledTrajectory, Scaling
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import ScaledData, ScaledTrajectory
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.model import FittedStateSpace, past_fit, window_samples
 from asia.models._state_space.structure import StateSpaceStructure

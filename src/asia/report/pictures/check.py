@@ -13,8 +13,8 @@ from matplotlib.ticker import MaxNLocator
 from asia.data.frequency import FrequencyResponse
 from asia.data.trajectory import Array
 from asia.problem.check import InputDelay
+from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold, make_folds
 from asia.report.drawing.places import Stretch, TimeAxis, last_sample, lay_out, time_unit
 from asia.report.drawing.style import (
     BLUE,
@@ -121,7 +121,7 @@ def _tint_folds(
 def _spans(fold: Fold) -> dict[int, range]:
     """Return the held-out samples of each record, from the first to the last."""
     spans: dict[int, range] = {}
-    for block in fold.validation:
+    for block in fold.held_out:
         old = spans.get(block.record, range(block.start, block.stop))
         spans[block.record] = range(min(old.start, block.start), max(old.stop, block.stop))
     return spans

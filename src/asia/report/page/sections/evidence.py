@@ -347,7 +347,7 @@ def _validation(subject: Subject, found: Validated) -> Html:
     caption = tag("caption", "Validation checks")
     inner = tag("table", caption, tag("thead", tag("tr", *head)), tag("tbody", *rows))
     label = f"Validation checks, {found.record or 'held-out parts'}"
-    checks = region("div", inner, class_="scroll dossier", label=label)
+    checks = region("div", inner, class_="scroll checks", label=label)
     pictures = None
     if subject.run.store.kept:
         drawn = get_curves(subject.run.store, found.curves)

@@ -211,7 +211,7 @@ def _write_progress(subject: Subject) -> Html | None:
         before = e
     head = ["experiment", "candidate", view.v_name, "change of V"]
     references: list[list[str | None]] = []
-    for r in view.rungs:
+    for r in view.references:
         scored = isinstance(r.outcome, Score)
         value = subject.number(r, "outcome.value", "error") if scored else "no score"
         references.append([said(r.name), value])
@@ -242,7 +242,7 @@ def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
               e.proposed.title, e.number in bests)
         for e in shown
     ]  # fmt: skip
-    levels = [(r.name, r.outcome.value) for r in view.rungs if isinstance(r.outcome, Score)]
+    levels = [(r.name, r.outcome.value) for r in view.references if isinstance(r.outcome, Score)]
     alt = (
         "V of each experiment with the best so far as a step line; the table below has the same "
         "numbers."
