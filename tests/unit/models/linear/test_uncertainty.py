@@ -133,9 +133,7 @@ def test_intervals_hold_the_truth_where_samples_are_missing() -> None:
         mask[[7, 8, 9, 120, 250]], mask[300:360] = 0, 0
         y[mask == 0] = 1e3
         theta = np.linalg.lstsq(x[mask > 0], y[mask > 0])[0]
-        covariance = uncertainty.sandwich(
-            [(x @ theta - y)[:, None]], [x[:, None]], measured=[mask]
-        )
+        covariance = uncertainty.sandwich([(x @ theta - y)[:, None]], [x[:, None]], measured=[mask])
         found = uncertainty.estimates(covariance, report, theta).parameters
         held += [one.low <= true <= one.high for one, true in zip(found, THETA, strict=True)]
     assert 0.90 < np.mean(held) < 0.98
