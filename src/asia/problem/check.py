@@ -17,7 +17,14 @@ from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.problem.lock import protocol_digest
 from asia.problem.metrics import find_metric
-from asia.problem.problem import Problem, Seal, correction_lines, prior_lines, symmetry_lines
+from asia.problem.problem import (
+    Problem,
+    Seal,
+    correction_lines,
+    is_described,
+    prior_lines,
+    symmetry_lines,
+)
 from asia.problem.protocol import ProtocolRule, splits, windows
 
 # Shorter records hold too little for a correlation.
@@ -163,7 +170,7 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
     doubts = [d for s in signals for d in _signal_doubts(s)]
     doubts += _collinear_inputs(problem)
     doubts += data_doubts(problem)
-    if not problem.description.strip():
+    if not is_described(problem.description):
         doubts.append("there is no description: agents that read know nothing of the system")
     if problem.protocol.past_outputs == 0:
         doubts.append("past_outputs is 0: a model cannot know the state it starts from")

@@ -19,7 +19,13 @@ from asia.models._equations.simulate import (
     sample_by_sample,
     simulate,
 )
-from asia.models._least_squares import LevenbergMarquardt, NormalEquations, minimise, solve, traced_minimum
+from asia.models._least_squares import (
+    LevenbergMarquardt,
+    NormalEquations,
+    minimise,
+    solve,
+    traced_minimum,
+)
 
 _METHOD = LevenbergMarquardt(iterations=12, damping=1e-3, tolerance=1e-10)
 # Step of fourth-order differences, in units of the initial state's deviation.
