@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from asia.data.frequency import FrequencyResponse, find_period, frequency_response
-from asia.data.relations import FoundDelay, find_delay, find_feedback
+from asia.data.relations import ALONE, PAIR, FoundDelay, find_delay, find_feedback
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.problem.lock import protocol_digest
@@ -357,8 +357,8 @@ def delay_lines(problem: Problem) -> list[str]:
         text = ", ".join(f"{n} {'not found' if lag is None else lag}" for n, lag in lags)
         if lags:
             lines.append(
-                f"delay of output {output.name} in samples, the first correlation beyond its 99 % "
-                f"band: {text}"
+                f"delay of output {output.name} in samples: {text} (first lag with a correlation "
+                f"above {ALONE:g} times the 99 % band, or {PAIR:g} times at two lags in a row)"
             )
     lines += [
         f"delay 0: output {a.output} responds to input {a.given} in the same sample. If the system "
