@@ -153,7 +153,10 @@ def floor_words(view: SearchView) -> str:
         return ""
     values = held.seed_values
     if len(values) == 1:
-        return f"0: the fits of #{held.number:02d} do not depend on the seed"
+        return (
+            f"the fits of #{held.number:02d} do not depend on the seed, so only the variance of "
+            "the next candidate sets the threshold"
+        )
     mean = error_value(fmean(values))
     return (
         f"a candidate is kept if its mean V is more than {floor:.2g} below {mean}, the mean of "
@@ -181,7 +184,9 @@ def describe_result(e: Experiment, view: SearchView) -> str:
             text += f"; other seeds {', '.join(values)}" if values else ""
             text += f", {mean}" if (mean := seed_mean_words(e)) else ""
         if result.floor:
-            text += f"; required: a mean {result.floor:.2g} below that of the candidate kept before"
+            text += (
+                f"; threshold: a mean {result.floor:.2g} below that of the candidate kept before"
+            )
     elif e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
         message = error_line(e.failure.detail)

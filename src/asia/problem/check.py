@@ -138,7 +138,7 @@ class CheckReport:
                 "looked at when the search ends"
             )
         if physics is None:
-            lines.append("physics: none")
+            lines.append("physics: no equations in problem.toml")
         else:
             count = len(physics.parameters)
             free = f"{count} parameters to fit" if count else "no parameters"
@@ -147,7 +147,8 @@ class CheckReport:
             lines += [f"prior {line}" for line in prior_lines(physics)]
             lines += [f"correction {line}" for line in correction_lines(physics)]
         lines += [f"symmetry {line}" for line in symmetry_lines(problem.symmetry)]
-        lines.append(f"baseline: {'baseline.py' if problem.baseline else 'none'}")
+        own = "baseline.py" if problem.baseline else "ASIA's own, as there is no baseline.py"
+        lines.append(f"baseline: {own}")
         return lines + [f"warning: {w}" for w in self.warnings]
 
 
@@ -516,8 +517,8 @@ def _seal_line(seal: Seal, rule: ProtocolRule, *, in_workspace: bool) -> str:
     if rule.horizon is None:
         sizes = zip(seal.names, seal.lengths, _scored_samples(seal, rule), strict=True)
         records = ", ".join(f"{name} ({length} samples, {n} scored)" for name, length, n in sizes)
-        skipped = f"{rule.test.skip} samples after the past window are skipped"
-        return f"test, sealed: {records}; {skipped}; {digest}"
+        skip = f"; {rule.test.skip} samples after the past window are skipped"
+        return f"test: {records}{skip if rule.test.skip else ''}; {digest}"
     counts = [len(windows(range(rule.past, length), rule)) for length in seal.lengths]
     sizes = zip(seal.names, seal.lengths, counts, strict=True)
     records = ", ".join(f"{name} ({length} samples, {n} windows)" for name, length, n in sizes)
@@ -526,7 +527,7 @@ def _seal_line(seal: Seal, rule: ProtocolRule, *, in_workspace: bool) -> str:
         for g in rule.test.groups
     )
     table = f"; mean Euclidean error of {groups}" if groups else ""
-    return f"test, sealed: {records}; {sum(counts)} windows{table}; {digest}"
+    return f"test: {records}; {sum(counts)} windows{table}; {digest}"
 
 
 def _sealed_doubts(problem: Problem, seal: Seal, *, in_workspace: bool) -> list[str]:

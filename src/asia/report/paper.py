@@ -123,7 +123,7 @@ def _sealed_test(view: SearchView) -> Iterator[str]:
     if opened is None or named is None:
         yield f"The test records ({seal}) have not been opened."
         return
-    yield f"The test records ({seal}) were opened once, after the search had ended."
+    yield f"This run opened the test records ({seal}) once, after the search had ended."
     model = tested_model(opened, named.model)
     if not isinstance(model, TestedModel):
         yield "The model fails on them."

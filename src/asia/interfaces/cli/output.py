@@ -161,8 +161,8 @@ def use_lines(view: SearchView) -> list[str]:
         )
     if refitted.model is None and refitted.detail and named.model != "ensemble":
         lines.append(f"refit   none: {refitted.detail}")
-    if refitted.stack is not None:
-        stack = refitted.stack
+    stack = refitted.stack
+    if stack is not None and best is not None and stack.value < best.value:
         lines.append(
             f"stack   {view.v_name}={error_value(stack.value)} (nested cross-validation), weights "
             f"{stack_words(stack)}"

@@ -71,7 +71,7 @@ def unseal(
         names = ", ".join(result.opened_before)
         say(f"note: this test was opened before, by {names}", file=sys.stderr)
     if not result.first_time:
-        say("already unsealed: this is the first and only result", file=sys.stderr)
+        say("the test of this run is open already: this is its only result", file=sys.stderr)
     view = open_run(directory).view
     board = read_board(load_lock(directory / "problem.lock.toml"), view)
     # What was drawn before is not changed by the test.
