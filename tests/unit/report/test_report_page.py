@@ -95,7 +95,7 @@ def test_every_part_of_an_opened_run_is_there(make_run: Callable[..., Run]) -> N
     page = page_of(make_run(unsealed=2))
     for key in ("verdict", "model", "accuracy", "test", "use", "progress", "experiments"):
         assert f'<section id="{key}"' in page
-    assert "On the sealed test, opened once" in page
+    assert "On the sealed test, which this run opened" in page
 
 
 def test_no_figure_of_the_test_stands_on_a_page_of_a_sealed_run(

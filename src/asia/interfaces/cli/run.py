@@ -556,6 +556,11 @@ class TextDisplay:
         self._print(experiment_line(experiment, view), style=style)
         if experiment.failure is not None:
             self._print(f"    {_last_line(experiment.failure)}", style="dim")
+        mean = next((r.outcome for r in view.rungs if r.name == "training mean"), None)
+        worse = isinstance(mean, Score) and experiment.score and experiment.score.value > mean.value
+        if worse and experiment.kept:
+            text = "    kept as the first with a score, although the training mean has a lower V"
+            self._print(text, style="yellow")
         for line in experiment.result.failed_checks:
             self._print(f"    {line}", style="yellow")
 

@@ -173,11 +173,14 @@ def _result_object(record: Unsealed, view: SearchView, board: Board) -> dict[str
 
 
 def _print_result(record: Unsealed, view: SearchView, *, by_record: bool) -> None:
-    how = f"{record.skip} samples skipped"
+    how = f", {record.skip} samples skipped" if record.skip else ""
     if record.horizon is not None:
-        how = f"windows of {record.horizon} samples"
+        how = f", windows of {record.horizon} samples"
     print_alarms(view)
-    say(f"sealed test, experiment #{record.experiment:02d}, {how}")
+    say(
+        f"sealed test, experiment #{record.experiment:02d}{how}: errors in the units of the outputs "
+        "(V is divided by their standard deviation)"
+    )
     for title, model in (
         ("ensemble of the fold models", record.ensemble),
         ("refit on all training data", record.refit),
