@@ -277,7 +277,7 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
     kept = check.starts[(check.kept or 0) - 1]
     errors = f"{number(kept.error)}, the ensemble's {number(check.ensemble_error)}"
     if is_worthy(check):
-        text = f"It fits the training records as well as the ensemble does (error {errors})."
+        text = f"It fits the training records at least as well as the ensemble (error {errors})."
         return ModelToUse("refit", text)
     if is_as_good(check):
         text = f"{number(kept.disagreement)} against {number(check.fold_disagreement)}"

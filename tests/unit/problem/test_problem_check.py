@@ -152,7 +152,7 @@ def test_lines_name_everything(
         assert expected in text
     plain = check_problem(load_problem(write_problem(minimal)), Seal(None)).lines()
     assert "test: none" in plain
-    assert "physics: no equations" in plain
+    assert "physics: no equations in problem.toml" in plain
 
 
 def test_a_workspace_has_no_test_of_its_own(tanks: Problem) -> None:

@@ -178,7 +178,7 @@ def _print_result(record: Unsealed, view: SearchView, *, by_record: bool) -> Non
         how = f", windows of {record.horizon} samples"
     print_alarms(view)
     say(
-        f"sealed test, experiment #{record.experiment:02d}{how}: errors in the units of the outputs "
+        f"sealed test, experiment #{record.experiment:02d}{how}: errors in the unit of each output "
         "(V is divided by their standard deviation)"
     )
     for title, model in (
