@@ -7,8 +7,9 @@ demo: 8 experiments on two_tanks_sim; fold: one grey-box fold of it in a fresh w
 that search; tanks: 30 experiments on cascaded_tanks; nanodrone: 12 experiments; records: 12
 experiments on three generated single-input records of 2 700 samples; short: on three of 680;
 inductor: 10 experiments on a generated record of 10 000 samples, one input, two outputs. tanks and
-nanodrone need the real data (ASIA_DATA_DIR, or a network). With --against every job runs in turns with the package of
-another Python, and the ratio of the medians is printed. V is that of the best candidate.
+nanodrone need the real data (ASIA_DATA_DIR, or a network). With --against every job runs in turns
+with the package of another Python, and the ratio of the medians is printed. V is that of the best
+candidate.
 Processor seconds are those of the whole machine, so run nothing else (Linux only).
 """
 

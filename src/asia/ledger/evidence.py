@@ -507,6 +507,8 @@ class EstimatedModel:
     library: bool = False
     """True if the candidate has no code of its own besides calls of ASIA's model library. Otherwise
     names, values and equations are the candidate's claims."""
+    reason: str = ""
+    """Why there are no standard errors; "" where there are, and in older ledgers."""
 
 
 @dataclass(frozen=True)
@@ -595,6 +597,8 @@ class IdentifiedModel:
     equations: tuple[str, ...]
     library: bool = False
     """As in `EstimatedModel`."""
+    reason: str = ""
+    """As in `EstimatedModel`."""
 
     @property
     def disagreeing(self) -> tuple[str, ...]:
@@ -642,8 +646,9 @@ def identified(run: Run) -> IdentifiedModel | None:
     tables = [dict(one.parameters) for one in findings]
     rows = with_fold_values(fitted, tables, jackknife=not one_sided)
     return IdentifiedModel(
-        refitted.experiment, rows, fitted.correlation, fitted.equations, fitted.library
-    )
+        refitted.experiment, rows, fitted.correlation, fitted.equations, fitted.library,
+        fitted.reason,
+    )  # fmt: skip
 
 
 def estimated(estimates: ParameterEstimates) -> EstimatedModel:
@@ -652,6 +657,7 @@ def estimated(estimates: ParameterEstimates) -> EstimatedModel:
         tuple(map(_estimated_parameter, estimates.parameters)),
         tuple(tuple(map(_finite, row)) for row in estimates.correlation.tolist()),
         estimates.equations,
+        reason=estimates.reason,
     )
 
 

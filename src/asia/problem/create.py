@@ -33,7 +33,7 @@ from asia.errors import UserError
 from asia.problem.folds import least_samples, require_length
 from asia.problem.load import load_problem
 from asia.problem.metrics import listed_metrics
-from asia.problem.problem import Problem
+from asia.problem.problem import DESCRIPTION_TEMPLATE, Problem
 from asia.problem.protocol import ProtocolRule
 from asia.problem.sealing import STORE, Columns, Sealing, check_key_folder, remove_plain, seal_files
 from asia.problem.toml import toml_value
@@ -283,14 +283,6 @@ def _prepare(
 # A new problem directory from files of records.
 
 
-_DESCRIPTION = """\
-# {name}
-
-Say in plain English what the system is: what the inputs do, what the outputs measure, which physics
-you expect, what saturates, delays or sticks, how noisy the sensors are. Language-model agents read
-this text, and the report prints it.
-"""
-
 _TOML = """\
 name = {name}
 description = "description.md"      # plain English: say what you know of the system
@@ -486,7 +478,7 @@ def init_problem(
         toml_value([{"name": n, "unit": taken.units.get(n, "")} for n in names])
         for names in (inputs, outputs)
     ]
-    files["description.md"] = _DESCRIPTION.format(name=directory.name)
+    files["description.md"] = DESCRIPTION_TEMPLATE.format(name=directory.name)
     files["problem.toml"] = _TOML.format(
         name=toml_value(directory.name),
         sampling_time=toml_value(float(taken.sampling_time)),

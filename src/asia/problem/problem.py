@@ -51,6 +51,21 @@ class Seal:
     guard: str | None = None
 
 
+DESCRIPTION_TEMPLATE = """\
+# {name}
+
+Say in plain English what the system is: what the inputs do, what the outputs measure, which physics
+you expect, what saturates, delays or sticks, how noisy the sensors are. Language-model agents read
+this text, and the report prints it.
+"""
+"""Text of a new description.md."""
+
+
+def is_described(description: str) -> bool:
+    """Return whether a description is neither empty nor the untouched template."""
+    return bool(description.strip()) and DESCRIPTION_TEMPLATE.split("\n", 1)[1] not in description
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Identification problem: records, signals, protocol, budget and physics; times in s."""

@@ -275,9 +275,9 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
         why = evidence.detail or "there is no refit"
         return ModelToUse("ensemble", f"{why[:1].upper()}{why[1:]}.")
     kept = check.starts[(check.kept or 0) - 1]
-    errors = f"{number(kept.error)}, that of the ensemble {number(check.ensemble_error)}"
+    errors = f"{number(kept.error)}, the ensemble's {number(check.ensemble_error)}"
     if is_worthy(check):
-        text = f"The error of the refit on all training records is {errors}."
+        text = f"It fits the training records at least as well as the ensemble (error {errors})."
         return ModelToUse("refit", text)
     if is_as_good(check):
         text = f"{number(kept.disagreement)} against {number(check.fold_disagreement)}"

@@ -208,9 +208,12 @@ def prepare(
             and not (one.key == "budget.retests" and one.before is None)
         ]
         if different:
+            words = [str(one) for one in different[:3]]
+            if len(different) > 3:
+                words.append(f"{len(different) - 3} more")
             raise UserError(
-                f"{directory} was started with other settings ({different[0]}); only the number of "
-                "experiments and the hours can grow: choose another --name"
+                f"{directory} was started with other settings ({'; '.join(words)}); only "
+                "the number of experiments and the hours can grow: choose another --name"
             )
     gpu, gpu_notes = chosen_gpu(device, found.level)
     lock = lock_text(problem, sealed)

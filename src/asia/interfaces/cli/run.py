@@ -492,12 +492,16 @@ class TextDisplay:
         if view.refitted is not None:
             self._print("models   asia.simulate(run, ...) uses the model of the line `use`")
         run = directory.name if directory.parent == DEFAULT_RUNS else str(directory)
-        show, unseal = f"asia show {run}", f"asia unseal {run}"
-        width = len(unseal) + 4
+        show, validate, report, unseal = (
+            f"asia {command} {run}" for command in ("show", "validate", "report", "unseal")
+        )
+        width = len(validate) + 4
         if best is None:
             self._print(f"next     {show:<{width}}why the last candidate failed")
             return
         self._print(f"next     {show:<{width}}the best candidate: source, folds, evidence")
+        self._print(f"         {validate:<{width}}may I use this model: checks of the residuals")
+        self._print(f"         {report:<{width}}one HTML page about the search")
         if view.started.test_digest and view.unsealed is None:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
 
@@ -552,6 +556,11 @@ class TextDisplay:
         self._print(experiment_line(experiment, view), style=style)
         if experiment.failure is not None:
             self._print(f"    {_last_line(experiment.failure)}", style="dim")
+        mean = next((r.outcome for r in view.references if r.name == "training mean"), None)
+        worse = isinstance(mean, Score) and experiment.score and experiment.score.value > mean.value
+        if worse and experiment.kept:
+            text = "    kept as the first with a score, although the training mean has a lower V"
+            self._print(text, style="yellow")
         for line in experiment.result.failed_checks:
             self._print(f"    {line}", style="yellow")
 

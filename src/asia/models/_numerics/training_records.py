@@ -139,17 +139,6 @@ def measured_samples(record: Trajectory) -> Array:
     return np.asarray(record.measured.all(axis=1), dtype=np.float64)
 
 
-def refuse_gaps(trajectories: Sequence[Trajectory]) -> None:
-    """Refuse records with outputs that were not measured: the correlation of the residuals in time
-    would be unknown there.
-
-    Raises:
-        ValueError: if there are such outputs.
-    """
-    if any(t.missing is not None for t in trajectories):
-        raise ValueError("standard errors need records in which every output was measured")
-
-
 def flat_past(past_u: AnyArray, past_y: AnyArray) -> AnyArray:
     """Flatten past windows: past_u (B, npu, nu), past_y (B, npy, ny) -> (B, npu*nu + npy*ny),
     z-scored alike."""

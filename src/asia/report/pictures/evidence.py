@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -139,7 +140,7 @@ def _draw_check(axes: Axes, check: Check) -> float:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.set_title(f"{check.name}: {check.verdict}", color=_VERDICTS[check.verdict])
     axes.set_xlabel(check.axes[0])
-    axes.set_ylabel(check.axes[1])
+    axes.set_ylabel(fill(check.axes[1], 28))
     quiet_grid(axes)
     if len(curves) == 1:
         return 0.0

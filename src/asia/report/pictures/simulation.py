@@ -310,7 +310,7 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble: TestedMode
         return Panel(f"{trajectory or 'Test'}{output}", error, problem.outputs[c], segments)
 
     use = run.view.refitted.use if run.view.refitted else None
-    title = f"Sealed test, opened once: experiment {opened.experiment}"
+    title = f"Sealed test: experiment {opened.experiment}"
     title += f", model to use: {use}" if use else ""
     if opened.horizon is None:
         channels = list(range(min(len(opened.channels), MOST_PANELS)))
@@ -506,7 +506,7 @@ def draw_test_horizon(
     simulations = {
         name: (measured, opened_windows(run, opened, model.y_hat)) for name, model in models.items()
     }
-    title = f"Sealed test, opened once: experiment {opened.experiment}, error over the horizon, "
+    title = f"Sealed test: experiment {opened.experiment}, error over the horizon, "
     title += f"{len(measured)} windows"
     return _draw_errors(problem, simulations, title, published, caption)
 

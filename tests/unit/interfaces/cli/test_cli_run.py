@@ -125,7 +125,7 @@ def test_unseal_once(searched: Searched, asia: Asia) -> None:
     again = asia(*words, "--json")
     assert again.code == 0
     assert again.out == first.out
-    assert "already unsealed" in again.err
+    assert "the test of this run is open already" in again.err
     text = asia(*words)
     assert f"RMSE {answer['test']['rmse']:.4f}" in text.out
     assert "picture" in text.out

@@ -156,7 +156,7 @@ def test_the_threshold_is_told_once_it_is_known() -> None:
     assert threshold_text(a_search(2, *NOISY)).endswith(
         "below 1.0000, the mean of #01 over 3 seeds"
     )
-    assert threshold_text(a_search(2, 1.0, 1.0)) == "0: the fits of #01 do not depend on the seed"
+    assert "the fits of #01 do not depend on the seed" in threshold_text(a_search(2, 1.0, 1.0))
     assert incumbent_threshold(a_search(0, 1.0)) is None
 
 

@@ -355,7 +355,7 @@ def check_fit(found: SimulatedBlocks) -> Check:
     sentence = f"fit index of the simulation: {words}"
     if bad:
         sentence += "; below 0 % the mean of the output has a smaller error"
-        return Check("fit in free run", Verdict.FAIL, sentence, weight=0.5)
+        return Check("fit in free run", Verdict.FAIL, sentence, weight=1.5)
     return Check("fit in free run", Verdict.PASS, sentence)
 
 

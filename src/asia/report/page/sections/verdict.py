@@ -191,7 +191,7 @@ def _test(subject: Subject) -> Html:
     label = said(find_metric(model.scores[0].metric).label)
     units = {s.unit for s in subject.problem.outputs} if subject.problem else set[str]()
     unit = join((" ", said(units.pop()))) if len(units) == 1 else None
-    text = "On the sealed test, opened once after the search, its "
+    text = "On the sealed test, which this run opened after the search, its "
     return join((text, label, " is ", value, unit, "."))
 
 
@@ -335,7 +335,9 @@ def _write_tested(subject: Subject) -> Html | None:
     how = join((subject.number(opened, "skip", "count"), " samples of each record are left out"))
     if opened.horizon is not None:
         how = join(("windows of ", subject.number(opened, "horizon", "count"), " samples"))
-    parts = [tag("p", "The test records were opened once, after the search had ended: ", how, ".")]
+    parts = [
+        tag("p", "This run opened the test records once, after the search had ended: ", how, ".")
+    ]
     found = final_models(opened)
     failed = [text for _, text, model in found if not isinstance(model, TestedModel)]
     models = [(key, text, model) for key, text, model in found if isinstance(model, TestedModel)]
