@@ -61,6 +61,8 @@ class SourceFacts:
     content: SourceContent | None
     """None without `bare`."""
     imports: Imports
+    library_only: bool
+    """Whether it does nothing but call families and methods of the library with constants."""
 
 
 def source_facts(source: str) -> SourceFacts:
@@ -74,7 +76,77 @@ def source_facts(source: str) -> SourceFacts:
         defines_fit="fit" in _defined(tree.body),
         content=None if bare is None else _content(tree, docstrings, bare),
         imports=imports_of(tree),
+        library_only=_library_only(tree),
     )
+
+
+def _library_only(tree: ast.Module) -> bool:
+    """A few kinds of statements and expressions are known to be harmless; no other one is."""
+    imported = {
+        alias.asname or alias.name
+        for statement in tree.body
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
+    }
+    defined = {one.name for one in tree.body if isinstance(one, ast.FunctionDef)}
+    known = imported | defined
+    for node in ast.walk(tree):
+        if isinstance(node, ast.arg):
+            known.add(node.arg)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            known.add(node.id)
+
+    def calls_library(function: ast.expr) -> bool:
+        match function:
+            case ast.Attribute(value=ast.Name(id=name), attr=attr):
+                return name in imported and (attr in ("build", "train") or attr[0].isupper())
+            case ast.Name(id=name):
+                return name in defined or (name in imported and name[0].isupper())
+            case _:
+                return False
+
+    def harmless(node: ast.expr) -> bool:
+        match node:
+            case ast.Constant():
+                return True
+            case ast.Name(id=name):
+                return name in known and not name.startswith("_")
+            case ast.UnaryOp(op=ast.USub(), operand=value):
+                return harmless(value)
+            case ast.Tuple(elts=values) | ast.List(elts=values):
+                return all(map(harmless, values))
+            case ast.Dict(keys=keys, values=values):
+                return all(key is not None and harmless(key) for key in keys) and all(
+                    map(harmless, values)
+                )
+            case ast.Call(func=function, args=values, keywords=named):
+                given = [*values, *(one.value for one in named)]
+                return calls_library(function) and all(map(harmless, given))
+            case _:
+                return False
+
+    def allowed(statement: ast.stmt) -> bool:
+        match statement:
+            case ast.ImportFrom(module=module, names=names, level=0):
+                plain = all(alias.name[0] not in "_*" for alias in names)
+                return plain and f"{module}.".startswith("asia.models.")
+            case ast.FunctionDef(decorator_list=[], returns=None, body=body, args=arguments):
+                plain = not (arguments.defaults or arguments.kw_defaults)
+                plain = plain and all(one.annotation is None for one in arguments.args)
+                return plain and all(
+                    allowed(one) and not isinstance(one, ast.FunctionDef | ast.ImportFrom)
+                    for one in body
+                )
+            case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                return name not in imported | defined and harmless(value)
+            case ast.Return(value=ast.expr() as value):
+                return harmless(value)
+            case ast.Expr(value=ast.Constant()):
+                return True
+            case _:
+                return False
+
+    return all(map(allowed, tree.body))
 
 
 def imports_of(tree: ast.Module) -> Imports:

@@ -82,6 +82,7 @@ def _read(source: str) -> SourceFacts | str:
         defines_fit=bool(answer["defines_fit"]),
         content=None if content is None else SourceContent(*map(int, content)),
         imports=Imports(frozenset(first), frozenset(later)),
+        library_only=bool(answer["library_only"]),
     )
 
 
@@ -226,6 +227,7 @@ def _answer(source: str) -> dict[str, Any]:
         "defines_fit": found.defines_fit,
         "content": found.content,
         "imports": [sorted(part) for part in found.imports],
+        "library_only": found.library_only,
     }
 
 

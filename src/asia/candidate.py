@@ -255,6 +255,16 @@ def _facts(source: str) -> SourceFacts:
     return read_source(source)
 
 
+def library_only(source: str) -> bool:
+    """Return whether a source does nothing but call families and methods of the library with
+    constants, so that its worker runs no code but that of ASIA.
+
+    Raises:
+        CandidateError: as for `check_source`, if the source does not parse.
+    """
+    return _facts(source).library_only
+
+
 def check_source(source: str) -> None:
     """Refuse a source that cannot be a candidate, without executing it.
 

@@ -47,6 +47,7 @@ from asia.judge.evaluation.results import (
 )
 from asia.judge.evaluation.validation_score import Oracle
 from asia.judge.evaluation.workers import WorkerRunner
+from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import Failure, combine
 from asia.judge.scoring.residuals import ranges_of
@@ -409,7 +410,7 @@ class Evaluator:
                     seed=derive_seed(context.seed, "all", start),
                     deadline=time.monotonic() + self.workers.fit_seconds,
                 )
-                worker.fit(source, self.data.records, context)
+                worker.fit(source, self.data.records, context, programs=program_store())
                 model = worker.dump()
                 return RefitModel(model, worker.estimates())
         except CandidateError as error:

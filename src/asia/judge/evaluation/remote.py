@@ -36,6 +36,7 @@ from asia.judge.evaluation.transport import (
 from asia.judge.evaluation.validation_score import Oracle
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.sandbox.availability import layers_in_force, open_worker, why_not
+from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.standby import StandbyWorkers
 from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
@@ -67,7 +68,7 @@ def fit_fold(
             context = replace(work.context, deadline=time.monotonic() + work.limits.fit_seconds)
             try:
                 with oracle or nullcontext():
-                    reply = worker.fit(work.source, data.train, context, oracle)
+                    reply = worker.fit(work.source, data.train, context, oracle, program_store())
             finally:
                 printed = worker.printed
             device = worker.device() if work.limits.gpu else ""

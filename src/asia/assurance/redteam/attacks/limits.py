@@ -1,5 +1,5 @@
 """Attacks on limits: numbers of threads, words of a dry run, times and memory as a message, sources
-that take long to read."""
+that take long to read, programs for other workers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import fitting_levels, why_not
 from asia.judge.sandbox.layers.pids import most_pids
+from asia.judge.sandbox.programs import ProgramStore, program_store
 from asia.judge.sandbox.types import Isolation
+from asia.judge.sandbox.worker.compilation import Programs
 from asia.judge.sandbox.worker.process import peak_memory_mb
 from asia.judge.scoring.outcome import Failure
 from asia.problem.budget import Budget
@@ -283,6 +285,56 @@ def _take_long_to_read(_: Scene) -> SearchAttackResult:
     return SearchAttackResult(seconds > _BUSY_SECONDS, (Barrier.READER,), note, flagged=False)
 
 
+# Compiled programs for the workers of other candidates.
+
+_PLANTED, _FORGED = f"jit__costs-{'0' * 64}-cache", b"forged"
+_PLANT = f"""
+import gc
+def plant():
+    for one in gc.get_objects():
+        if type(one).__name__ == "Programs":
+            one.made[{_PLANTED!r}] = {_FORGED!r}
+"""
+_LIKE_THE_LIBRARY = """
+from asia.models import arx
+from asia.models.methods import LeastSquares
+{plant}
+def fit(trajectories, context):
+    model = arx.train(arx.build(arx.Config(), context), trajectories, context, LeastSquares())
+    plant()
+    return model
+"""
+PLANTERS: Mapping[str, str] = {
+    "by a model of its own": candidate(fit="plant()", top=_PLANT),
+    "by a family of the library": _LIKE_THE_LIBRARY.format(plant=_PLANT),
+    "by a default value": _LIKE_THE_LIBRARY.format(plant=_PLANT).replace(
+        "context):", "context, done=plant()):"
+    ),
+}
+
+
+def _plant(_: Scene) -> SearchAttackResult:
+    problem, through = small_problem("simulation"), list[str]()
+    fold = make_folds(problem.records, problem.rule)[0]
+    for level in _levels():
+        evaluator = _evaluator(problem, fold, level)
+        for name, text in PLANTERS.items():
+            evaluator.evaluate(_filled(text, problem))
+            through += [f"{name} at {level}"] if program_store().get(_PLANTED) else []
+    note = ", ".join(through) or "programs of a candidate reach no other worker"
+    return SearchAttackResult(bool(through), (Barrier.PARENT,), note, flagged=False)
+
+
+def _plant_plainly(_: Path) -> bool:
+    """A store that takes the programs of any worker."""
+    problem, store = small_problem("simulation"), ProgramStore()
+    programs = Programs(store.get)
+    fold = make_folds(problem.records, problem.rule)[0]
+    _module(PLANTERS["by a model of its own"], problem).fit(fold.train, problem.context)
+    store.add(programs.made)
+    return store.get(_PLANTED) == _FORGED
+
+
 LIMITS = (
     CandidateAttack(
         47,
@@ -323,5 +375,13 @@ LIMITS = (
         _take_long_to_read,
         lambda _: _busy_seconds(source_facts) > _BUSY_SECONDS,
         (Barrier.READER,),
+    ),
+    SearchAttack(
+        58,
+        "plant a compiled program",
+        "puts a program of its own among those that workers of other candidates load",
+        _plant,
+        _plant_plainly,
+        (Barrier.PARENT,),
     ),
 )

@@ -55,6 +55,8 @@ def environment(home: str, *, gpu: bool = False) -> dict[str, str]:
         "LOGNAME": "candidate",
         "LANG": "C.UTF-8",
         **REPEATABLE,
+        # Shorter ones are compiled again in less time than they are loaded.
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.05",
         **(gpu_environment(REPEATABLE["XLA_FLAGS"]) if gpu else {}),
     }
 

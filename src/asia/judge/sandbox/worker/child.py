@@ -189,7 +189,8 @@ class _Session:
         self._fitting = False
         self._asking = threading.Lock()
         self._compiling = compilation.Meter()
-        sys.meta_path.insert(0, compilation.JaxFinder(self._compiling))
+        self._programs = compilation.Programs(self._program)
+        sys.meta_path.insert(0, compilation.JaxFinder(self._compiling, self._programs))
 
     def serve(self) -> NoReturn:
         self._reply(wire.ReplyKind.STARTED)
@@ -205,6 +206,7 @@ class _Session:
             "lower": self._lower,
             "device": self._device,
             "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
+            "programs": lambda: wire.packed_programs(self._programs.made),
         }
         while True:
             self._token, name, arguments = wire.read_request(self._requests)
@@ -281,6 +283,15 @@ class _Session:
         if name == "refuse":
             raise RuntimeError(answer)
         return answer
+
+    def _program(self, key: str) -> bytes | None:
+        """A compiled program that the parent knows, during a fit."""
+        with self._asking:
+            if not self._fitting or os.getpid() != self._pid:
+                return None
+            self._reply(wire.ReplyKind.PROGRAM, key.encode())
+            self._token, _, (program,) = wire.read_request(self._requests)
+        return program
 
     def _load(self, source: str, model: bytes) -> bytes:
         """Load a model; the source runs once, so that compiled code serves the next model too."""

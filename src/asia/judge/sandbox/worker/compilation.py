@@ -1,7 +1,7 @@
-"""Time in which JAX traces and compiles in a worker, as reported by JAX; the candidate can change
-it.
+"""JAX's compiler in a worker: programs that were compiled before, and the time it takes.
 
-Runs in the worker. JAX is observed from its import on, and never imported for it.
+Runs in the worker, where a candidate can change all of it. JAX is prepared when it is imported, and
+never imported for it.
 """
 
 from __future__ import annotations
@@ -10,13 +10,14 @@ import importlib.abc
 import importlib.machinery
 import importlib.util
 import struct
-import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any
 
-_LISTENS_FOR = "jax.monitoring"
+_MONITORING, _CACHE = "jax.monitoring", "jax._src.compilation_cache"
+# What JAX's cache keeps in its module; with another version of JAX there is no cache.
+_CACHE_STATE = ("_cache", "_cache_initialized", "_cache_checked", "_cache_used")
 _TRACE, _COMPILE = 0, 1
 _KINDS = {
     "/jax/core/compile/jaxpr_trace_duration": _TRACE,
@@ -52,30 +53,62 @@ class Meter:
         return b"".join(struct.pack("<2d", *self._spent.get(r, (0.0, 0.0))) for r in requests)
 
 
-class JaxFinder(importlib.abc.MetaPathFinder):
-    """Lets `meter` listen as soon as JAX can be listened to."""
+class Programs:
+    """Compiled programs, in place of the files in which JAX would cache them."""
 
-    def __init__(self, meter: Meter) -> None:
-        self._meter = meter
+    def __init__(self, find: Callable[[str], bytes | None]) -> None:
+        """find: asks for a program by its key."""
+        self.made: dict[str, bytes] = {}
+        """Programs that were compiled here."""
+        self._find = find
+
+    def get(self, key: str) -> bytes | None:
+        """As JAX asks its cache."""
+        return self.made.get(key) or self._find(key)
+
+    def put(self, key: str, value: bytes) -> None:
+        """As JAX tells its cache."""
+        self.made[key] = value
+
+
+class JaxFinder(importlib.abc.MetaPathFinder):
+    """Lets `meter` listen, and JAX use `programs`, as soon as it can."""
+
+    def __init__(self, meter: Meter, programs: Programs) -> None:
+        self._after = {_MONITORING: self._listen, _CACHE: self._use}
+        self._meter, self._programs = meter, programs
+        self._finding = False
 
     def find_spec(
         self, fullname: str, path: object = None, target: object = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """Return None for every module but one, which the other finders find and the meter
-        observes."""
-        if fullname != _LISTENS_FOR or self not in sys.meta_path:
+        """Return None for every module but two, which the other finders find."""
+        after = self._after.get(fullname)
+        if after is None or self._finding:
             return None
-        sys.meta_path.remove(self)
-        spec = importlib.util.find_spec(fullname)
+        self._finding = True
+        try:
+            spec = importlib.util.find_spec(fullname)
+        finally:
+            self._finding = False
         if spec is not None and spec.loader is not None:
             loader: Any = spec.loader
             execute = loader.exec_module
 
             def exec_module(module: ModuleType) -> None:
                 execute(module)
-                register = getattr(module, "register_event_duration_secs_listener", None)
-                if callable(register):
-                    register(self._meter.heard)
+                after(module)
 
             loader.exec_module = exec_module
         return spec
+
+    def _listen(self, module: Any) -> None:
+        register = getattr(module, "register_event_duration_secs_listener", None)
+        if callable(register):
+            register(self._meter.heard)
+
+    def _use(self, module: Any) -> None:
+        if all(hasattr(module, name) for name in _CACHE_STATE):
+            for name in _CACHE_STATE[1:]:
+                setattr(module, name, True)
+            module._cache = self._programs

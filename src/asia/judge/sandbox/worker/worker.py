@@ -15,10 +15,11 @@ import numpy as np
 
 from asia._text import printable
 from asia._timer import Activity, Seconds
-from asia.candidate import Context, ParameterEstimates
+from asia.candidate import Context, ParameterEstimates, library_only
 from asia.data.trajectory import Array, Trajectory
 from asia.errors import KNOWN_ERRORS, CandidateError, Reason, SandboxError
 from asia.judge.sandbox.layers.pids import PidsCgroup, PidsMechanism, count_tasks, most_pids
+from asia.judge.sandbox.programs import ProgramStore
 from asia.judge.sandbox.types import (
     FitReply,
     Limits,
@@ -51,10 +52,13 @@ from asia.judge.sandbox.worker.wire import (
     CURVE_ROWS,
     DEVICE_BYTES,
     FRAME_HEAD,
+    PROGRAM_BYTES,
+    PROGRAM_KEY_BYTES,
     SHAPE_DIMENSIONS,
     TEXT_BYTES,
     TOKEN_BYTES,
     ReplyKind,
+    unpacked_programs,
 )
 from asia.lowering.program import LoweredModel
 from asia.lowering.wire import LARGEST_BYTES, FormatError, unpack_for
@@ -157,10 +161,12 @@ class Worker:
         trajectories: Sequence[Trajectory],
         context: Context,
         score: ScoreModel | None = None,
+        programs: ProgramStore | None = None,
     ) -> FitReply:
         """Execute the source and call its `fit`. The context's deadline becomes the earlier of
         its own and now + fit_seconds; its `log` is replaced by one that fills `FitReply.curve`,
-        its `validation_score` by one that asks `score`, whose time counts as the fit's."""
+        its `validation_score` by one that asks `score`, whose time counts as the fit's. JAX loads
+        compiled `programs`; those that a source of the library alone compiles are added."""
         late = Reason.FIT_TIMEOUT
         self._start()
         deadline = time.monotonic() + self._limits.fit_seconds
@@ -174,10 +180,14 @@ class Worker:
             self._ask("fit", arguments, deadline, late, wanted=(ReplyKind.STARTED,))
         with self._clock.activity(Activity.FIT):
             begin = time.monotonic()
-            wanted = (ReplyKind.OK,) if score is None else (ReplyKind.OK, ReplyKind.SCORE)
+            wanted = (ReplyKind.OK, ReplyKind.PROGRAM)
+            wanted = wanted if score is None else (*wanted, ReplyKind.SCORE)
             head = self._head(deadline, late, wanted)
-            while score is not None and head.status is ReplyKind.SCORE:
-                self._answer(score, self._model_bytes(head, deadline, late), deadline)
+            while head.status is not ReplyKind.OK:
+                if head.status is ReplyKind.PROGRAM:
+                    self._answer_program(programs, head, deadline)
+                elif score is not None:
+                    self._answer(score, self._model_bytes(head, deadline, late), deadline)
                 head = self._head(deadline, late, wanted)
             seconds = time.monotonic() - begin
             if head.length > CURVE_ROWS * CURVE_ROW_BYTES or head.length % CURVE_ROW_BYTES:
@@ -185,6 +195,8 @@ class Worker:
             curve = np.frombuffer(self._body(head, deadline, late), "<f8").astype(np.float64)
             self._ny, self._model_loaded = context.ny, True
             self.printed = self._channel.take_output()
+            if programs is not None and library_only(source):
+                self._take_programs(programs)
             return FitReply(curve.reshape(-1, 2), self.printed, seconds)
 
     def load(self, source: str, model: bytes, context: Context) -> None:
@@ -456,6 +468,21 @@ class Worker:
                 raise self._translated(LateError(), late) from None
             raise
         self._send(*answer, deadline, late)
+
+    def _answer_program(self, programs: ProgramStore | None, head: Head, deadline: float) -> None:
+        """Answer with the program of a key, or none."""
+        late = Reason.FIT_TIMEOUT
+        if head.length > PROGRAM_KEY_BYTES:
+            raise self._failure(Reason.UNSOLICITED, "a key of an impossible size")
+        key = self._body(head, deadline, late).decode("ascii", "replace")
+        found = None if programs is None else programs.get(key)
+        self._send("program", (found,), deadline, late)
+
+    def _take_programs(self, programs: ProgramStore) -> None:
+        try:
+            programs.add(unpacked_programs(self._reply("programs", (), PROGRAM_BYTES)))
+        except ValueError as error:
+            raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
     def _need_model(self) -> None:
         if self._closed or not self._model_loaded:
