@@ -33,7 +33,6 @@ def run(
     sinks: Sequence[str | OpenSink] = (),
     parallel: int = 1,
     stop_folds: bool = False,
-    device: str = "cpu",
 ) -> Run:
     """Search for a model, and return the finished run with its view and artifacts.
 
@@ -50,7 +49,6 @@ def run(
             opens one, see `asia.search.sinks.Sink`
         parallel: experiments in flight
         stop_folds: skip the remaining folds of a candidate that is far behind the best
-        device: `cpu`, `gpu` or `auto`, for training networks
 
     Raises:
         UserError: for anything the caller can correct
@@ -78,7 +76,6 @@ def run(
         legs=legs,
         parallel=parallel,
         stop_folds=stop_folds,
-        device=device,
     )
     runs_on = make_executor(executor) if isinstance(executor, str) else executor
     with open_sinks(ready.directory, sinks) as opened:

@@ -182,18 +182,6 @@ def imported_libraries(source: str, *, fitting: bool) -> frozenset[str]:
     return JAX if any(name.split(".")[0] in _LOAD_JAX for name in found) else frozenset()
 
 
-@lru_cache(64)
-def trains_network(source: str) -> bool:
-    """Return whether fitting a candidate trains a network, which a GPU can shorten.
-
-    It does with a family of the library that trains one, or with JAX in its own source.
-    """
-    own = _imports(source)
-    if any(name.split(".")[0] in _LOAD_JAX for name in own.first | own.later):
-        return True
-    return any(name.split(".")[0] in ("equinox", "optax") for name in _reached(own, fitting=True))
-
-
 def _reached(own: Imports, *, fitting: bool) -> set[str]:
     """Modules that a source imports directly or through the library."""
     found, queue, seen = set(own.first), [*own.first], set[str]()

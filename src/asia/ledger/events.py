@@ -297,7 +297,6 @@ Phase = Literal["baseline", "explore", "refine"]
 StopReason = Literal[
     "budget", "saturated", "exhausted", "hours", "user", "stuck", "tokens", "cost", "time", "agent"
 ]
-Device = Literal["cpu", "gpu"]
 HandOverReason = Literal[
     "planned", "saturated", "exhausted", "stuck", "tokens", "cost", "time", "agent"
 ]
@@ -370,8 +369,8 @@ class Started:
     """
     stop_folds: Annotated[bool, _omitted(False)] = False
     """True if folds of a first fit are pruned once V must be above `Proposed.over`."""
-    device: Annotated[Device, _omitted("cpu")] = "cpu"
-    """Device of candidates that train networks; `environment` names the GPU."""
+    device: Annotated[Literal["cpu", "gpu"], _omitted("cpu")] = "cpu"
+    """`gpu` in older ledgers only, where candidates trained networks on one."""
     literal_check: Annotated[bool, _omitted(False)] = False
     """True if the literals of new bests are compared with their gain; False in older ledgers."""
     event: Literal["started"] = "started"
@@ -438,8 +437,6 @@ class FoldEvidence:
     """The machine that fitted it; "" for the search's own."""
     isolation: Annotated[str, _omitted("")] = ""
     """The level in force on that machine; "" for the search's own, see `Evaluated`."""
-    device: Annotated[str, _omitted("")] = ""
-    """JAX device as reported by the worker; "" if no GPU was requested."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from asia.agents.view import Agent, AgentStoppedError, AgentView, Attached, Dive
 from asia.errors import InternalError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import LINEAR, score_references
-from asia.judge.sandbox.layers.gpu import gpu_nodes
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.ledger.artifacts import Store, without_artifacts
@@ -133,8 +132,7 @@ def replay_run(
     notes: list[str] = []
     if level.value != started.isolation:
         notes.append(f"isolation {level.value} here, {started.isolation} then")
-    gpu = started.environment.get("GPU", "") if gpu_nodes() else ""
-    here = environment(started.agent, *(leg.agent for leg in started.legs), gpu=gpu)
+    here = environment(started.agent, *(leg.agent for leg in started.legs))
     notes += environment_changes(started.environment, here)
     evaluator = make_evaluator(problem, run.view, isolation=level)
     replaying = _Replaying(run, problem, evaluator, agents, tolerance, on_item)

@@ -27,9 +27,8 @@ from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor, remote_executor_of
-from asia.judge.sandbox.availability import chosen_gpu, probe
+from asia.judge.sandbox.availability import probe
 from asia.judge.sandbox.layers.environment import shown_in
-from asia.judge.sandbox.layers.gpu import gpu_nodes
 from asia.judge.sandbox.levels import LEVELS
 from asia.judge.sandbox.types import Isolation, Probe
 from asia.ledger.artifacts import Store
@@ -52,9 +51,9 @@ from asia.search.pending import check_steps_ahead, check_ways
 # Environment that outcomes and prompts depend on: Python, packages, model library.
 
 
-def environment(*agents: str, gpu: str = "") -> dict[str, str]:
-    """Python, platform, versions of packages and plugins, the GPU of candidates, and the digest of
-    the model library. Raises UserError as `asia._plugins.parts`."""
+def environment(*agents: str) -> dict[str, str]:
+    """Python, platform, versions of packages and plugins, and the digest of the model
+    library. Raises UserError as `asia._plugins.parts`."""
     names = [*installed_libraries(), "cloudpickle", "asia-sysid"]
     names += [package for name in agents for package in packages_of(name)]
     return {
@@ -62,7 +61,6 @@ def environment(*agents: str, gpu: str = "") -> dict[str, str]:
         "platform": platform.platform(),
         **{part.package: part.version for part in parts()},
         **{name: importlib.metadata.version(name) for name in names},
-        **({"GPU": gpu} if gpu else {}),
         "asia.models": _library_digest(),
     }
 
@@ -163,7 +161,6 @@ def prepare(
     legs: Sequence[Leg] = (),
     parallel: int = 1,
     stop_folds: bool = False,
-    device: str = "cpu",
 ) -> Prepared:
     """Check everything a search needs and compare it with an existing run. Writes nothing.
 
@@ -175,12 +172,11 @@ def prepare(
         legs: legs of a relay, as `legs_of` its agent.
         parallel: number of concurrent experiments.
         stop_folds: true to prune the remaining folds of a candidate that is far behind the best.
-        device: `gpu` for candidates that train networks on one, `auto` for a GPU if there is one.
 
     Raises:
         UserError: the folds cannot be made, the test does not fit, the legs do not fit into the
-            budget, the run exists with other settings, several experiments are requested with
-            sequential folds, or JAX does not reach the requested GPU.
+            budget, the run exists with other settings, or several experiments are requested with
+            sequential folds.
     """
     rule, budget = problem.protocol, problem.budget
     check_ways(rule, parallel, strict=isolation_strict, stop_folds=stop_folds)
@@ -215,7 +211,6 @@ def prepare(
                 f"{directory} was started with other settings ({'; '.join(words)}); only "
                 "the number of experiments and the hours can grow: choose another --name"
             )
-    gpu, gpu_notes = chosen_gpu(device, found.level)
     lock = lock_text(problem, sealed)
     started = Started(
         run=directory.name,
@@ -229,11 +224,8 @@ def prepare(
         protocol_digest=protocol_digest(problem),
         test_digest=sealed.sha256,
         isolation=found.level.value,
-        isolation_notes=(*found.notes, *gpu_notes),
-        environment={
-            **environment(agent_name, *(leg.agent for leg in legs)),
-            **({"GPU": gpu} if gpu else {}),
-        },
+        isolation_notes=found.notes,
+        environment=environment(agent_name, *(leg.agent for leg in legs)),
         early_stopping=rule.early_stopping,
         residuals=rule.residuals,
         agent_settings=dict(agent_settings or {}),
@@ -249,7 +241,6 @@ def prepare(
         retests=0 if rule.ladder is not None else budget.retests,
         parallel=parallel,
         stop_folds=stop_folds,
-        device="gpu" if gpu else "cpu",
         literal_check=True,
     )
     return Prepared(problem, directory, lock, started, resumes)
@@ -354,8 +345,6 @@ def make_evaluator(
         problem.budget,
         SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
         standby=len(chosen),
-        # Elsewhere a finished search is still read: most models simulate without JAX.
-        gpu=view.started.device == "gpu" and bool(gpu_nodes()),
     )
     data = EvaluationData(chosen, problem.train, context, rule)
     options = EvaluatorOptions(view.started.salt, without, view.started.lock_digest)
@@ -399,11 +388,15 @@ def check_baseline(problem: Problem) -> None:
 def check_same_search(view: SearchView, wanted: Started) -> None:
     """Raises UserError unless `wanted` asks for the same search, or for more of it."""
     start = view.started
-    if start.lessons is not None:
-        raise UserError(
-            f"run '{start.run}' was started with lessons, which this version does not support: "
-            "choose another --name"
-        )
+    for what, was_used in (
+        ("lessons", start.lessons is not None),
+        ("--device gpu", start.device == "gpu"),
+    ):
+        if was_used:
+            raise UserError(
+                f"run '{start.run}' was started with {what}, which this version does not support: "
+                "choose another --name"
+            )
     # The settings of each agent, those of its leg in a relay; other agents differ in their name.
     legs = zip(start.legs, wanted.legs, strict=False)
     pairs = [
@@ -415,7 +408,6 @@ def check_same_search(view: SearchView, wanted: Started) -> None:
         ("seed", start.seed, wanted.seed),
         ("isolation", start.isolation_words, wanted.isolation_words),
         ("--parallel", start.parallel, wanted.parallel),
-        ("--device", start.device, wanted.device),
         ("--stop-folds", *("on" if s.stop_folds else "off" for s in (start, wanted))),
         *(
             (f"an agent with {name}", *(s.get(name, "its default") for s in (before, after)))

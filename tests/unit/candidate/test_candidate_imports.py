@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from asia.candidate import imported_libraries, trains_network
+from asia.candidate import imported_libraries
 
 FAMILIES = ("arx", "gp_narx", "greybox", "linear", "neural_ss", "recurrent")
 
@@ -51,18 +51,3 @@ def test_what_a_family_trains_with_is_known_from_its_source() -> None:
     source = "from asia.models import neural_ss\nfrom asia.models.methods import Adam"
     assert imported_libraries(source, fitting=True) == {"jax"}
     assert imported_libraries("from asia.models import arx", fitting=True) == set()
-
-
-@pytest.mark.parametrize(
-    ("source", "trains"),
-    [
-        ("from asia.models import neural_ss", True),
-        ("from asia.models import greybox", False),
-        ("from asia.models import linear", False),
-        ("def fit(trajectories, context):\n    import jax\n", True),
-        ("import numpy", False),
-        ("no python", False),
-    ],
-)
-def test_networks_and_own_programs_of_jax_train_on_a_gpu(source: str, trains: bool) -> None:
-    assert trains_network(source) is trains

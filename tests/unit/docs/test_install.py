@@ -19,7 +19,6 @@ LINE = re.compile(
     r"pip install (?P<words>(?:'[^']*'|\"[^\"]*\"|[^\s'\"`#(),;:]+)(?: +\./[\w./-]+)*)"
 )
 PAGES = ("*.md", "docs/**/*.md", "examples/**/*.md", "examples/**/*.ipynb", "examples/**/*.sbatch")
-SKIPPED = {"gpu": "its CUDA libraries are gigabytes, and of use on a machine with a GPU only"}
 
 
 def install_lines(*patterns: str) -> dict[str, list[str]]:
@@ -105,9 +104,6 @@ def test_it_installs_into_a_fresh_environment(words: str, installed: Path, tmp_p
 
     pip replaces files and changes none, so the copies share them by hard links.
     """
-    for extra in extras_of(words):
-        if extra in SKIPPED:
-            pytest.skip(f"extra {extra}: {SKIPPED[extra]}")
     folder = tmp_path / "venv"
     shutil.copytree(installed, folder, symlinks=True, copy_function=os.link)
     python = str(folder / "bin" / "python")

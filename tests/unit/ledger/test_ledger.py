@@ -7,8 +7,8 @@ import pytest
 
 from asia.errors import UserError
 from asia.ledger.artifacts import Store
-from asia.ledger.chain import Chain, read_lines
-from asia.ledger.events import Retest, Started, Unsealed, adapter
+from asia.ledger.chain import BEGIN, Chain, _line, read_lines
+from asia.ledger.events import Evaluated, Retest, Started, Unsealed, adapter
 from asia.ledger.events import TestedModel as Record
 from asia.ledger.exports import journal, results_table
 from asia.ledger.run import find_run, open_run
@@ -175,3 +175,26 @@ def test_the_threshold_is_read_by_its_name_in_older_ledgers() -> None:
     older = {("floor" if name == "threshold" else name): value for name, value in fields.items()}
     assert "threshold" not in older
     assert adapter.validate_python(older) == event
+
+
+def test_a_run_on_a_gpu_of_an_older_version_verifies_and_shows_but_does_not_resume(
+    tmp_path: Path,
+) -> None:
+    directory = finished_run(tmp_path / "run")
+    ledger = directory / "ledger.jsonl"
+    place, raw = BEGIN, b""
+    for line in read_lines(ledger):
+        fields = adapter.dump_python(line.event, mode="json")
+        fields |= {"device": "gpu"} if isinstance(line.event, Started) else {}
+        for fold in fields.get("folds", ()) if isinstance(line.event, Evaluated) else ():
+            fold["device"] = "gpu NVIDIA H100"
+        record, _ = _line(place.seq, place.head, line.time, fields)
+        place, raw = place.behind(record), raw + record
+    assert raw.count(b"NVIDIA") == 2
+    ledger.write_bytes(raw)
+    verify(directory)
+    view = open_run(directory).view
+    assert len(view.experiment(1).result.folds) == 2
+    assert str(view.best) == str(open_run(finished_run(tmp_path / "other")).view.best)
+    with pytest.raises(UserError, match="started with --device gpu, which this version does not"):
+        check_same_search(view, replace(view.started, device="cpu"))

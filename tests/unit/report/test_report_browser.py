@@ -47,7 +47,7 @@ def look(page: Path, folder: Path, width: int, *, dark: bool) -> tuple[dict[str,
     assert CHROMIUM is not None
     harness = folder / f"look-{width}-{dark}.html"
     harness.write_text(LOOK.format(width=width, page=escape(page.read_text("utf-8"))), "utf-8")
-    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
+    command = [CHROMIUM, "--headless", "--no-sandbox", "--dump-dom"]
     command += ["--enable-logging=stderr", f"--user-data-dir={folder / 'profile'}"]
     command += ["--virtual-time-budget=5000", "--window-size=1400,1000"]
     command += [f"--blink-settings=preferredColorScheme={0 if dark else 1}", harness.as_uri()]

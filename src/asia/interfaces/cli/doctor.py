@@ -18,7 +18,7 @@ import typer
 
 from asia._plugins import Part
 from asia._text import say, say_lines
-from asia.errors import SandboxError, UserError
+from asia.errors import UserError
 from asia.interfaces.cli.options import Json, given
 
 if TYPE_CHECKING:
@@ -112,8 +112,7 @@ def doctor(
     """Test every isolation level on this machine, print how to enable a stronger one, and list the
     installed plugins."""
     from asia._plugins import parts
-    from asia.judge.sandbox.availability import gpu_here, machine, survey
-    from asia.judge.sandbox.layers.gpu import gpu_description, gpu_nodes
+    from asia.judge.sandbox.availability import machine, survey
     from asia.judge.sandbox.layers.pids import most_pids
 
     if attack:
@@ -127,21 +126,13 @@ def doctor(
         return
     here, levels = machine(), survey()
     used = next(state.level for state in levels if state.works)
-    gpu: dict[str, str | None] | None = None
-    if gpu_nodes():
-        # `driver` and `jax` are the names of the GPU there.
-        gpu = {"driver": gpu_description(), "jax": None, "why_not": None}
-        try:
-            gpu["jax"] = gpu_here(used)
-        except SandboxError as error:
-            gpu["why_not"] = str(error)
     found, clash = (), None
     try:
         found = tuple(parts())
     except UserError as error:
         clash = str(error)
     if not json:
-        _print_machine(here, gpu)
+        _print_machine(here)
         _print_levels(levels)
         _print_parts(found, clash)
         say()
@@ -157,7 +148,6 @@ def doctor(
         "machine": asdict(here),
         "levels": [asdict(state) for state in levels],
         "most_pids": most_pids(),
-        "gpu": gpu,
         "parts": listed,
         "clash": clash,
     }
@@ -180,7 +170,7 @@ def _print_executor(name: str, *, json: bool) -> None:
         say(
             f"worker     {state.worker} on {state.machine}, {state.cores} cores, "
             f"isolation {level}, round trip {1000 * state.round_trip:.0f} ms, "
-            f"clock {state.clock:+.2f} s" + (f", GPU {state.gpu}" if state.gpu else "")
+            f"clock {state.clock:+.2f} s"
         )
         if state.unlike:
             say(f"{'':<11}{state.unlike}")
@@ -188,7 +178,7 @@ def _print_executor(name: str, *, json: bool) -> None:
         raise typer.Exit(2)
 
 
-def _print_machine(here: Machine, gpu: dict[str, str | None] | None) -> None:
+def _print_machine(here: Machine) -> None:
     if sys.platform == "darwin":
         say(f"macOS      {MACOS}")
     memory = f", {here.memory_mb} MB of memory" if here.memory_mb else ""
@@ -197,15 +187,6 @@ def _print_machine(here: Machine, gpu: dict[str, str | None] | None) -> None:
     say(f"python     {here.python}, as {'root' if here.user == 'root' else 'an ordinary user'}")
     say(f"landlock   {f'version {here.landlock}' if here.landlock else 'none'}")
     say(f"bubblewrap {here.bubblewrap or 'none'}")
-    if gpu is None:
-        say("gpu        none: candidates compute on the processor")
-        return
-    say(f"gpu        {gpu['driver'] or 'an NVIDIA GPU'}")
-    if gpu["jax"] is not None:
-        say(f"{'':<11}--device gpu: JAX reaches it as {gpu['jax']}")
-        return
-    say(f"{'':<11}--device gpu does not work: {gpu['why_not']}")
-    say(f"{'':<11}to get it: NVIDIA's driver, and pip install '.[gpu]' in a clone of ASIA")
 
 
 def _print_levels(levels: Sequence[LevelState]) -> None:

@@ -248,7 +248,7 @@ class CommandOptions(JailOptions):
     ] = 30.0
 
 
-# Options of the evaluation: executor, device, experiments at a time.
+# Options of the evaluation: executor, experiments at a time.
 
 
 @dataclass(frozen=True)
@@ -269,12 +269,6 @@ class EngineOptions:
             help="Skip the remaining folds of a candidate that is far behind the best.",
         ),
     ] = False
-    device: Annotated[
-        str,
-        typer.Option(
-            help="Device for networks: cpu, gpu (NVIDIA, extra gpu), or auto (a GPU if present)."
-        ),
-    ] = "cpu"
     executor: Annotated[
         str,
         typer.Option(

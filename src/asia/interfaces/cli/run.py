@@ -148,7 +148,6 @@ def run(
             legs=driver.legs,
             parallel=engine.parallel,
             stop_folds=engine.stop_folds,
-            device=engine.device,
         )
         executor = make_executor(engine.executor)
     sinks = open_sinks(ready.directory, sink or ())

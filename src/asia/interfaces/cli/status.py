@@ -82,7 +82,6 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "isolation": start.isolation,
         "isolation_strict": start.isolation_strict,
         "parallel": start.parallel,
-        "device": start.device,
         "stop_folds": start.stop_folds,
         "pruned_folds": sum(pruned_folds(view)),
         "cancelled_folds": cancelled_folds(view),

@@ -433,9 +433,7 @@ class Evaluator:
                 self._check_strangers(source, fold, fitted.model, fitted.y_hat)
             with stopwatch.activity(Activity.SCORE), self._analysing if long else nullcontext():
                 result = fold_result(fold, fitted, rule, self._ranges, context, oracle.calls)
-                result = replace(
-                    result, machine=found.machine, isolation=found.isolation, device=fitted.device
-                )
+                result = replace(result, machine=found.machine, isolation=found.isolation)
         except CandidateError as error:
             result = Failure(error.reason, error.detail, fold.index + 1)
         return FoldEnd(result, found.printed, oracle.calls)

@@ -44,8 +44,6 @@ class Fitted:
     """The largest address space of the worker before its first case."""
     compile_seconds: float
     """Time in which JAX traced and compiled before the first case."""
-    device: str = ""
-    """Device of JAX, as reported by the worker; "" where no GPU was requested."""
 
 
 def fold_result(

@@ -17,10 +17,6 @@ from asia.candidate import installed_libraries
 from asia.errors import SandboxError, UserError
 from asia.judge.executors import RemoteExecutor, local_cores
 from asia.judge.sandbox.availability import probe
-from asia.judge.sandbox.layers.gpu import gpu_description
-from asia.judge.sandbox.types import Limits
-
-_GPU = "GPU"
 
 
 @cache
@@ -43,14 +39,9 @@ def installation() -> Mapping[str, str]:
     }
 
 
-def installation_for(limits: Limits) -> Mapping[str, str]:
-    """The same, with the GPU where a worker computes on it: its rounding is another one."""
-    return {**installation(), _GPU: gpu_description()} if limits.gpu else installation()
-
-
 def check_installation(there: Mapping[str, str], machine: str) -> None:
     """Raise UserError unless the installation on a machine equals that of the search."""
-    here = {**installation(), _GPU: gpu_description()} if _GPU in there else installation()
+    here = installation()
     different = [
         f"{name} {here.get(name, 'missing')} there, {there.get(name, 'missing')} here"
         for name in sorted({*here, *there})
@@ -100,8 +91,6 @@ class MachineState:
     """Seconds by which its clock is ahead. Nothing depends on it."""
     unlike: str
     """Differences from this machine, in a sentence; "" for none."""
-    gpu: str
-    """GPU as reported by its driver; "" for none."""
 
 
 def survey_machines(carrier: RemoteExecutor) -> list[MachineState]:
@@ -124,7 +113,6 @@ def survey_machines(carrier: RemoteExecutor) -> list[MachineState]:
                 round_trip=seconds,
                 clock=float(str(said["time"])) - asked - seconds / 2,
                 unlike=str(said["unlike"]),
-                gpu=str(said["gpu"]),
             )
         )
     return states
@@ -151,6 +139,5 @@ def described(request: bytes) -> bytes:
         "layers": layers,
         "time": now,
         "unlike": unlike,
-        "gpu": gpu_description(),
     }
     return json.dumps(said).encode()

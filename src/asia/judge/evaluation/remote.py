@@ -14,7 +14,7 @@ from itertools import chain
 from asia.candidate import Context, imported_libraries
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.judge.evaluation.findings import Fitted
-from asia.judge.evaluation.machines import check_installation, installation_for
+from asia.judge.evaluation.machines import check_installation, installation
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.requests import simulate_each, simulate_training
 from asia.judge.evaluation.results import derive_seed
@@ -71,7 +71,6 @@ def fit_fold(
                     reply = worker.fit(work.source, data.train, context, oracle, program_store())
             finally:
                 printed = worker.printed
-            device = worker.device() if work.limits.gpu else ""
             parameters, model = worker.parameters(), worker.dump()
             # Before the first case: later a candidate could let held-out values decide on them.
             memory, compiling = worker.peak_memory_mb, worker.compile_seconds()
@@ -88,7 +87,7 @@ def fit_fold(
     except CandidateError as error:
         return FoldAnswer(error, printed)
     y_hat = tuple(found[i] for i in range(len(data.cases)))
-    fitted = Fitted(reply, model, parameters, y_hat, train_y_hat, memory, compiling, device)
+    fitted = Fitted(reply, model, parameters, y_hat, train_y_hat, memory, compiling)
     return FoldAnswer(fitted, printed)
 
 
@@ -254,14 +253,13 @@ class FoldFitter:
             digest, raw = ("", b"") if carrier is None else encode_data(data)
             self._data[fold.index] = data, digest, raw
         data, digest, raw = self._data[fold.index]
-        limits = workers.limits_for(source)
         work = FoldWork(
             problem=self._problem,
             data=digest,
             fold=fold.index + 1,
             source=source,
             context=replace(self._context, seed=derive_seed(self._context.seed, fold.index, start)),
-            limits=limits,
+            limits=workers.limits,
             isolation=workers.isolation,
             layers=tuple(layer.value for layer in layers_in_force(workers.isolation)),
             alone=workers.is_sequential,
@@ -271,7 +269,7 @@ class FoldFitter:
             request = encode_work(work, {})
             fitted = fit_fold(decode_work(request), data, workers.open, oracle)
             return local_answer(fitted, data, train)
-        request = encode_work(work, installation_for(limits))
+        request = encode_work(work, installation())
         with workers.settings.cancel.on_cancel(partial(carrier.forget, request)):
             reply = carrier.carry(answer, request, digest, raw)
         found = decode_answer(reply, data, train)

@@ -81,8 +81,6 @@ class FoldResult:
     """The machine that fitted it; "" for the search's own."""
     isolation: str = ""
     """The level that was in force there; "" for the search's own."""
-    device: str = ""
-    """Device of JAX, as reported by the worker; "" where no GPU was requested."""
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,6 @@ def _parts(answer: FoldAnswer) -> tuple[dict[str, Any], list[Blob]]:
         "parameters": result.parameters,
         "memory_mb": result.memory_mb,
         "compile_seconds": result.compile_seconds,
-        "device": result.device,
         "train": len(result.train_y_hat),
     }
     raw = (
@@ -232,7 +231,6 @@ def _answer(
             train_y_hat=tuple(y_hat[len(data.shapes) :]),
             memory_mb=None if memory is None else float(memory),
             compile_seconds=float(head["compile_seconds"]),
-            device=str(head["device"]),
         )
     spent = {Activity(k): (float(a), float(b)) for k, (a, b) in head["spent"].items()}
     return FoldAnswer(result, head["printed"], head["machine"], head["isolation"], spent)

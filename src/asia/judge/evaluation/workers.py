@@ -11,7 +11,7 @@ from functools import partial
 from typing import TypeVar
 
 from asia._timer import Activity, ActivityTimer
-from asia.candidate import imported_libraries, trains_network
+from asia.candidate import imported_libraries
 from asia.errors import CandidateError, Reason, SandboxError, UserError
 from asia.judge.evaluation.background import BackgroundJob, CancelFlag, JobSettings
 from asia.judge.executors import Executor, SequentialExecutor, local_cores, remote_executor_of
@@ -36,10 +36,8 @@ class WorkerRunner:
         executor: Executor,
         *,
         standby: int = 1,
-        gpu: bool = False,
     ) -> None:
-        """standby: how many workers are started before they are needed; gpu: whether those that
-        train networks compute on the GPU."""
+        """standby: how many workers are started before they are needed."""
         self.isolation = isolation
         self.fit_seconds = budget.fit_seconds
         self.remote = remote_executor_of(executor)
@@ -48,8 +46,7 @@ class WorkerRunner:
         self.stopwatch = ActivityTimer()
         # Processes that the kernel does not let die, by pid: they keep their core and memory.
         self.left_behind: list[int] = []
-        self._limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
-        self._gpu = gpu
+        self.limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
         self._executor = executor
         self._standby = standby
         self._open: set[Worker] = set()
@@ -87,7 +84,7 @@ class WorkerRunner:
             at_once: experiments in flight
         """
         most = self._standby * at_once
-        with StandbyWorkers(self.isolation, self._limits, most) as self._ready:
+        with StandbyWorkers(self.isolation, self.limits, most) as self._ready:
             try:
                 yield
             finally:
@@ -177,13 +174,9 @@ class WorkerRunner:
         for worker in list(self._open):
             worker.abort()
 
-    def limits_for(self, source: str) -> Limits:
-        """Limits of workers that run a candidate; those that train networks may use the GPU."""
-        return replace(self._limits, gpu=self._gpu and trains_network(source))
-
     def open_for(self, source: str, *, fitting: bool) -> AbstractContextManager[Worker]:
         """Open a worker for a candidate, to fit it or to load its models."""
-        return self.open(imported_libraries(source, fitting=fitting), self.limits_for(source))
+        return self.open(imported_libraries(source, fitting=fitting), self.limits)
 
     @contextmanager
     def open(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
@@ -199,7 +192,7 @@ class WorkerRunner:
             raise SandboxError("the result of this fit is not wanted any more")
         with self._own:
             with self.stopwatch.activity(Activity.START):
-                ready = self._ready if limits == self._limits else None
+                ready = self._ready if limits == self.limits else None
                 waiting = ready.take(libraries) if ready else None
                 worker = waiting or open_worker(self.isolation, limits)
             try:

@@ -53,9 +53,6 @@ class Limits:
     """Address space of the worker process."""
     model_mb: int = 64
     """Largest fitted model that is kept."""
-    gpu: bool = False
-    """Whether it computes on the GPU. Then `memory_mb` limits resident memory: CUDA reserves far
-    more addresses than it uses."""
 
 
 class WorkerKilledError(SandboxError):

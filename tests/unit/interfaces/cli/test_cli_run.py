@@ -72,7 +72,7 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
         "early_stopping", "validation_scores", "residuals", "best", "references",
         "control", "stopped", "usage", "metric", "legs", "handed_over", "use", "use_reason",
         "confirmed", "parallel", "running", "threshold", "remark", "incumbent", "validated",
-        "stop_folds", "pruned_folds", "cancelled_folds", "device", "error", "failed_checks",
+        "stop_folds", "pruned_folds", "cancelled_folds", "error", "failed_checks",
         "alarms",
     }  # fmt: skip
     assert (answer["early_stopping"], answer["validation_scores"]) == ("inner", 0)
@@ -248,15 +248,3 @@ def test_an_old_ledger_has_no_seconds_to_show(asia: Asia) -> None:
     done = asia("status", old, "--profile")
     assert done.code == 0, done.err
     assert done.out.splitlines()[-1].startswith("profile  not recorded")
-
-
-def test_a_gpu_that_is_not_there_is_refused_before_anything_is_written(
-    asia: Asia, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("asia.judge.sandbox.availability.gpu_nodes", lambda: ())
-    problem, runs = write_problem(tmp_path / "toy"), tmp_path / "runs"
-    done = asia("run", problem, "--runs", runs, "--device", "gpu")
-    assert done.code == 2
-    assert "pip install '.[gpu]'" in " ".join(done.err.split())
-    assert not runs.exists()
-    assert asia("run", problem, "--runs", runs, "--device", "tpu").code == 2

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from asia.judge.sandbox.availability import open_worker, pids_mechanism, survey
 from asia.judge.sandbox.layers import pids
 from asia.judge.sandbox.layers.pids import PidsCgroup, PidsMechanism, cgroup_works, most_pids
 from asia.judge.sandbox.types import Isolation, Layer, Limits
+from asia.judge.sandbox.worker.process import ResourceWatch
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="threads are counted on Linux")
 LIMITS = Limits(60.0, 60.0, 4096)
@@ -85,6 +87,17 @@ def test_the_watcher_ends_it_too(level, case):
     if pids_mechanism(level) is PidsMechanism.RLIMIT:
         pytest.skip("a limit of the kernel holds here")
     assert refusal(level, case, with_count(THREADS, 60)).reason is Reason.THREADS
+
+
+def test_the_watcher_looks_until_it_is_closed():
+    ended = []
+    ResourceWatch(lambda: 2, 1, lambda: ended.append("closed"), 9.0).close()
+    watch = ResourceWatch(lambda: 2, 1, lambda: ended.append("open"), 0.01)
+    for _ in range(1000):
+        if watch.exceeded and ended:
+            break
+        time.sleep(0.001)
+    assert ended == ["open"]
 
 
 @pytest.mark.usefixtures("few", "watched")

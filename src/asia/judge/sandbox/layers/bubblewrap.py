@@ -12,7 +12,6 @@ from asia.judge.sandbox.layers.environment import (
     environment,
     interpreter_links,
 )
-from asia.judge.sandbox.layers.gpu import GPU_FACTS, gpu_nodes
 
 Shared = Literal["net", "pid"]
 _HOME = "/tmp/scratch"
@@ -25,28 +24,17 @@ def bubblewrap_options(
     *,
     shared: Collection[Shared] = (),
     nesting: bool = False,
-    gpu: bool = False,
 ) -> list[str]:
     """Return the bwrap options of a worker, up to the command.
 
     Args:
         shared, nesting: as in `walls`
-        gpu: whether it computes on the GPU
     """
     memory = {"/dev/shm": _SHM_BYTES, "/tmp": tmp_bytes}
-    shown = [*(_gpu_options() if gpu else []), "--chdir", _HOME]
-    options = walls(memory, _HOME, shown, shared=shared, nesting=nesting)
+    options = walls(memory, _HOME, ["--chdir", _HOME], shared=shared, nesting=nesting)
     options += ["--uid", "65534", "--gid", "65534", "--hostname", "sandbox", "--clearenv"]
-    for name, value in environment(_HOME, gpu=gpu).items():
+    for name, value in environment(_HOME).items():
         options += ["--setenv", name, value]
-    return options
-
-
-def _gpu_options() -> list[str]:
-    options = [word for node in gpu_nodes() for word in ("--dev-bind-try", node, node)]
-    for place in GPU_FACTS:
-        if not place.startswith("/proc/"):
-            options += ["--ro-bind-try", place, place]
     return options
 
 

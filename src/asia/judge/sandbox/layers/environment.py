@@ -15,7 +15,6 @@ import asia
 from asia._plugins import plugin_packages
 from asia.errors import SandboxError
 from asia.judge.sandbox.layers import landlock, seccomp
-from asia.judge.sandbox.layers.gpu import GPU_FACTS, gpu_environment, gpu_nodes
 from asia.judge.sandbox.types import Layer, Limits
 
 SYSTEM_FILES = ("/etc/ld.so.cache", "/etc/localtime", "/etc/alternatives")
@@ -45,7 +44,7 @@ thread pools by NPROC; without it the last bits of a sum depend on the number of
 of XLA_FLAGS."""
 
 
-def environment(home: str, *, gpu: bool = False) -> dict[str, str]:
+def environment(home: str) -> dict[str, str]:
     """All environment variables of a worker."""
     return {
         "PATH": "/usr/bin:/bin",
@@ -57,7 +56,6 @@ def environment(home: str, *, gpu: bool = False) -> dict[str, str]:
         **REPEATABLE,
         # Shorter ones are compiled again in less time than they are loaded.
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.05",
-        **(gpu_environment(REPEATABLE["XLA_FLAGS"]) if gpu else {}),
     }
 
 
@@ -94,13 +92,10 @@ def child_command(
     script = package_folder() / "judge" / "sandbox" / "worker" / "child.py"
     folders, packages = _user_site(), [f"asia={package_folder()}"]
     packages += [f"{one.name}={place}" for one in plugin_packages() for place in one.places]
-    addresses_mb = 0 if limits.gpu else limits.memory_mb
-    words = [str(requests), str(replies), str(addresses_mb), str(pids), ",".join(layers)]
-    devices = gpu_nodes() if limits.gpu else ()
-    for part in (sorted(libraries), folders, packages, devices):
+    words = [str(requests), str(replies), str(limits.memory_mb), str(pids), ",".join(layers)]
+    for part in (sorted(libraries), folders, packages):
         words += [str(len(part)), *part]
-    facts = GPU_FACTS if limits.gpu else ()
-    return [interpreter(), "-P", "-s", "-B", "-u", str(script), *words, *readable(), *facts]
+    return [interpreter(), "-P", "-s", "-B", "-u", str(script), *words, *readable()]
 
 
 def readable() -> list[str]:

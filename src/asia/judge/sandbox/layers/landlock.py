@@ -50,7 +50,7 @@ def why_not() -> str | None:
     return None
 
 
-def restrict(readable: Iterable[str], writable: Iterable[str], devices: Iterable[str] = ()) -> None:
+def restrict(readable: Iterable[str], writable: Iterable[str]) -> None:
     """Bind the calling thread and all that it starts; threads that run already stay free.
 
     Missing paths are left out.
@@ -58,7 +58,6 @@ def restrict(readable: Iterable[str], writable: Iterable[str], devices: Iterable
     Args:
         readable: files, and folders with all below them
         writable: files to read and write
-        devices: those that take commands too
 
     Raises:
         OSError: if the kernel refuses
@@ -77,8 +76,6 @@ def restrict(readable: Iterable[str], writable: Iterable[str], devices: Iterable
             _allow(ruleset, place, _READ_FILE | _READ_DIR)
         for place in writable:
             _allow(ruleset, place, _READ_FILE | _WRITE_FILE)
-        for place in devices:
-            _allow(ruleset, place, files & (_READ_FILE | _WRITE_FILE | _DEVICE_CONTROL))
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
             raise OSError(ctypes.get_errno(), "no_new_privs was refused")

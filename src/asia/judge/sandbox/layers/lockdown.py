@@ -32,13 +32,10 @@ _PR_SET_PDEATHSIG = 1
 _AF_UNIX, _SOCK_STREAM = 1, 1
 
 
-def confine(layers: Collection[str], readable: Sequence[str], devices: Sequence[str] = ()) -> None:
+def confine(layers: Collection[str], readable: Sequence[str]) -> None:
     """Apply these layers permanently.
 
     The process also ends with its parent from here on, which it cannot undo under the filter.
-
-    Args:
-        devices: nodes that the process may give commands to
 
     Raises:
         OSError, RuntimeError: where a thread would stay out
@@ -54,9 +51,9 @@ def confine(layers: Collection[str], readable: Sequence[str], devices: Sequence[
         raise OSError(ctypes.get_errno(), "capabilities could not be dropped")
     libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if LANDLOCK in layers:
-        landlock.restrict(readable, WRITABLE, devices)
+        landlock.restrict(readable, WRITABLE)
     if SECCOMP in layers:
-        seccomp.install(devices=bool(devices))
+        seccomp.install()
 
 
 def holds(layers: Collection[str], folder: str) -> str | None:

@@ -59,11 +59,6 @@ clone 56 220; clone3 435 435; kill 62 129; tgkill 234 131; prlimit64 302 261; fc
 ioctl 16 29; prctl 157 167; futex 202 98; seccomp 317 277; exit 60 93; exit_group 231 94
 madvise 28 233
 """
-# Without these the driver of a GPU does not start. Its harmful commands are unknown.
-_FOR_DEVICES = (
-    "ioctl", "eventfd", "eventfd2", "pipe", "pipe2", "epoll_create", "epoll_create1",
-    "timerfd_create", "memfd_create", "membarrier", "sysinfo",
-)  # fmt: skip
 _LAST_KNOWN = 450  # set_mempolicy_home_node; to the worker, later ones do not exist
 _ARCHITECTURES = {"x86_64": (0xC000003E, 1), "aarch64": (0xC00000B7, 2)}
 _X32 = 0x40000000
@@ -95,17 +90,14 @@ def why_not() -> str | None:
     return None
 
 
-def install(*, devices: bool = False) -> None:
+def install() -> None:
     """Bind all threads of this process.
-
-    Args:
-        devices: whether it computes on a GPU
 
     Raises:
         OSError: if the kernel refuses
     """
     machine = os.uname().machine
-    program = build(machine, os.getpid(), devices=devices)
+    program = build(machine, os.getpid())
     code = ctypes.create_string_buffer(program, len(program))
     head = struct.pack("@HP", len(program) // 8, ctypes.addressof(code))
     libc = ctypes.CDLL(None, use_errno=True)
@@ -127,15 +119,10 @@ def numbers(machine: str) -> dict[str, int]:
     return {row[0]: int(row[column]) for row in rows if row[column] != "-"}
 
 
-def build(machine: str, pid: int, *, devices: bool = False) -> bytes:
-    """The filter as BPF instructions of 8 bytes, for the process `pid`.
-
-    Args:
-        devices: allow the calls of a GPU driver, as in `install`
-    """
+def build(machine: str, pid: int) -> bytes:
+    """The filter as BPF instructions of 8 bytes, for the process `pid`."""
     known = numbers(machine)
     checked = [row[0] for row in _rows(_CHECKED)]
-    passing = _FOR_DEVICES if devices else ()
     number_fits = _step(_LOAD, 0)
     if machine == "x86_64":
         number_fits += _step(_JUMP_ABOVE, _X32 - 1, 0, 1) + _step(_RETURN, _KILL)
@@ -162,7 +149,7 @@ def build(machine: str, pid: int, *, devices: bool = False) -> bytes:
     reads += _step(_JUMP_EQUAL, pid, 0, 1) + _allow() + _deny()
     code += _when(known["prlimit64"], reads)
     code += _when(known["fcntl"], _only(1, _FCNTL))
-    code += b"" if "ioctl" in passing else _when(known["ioctl"], _only(1, _IOCTL))
+    code += _when(known["ioctl"], _only(1, _IOCTL))
     code += _when(known["prctl"], _unless(0, _PR_SET_PDEATHSIG))
     code += _when(known["futex"], _futex())
     # Throwing a file out of memory, so that another worker sees it come from the disk.
@@ -170,7 +157,7 @@ def build(machine: str, pid: int, *, devices: bool = False) -> bytes:
     advice += _step(_JUMP_EQUAL, _MADV_PAGEOUT, 0, 1) + _deny() + _allow()
     code += _when(known["madvise"], advice)
     for name, number in known.items():
-        if name not in checked and name not in passing:
+        if name not in checked:
             code += _when(number, _deny())
     return code + _allow()
 

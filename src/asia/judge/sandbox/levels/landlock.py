@@ -58,7 +58,7 @@ class Landlock(Level):
             raise SandboxError(f"isolation level '{self.isolation}' cannot run here: {reasons}")
         process, pipes = start(
             lambda requests, replies: child_command(requests, replies, limits, layers, libraries),
-            env=environment("/", gpu=limits.gpu),
+            env=environment("/"),
             cwd="/",
         )
         return WorkerProcess(

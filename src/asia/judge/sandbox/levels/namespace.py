@@ -130,7 +130,7 @@ def _open(
     def command(requests: int, replies: int) -> list[str]:
         worker = child_command(requests, replies, limits, layers, libraries, pids)
         inside = ["--info-fd", str(info_write), "--", *worker]
-        return [watch.mark, *bubblewrap_options(gpu=limits.gpu), *inside]
+        return [watch.mark, *bubblewrap_options(), *inside]
 
     try:
         # env={}: bwrap stays process 1 inside, where its environment can be read.

@@ -51,16 +51,14 @@ _SHORT = 4096
 
 
 def _restrict(memory_mb: int) -> None:
-    """Limits on resources, before the system call filter takes away the means to set them; 0 MB for
-    none on the address space."""
+    """Limits on resources, before the system call filter takes away the means to set them."""
     limits = {
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_FSIZE: _LARGEST_FILE,
         resource.RLIMIT_NOFILE: _OPEN_FILES,
     }
     if sys.platform == "linux":
-        if memory_mb:
-            limits[resource.RLIMIT_AS] = memory_mb * 1024 * 1024
+        limits[resource.RLIMIT_AS] = memory_mb * 1024 * 1024
         limits[resource.RLIMIT_MEMLOCK] = 0
         limits[resource.RLIMIT_MSGQUEUE] = 0
         # Queued signals are counted over all processes of the user.
@@ -204,7 +202,6 @@ class _Session:
             "parameters": self._parameters,
             "estimates": self._estimates,
             "lower": self._lower,
-            "device": self._device,
             "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
             "programs": lambda: wire.packed_programs(self._programs.made),
         }
@@ -361,13 +358,6 @@ class _Session:
         except Exception:  # noqa: BLE001 - the border to candidate code
             return b""
 
-    def _device(self) -> bytes:
-        try:
-            device = sys.modules["jax"].devices()[0]
-            return f"{device.platform} {device.device_kind}".encode()[: wire.DEVICE_BYTES]
-        except Exception:  # noqa: BLE001 - the border to candidate code
-            return b""
-
     def _pickled(self, model: object) -> bytes:
         import cloudpickle
 
@@ -436,13 +426,13 @@ def main(arguments: list[str]) -> NoReturn:
         taken, readable[:] = readable[:count], readable[count:]
         return taken
 
-    libraries, folders, packages, devices = counted(), counted(), counted(), counted()
+    libraries, folders, packages = counted(), counted(), counted()
     if lockdown.RLIMITS in layers:
         _restrict(memory_mb)
     if pids:
         _limit(resource.RLIMIT_NPROC, pids)
     # Before numpy, whose threads Landlock would not bind.
-    lockdown.confine(layers, readable, devices)
+    lockdown.confine(layers, readable)
     sys.path.extend(folder for folder in folders if folder not in sys.path)
     sys.meta_path.insert(0, _PackageFinder(packages))
     for fd in (requests, replies):

@@ -517,15 +517,6 @@ class ResourceWatch:
                 return
 
 
-def resident_bytes(pid: int | None) -> int:
-    """Return the resident memory of a process; 0 where the system does not report it."""
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
-    except (OSError, ValueError, IndexError):
-        return 0
-    return pages * os.sysconf("SC_PAGE_SIZE")
-
-
 # A worker below a keeper, which ends all that the worker leaves behind. For levels that let a
 # candidate start processes.
 
@@ -546,7 +537,7 @@ def start_kept(
         return [*own, *inside, *child_command(requests, replies, limits, layers, libraries)]
 
     try:
-        process, pipes = start(command, env=environment(home, gpu=limits.gpu), cwd=home)
+        process, pipes = start(command, env=environment(home), cwd=home)
     except BaseException:
         shutil.rmtree(home, ignore_errors=True)
         raise

@@ -32,7 +32,6 @@ CURVE_ROWS = 2000
 CURVE_ROW_BYTES = 16
 TEXT_BYTES = 2048
 SHAPE_DIMENSIONS = 8
-DEVICE_BYTES = 100
 COMPILED = ("fit", "load", "simulate")
 """Requests in which JAX may compile. Each reports two float64: seconds to trace and to compile."""
 COMPILED_BYTES = len(COMPILED) * 16

@@ -44,13 +44,11 @@ from asia.judge.sandbox.worker.process import (
     WorkerClock,
     WorkerProcess,
     peak_memory_mb,
-    resident_bytes,
 )
 from asia.judge.sandbox.worker.wire import (
     COMPILED_BYTES,
     CURVE_ROW_BYTES,
     CURVE_ROWS,
-    DEVICE_BYTES,
     FRAME_HEAD,
     PROGRAM_BYTES,
     PROGRAM_KEY_BYTES,
@@ -138,16 +136,8 @@ class Worker:
         self._model_loaded = False
         self._cases_seen = False
         self._has_steps: bool | None = None
-        self._memory: ResourceWatch | None = None
         self._pids_mechanism = pids
         self._pids: PidsCgroup | ResourceWatch | None = None
-        if limits.gpu:
-            self._memory = ResourceWatch(
-                lambda: resident_bytes(process.find()),
-                limits.memory_mb * 1024 * 1024,
-                self.abort,
-                _LOOK_SECONDS,
-            )
 
     def __enter__(self) -> Worker:
         return self
@@ -315,15 +305,6 @@ class Worker:
         except ValueError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
-    def device(self) -> str:
-        """Return the device of JAX, as reported by the worker; "" where it has not loaded JAX.
-
-        Call it before any case, as `parameters`.
-        """
-        return printable(
-            self._reply_before_cases("device", DEVICE_BYTES).decode("utf-8", "replace")
-        )
-
     def compile_seconds(self) -> float:
         """Return JAX's time for tracing and compiling in the fit, as the worker reports it, at most
         the time that the fit took. Call it before any case, as `parameters`."""
@@ -395,8 +376,6 @@ class Worker:
         if not self._closed:
             with self._ending:
                 self._closed = True
-            if self._memory is not None:
-                self._memory.close()
             if isinstance(self._pids, ResourceWatch):
                 self._pids.close()
             with self._clock.activity(Activity.START):
@@ -559,8 +538,6 @@ class Worker:
         if isinstance(error, UnsolicitedError):
             return self._failure(Reason.UNSOLICITED)
         ending = self._process.ending()
-        if self._memory is not None and self._memory.exceeded:
-            return self._failure(Reason.MEMORY, f"more than {self._limits.memory_mb} MB in memory")
         if isinstance(self._pids, ResourceWatch) and self._pids.exceeded:
             return self._failure(Reason.EXITED)
         if ending.outside is not None:
