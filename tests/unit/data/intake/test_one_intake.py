@@ -15,10 +15,10 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 import scipy.io
-from asia.data.intake.records import survey
 
 from asia.data import Signal, Trajectory, data_digest
 from asia.data.arrays import read_arrays
+from asia.data.intake.conversion import survey
 from asia.data.intake.sheet import Wanted
 from asia.errors import UserError
 from asia.problem.create import init_problem, record_csv
