@@ -13,6 +13,7 @@ PYTEST := $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --d
 .PHONY: demo test test-all test-long lint docs tutorial picture format clean
 
 .venv/ready: pyproject.toml
+	@echo 'Installing ASIA and its libraries into .venv: about a minute, longer on a slow connection'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@

@@ -44,7 +44,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def quick_linear_rung() -> Iterator[None]:
+def quick_linear_reference() -> Iterator[None]:
     """The linear model that every search reports, without compiling anything: here, and in the
     processes that tests start."""
     with pytest.MonkeyPatch.context() as patch:
@@ -70,7 +70,7 @@ def own_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture
-def real_linear_rung(monkeypatch: pytest.MonkeyPatch) -> None:
+def real_linear_reference(monkeypatch: pytest.MonkeyPatch) -> None:
     """For the tests whose subject it is."""
     monkeypatch.setattr(_RUNG, LINEAR)
 

@@ -23,8 +23,8 @@ from statistics import median
 
 import numpy as np
 
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
 
 HERE = Path(__file__).parent
 PROBLEM = "two_tanks_sim"
@@ -39,7 +39,7 @@ from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
+from asia.problem.folds import (make_folds)
 from asia.judge.sandbox.availability import probe
 from asia.search.agent_views import problem_facts
 problem = load_problem(sys.argv[1])
@@ -117,8 +117,8 @@ def write_fold(file: Path, target: float, seed: int) -> None:
     scale of the error, target error, seed."""
     problem = load_problem(PROBLEM)
     fold = make_folds(problem.train, problem.protocol)[0]
-    block = fold.validation[0]
-    assert len(fold.train) == len(fold.validation) == 1
+    block = fold.held_out[0]
+    assert len(fold.train) == len(fold.held_out) == 1
     np.savez(
         file, train_u=fold.train[0].u, train_y=fold.train[0].y, past_u=block.case.past_u,
         past_y=block.case.past_y, u=block.case.u, y=block.y, scale=fold.scale, target=target,

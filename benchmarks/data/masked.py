@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.interfaces.workspace.tools import evaluate
-from asia.problem.protocol import FoldRule, ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import FoldRule, ProtocolRule
 
 Array = NDArray[np.float64]
 
@@ -143,7 +144,7 @@ def fit(source: str, one: Measured, take: Callable[[Array], Array]) -> tuple[flo
         missed = np.concatenate(
             [
                 y_hat - one.truth[block.record][block.start : block.stop]
-                for block, y_hat in zip(local.fold.validation, local.y_hat, strict=True)
+                for block, y_hat in zip(local.fold.held_out, local.y_hat, strict=True)
             ]
         )
         errors.append(float(np.mean(np.sqrt((missed**2).mean(axis=0)) / local.fold.scale)))

@@ -33,9 +33,9 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import machine, open_worker, probe
 from asia.judge.sandbox.types import Limits
 from asia.judge.scoring.outcome import Failure
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
-from asia.problem.protocol import make_folds
 from asia.search.agent_views import problem_facts
 
 LONG = 100_000

@@ -23,7 +23,7 @@ from asia.export.registry import TARGETS
 from asia.lowering.trace import lowered_bytes
 from asia.lowering.wire import unpack
 from asia.models import subnet
-from asia.models._numerics.records import Scaling
+from asia.models._numerics.scaling import Scaling
 
 PAST, SAMPLES = 10, 5000
 

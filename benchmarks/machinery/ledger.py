@@ -28,7 +28,7 @@ from asia.errors import Reason
 from asia.judge.scoring.outcome import Failure, FoldScore, Score
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.chain import BEGIN, Chain, encode
-from asia.ledger.events import Evaluated, Event, FoldEvidence, Proposed, RungScored, Started
+from asia.ledger.events import Evaluated, Event, FoldEvidence, Proposed, ReferenceScored, Started
 from asia.ledger.index import index_path
 from asia.ledger.verification import verify
 
@@ -136,7 +136,7 @@ def _events(
         protocol_digest="1" * 64, test_digest=None, isolation="namespace", isolation_notes=(),
         environment={},
     )  # fmt: skip
-    yield RungScored("linear model", _score(random, folds))
+    yield ReferenceScored("linear model", _score(random, folds))
     best = np.inf
     for number in range(1, experiments + 1):
         source = files.put(HYPOTHESIS.encode() * 20)

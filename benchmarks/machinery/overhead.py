@@ -35,7 +35,8 @@ from asia.judge.sandbox.types import FitReply, Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import Score
 from asia.problem import Budget
-from asia.problem.protocol import Fold, ProtocolRule, make_folds, whole
+from asia.problem.folds import Fold, make_folds, whole
+from asia.problem.protocol import ProtocolRule
 
 T = TypeVar("T")
 
@@ -308,7 +309,7 @@ def _bare(source: str, fold: Fold, context: Context, rule: ProtocolRule) -> floa
     module = ModuleType("candidate")
     exec(source, module.__dict__)
     model = module.fit(fold.train, context)
-    for block in (*fold.validation, *whole(fold.train, rule)):
+    for block in (*fold.held_out, *whole(fold.train, rule)):
         case = block.case
         model.simulate(case.past_u[None], case.past_y[None], case.u[None])
     return time.perf_counter() - begin

@@ -37,7 +37,7 @@ from asia.agents import Agent, AgentView, Proposal, make_agent
 from asia.errors import UserError
 from asia.judge.executors import Executor, make_executor
 from asia.judge.executors.dask import DaskExecutor
-from asia.ledger.text import floor_words
+from asia.ledger.text import threshold_text
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
@@ -214,7 +214,7 @@ def compare_searches(root: Path, name: str, agent: str, experiments: int, in_fli
         print(
             f"{name}, {agent}, {what}: {wall:.0f} s, speed-up {walls[0] / wall:.2f}, "
             f"{len(view.finished)} experiments, V {best.value if best else 'none'}, "
-            f"needed: {floor_words(view)}",
+            f"needed: {threshold_text(view)}",
             flush=True,
         )
 

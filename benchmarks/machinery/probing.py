@@ -37,9 +37,9 @@ from asia.judge.evaluation.results import score_outputs
 from asia.judge.scoring.outcome import Failure, Score
 from asia.models import linear
 from asia.models._least_squares import LevenbergMarquardt
+from asia.problem.folds import Fold, make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold, make_folds
 
 Outputs = list[list[Array]]
 AMPLITUDES = (0.03, 0.1, 0.3, 0.6)
@@ -90,7 +90,7 @@ def baseline(problem: Problem, folds: Sequence[Fold]) -> Outputs:
     for fold in folds:
         model = linear.build(linear.Config(order=None, delay=None), context)
         model = linear.train(model, fold.train, context, LevenbergMarquardt(iterations=30))
-        cases = [block.case for block in fold.validation]
+        cases = [block.case for block in fold.held_out]
         found.append(
             [
                 np.asarray(model.simulate(c.past_u[None], c.past_y[None], c.u[None])[0])
@@ -105,7 +105,7 @@ def pattern(folds: Sequence[Fold], k: int, sizes: Sequence[float]) -> Outputs:
     return [
         [
             size * fold.scale * np.cos(np.pi * k * (np.arange(len(b.y))[:, None] + 0.5) / len(b.y))
-            for b in fold.validation
+            for b in fold.held_out
         ]
         for fold, size in zip(folds, sizes, strict=True)
     ]

@@ -30,11 +30,11 @@ from asia.judge.scoring.outcome import FoldScore, Score
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
-from asia.ledger.events import Evaluated, FoldEvidence, Proposed, RungScored, Started
+from asia.ledger.events import Evaluated, FoldEvidence, Proposed, ReferenceScored, Started
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import Problem, Seal
-from asia.problem.protocol import make_folds
 
 NAME = "long"
 SCROLL = """async ([query, pixels, seconds]) => {
@@ -123,7 +123,7 @@ class Writer:
         self._outputs = self._make_outputs()
         self._chain = Chain(directory / "ledger.jsonl")
         self._chain.append(_started(self._problem, experiments))
-        self._chain.append(RungScored("linear model", Score(0.6, ())))
+        self._chain.append(ReferenceScored("linear model", Score(0.6, ())))
         for _ in range(experiments):
             self.add()
 
@@ -145,7 +145,7 @@ class Writer:
 
     def _make_outputs(self) -> list[str]:
         folds = make_folds(self._problem.train, self._problem.protocol)
-        return [self._store.put_arrays([0.9 * b.y for b in fold.validation]) for fold in folds]
+        return [self._store.put_arrays([0.9 * b.y for b in fold.held_out]) for fold in folds]
 
 
 def _started(problem: Problem, experiments: int) -> Started:

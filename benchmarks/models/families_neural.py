@@ -36,8 +36,8 @@ from asia.models import (
     transformer,
 )
 from asia.models.methods import Adam
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
 
 PAST = 8
 NOISE = 0.05
@@ -199,7 +199,7 @@ def tanks() -> list[Benchmark]:
     for fold in make_folds(problem.train, rule):
 
         def error(model: Model, fold: Any = fold) -> float:
-            block = fold.validation[0]
+            block = fold.held_out[0]
             case = block.case
             y = model.simulate(case.past_u[None], case.past_y[None], case.u[None])[0]
             return float(np.mean(np.sqrt(np.mean((y - block.y) ** 2, axis=0)) / fold.scale))

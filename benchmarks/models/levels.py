@@ -17,9 +17,9 @@ from asia.candidate import Context
 from asia.data import Trajectory
 from asia.models import linear
 from asia.models._least_squares import LevenbergMarquardt
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
-from asia.problem.protocol import make_folds
 
 ONE = linear.Config(order=None, delay=None, periodic=True)
 EACH = linear.Config(order=None, delay=None, periodic=True, levels=True)
@@ -64,7 +64,7 @@ def measured(
     begun = time.perf_counter()
     model = linear.train(linear.build(config, context), train, context, method)
     seconds = time.perf_counter() - begun
-    held = {r.name for block in fold.validation for r in problem.train if r.name == block.case.name}
+    held = {r.name for block in fold.held_out for r in problem.train if r.name == block.case.name}
     records = [r for r in problem.train if r.name in held]
     squares = {r.name: squared(model, r, rule.past) for r in records}
     scale = np.concatenate([r.y for r in fold.train]).std(axis=0)

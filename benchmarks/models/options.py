@@ -37,8 +37,8 @@ from asia.models import greybox, neural_ss, physics_net, recurrent
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models.methods import Adam
 from asia.problem import Budget
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
 
 Draw = Callable[[int], System]
 """The system of a seed."""

@@ -52,7 +52,7 @@ def main() -> None:
             if view.best is None or view.best.score is None:
                 raise SystemExit(f"{run}: no candidate has a score")
             values.append(view.best.score.value)
-            linear = {r.name: r.outcome for r in view.rungs}.get("linear model")
+            linear = {r.name: r.outcome for r in view.references}.get("linear model")
             baseline = view.experiment(1).score
             rows.append(
                 [name, str(seed), f"{values[-1]:.4f}",

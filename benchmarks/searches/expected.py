@@ -17,13 +17,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from asia.data import Array
-from asia.judge.scoring.confirmation import (
+from asia.judge.scoring.outcome import score_fold
+from asia.judge.scoring.repeated_fits import (
     RepeatedFits,
     block_values,
     expected_error,
     expected_of_ensemble,
 )
-from asia.judge.scoring.outcome import score_fold
 
 PAST, FOLD, LEVEL = 12, 200, 0.9
 Model = Callable[[Array, Array], Array]

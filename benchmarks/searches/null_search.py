@@ -27,7 +27,7 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Event, Proposed, Started
 from asia.ledger.view import replay
 from asia.problem.load import load_problem
-from asia.search.loop import judge
+from asia.search.decision import decide
 
 EXPERIMENTS = 50
 RULES = {"one fit": 0, "retests": 2}
@@ -119,7 +119,7 @@ def drawn(random: np.random.Generator, retests: int, scatter: float) -> tuple[in
     evaluator, kept = _Drawn(random, scatter), 0
     for number in range(1, EXPERIMENTS + 1):
         view = replay([start, *events[-2:]] if kept else [start])
-        found = judge(evaluator, "", view)
+        found = decide(evaluator, "", view)
         if found.status == "keep":
             kept += 1
             name = str(number)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from asia.judge.scoring.confirmation import expected_lowest
+from asia.judge.scoring.repeated_fits import expected_lowest
 
 PAIRS = re.compile(r"\((0\.\d+), (0\.\d+)\)")
 MARK = "11 repeated searches on tanks (V, test)"

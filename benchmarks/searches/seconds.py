@@ -5,9 +5,11 @@ python benchmarks/searches/seconds.py demo tanks --against ../older/.venv/bin/py
 
 demo: 8 experiments on two_tanks_sim; fold: one grey-box fold of it in a fresh worker; unseal: of
 that search; tanks: 30 experiments on cascaded_tanks; nanodrone: 12 experiments; records: 12
-experiments on three generated single-input records of 2 700 samples. tanks and nanodrone need the
-real data (ASIA_DATA_DIR, or a network). With --against every job runs in turns with the package of
-another Python, and the ratio of the medians is printed. V is that of the best candidate.
+experiments on three generated single-input records of 2 700 samples; short: on three of 680;
+inductor: 10 experiments on a generated record of 10 000 samples, one input, two outputs. tanks and
+nanodrone need the real data (ASIA_DATA_DIR, or a network). With --against every job runs in turns
+with the package of another Python, and the ratio of the medians is printed. V is that of the best
+candidate.
 Processor seconds are those of the whole machine, so run nothing else (Linux only).
 """
 
@@ -26,10 +28,13 @@ from statistics import median
 
 import numpy as np
 
-EXPERIMENTS = {"demo": 8, "tanks": 30, "nanodrone": 12, "records": 12}
+EXPERIMENTS = {
+    "demo": 8, "tanks": 30, "nanodrone": 12, "records": 12, "short": 12, "inductor": 10,
+}  # fmt: skip
 PROBLEMS = {"demo": "two_tanks_sim", "tanks": "cascaded_tanks", "nanodrone": "nanodrone"}
-JOBS = ("demo", "fold", "unseal", "tanks", "nanodrone", "records")
-SAMPLES, RECORDS, SAMPLING_TIME = 2700, 3, 0.01
+JOBS = ("demo", "fold", "unseal", "tanks", "nanodrone", "records", "short", "inductor")
+RECORDS, SAMPLING_TIME = 3, 0.01
+SAMPLES = {"records": 2700, "short": 680, "inductor": 10_000}
 # Run by the Python that is measured. The grey-box is the first that the expert proposes.
 FOLD = """
 import time
@@ -39,7 +44,7 @@ from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
+from asia.problem.folds import (make_folds)
 from asia.judge.sandbox.availability import probe
 from asia.search.agent_views import problem_facts
 problem = load_problem("two_tanks_sim")
@@ -106,8 +111,9 @@ def measured(job: str, python: Path, seed: int) -> Seconds:
         if job == "fold":
             return timed([python, "-c", FOLD], place, own_clock=True)
         problem = PROBLEMS.get(job, PROBLEMS["demo"])
-        if job == "records":
-            problem = str(write_records(place / "records"))
+        if job in SAMPLES:
+            write = write_inductor if job == "inductor" else write_records
+            problem = str(write(place / "records", SAMPLES[job]))
         asia = python.with_name("asia")
         experiments = str(EXPERIMENTS.get(job, EXPERIMENTS["demo"]))
         command = [asia, "run", problem, "--experiments", experiments, "--seed", str(seed)]
@@ -157,14 +163,14 @@ def best_value(ledger: Path) -> float:
     return best
 
 
-def write_records(directory: Path) -> Path:
+def write_records(directory: Path, samples: int) -> Path:
     """A problem with three records of a driven oscillator with a hardening spring, no equations
     given; noise 40 dB below the output."""
     directory.mkdir()
     random = np.random.default_rng(0)
     names: list[str] = []
     for i in range(RECORDS):
-        steps = random.uniform(-1.0, 1.0, SAMPLES // 20) * 60.0
+        steps = random.uniform(-1.0, 1.0, samples // 20) * 60.0
         u = np.repeat(steps, 20)
         y = oscillator(u)
         y = y + 0.01 * y.std() * random.standard_normal(len(y))
@@ -176,6 +182,35 @@ def write_records(directory: Path) -> Path:
         'inputs = [{ name = "force", unit = "N" }]\n'
         'outputs = [{ name = "position", unit = "m" }]\n'
         f"[data]\ntrain = {json.dumps(names)}\n"
+    )
+    return directory
+
+
+def write_inductor(directory: Path, samples: int) -> Path:
+    """A problem with one record of an inductor whose iron saturates, in series with a resistor and
+    a capacitor, no equations given; noise 40 dB below the outputs."""
+    directory.mkdir()
+    random = np.random.default_rng(0)
+    u = np.repeat(random.uniform(-12.0, 12.0, samples // 25 + 1), 25)[:samples]
+    current, voltage = np.zeros((2, samples))
+    flux, across, step = 0.0, 0.0, 1e-5  # mVs, V, s
+    for k in range(samples):
+        current[k], voltage[k] = flux + 0.2 * flux**3, across
+        for _ in range(10):
+            flowing = flux + 0.2 * flux**3
+            flux += 1e3 * step * (u[k] - 1.5 * flowing - across)
+            across += step * (flowing - across / 40.0) / 1e-4
+    columns = [u]
+    for y in (current, voltage):
+        columns.append(y + 0.01 * y.std() * random.standard_normal(samples))
+    text = "\n".join(",".join(f"{value:.9g}" for value in row) for row in np.transpose(columns))
+    (directory / "record.csv").write_text(f"source,current,voltage\n{text}\n")
+    (directory / "problem.toml").write_text(
+        'name = "inductor"\nsampling_time = 1e-4\n'
+        'inputs = [{ name = "source", unit = "V" }]\n'
+        'outputs = [{ name = "current", unit = "A" }, { name = "voltage", unit = "V" }]\n'
+        '[data]\ntrain = ["record.csv"]\n'
+        '[protocol]\nfolds = { kind = "contiguous", count = 3 }\n'
     )
     return directory
 

@@ -95,7 +95,7 @@ def _options() -> argparse.Namespace:
 
 
 def _search(system: System, problem: Problem, agent: str, seed: int, runs: Path) -> Found:
-    """One search with the truth as a rung beside it, unsealed; resumes what is in `runs`."""
+    """One search with the truth as a reference, unsealed; resumes what is in `runs`."""
     count = problem.budget.experiments
     problem = replace(problem, truth=(system.train.truth,))
     name = f"{problem.name}-{agent}-s{seed}-n{count}"
@@ -155,11 +155,11 @@ def _error_over_noise(
 
 
 def _found(view: SearchView, ratio: float | None) -> Found:
-    rungs = {r.name: r.outcome.value for r in view.rungs if isinstance(r.outcome, Score)}
+    references = {r.name: r.outcome.value for r in view.references if isinstance(r.outcome, Score)}
     best = view.best
     return Found(
-        linear=rungs.get(LINEAR),
-        floor=rungs.get(FLOOR),
+        linear=references.get(LINEAR),
+        floor=references.get(FLOOR),
         best=best.score.value if best and best.score else None,
         number=best.number if best else None,
         family=best.proposed.family if best else "none",

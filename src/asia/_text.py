@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import TextIO
@@ -62,9 +64,33 @@ def markdown_line(text: str) -> str:
     return _ADDRESS.sub(r"\1\3\\\2\4", line)
 
 
+_LABEL = re.compile(r"( *\S.{0,13}?  +)\S")
+
+
+def folded(text: str, width: int) -> str:
+    """Fold one line between words at a width. Padding is taken out, and the further lines are
+    indented below the text behind a label."""
+    if len(text) <= width:
+        return text
+    label = _LABEL.match(text)
+    indent = len(label[1]) if label else len(text) - len(text.lstrip()) + 2
+    head, rest = (text[:indent], text[indent:]) if label else ("", text.rstrip())
+    rest = re.sub(r"(?<=\S) {3,}", "  ", rest)
+    return textwrap.fill(
+        head + rest,
+        width,
+        subsequent_indent=" " * indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
 def say(text: str = "", *, file: TextIO | None = None, flush: bool = False) -> None:
-    """Print one line. `file`: standard output without one."""
-    print(printable_line(text), file=file or sys.stdout, flush=flush)
+    """Print one line, folded between words on a terminal. `file`: standard output without one."""
+    out, line = file or sys.stdout, printable_line(text)
+    if out.isatty():
+        line = folded(line, shutil.get_terminal_size().columns)
+    print(line, file=out, flush=flush)
 
 
 def say_lines(text: str, *, end: str = "\n", file: TextIO | None = None) -> None:

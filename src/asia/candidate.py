@@ -157,6 +157,8 @@ class ParameterEstimates:
     """Correlations (n, n) of the errors; nan where one is not known."""
     equations: tuple[str, ...] = ()
     """The model's equations with the numbers put in, one a line; 8000 characters are kept."""
+    reason: str = ""
+    """Why there are values alone, without standard errors; "" where there are."""
 
 
 # Libraries that a candidate will import, read from its source and from the model library.

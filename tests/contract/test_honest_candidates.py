@@ -15,7 +15,8 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.availability import probe
 from asia.judge.scoring.outcome import Score
 from asia.problem import Budget
-from asia.problem.protocol import ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import ProtocolRule
 
 FOLDER = Path(__file__).parent / "honest"
 SAMPLES = 300

@@ -23,7 +23,8 @@ from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.models._networks import compiled, network
 from asia.models._networks.network import Driven, NetworkModel, as_built
-from asia.models._numerics.records import Scaling, scaled, window
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import flat_past, scaled
 from asia.problem import ParameterRange, Physics
 
 FLOAT32, FLOAT64 = 1e-5, 1e-9
@@ -165,7 +166,7 @@ def test_a_network_simulates_in_numpy_as_in_jax(
     assert spy.precisions == [np.float32, np.float32]
     monkeypatch.undo()
     past_u, past_y, u = (np.asarray(values, np.float32) for values in requests()[0])
-    found = network.outputs_of(model.cell, model.params, window(past_u, past_y), u)
+    found = network.outputs_of(model.cell, model.params, flat_past(past_u, past_y), u)
     assert found.dtype == np.float32
 
 
@@ -179,7 +180,7 @@ def test_a_network_simulates_in_double_precision_as_in_jax(
     params = mapped(model.params, np.float64)
 
     def ask(past_u: Array, past_y: Array, u: Array) -> Array:
-        return network.outputs_of(model.cell, params, window(past_u, past_y), u)
+        return network.outputs_of(model.cell, params, flat_past(past_u, past_y), u)
 
     assert largest_difference(in_numpy_and_jax(ask, monkeypatch)) < FLOAT64
     assert spy.precisions == [np.float64, np.float64]

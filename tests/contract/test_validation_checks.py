@@ -10,7 +10,8 @@ import pytest
 
 from asia.errors import UserError
 from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
-from asia.judge.scoring.checks.registry import VALIDATION_CHECKS, ValidationData, validation_checks
+from asia.judge.scoring.checks.registry import VALIDATION_CHECKS, validation_checks
+from asia.judge.scoring.checks.validation_data import ValidationData
 from asia.testing import check_validation_check
 from tests.unit.made_up_parts import installed
 

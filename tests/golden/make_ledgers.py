@@ -90,7 +90,7 @@ def recorded(run: Run) -> dict[str, object]:
         "problem": view.started.problem,
         "agent": view.started.agent,
         "budget": view.budget,
-        "rungs": {r.name: getattr(r.outcome, "value", None) for r in view.rungs},
+        "rungs": {r.name: getattr(r.outcome, "value", None) for r in view.references},
         "notes": [note.text for note in view.notes],
         "tokens": usage.tokens if usage else None,
         "experiments": [

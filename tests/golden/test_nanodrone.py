@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from asia.judge.evaluation.references import constant_velocity, find_rates
-from asia.judge.scoring.outcome import mee_table, score_fold
+from asia.judge.scoring.euclidean_error import mee_table
+from asia.judge.scoring.outcome import score_fold
+from asia.problem.folds import Fold, make_folds, whole
 from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import lock_text
 from asia.problem.physics import parse_expression
 from asia.problem.problem import Problem, Seal
-from asia.problem.protocol import Fold, make_folds, whole
 from asia.problem.seal import open_test, seal
 
 pytestmark = [
@@ -35,15 +36,15 @@ def folds(problem: Problem) -> tuple[Fold, ...]:
 
 def test_windows_are_those_of_the_paper(problem: Problem, folds: tuple[Fold, ...]) -> None:
     assert [g.name for g in problem.protocol.folds.groups] == ["chirp", "random", "square"]
-    assert [len(fold.validation) for fold in folds] == [480, 480, 152]
+    assert [len(fold.held_out) for fold in folds] == [480, 480, 152]
     assert seal(problem).lengths == (6499, 6499, 6499)
 
 
 def test_holding_the_last_state(folds: tuple[Fold, ...]) -> None:
     found = [
         score_fold(
-            [b.y for b in fold.validation],
-            [np.tile(b.case.past_y[-1], (50, 1)) for b in fold.validation],
+            [b.y for b in fold.held_out],
+            [np.tile(b.case.past_y[-1], (50, 1)) for b in fold.held_out],
             fold.scale,
             "mae",
         ).value
@@ -58,8 +59,8 @@ def test_constant_velocity(folds: tuple[Fold, ...]) -> None:
     for fold in folds:
         rates = find_rates(fold, 50)
         assert rates == (3, 4, 5, None, None, None, 9, 10, 11, None, None, None)
-        y_hat = [constant_velocity(b, rates, 0.01) for b in fold.validation]
-        measured = [b.y for b in fold.validation]
+        y_hat = [constant_velocity(b, rates, 0.01) for b in fold.held_out]
+        measured = [b.y for b in fold.held_out]
         found.append(score_fold(measured, y_hat, fold.scale, "mae").value)
     assert np.mean(found) == pytest.approx(0.429, abs=5e-4)
 

@@ -1,5 +1,5 @@
 """Settings of tests/conftest.py and tests/unit/painting.py for the processes that tests start:
-the quick linear rung, and pictures that are drawn but not painted.
+the quick linear reference, and pictures that are drawn but not painted.
 
 Python imports this module where PYTHONPATH names its folder. Workers of the sandbox have an
 environment of their own and do not.
@@ -15,11 +15,11 @@ from types import ModuleType
 from typing import Any
 
 
-def quick_rung(search: ModuleType) -> None:
+def quick_reference(search: ModuleType) -> None:
     del search
-    rungs = sys.modules["asia.judge.evaluation.references"]
-    assert isinstance(rungs.LINEAR, str)
-    rungs.LINEAR = Path(__file__).with_name("arx.py").read_text("utf-8")
+    references = sys.modules["asia.judge.evaluation.references"]
+    assert isinstance(references.LINEAR, str)
+    references.LINEAR = Path(__file__).with_name("arx.py").read_text("utf-8")
 
 
 def unpainted(figure: ModuleType) -> None:
@@ -37,7 +37,7 @@ def unpainted(figure: ModuleType) -> None:
 
 
 CHANGES: dict[str, Callable[[ModuleType], None]] = {
-    "asia.search.run": quick_rung,
+    "asia.search.run": quick_reference,
     "matplotlib.figure": unpainted,
 }
 

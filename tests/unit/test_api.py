@@ -23,7 +23,7 @@ def test_every_public_name_is_there() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("real_linear_rung")
+@pytest.mark.usefixtures("real_linear_reference")
 def test_a_search_from_python(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "toy")
     run = asia.run(problem, agent=Scripted((arx(2),)), experiments=2, runs=tmp_path / "runs")

@@ -7,7 +7,15 @@ from pathlib import Path
 import pytest
 
 import asia
-from asia._text import coarse, markdown_line, one_line, printable, printable_line, table_cell
+from asia._text import (
+    coarse,
+    folded,
+    markdown_line,
+    one_line,
+    printable,
+    printable_line,
+    table_cell,
+)
 
 PACKAGE = Path(asia.__file__).parent
 # Escape sequences of seven and of eight bits, a bell, a backspace, text written from right to left.
@@ -99,3 +107,21 @@ def test_coarse_figures_are_few_and_near() -> None:
     values = [0.1 * 1.003**k for k in range(3000)]
     assert len({coarse(v) for v in values if v <= 1000}) < 2**7
     assert all(abs(coarse(v) - v) <= 0.1 * v for v in values)
+
+
+def test_a_long_line_is_folded_between_words_below_its_label() -> None:
+    line = (
+        "use     refit: It fits the training records as well as the ensemble does (error 0.0166)."
+    )
+    lines = folded(line, 60).split("\n")
+    assert all(len(one) <= 60 for one in lines)
+    assert all(one.startswith(" " * 8) for one in lines[1:])
+    assert " ".join(" ".join(lines).split()) == " ".join(line.split())
+
+
+def test_padding_is_taken_out_where_a_line_is_folded_and_paths_stay_whole() -> None:
+    padded = f"#01 keep    V=0.1192  {'baseline':<60} | best #01 0.1192"
+    assert folded(padded, 80) == "#01 keep    V=0.1192  baseline  | best #01 0.1192"
+    assert folded(padded, 200) == padded
+    path = "/a" * 60
+    assert path in folded(f"wrote    {path}", 80)

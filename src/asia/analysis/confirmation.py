@@ -16,7 +16,8 @@ from asia.errors import UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import derive_seed, same_simulations
 from asia.judge.sandbox.types import Isolation
-from asia.judge.scoring.confirmation import (
+from asia.judge.scoring.outcome import Score
+from asia.judge.scoring.repeated_fits import (
     Interval,
     RepeatedFits,
     block_values,
@@ -27,7 +28,6 @@ from asia.judge.scoring.confirmation import (
     paired_difference,
     value_interval,
 )
-from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store, without_artifacts
 from asia.ledger.chain import Chain
 from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair, Repeated
@@ -260,7 +260,7 @@ class _Confirmation:
         """Return the simulations of each fold's held-out blocks from the search."""
         assert experiment.result is not None
         return [
-            self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.validation])
+            self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.held_out])
             for kept, fold in zip(experiment.result.folds, self.evaluator.data.folds, strict=True)
         ]
 
@@ -269,7 +269,7 @@ class _Confirmation:
         return tuple(
             tuple(
                 block_values(
-                    [block.y for block in fold.validation], y_hat, fold.scale, self.metric
+                    [block.y for block in fold.held_out], y_hat, fold.scale, self.metric
                 ).tolist()
             )
             for fold, y_hat in zip(self.evaluator.data.folds, y_hats, strict=True)

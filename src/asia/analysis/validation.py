@@ -25,9 +25,14 @@ from asia.judge.scoring.checks.errors import (
     no_bands,
     no_steps_ahead,
 )
-from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
-from asia.judge.scoring.checks.registry import ValidationData, validation_checks
-from asia.judge.scoring.checks.response import HORIZONS, SMALL, LinearResponse, impulse_response
+from asia.judge.scoring.checks.registry import validation_checks
+from asia.judge.scoring.checks.response import HORIZONS, SMALL, impulse_response
+from asia.judge.scoring.checks.validation_data import (
+    LinearResponse,
+    SimulatedBlock,
+    SimulatedBlocks,
+    ValidationData,
+)
 from asia.ledger.artifacts import without_artifacts
 from asia.ledger.chain import Chain
 from asia.ledger.events import RecordedCheck, Use, Validated
@@ -35,9 +40,9 @@ from asia.ledger.evidence import findings_of, identified, put_curves
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.ledger.view import Experiment
 from asia.problem.check import responses
+from asia.problem.folds import Block, Case, whole
 from asia.problem.load import load_lock, read_records
 from asia.problem.problem import Problem
-from asia.problem.protocol import Block, Case, whole
 from asia.search.run import LOCK, make_evaluator
 from asia.search.simulation import (
     BAND_LEVEL,
@@ -152,7 +157,8 @@ def starts(given: ProbeRange, blocks: Sequence[Block]) -> list[Block]:
     return found
 
 
-# Make the dossier of a run: held-out simulations from the ledger, further answers in the sandbox.
+# Make the validation report of a run: held-out simulations from the ledger, further answers in the
+# sandbox.
 #
 # It uses training records alone, and a record that the user brings. The sealed test stays closed.
 
@@ -208,8 +214,8 @@ def validate(
         raise UserError(f"run '{run.name}' has no scored model, so nothing to validate")
     if run.view.started.ladder is not None:
         raise UserError(
-            f"run '{run.name}' has ladder feedback, which hides the exact scores that a dossier "
-            "prints: validate a run without it"
+            f"run '{run.name}' has ladder feedback, which hides the exact scores that a "
+            "validation report prints: validate a run without it"
         )
     if not run.store.kept:
         raise UserError(without_artifacts(directory))
@@ -262,7 +268,7 @@ def _run_check(name: str, make: Callable[[], Check | tuple[Check, ...]]) -> tupl
 
 @dataclass(frozen=True)
 class _Validation:
-    """A dossier under way."""
+    """A validation report under way."""
 
     run: Run
     problem: Problem
@@ -272,12 +278,12 @@ class _Validation:
     progress: Callable[[str], None]
 
     def held_out(self) -> tuple[Check, ...]:
-        """The dossier on what the folds held out."""
+        """The validation report on what the folds held out."""
         basis = self._basis
         pairs = [
             (block, y_hat)
             for fold, simulated in zip(self.evaluator.data.folds, basis.simulated, strict=True)
-            for block, y_hat in zip(fold.validation, simulated, strict=True)
+            for block, y_hat in zip(fold.held_out, simulated, strict=True)
         ]
         found = self._simulations(pairs)
         windows = self.evaluator.data.horizon is not None
@@ -292,7 +298,7 @@ class _Validation:
         )
 
     def new_records(self, records: Sequence[Trajectory]) -> tuple[Check, ...]:
-        """The dossier on new records."""
+        """The validation report on new records."""
         blocks = whole(records, self.problem.protocol)
         if not blocks:
             raise UserError(
@@ -399,7 +405,7 @@ class _Validation:
         model_errors: list[Array] = []
         hold_errors: list[Array] = []
         for fold, name in zip(self.evaluator.data.folds, member.models, strict=True):
-            blocks = starts(self._probe_range, fold.validation)
+            blocks = starts(self._probe_range, fold.held_out)
             if not blocks:
                 continue
             one = FinalMember(member.source, (name,))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from asia._text import suggestion
-from asia.data.intake.records import Intake, TablePart, Use, make_records
+from asia.data.intake.conversion import Intake, TablePart, Use, make_records
 from asia.data.intake.sheet import Column, FileTable, Wanted, find_column, split_unit
 from asia.data.intake.time import JITTER, seconds, time_column
 from asia.data.trajectory import Array, Signal

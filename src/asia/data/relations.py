@@ -86,13 +86,18 @@ def _run_hashes(record: Trajectory) -> tuple[NDArray[np.uint64], NDArray[np.bool
 # Delays between inputs and outputs, and feedback, by correlation.
 
 
+PAIR, ALONE = 1.35, 2.0
+"""Times the 99 % band that the correlation of two neighbouring lags, and of one lag, exceeds at a
+delay."""
+
+
 @dataclass(frozen=True)
 class FoundDelay:
     """Delay from an input to an output.
 
     Attributes:
-        lag: samples until the output responds, 0 for a direct feed-through; None where it never
-            leaves the band. correlation: (lags,) from 0 on; band: its 99 % band without any
+        lag: samples until the output responds, 0 for a direct feed-through; None where no lag
+            exceeds the thresholds. correlation: (lags,) from 0 on; band: its 99 % band without any
             effect.
     """
 
@@ -102,9 +107,9 @@ class FoundDelay:
 
 
 def find_delay(records: Sequence[Trajectory], channel: int, output: int) -> FoundDelay:
-    """The first of two neighbouring lags at which the prewhitened input and the output correlate
-    beyond the 99 % band (Box and Jenkins, Time Series Analysis, section 11.2); the band is widened
-    for the number of lags."""
+    """The first lag at which the prewhitened input and the output correlate (Box and Jenkins, Time
+    Series Analysis, section 11.2). As many lags are tested, the thresholds are `ALONE` times the
+    99 % band, or `PAIR` times it at two neighbouring lags."""
     longest = min(100, min(len(r) for r in records) // 4)
     pairs = _whitened(records, channel, output)
     energy_u, energy_y = sum(u @ u for u, _ in pairs), sum(y @ y for _, y in pairs)
@@ -113,8 +118,8 @@ def find_delay(records: Sequence[Trajectory], channel: int, output: int) -> Foun
     correlation = sums / max(np.sqrt(energy_u * energy_y), 1e-300)
     # The 99 % point of a normal distribution.
     band = 2.576 / np.sqrt(max(sum(len(u) for u, _ in pairs), 1))
-    beyond = np.abs(correlation) > band * 1.35
-    strong = np.abs(correlation) > 2 * band
+    beyond = np.abs(correlation) > PAIR * band
+    strong = np.abs(correlation) > ALONE * band
     hits = np.flatnonzero(strong | (beyond & np.append(beyond[1:], False)))
     return FoundDelay(int(hits[0]) if hits.size else None, correlation, band)
 

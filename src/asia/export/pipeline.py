@@ -25,8 +25,8 @@ from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Use
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.lowering.program import Builder, LoweredModel, Program
+from asia.problem.folds import Block, Case
 from asia.problem.load import load_lock
-from asia.problem.protocol import Block, Case
 from asia.search.run import LOCK, make_evaluator
 from asia.search.simulation import (
     FinalMember,

@@ -10,13 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter
+from pydantic import AliasChoices, Field, TypeAdapter
 
 from asia._timer import TimeSpent
+from asia.judge.scoring.attribution import Attribution
 from asia.judge.scoring.checks.check import Verdict
-from asia.judge.scoring.confirmation import Attribution, ExpectedError, Interval
 from asia.judge.scoring.description import LiteralCheck
-from asia.judge.scoring.outcome import Failure, MeeTable, Outcome, TestScore
+from asia.judge.scoring.euclidean_error import MeeTable
+from asia.judge.scoring.outcome import Failure, Outcome, TestScore
+from asia.judge.scoring.repeated_fits import ExpectedError, Interval
 from asia.judge.scoring.residuals import Diagnostics
 from asia.problem.protocol import EarlyStopping, ShownResidual
 
@@ -360,7 +362,7 @@ class Started:
     """The agents that propose one after the other; () where one agent does."""
     retests: int = 0
     """The most fits from other seeds of a candidate about to be kept, which must then be better by
-    the floor; 0 where one fit decides, as in older ledgers."""
+    the significance threshold; 0 where one fit decides, as in older ledgers."""
     parallel: Annotated[int, _omitted(1)] = 1
     """Maximum number of concurrent experiments. Each is proposed once all but the last `parallel` -
     1 before it have their results.
@@ -380,8 +382,8 @@ class Started:
 
 
 @dataclass(frozen=True)
-class RungScored:
-    """A trivial reference."""
+class ReferenceScored:
+    """Score of a reference model."""
 
     name: str
     outcome: Outcome
@@ -475,7 +477,9 @@ class Evaluated:
     """Profile of the time since the last event with a profile; () in older ledgers."""
     retests: tuple[Retest, ...] = ()
     """Its fits from other seeds; () where it was not about to be kept."""
-    floor: float | None = None
+    threshold: Annotated[
+        float | None, Field(validation_alias=AliasChoices("threshold", "floor"))
+    ] = None
     """Required improvement of the mean over seeds; None without incumbent or if one fit decides."""
     lowest: bool = False
     """True if V of the first fit was the lowest so far and its model passed the checks of a final
@@ -686,7 +690,7 @@ class Unsealed:
     event: Literal["unsealed"] = "unsealed"
 
 
-# The dossier of a finished model: what each check said.
+# The validation report of a finished model: what each check said.
 
 
 @dataclass(frozen=True)
@@ -694,7 +698,7 @@ class RecordedCheck:
     """One check of a validation report, as it was printed."""
 
     name: str
-    """A few words, unique within a dossier."""
+    """A few words, unique within a validation report."""
     verdict: Verdict
     sentence: str
     cause: str = ""
@@ -726,9 +730,9 @@ class Validated:
 
 
 Event = (
-    Started | RungScored | Proposed | Evaluated | Landed | HandedOver | Extended | Stopped | Resumed
-    | Steered | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted | GuardLooked
-    | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated | Validated
+    Started | ReferenceScored | Proposed | Evaluated | Landed | HandedOver | Extended | Stopped
+    | Resumed | Steered | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted
+    | GuardLooked | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated | Validated
 )  # fmt: skip
 
 adapter: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator="event")])

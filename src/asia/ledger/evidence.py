@@ -20,7 +20,7 @@ from asia.data.trajectory import Array, Signal
 from asia.errors import Reason, UserError
 from asia.judge.evaluation.results import FoldFindings
 from asia.judge.scoring.checks.check import Check, CheckCurve
-from asia.judge.scoring.confirmation import least_significant_difference
+from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.judge.scoring.residuals import Diagnostics, Evidence, PartKind, SignedResidual
 from asia.ledger.artifacts import Store
 from asia.ledger.run import Run
@@ -265,7 +265,7 @@ def noise_of_repeats(view: SearchView, among: Collection[int] = ()) -> float | N
     return None
 
 
-def significance_threshold(view: SearchView) -> float | None:
+def incumbent_threshold(view: SearchView) -> float | None:
     """Return the improvement of the mean over seeds that a candidate with the same variance needs
     to be kept; 0 if the incumbent does not depend on the seed, None if that is not known or one fit
     decides.
@@ -273,7 +273,7 @@ def significance_threshold(view: SearchView) -> float | None:
     held = view.incumbent
     if held is None or held.result is None or not held.result.retests:
         return None
-    return least_significant_difference(held.seed_values, held.seed_values)
+    return significance_threshold(held.seed_values, held.seed_values)
 
 
 # Evidence on one experiment besides its score.
@@ -507,6 +507,8 @@ class EstimatedModel:
     library: bool = False
     """True if the candidate has no code of its own besides calls of ASIA's model library. Otherwise
     names, values and equations are the candidate's claims."""
+    reason: str = ""
+    """Why there are no standard errors; "" where there are, and in older ledgers."""
 
 
 @dataclass(frozen=True)
@@ -595,6 +597,8 @@ class IdentifiedModel:
     equations: tuple[str, ...]
     library: bool = False
     """As in `EstimatedModel`."""
+    reason: str = ""
+    """As in `EstimatedModel`."""
 
     @property
     def disagreeing(self) -> tuple[str, ...]:
@@ -642,8 +646,9 @@ def identified(run: Run) -> IdentifiedModel | None:
     tables = [dict(one.parameters) for one in findings]
     rows = with_fold_values(fitted, tables, jackknife=not one_sided)
     return IdentifiedModel(
-        refitted.experiment, rows, fitted.correlation, fitted.equations, fitted.library
-    )
+        refitted.experiment, rows, fitted.correlation, fitted.equations, fitted.library,
+        fitted.reason,
+    )  # fmt: skip
 
 
 def estimated(estimates: ParameterEstimates) -> EstimatedModel:
@@ -652,6 +657,7 @@ def estimated(estimates: ParameterEstimates) -> EstimatedModel:
         tuple(map(_estimated_parameter, estimates.parameters)),
         tuple(tuple(map(_finite, row)) for row in estimates.correlation.tolist()),
         estimates.equations,
+        reason=estimates.reason,
     )
 
 

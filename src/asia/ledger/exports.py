@@ -62,10 +62,10 @@ def journal(view: SearchView) -> str:
         f"Problem {markdown_line(start.problem)}, agent {markdown_line(start.agent)}, "
         f"seed {start.seed}, isolation {start.isolation_words}.\n"
     )
-    if view.rungs:
+    if view.references:
         values = [
             f"{reference.name} {error_value(reference.outcome.value)}"
-            for reference in view.rungs
+            for reference in view.references
             if isinstance(reference.outcome, Score)
         ]
         head += f"\nReference models, {view.v_name}: {', '.join(values)}.\n"

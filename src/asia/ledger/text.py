@@ -10,7 +10,7 @@ from typing import Any
 
 from asia._text import coarse, one_line
 from asia.judge.evaluation.training_checks import TrainingCheck
-from asia.judge.scoring.checks.records import listed
+from asia.judge.scoring.checks.validation_data import listed
 from asia.judge.scoring.description import LiteralCheck
 from asia.ledger.events import (
     Evaluated,
@@ -27,7 +27,7 @@ from asia.ledger.evidence import (
     IdentifiedParameter,
     ParameterSpread,
     SharedResidual,
-    significance_threshold,
+    incumbent_threshold,
 )
 from asia.ledger.run import Control
 from asia.ledger.view import Experiment, SearchView
@@ -146,17 +146,20 @@ def method_note(view: SearchView) -> str:
     return f"{finding}; {one} is handed over, because its own fit has the lowest V"
 
 
-def floor_words(view: SearchView) -> str:
+def threshold_text(view: SearchView) -> str:
     """The mean V that a candidate needs in order to be kept; "" where it is not known."""
-    held, floor = view.incumbent, significance_threshold(view)
-    if held is None or floor is None:
+    held, threshold = view.incumbent, incumbent_threshold(view)
+    if held is None or threshold is None:
         return ""
     values = held.seed_values
     if len(values) == 1:
-        return f"0: the fits of #{held.number:02d} do not depend on the seed"
+        return (
+            f"the fits of #{held.number:02d} do not depend on the seed, so only the variance of "
+            "the next candidate sets the threshold"
+        )
     mean = error_value(fmean(values))
     return (
-        f"a candidate is kept if its mean V is more than {floor:.2g} below {mean}, the mean of "
+        f"a candidate is kept if its mean V is more than {threshold:.2g} below {mean}, the mean of "
         f"#{held.number:02d} over {len(values)} seeds"
     )
 
@@ -180,8 +183,9 @@ def describe_result(e: Experiment, view: SearchView) -> str:
             values = [r.failed if r.value is None else error_value(r.value) for r in result.retests]
             text += f"; other seeds {', '.join(values)}" if values else ""
             text += f", {mean}" if (mean := seed_mean_words(e)) else ""
-        if result.floor:
-            text += f"; required: a mean {result.floor:.2g} below that of the candidate kept before"
+        if result.threshold:
+            least = f"{result.threshold:.2g}"
+            text += f"; threshold: a mean {least} below that of the candidate kept before"
     elif e.failure:
         where = f" in fold {e.failure.fold}" if e.failure.fold else ""
         message = error_line(e.failure.detail)
@@ -214,12 +218,12 @@ def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Itera
     heads = (
         "", "value", "unit", "std. error", "by folds", "95 % interval", "interval decided by", "",
     )  # fmt: skip
-    rows = [heads, *map(_parameter_row, found.parameters)]
+    rows = [heads, *(_parameter_row(found, one) for one in found.parameters)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         yield f"  {'  '.join(cells).rstrip()}"
-    yield from (f"  {line}" for line in disagreement_lines(found))
+    yield from (f"  {line}" for line in interval_lines(found))
     for first, second, rho in found.entangled[:_MOST_PAIRS]:
         yield (
             f"  the errors of {second} and {first} have correlation {rho:+.3f}: the records "
@@ -229,12 +233,22 @@ def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Itera
         yield f"  ... {len(found.entangled) - _MOST_PAIRS} more such pairs"
 
 
-def _parameter_row(one: IdentifiedParameter) -> tuple[str, ...]:
+def parameter_remarks(found: IdentifiedModel, one: IdentifiedParameter) -> Iterator[str]:
+    """Why to distrust the value of a parameter."""
     fitted, ends = one.fitted, one.interval
-    remarks = [] if fitted.identifiable else ["not identifiable from these records"]
+    if not (fitted.identifiable or found.reason):
+        yield "not identifiable from these records"
+    elif ends is not None and ends[1] - ends[0] > abs(fitted.value):
+        yield "interval wider than the value"
     if fitted.at_bound:
-        end = fitted.lower if fitted.at_bound == "lower" else fitted.upper
-        remarks.append(f"at the {fitted.at_bound} end of its range, {end:g}")
+        yield f"at the {fitted.at_bound} end of its range"
+
+
+def _parameter_row(found: IdentifiedModel, one: IdentifiedParameter) -> tuple[str, ...]:
+    fitted, ends = one.fitted, one.interval
+    remarks = "; ".join(parameter_remarks(found, one))
+    if fitted.at_bound:
+        remarks += f", {fitted.lower if fitted.at_bound == 'lower' else fitted.upper:g}"
     return (
         fitted.name,
         f"{fitted.value:.5g}",
@@ -243,12 +257,14 @@ def _parameter_row(one: IdentifiedParameter) -> tuple[str, ...]:
         "" if one.fold_error is None else f"{one.fold_error:.2g}",
         "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}",
         "" if ends is None else one.decided_by,
-        "; ".join(remarks),
+        remarks,
     )
 
 
-def disagreement_lines(found: IdentifiedModel) -> Iterator[str]:
-    """Why an interval is wider than noise makes it."""
+def interval_lines(found: IdentifiedModel) -> Iterator[str]:
+    """Why there is no interval, or why one is wider than noise makes it."""
+    if found.reason:
+        yield f"no standard errors and intervals: {one_line(found.reason, 400)}"
     apart = found.disagreeing
     if apart:
         verb = "differs" if len(apart) == 1 else "differ"
@@ -257,9 +273,11 @@ def disagreement_lines(found: IdentifiedModel) -> Iterator[str]:
             "drifts, or an effect is missing"
         )
     if any(one.fitted.misfit_error > 0 for one in found.parameters):
-        yield (
-            "the residuals are correlated with the input: an effect is missing, and the intervals "
-            "include the bias that it may cause"
+        wider = any(one.decided_by == "missing effect" for one in found.parameters)
+        yield "the residuals are correlated with the input: an effect is missing, " + (
+            "and the intervals include the bias that it may cause"
+            if wider
+            else "but the bias that it may cause is smaller than the intervals"
         )
 
 
@@ -289,7 +307,8 @@ def identified_object(found: IdentifiedModel) -> dict[str, Any]:
         "correlation": [list(row) for row in found.correlation],
         "equations": list(found.equations),
         "reported_by": "library" if found.library else "candidate",
-        "remarks": list(disagreement_lines(found)),
+        "no_intervals": found.reason or None,
+        "remarks": list(interval_lines(found)),
     }
 
 

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, replace
-from statistics import fmean, stdev
 from typing import Any
 
 from asia._text import coarse, rounded
@@ -25,10 +24,10 @@ from asia.ledger.events import (
     HandedOver,
     Landed,
     Proposed,
+    ReferenceScored,
     Refitted,
     Repeated,
     Resumed,
-    RungScored,
     SessionEnded,
     SessionStarted,
     Started,
@@ -118,7 +117,7 @@ class SearchView:
     budget: int
     hours: float | None
     extended_after: int = 0
-    rungs: tuple[RungScored, ...] = ()
+    references: tuple[ReferenceScored, ...] = ()
     notes: tuple[Steered, ...] = ()
     exchanges: tuple[Exchanged, ...] = ()
     sessions: tuple[SessionEnded, ...] = ()
@@ -140,7 +139,7 @@ class SearchView:
     ablated: Ablated | None = None
     """Last ablation; None if the search continued since."""
     validated: tuple[Validated, ...] = ()
-    """The last dossier on the held-out samples, and on each new record."""
+    """The last validation report on the held-out samples, and on each new record."""
 
     @property
     def leg(self) -> int:
@@ -206,7 +205,7 @@ class SearchView:
     def failed_checks(self) -> tuple[str, ...]:
         """`#02: check ... failed: ...`: diagnostics that raised an exception, a line each."""
         events = [
-            *((rung.name, rung) for rung in self.rungs),
+            *((reference.name, reference) for reference in self.references),
             *((f"#{e.number:02d}", e.result) for e in self.finished),
             ("refit", self.refitted),
             ("test", self.unsealed),
@@ -252,7 +251,7 @@ class SearchView:
     @property
     def truth(self) -> float | None:
         """V of the noise-free outputs; None where the problem is not simulated."""
-        known = (r.outcome for r in self.rungs if r.name == "simulated truth")
+        known = (r.outcome for r in self.references if r.name == "simulated truth")
         return next((o.value for o in known if isinstance(o, Score)), None)
 
     def below_truth(self, value: float) -> bool:
@@ -294,7 +293,7 @@ class SearchView:
 
 # Events that the view collects, and those of which it has the last one, with the field of each.
 _COLLECTED: dict[type[Event], str] = {
-    RungScored: "rungs",
+    ReferenceScored: "references",
     Steered: "notes",
     AblationFit: "ablation_fits",
     Exchanged: "exchanges",
@@ -420,25 +419,6 @@ def _continued(view: SearchView) -> SearchView:
 # the step is relative and the grid geometric. As in their parameter-free form, the gain must
 # exceed its own scatter. Here this is the scatter over parts of the held-out records, because the
 # errors of single samples are correlated in time.
-
-
-def beats(score: Score, view: SearchView) -> bool:
-    """Return whether a score is a new best.
-
-    It must be below the lowest V so far. With the Ladder it must be below the reported V by more
-    than the step, and better over the parts by three standard errors.
-    """
-    best = view.best.score if view.best else None
-    if best is None:
-        return True
-    step = view.started.ladder
-    if step is None:
-        return score.value < best.value
-    if not score.value < on_ladder(best.value, step) * (1.0 - step):
-        return False
-    before, now = ([part for fold in s.folds for part in fold.parts] for s in (best, score))
-    gains = [a - b for a, b in zip(before, now, strict=True)]
-    return len(gains) > 1 and fmean(gains) > 3.0 * stdev(gains) / math.sqrt(len(gains))
 
 
 def on_ladder(value: float, step: float) -> float:

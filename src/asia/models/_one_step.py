@@ -24,14 +24,14 @@ from asia.models._numerics.lags import (
     lagged_inputs,
     regressors,
 )
-from asia.models._numerics.records import (
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.segments import Stretches, left_out_error, simulation_error
+from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
-    Scaling,
     past_length,
     shortened,
 )
-from asia.models._numerics.segments import Stretches, left_out_error, simulation_error
 from asia.models._steps import WrappedModel
 
 # Polynomial one-step models, linear in their parameters: products of lagged signals.
@@ -87,7 +87,7 @@ def products(z: AnyArray, terms: Terms) -> AnyArray:
 def equations(
     records: ScaledData, lags: Lags, terms: Terms, most: int = 60_000_000
 ) -> tuple[Array, Array]:
-    """Regression matrix (N, M) and targets (N, ny) of all records; evenly spread rows of it if it
+    """Regression matrix (N, M) and responses (N, ny) of all records; evenly spread rows of it if it
     has more than `most` numbers."""
     stride = max(1, -(-sum(len(r) for r in records) * len(terms) // most))
     pairs = [regressors(r, lags) for r in records if len(r) > lags.memory]

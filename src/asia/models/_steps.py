@@ -82,7 +82,7 @@ def first_of_line(past: AnyArray, u: AnyArray, delay: int) -> AnyArray:
     """Last `delay` inputs (B, delay, nu) before the first sample, the oldest first.
 
     Before the first known input it is held backwards, as in
-    `asia.models._numerics.records.delayed`.
+    `asia.models._numerics.training_records.delayed`.
 
     Args:
         past: past inputs (B, n_past_u, nu).

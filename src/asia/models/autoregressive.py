@@ -22,7 +22,8 @@ from asia.models import recurrent
 from asia.models._arrays import AnyArray, namespace
 from asia.models._networks.network import Driven, NetworkModel, Prepare, network_family
 from asia.models._networks.structure import Features, Params, check_features, drive_size, zeros
-from asia.models._numerics.records import ScaledData, Scaling, window_size
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import ScaledData, window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 

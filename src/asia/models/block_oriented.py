@@ -20,8 +20,9 @@ from asia.data.trajectory import Array, Trajectory
 from asia.models import linear, neural_ss
 from asia.models._config import check_choice
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._numerics.records import Scaling, check, scaled
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import window_segments
+from asia.models._numerics.training_records import check, scaled
 from asia.models._state_space.model import FittedStateSpace
 from asia.models._state_space.structure import Basis, Nonlinearity
 from asia.models._state_space.wiener_hammerstein import WienerHammersteinStructure

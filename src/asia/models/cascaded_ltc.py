@@ -28,7 +28,7 @@ from asia.models._networks.structure import (
     mlp_params,
     zeros,
 )
-from asia.models._numerics.records import window_size
+from asia.models._numerics.training_records import window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 

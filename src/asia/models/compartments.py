@@ -22,7 +22,7 @@ from asia.models import greybox
 from asia.models._config import check_at_least, demand
 from asia.models._equations.config import Sensor
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._numerics.records import check
+from asia.models._numerics.training_records import check
 from asia.models._steps import TrainableModel
 from asia.problem.physics import Bounds, ParameterRange, Physics
 

@@ -22,17 +22,17 @@ from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace, scan
 from asia.models._config import check_at_least, demand
 from asia.models._numerics.encoder import Encoder, fit_encoder
-from asia.models._numerics.records import (
-    ScaledData,
-    Scaling,
-    check,
-    past_length,
-    scaled,
-    window,
-    window_rows,
-    windows,
-)
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import segments
+from asia.models._numerics.training_records import (
+    ScaledData,
+    check,
+    flat_past,
+    past_length,
+    past_windows,
+    scaled,
+    window_rows,
+)
 from asia.models._steps import TrainableModel, mean
 from asia.models.methods import LeastSquares
 
@@ -142,14 +142,14 @@ class FittedReservoirs:
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """Simulate in physical units; the output is the mean over the reservoirs."""
-        past = window(self.scaling.inputs(past_u), self.scaling.outputs(past_y))
+        past = flat_past(self.scaling.inputs(past_u), self.scaling.outputs(past_y))
         inputs = self.scaling.inputs(u)
         return self.scaling.physical(np.mean([m(past, inputs) for m in self.members], axis=0))
 
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
         """State of each reservoir at the first sample."""
         del u
-        past = window(self.scaling.inputs(past_u), self.scaling.outputs(past_y))
+        past = flat_past(self.scaling.inputs(past_u), self.scaling.outputs(past_y))
         return [member.initial(past) for member in self.members]
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
@@ -190,13 +190,13 @@ def train(
     for i in range(model.config.members):
         reservoir = draw(model.config, context.nu, rng)
         if context.horizon is None:
-            start, features, targets = _whole_records(model.config, reservoir, records, context)
+            start, features, responses = _whole_records(model.config, reservoir, records, context)
         else:
-            start, features, targets = _horizon_segments(
+            start, features, responses = _horizon_segments(
                 model.config, reservoir, records, context, rng
             )
-        readout = _readout(features, targets, method)
-        x, y = np.concatenate(features), np.concatenate(targets)
+        readout = _readout(features, responses, method)
+        x, y = np.concatenate(features), np.concatenate(responses)
         context.log(i, float(np.sqrt(((readout(x) - y) ** 2).mean())))
         members.append(Member(reservoir, start, readout, context.horizon))
     return replace(model, fitted=FittedReservoirs(tuple(members), scaling))
@@ -231,7 +231,7 @@ def _whole_records(
     used."""
     past = past_length(context)
     features: list[Array] = []
-    targets: list[Array] = []
+    responses: list[Array] = []
     before: list[Array] = []
     seen: list[Array] = []
     for r, at in zip(records, window_rows(records, context), strict=True):
@@ -243,11 +243,11 @@ def _whole_records(
         rows = np.arange(first, len(r), stride)
         rows = rows[r.counts[rows] > 0]
         features.append(_features(states[None, rows], r.u[None, rows], np.empty((1, 0)), None)[0])
-        targets.append(r.y[rows])
+        responses.append(r.y[rows])
         known = np.isin(rows - past, np.arange(len(r) - past)[at])
         before.append(states[rows[known] - 1])
-        seen.append(windows(r, context)[rows[known] - past])
-    return fit_encoder(seen, before), features, targets
+        seen.append(past_windows(r, context)[rows[known] - past])
+    return fit_encoder(seen, before), features, responses
 
 
 def _horizon_segments(
@@ -260,7 +260,7 @@ def _horizon_segments(
     """Segments of the problem's horizon, whose states start from a random layer."""
     data = segments(records, context, _MOST_SAMPLES)
     assert data is not None  # check() has seen a record longer than the past window
-    past = window(data.past_u, data.past_y)
+    past = flat_past(data.past_u, data.past_y)
     size, n = past.shape[1], config.units
     inner = rng.standard_normal((size, n)) / np.sqrt(max(size, 1))
     bias = config.bias * rng.uniform(-1, 1, n)
@@ -270,10 +270,10 @@ def _horizon_segments(
     return start, [features[counts]], [data.y[counts]]
 
 
-def _readout(features: list[Array], targets: list[Array], method: LeastSquares) -> Encoder:
+def _readout(features: list[Array], responses: list[Array], method: LeastSquares) -> Encoder:
     if method.ridge is None:
-        return fit_encoder(features, targets)
-    x, y = np.concatenate(features), np.concatenate(targets)
+        return fit_encoder(features, responses)
+    x, y = np.concatenate(features), np.concatenate(responses)
     center, mean = x.mean(axis=0), y.mean(axis=0)
     gram = (x - center).T @ (x - center) + method.ridge * len(x) * np.eye(x.shape[1])
     weights = np.linalg.lstsq(gram, (x - center).T @ (y - mean), rcond=None)[0]

@@ -24,8 +24,9 @@ from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace
 from asia.models._config import Progress, check_at_least, check_choice
 from asia.models._numerics.lags import FreeRun, Lags, OutputRange, fit_history, regressors
-from asia.models._numerics.records import ScaledData, Scaling, check, past_length, scaled, spread
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import left_out_error, segments, simulation_error
+from asia.models._numerics.training_records import ScaledData, check, past_length, scaled, spread
 from asia.models._one_step import (
     FreeRunModel,
     LagChoice,

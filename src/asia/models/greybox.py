@@ -28,7 +28,6 @@ from asia.models._equations.ode import equations
 from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._numerics.records import refuse_gaps
 from asia.problem.physics import Bounds
 
 __all__ = ["Config", "GreyBox", "build", "train"]
@@ -104,7 +103,6 @@ class GreyBox:
         from asia.models._equations.identified import Around
 
         fitted = self._trained()
-        refuse_gaps(trajectories)
         segments = cut_segments(self.structure, trajectories, context.horizon)
         around = Around(self.structure, fitted, segments, self._parameters_at)
         return around.estimates(self.equations())

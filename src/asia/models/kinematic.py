@@ -25,7 +25,8 @@ from asia.models._arrays import AnyArray, namespace
 from asia.models._equations.measured import Rate, find_rates, read_by_equations
 from asia.models._networks.network import NetworkModel, Prepare, network_family
 from asia.models._networks.structure import Features, Params, zeros
-from asia.models._numerics.records import ScaledData, Scaling
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import ScaledData
 from asia.models.autoregressive import AutoregressiveCell, FeedbackState, increment_sizes
 
 __all__ = ["Config", "NetworkModel", "build", "train"]

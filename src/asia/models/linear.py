@@ -32,7 +32,7 @@ from asia.models._linear.fit import (
 )
 from asia.models._linear.periodic import PeriodicChoice, fit_periodic
 from asia.models._linear.system import LinearSystem
-from asia.models._linear.windows import (
+from asia.models._linear.window_predictor import (
     MOST_WINDOWS,
     WindowPredictor,
     choose,
@@ -41,18 +41,18 @@ from asia.models._linear.windows import (
     window_error,
 )
 from asia.models._numerics.encoder import Encoder
-from asia.models._numerics.records import (
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
-    Scaling,
     check,
     cut_windows,
     delayed_inputs,
+    flat_past,
     past_length,
     scaled,
     shortened,
     stretches,
-    window,
 )
 from asia.models._steps import TrainableModel, first_of_line, through_line
 
@@ -120,7 +120,7 @@ class FittedLinear:
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """Simulate in physical units, block by block."""
-        x0 = self.encoder(window(self.scaling.inputs(past_u), self.scaling.outputs(past_y)))
+        x0 = self.encoder(flat_past(self.scaling.inputs(past_u), self.scaling.outputs(past_y)))
 
         def late(first: int, stop: int) -> Array:
             return delayed_inputs(self.scaling, self.delay, past_u, u, first, stop)
@@ -130,7 +130,7 @@ class FittedLinear:
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
         """States, and the inputs that the delay holds back."""
         past, first = self.scaling.inputs(past_u), self.scaling.inputs(u)
-        x = self.encoder(window(past, self.scaling.outputs(past_y)))
+        x = self.encoder(flat_past(past, self.scaling.outputs(past_y)))
         return x, first_of_line(past, first, self.delay)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:

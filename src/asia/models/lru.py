@@ -31,7 +31,7 @@ from asia.models._networks.structure import (
     rotated_pole,
     zeros,
 )
-from asia.models._numerics.records import window_size
+from asia.models._numerics.training_records import window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 

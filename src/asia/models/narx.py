@@ -26,8 +26,9 @@ from asia.models._least_squares import LevenbergMarquardt
 from asia.models._noise.model import refuse_noise
 from asia.models._numerics.gaps import has_gaps, reconstructed
 from asia.models._numerics.lags import Lags, OutputRange, fit_history
-from asia.models._numerics.records import ScaledData, Scaling, check, past_length, scaled
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import left_out_error, segments, simulation_error
+from asia.models._numerics.training_records import ScaledData, check, past_length, scaled
 from asia.models._one_step import (
     RIDGES,
     FreeRunModel,

@@ -22,10 +22,10 @@ from asia.models._arrays import tree_size
 from asia.models._config import check_at_least, demand
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import Refinement, encoder_of
-from asia.models._linear.windows import WindowPredictor
+from asia.models._linear.window_predictor import WindowPredictor
 from asia.models._numerics.encoder import affine
-from asia.models._numerics.records import check, cut_windows, scaled
 from asia.models._numerics.symmetry import SignalTransformations, TransformedRecords
+from asia.models._numerics.training_records import check, cut_windows, scaled
 from asia.models._state_space.model import (
     FittedStateSpace,
     StateCell,

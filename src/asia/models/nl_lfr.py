@@ -21,8 +21,8 @@ from asia.models import linear
 from asia.models._config import check_at_least
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import Refinement
-from asia.models._numerics.records import check, scaled
 from asia.models._numerics.segments import window_segments
+from asia.models._numerics.training_records import check, scaled
 from asia.models._state_space.model import FittedStateSpace
 from asia.models._steps import TrainableModel
 

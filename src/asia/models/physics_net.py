@@ -46,7 +46,8 @@ from asia.models._least_squares import LevenbergMarquardt
 from asia.models._networks.network import NetworkModel, as_built, train_network
 from asia.models._networks.structure import dense, zeros
 from asia.models._noise.model import refuse_noise
-from asia.models._numerics.records import Scaling, check, past_length, scaled, whole_windows
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import check, past_length, scaled, whole_windows
 from asia.models._steps import WrappedModel
 from asia.models.methods import NetworkMethod
 from asia.problem.physics import parse_expression

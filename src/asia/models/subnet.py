@@ -25,7 +25,7 @@ from asia.models._arrays import AnyArray, bounded, namespace
 from asia.models._config import check_at_least, check_choice, demand
 from asia.models._linear.fit import Refinement, drift_shift, encoder_of, free_entries, held_entries
 from asia.models._linear.system import LinearSystem
-from asia.models._linear.windows import WindowLags, one_step
+from asia.models._linear.window_predictor import WindowLags, one_step
 from asia.models._networks.network import Driven, NetworkModel, Prepare, as_built, network_family
 from asia.models._networks.structure import (
     Params,
@@ -37,7 +37,8 @@ from asia.models._networks.structure import (
     mlp_params,
     zeros,
 )
-from asia.models._numerics.records import ScaledData, Scaling, cut_windows, window_size
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import ScaledData, cut_windows, window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 

@@ -29,7 +29,7 @@ from asia.models._networks.structure import (
     normalised,
     zeros,
 )
-from asia.models._numerics.records import window_size
+from asia.models._numerics.training_records import window_size
 
 __all__ = ["Config", "NetworkModel", "build", "train"]
 

@@ -6,9 +6,10 @@ With H = J'J + R and residuals e, the covariance of the estimate is H^-1 (J' cov
 residuals of a simulation are correlated in time, so that cov(e) is not a multiple of the unit
 matrix: it is that of an autoregressive process fitted to them, for each output, with correlated
 innovations. Where the residuals follow the sensitivities in a way that noise does not explain, an
-effect is missing: `misfit` is the size of what it left. Sources: White, Econometrica 50(1), 1982;
-Ljung, System Identification, 2nd ed., 1999, chapter 9; Burg's method: Kay, Modern Spectral
-Estimation, 1988, section 7.5.
+effect is missing: `misfit` is the size of what it left. The rows of J are 0 where a sample was not
+measured, and the process is estimated from the stretches between such samples. Sources: White,
+Econometrica 50(1), 1982; Ljung, System Identification, 2nd ed., 1999, chapter 9; Burg's method:
+Kay, Modern Spectral Estimation, 1988, section 7.5.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ __all__ = ["Covariance", "PriorPenalty", "estimates", "gradient", "jacobians_of"
 # systems with a missing effect 2 held 89 % of the true values, and 2.5 held 94 %.
 _ABSORBED = 2.5
 _MISFIT_LAGS = (1, 2, 4, 8)
+# Shortest stretch of measured samples that tells how residuals are correlated in time.
+_SHORTEST = 20
 # Greatest number of rows of the test for a missing effect, and of combinations of sensitivities.
 _MISFIT_ROWS, _MISFIT_DIRECTIONS = 20_000, 6
 
@@ -73,6 +76,7 @@ def sandwich(
     ridge: Array | None = None,
     nuisance: Sequence[Array] | None = None,
     prior: PriorPenalty | None = None,
+    measured: Sequence[Array] | None = None,
 ) -> Covariance:
     """Covariance of coordinates that minimise the sum of squares.
 
@@ -82,9 +86,18 @@ def sandwich(
         ridge: R (P, P) where the sum has theta' R theta in addition to the squares.
         nuisance: derivatives (T, ny, Q) by the unknowns of each record, such as its initial state.
         prior: prior knowledge in the same sum.
+        measured: masks (T,) of each record, positive where a sample is in the sum; None: all are.
+
+    Raises:
+        ValueError: if the measured stretches are too short to show how residuals are correlated.
     """
     if nuisance is None:
         nuisance = [np.zeros((*e.shape, 0)) for e in residuals]
+    stretches = _stretches(residuals, measured)
+    slopes = jacobians
+    residuals, jacobians, nuisance = (
+        _counted(parts, measured) for parts in (residuals, jacobians, nuisance)
+    )
     free = [_projected(j, q) for j, q in zip(jacobians, nuisance, strict=True)]
     count = free[0].shape[-1]
     held = np.zeros((count, count)) if ridge is None else ridge
@@ -92,7 +105,7 @@ def sandwich(
     weights = held + known.matrix
     own = sum((np.einsum("typ,tyq->pq", j, j) for j in free), np.zeros((count, count)))
     inverse, unknown = _inverse(own + weights)
-    noise = ResidualProcess.of(residuals, jacobians, nuisance)
+    noise = ResidualProcess.of(residuals, jacobians, nuisance, stretches)
     if len(residuals) >= max(30, 5 * count):
         # Each record counts as one cluster.
         sums = np.stack(
@@ -112,6 +125,8 @@ def sandwich(
     # Noise absorbed by the fit, if the process does not account for it.
     kept = max(1.0 - lost / squares, 0.05) if squares > 0 else 1.0
     samples = sum(e.size for e in residuals)
+    if measured is not None:
+        samples = residuals[0].shape[1] * sum(int((mask > 0).sum()) for mask in measured)
     variance = squares / kept / samples
     rest = 1.0 if noise.restricted else kept
     spread = middle / rest + variance * held + known.weight * known.matrix
@@ -119,17 +134,21 @@ def sandwich(
     freedom = max(noise.independent(samples) * kept, 1.0)
     return Covariance(
         matrix, inverse @ weights @ inverse, inverse, unknown, freedom,
-        _misfit(residuals, jacobians, nuisance, noise),
+        _misfit(residuals, slopes, nuisance, noise, stretches, samples),
     )  # fmt: skip
 
 
 def gradient(
-    residuals: Sequence[Array], jacobians: Sequence[Array], nuisance: Sequence[Array]
+    residuals: Sequence[Array],
+    jacobians: Sequence[Array],
+    nuisance: Sequence[Array],
+    measured: Sequence[Array] | None = None,
 ) -> Array:
     """Half the gradient (P,) of the sum of squares, with the unknowns of each record fitted anew.
 
     Arguments are those of `sandwich`. It is 0 at a minimum.
     """
+    jacobians, nuisance = _counted(jacobians, measured), _counted(nuisance, measured)
     free = (_projected(j, q) for j, q in zip(jacobians, nuisance, strict=True))
     parts = [np.einsum("typ,ty->p", j, e) for j, e in zip(free, residuals, strict=True)]
     return np.sum(parts, axis=0)
@@ -212,6 +231,36 @@ def jacobians_of(
     return at, slopes
 
 
+def _counted(parts: Sequence[Array], measured: Sequence[Array] | None) -> Sequence[Array]:
+    """Arrays (T, ...) of the records, 0 at samples that were not measured."""
+    if measured is None:
+        return parts
+    return [
+        np.where((mask > 0).reshape(-1, *[1] * (part.ndim - 1)), part, 0.0)
+        for part, mask in zip(parts, measured, strict=True)
+    ]
+
+
+def _stretches(
+    residuals: Sequence[Array], measured: Sequence[Array] | None
+) -> list[tuple[slice, ...]]:
+    """Stretches of each record in which every sample was measured, without short ones."""
+    if measured is None:
+        return [(slice(0, len(e)),) for e in residuals]
+    found: list[tuple[slice, ...]] = []
+    for mask in measured:
+        edges = np.flatnonzero(np.diff(np.pad((mask > 0).astype(int), 1))).reshape(-1, 2).tolist()
+        whole = len(edges) == 1  # a short record without a gap counts
+        found.append(tuple(slice(a, b) for a, b in edges if whole or b - a >= _SHORTEST))
+    used = sum(part.stop - part.start for parts in found for part in parts)
+    if 2 * used < sum(int((mask > 0).sum()) for mask in measured):
+        raise ValueError(
+            f"most outputs were measured in stretches of less than {_SHORTEST} samples, too short "
+            "to show how the errors are correlated in time"
+        )
+    return found
+
+
 def _projected(jacobian: Array, nuisance: Array) -> Array:
     """Remove from the jacobian the part that the record's own unknowns explain (Frisch and
     Waugh)."""
@@ -245,23 +294,28 @@ def _misfit(
     jacobians: Sequence[Array],
     nuisance: Sequence[Array],
     noise: ResidualProcess,
+    stretches: Sequence[Sequence[slice]],
+    samples: int,
 ) -> float:
     """Root of the sum of squares that lags, products, cubes and bends of the sensitivities
     explain of the residuals; 0 where an F test after whitening finds that noise explains it."""
-    samples, used = sum(e.size for e in residuals), 0
+    used = 0
     kept: list[tuple[Array, Array, Array]] = []
+    spans: list[list[slice]] = []
     most = _MISFIT_ROWS // residuals[0].shape[1] + 1
     lost = max(len(a) for a in noise.filters) - 1
-    for e, jacobian, one in zip(residuals, jacobians, nuisance, strict=True):
-        if used < _MISFIT_ROWS and len(e) > 2 * lost + max(_MISFIT_LAGS):
+    shortest = 2 * lost + max(_MISFIT_LAGS)
+    for e, jacobian, one, those in zip(residuals, jacobians, nuisance, stretches, strict=True):
+        long = [s for s in those if min(s.stop, most) - s.start > shortest]
+        if used < _MISFIT_ROWS and long:
             kept.append((e[:most], jacobian[:most], one[:most]))
+            spans.append([slice(s.start, min(s.stop, most)) for s in long])
             used += e.size
     if not kept or not jacobians[0].shape[-1]:
         return 0.0
     e, slopes, own = ([record[i] for record in kept] for i in range(3))
-    used = sum(one.size for one in e)
     groups = _shapes(slopes)
-    white, tests = _explained(e, slopes, own, groups, noise.filters)
+    white, tests = _explained(e, slopes, own, groups, noise.filters, spans)
     chances: list[float] = []
     for basis in tests:
         freedom = white.size - basis.shape[1] - slopes[0].shape[-1]
@@ -273,10 +327,11 @@ def _misfit(
     # The smallest of the probabilities, corrected for their number.
     if not chances or len(chances) * min(chances) > 0.1:
         return 0.0
-    plain, parts = _explained(e, slopes, own, groups, [np.ones(1)] * len(noise.filters))
+    unfiltered = [np.ones(1)] * len(noise.filters)
+    plain, parts = _explained(e, slopes, own, groups, unfiltered, spans)
     left, sizes, _ = np.linalg.svd(np.concatenate(parts, axis=1), full_matrices=False)
     explained = left[:, sizes > 0.1].T @ plain
-    return float(np.sqrt(explained @ explained * samples / used))
+    return float(np.sqrt(explained @ explained * samples / plain.size))
 
 
 def _shapes(jacobians: Sequence[Array]) -> list[list[Array]]:
@@ -307,19 +362,24 @@ def _explained(
     nuisance: Sequence[Array],
     groups: Sequence[Sequence[Array]],
     filters: Sequence[Array],
+    stretches: Sequence[Sequence[slice]],
 ) -> tuple[Array, list[Array]]:
-    """Filtered residuals (N,) and an orthonormal basis (N, m) of each group, both without what the
-    parameters and the records' own unknowns explain."""
+    """Filtered residuals (N,) and an orthonormal basis (N, m) of each group in the stretches of
+    each record, both without what the parameters and the records' own unknowns explain."""
     lost = max(len(a) for a in filters) - 1
 
-    def white(part: Array) -> Array:
-        columns = [lfilter(a, [1.0], part[:, i], axis=0)[lost:] for i, a in enumerate(filters)]
+    def white(part: Array, those: Sequence[slice]) -> Array:
+        columns = [
+            np.concatenate([lfilter(a, [1.0], part[s, i], axis=0)[lost:] for s in those])
+            for i, a in enumerate(filters)
+        ]
         return np.stack(columns, axis=1)
 
     def joined(parts: Sequence[Array]) -> Array:
-        kept = [white(one) for one in parts]
+        kept = [white(*one) for one in zip(parts, stretches, strict=True)]
         if nuisance[0].size:
-            kept = [_projected(one, white(q)) for one, q in zip(kept, nuisance, strict=True)]
+            own = [white(*one) for one in zip(nuisance, stretches, strict=True)]
+            kept = [_projected(*both) for both in zip(kept, own, strict=True)]
         return np.concatenate([one.reshape(-1, one.shape[-1]) for one in kept])
 
     held = _basis(joined(jacobians)[:, None, :])

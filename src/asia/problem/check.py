@@ -12,13 +12,21 @@ from typing import Literal
 import numpy as np
 
 from asia.data.frequency import FrequencyResponse, find_period, frequency_response
-from asia.data.relations import FoundDelay, find_delay, find_feedback
+from asia.data.relations import ALONE, PAIR, FoundDelay, find_delay, find_feedback
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
+from asia.problem.folds import splits, windows
 from asia.problem.lock import protocol_digest
 from asia.problem.metrics import find_metric
-from asia.problem.problem import Problem, Seal, correction_lines, prior_lines, symmetry_lines
-from asia.problem.protocol import ProtocolRule, splits, windows
+from asia.problem.problem import (
+    Problem,
+    Seal,
+    correction_lines,
+    is_described,
+    prior_lines,
+    symmetry_lines,
+)
+from asia.problem.protocol import ProtocolRule
 
 # Shorter records hold too little for a correlation.
 _SHORTEST = 64
@@ -131,7 +139,7 @@ class CheckReport:
                 "looked at when the search ends"
             )
         if physics is None:
-            lines.append("physics: none")
+            lines.append("physics: no equations in problem.toml")
         else:
             count = len(physics.parameters)
             free = f"{count} parameters to fit" if count else "no parameters"
@@ -140,7 +148,8 @@ class CheckReport:
             lines += [f"prior {line}" for line in prior_lines(physics)]
             lines += [f"correction {line}" for line in correction_lines(physics)]
         lines += [f"symmetry {line}" for line in symmetry_lines(problem.symmetry)]
-        lines.append(f"baseline: {'baseline.py' if problem.baseline else 'none'}")
+        own = "baseline.py" if problem.baseline else "ASIA's own, as there is no baseline.py"
+        lines.append(f"baseline: {own}")
         return lines + [f"warning: {w}" for w in self.warnings]
 
 
@@ -163,7 +172,7 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
     doubts = [d for s in signals for d in _signal_doubts(s)]
     doubts += _collinear_inputs(problem)
     doubts += data_doubts(problem)
-    if not problem.description.strip():
+    if not is_described(problem.description):
         doubts.append("there is no description: agents that read know nothing of the system")
     if problem.protocol.past_outputs == 0:
         doubts.append("past_outputs is 0: a model cannot know the state it starts from")
@@ -350,8 +359,8 @@ def delay_lines(problem: Problem) -> list[str]:
         text = ", ".join(f"{n} {'not found' if lag is None else lag}" for n, lag in lags)
         if lags:
             lines.append(
-                f"delay of output {output.name} in samples, the first correlation beyond its 99 % "
-                f"band: {text}"
+                f"delay of output {output.name} in samples: {text} (first lag with a correlation "
+                f"above {ALONE:g} times the 99 % band, or {PAIR:g} times at two lags in a row)"
             )
     lines += [
         f"delay 0: output {a.output} responds to input {a.given} in the same sample. If the system "
@@ -509,8 +518,8 @@ def _seal_line(seal: Seal, rule: ProtocolRule, *, in_workspace: bool) -> str:
     if rule.horizon is None:
         sizes = zip(seal.names, seal.lengths, _scored_samples(seal, rule), strict=True)
         records = ", ".join(f"{name} ({length} samples, {n} scored)" for name, length, n in sizes)
-        skipped = f"{rule.test.skip} samples after the past window are skipped"
-        return f"test, sealed: {records}; {skipped}; {digest}"
+        skip = f"; {rule.test.skip} samples after the past window are skipped"
+        return f"test: {records}{skip if rule.test.skip else ''}; {digest}"
     counts = [len(windows(range(rule.past, length), rule)) for length in seal.lengths]
     sizes = zip(seal.names, seal.lengths, counts, strict=True)
     records = ", ".join(f"{name} ({length} samples, {n} windows)" for name, length, n in sizes)
@@ -519,7 +528,7 @@ def _seal_line(seal: Seal, rule: ProtocolRule, *, in_workspace: bool) -> str:
         for g in rule.test.groups
     )
     table = f"; mean Euclidean error of {groups}" if groups else ""
-    return f"test, sealed: {records}; {sum(counts)} windows{table}; {digest}"
+    return f"test: {records}; {sum(counts)} windows{table}; {digest}"
 
 
 def _sealed_doubts(problem: Problem, seal: Seal, *, in_workspace: bool) -> list[str]:

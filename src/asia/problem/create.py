@@ -17,7 +17,7 @@ from math import ceil
 from pathlib import Path
 
 from asia._files import read_file, sync_folder
-from asia.data.intake.records import Intake, take_in
+from asia.data.intake.conversion import Intake, take_in
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.text import Text
 from asia.data.preprocess import Preprocess
@@ -30,9 +30,11 @@ from asia.data.trajectory import (
     unique_names,
 )
 from asia.errors import UserError
+from asia.problem.folds import least_samples, require_length
 from asia.problem.load import load_problem
-from asia.problem.problem import Problem
-from asia.problem.protocol import ProtocolRule, least_samples, require_length
+from asia.problem.metrics import listed_metrics
+from asia.problem.problem import DESCRIPTION_TEMPLATE, Problem
+from asia.problem.protocol import ProtocolRule
 from asia.problem.sealing import STORE, Columns, Sealing, check_key_folder, remove_plain, seal_files
 from asia.problem.toml import toml_value
 
@@ -281,14 +283,6 @@ def _prepare(
 # A new problem directory from files of records.
 
 
-_DESCRIPTION = """\
-# {name}
-
-Say in plain English what the system is: what the inputs do, what the outputs measure, which physics
-you expect, what saturates, delays or sticks, how noisy the sensors are. Language-model agents read
-this text, and the report prints it.
-"""
-
 _TOML = """\
 name = {name}
 description = "description.md"      # plain English: say what you know of the system
@@ -303,7 +297,7 @@ outputs = {outputs}
 folds = {{ kind = "contiguous", count = {folds} }}
 past_inputs = {past_inputs}                    # samples a model sees before it simulates
 past_outputs = {past_outputs}
-metric = "rmse"                     # or "mae"
+metric = "rmse"                     # or {metrics}
 
 [budget]
 experiments = 15
@@ -484,7 +478,7 @@ def init_problem(
         toml_value([{"name": n, "unit": taken.units.get(n, "")} for n in names])
         for names in (inputs, outputs)
     ]
-    files["description.md"] = _DESCRIPTION.format(name=directory.name)
+    files["description.md"] = DESCRIPTION_TEMPLATE.format(name=directory.name)
     files["problem.toml"] = _TOML.format(
         name=toml_value(directory.name),
         sampling_time=toml_value(float(taken.sampling_time)),
@@ -494,6 +488,7 @@ def init_problem(
         folds=rule.folds.count,
         past_inputs=rule.past_inputs,
         past_outputs=rule.past_outputs,
+        metrics=listed_metrics(but="rmse"),
     )
     many = f"{len(taken.train)} training and {len(taken.test)} test records"
     read = (f"{many}, sampled every {taken.sampling_time:g} s", *taken.notes, *preprocess)

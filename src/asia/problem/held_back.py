@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 from asia.data.preprocess import Preprocess
 from asia.data.trajectory import Array, Trajectory
-from asia.problem.protocol import ProtocolRule, least_case
+from asia.problem.folds import least_case
+from asia.problem.protocol import ProtocolRule
 
 WHOLE_RECORDS = 7
 """Training records from which on whole ones are held back."""

@@ -17,11 +17,11 @@ from asia.data.sources.source import Channels
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.problem.check import check_period
+from asia.problem.folds import least_samples, require_length
 from asia.problem.held_back import divided
 from asia.problem.lock import check_digests
 from asia.problem.physics import check_physics
 from asia.problem.problem import Problem, TestSource, prepared
-from asia.problem.protocol import least_samples, require_length
 from asia.problem.protocol_table import check_protocol, with_groups
 from asia.problem.schema import LockFile, ProblemFile, ProblemTables
 from asia.problem.symmetry import check_symmetry

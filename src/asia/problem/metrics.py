@@ -154,6 +154,11 @@ def metric_names() -> tuple[str, ...]:
     return (*METRICS, *(part.name for part in parts_of(_GROUP) if part.name not in METRICS))
 
 
+def listed_metrics(but: str = "") -> str:
+    """Return the built-in metrics as they stand in a problem file: `"rmse" or "mae"`."""
+    return " or ".join(f'"{name}"' for name in METRICS if name != but)
+
+
 def find_metric(name: str) -> Metric:
     """The metric of that name.
 

@@ -16,8 +16,9 @@ from asia.data.preprocess import Preprocess
 from asia.data.sources.source import Channels, Source
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.problem.budget import Budget
+from asia.problem.folds import least_samples
 from asia.problem.physics import Physics
-from asia.problem.protocol import ProtocolRule, least_samples
+from asia.problem.protocol import ProtocolRule
 from asia.problem.protocol_table import ProtocolTable, groups_table, protocol_table
 from asia.problem.symmetry import Symmetry
 from asia.problem.toml import toml_text
@@ -48,6 +49,21 @@ class Seal:
     outside_inputs: tuple[int, ...] = ()
     """Test samples of each input beyond the range of the training records; empty if not known."""
     guard: str | None = None
+
+
+DESCRIPTION_TEMPLATE = """\
+# {name}
+
+Say in plain English what the system is: what the inputs do, what the outputs measure, which physics
+you expect, what saturates, delays or sticks, how noisy the sensors are. Language-model agents read
+this text, and the report prints it.
+"""
+"""Text of a new description.md."""
+
+
+def is_described(description: str) -> bool:
+    """Return whether a description is neither empty nor the untouched template."""
+    return bool(description.strip()) and DESCRIPTION_TEMPLATE.split("\n", 1)[1] not in description
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field
 
 from asia._text import suggestion
 from asia.errors import UserError
-from asia.problem.metrics import known_metric, known_test_metric
+from asia.problem.metrics import known_metric, known_test_metric, listed_metrics
 from asia.problem.protocol import (
     EarlyStopping,
     Feedback,
@@ -203,8 +203,8 @@ def _check_test(table: ProtocolTable, test: TestRule, outputs: Sequence[str]) ->
         )
     if set(test.metrics) == {"mee"}:
         raise UserError(
-            'protocol.test.metrics names "mee" alone, which is a table: add "rmse" or "mae", which '
-            "is one number"
+            'protocol.test.metrics names "mee" alone, which is a table: add a metric that is one '
+            f"number, such as {listed_metrics()}"
         )
     if not test.groups:
         raise UserError(

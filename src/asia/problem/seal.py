@@ -8,9 +8,9 @@ from pathlib import Path
 from asia.data.relations import samples_outside, shared_samples
 from asia.data.trajectory import Trajectory, data_digest
 from asia.errors import UserError
+from asia.problem.folds import least_case
 from asia.problem.held_back import divided
 from asia.problem.problem import Problem, Seal, prepared
-from asia.problem.protocol import least_case
 
 # The only opener of test outputs.
 

@@ -21,9 +21,9 @@ from asia.ledger.events import TestedModel
 from asia.ledger.evidence import get_curves
 from asia.ledger.run import Run, control, metric_of, open_run
 from asia.problem.check import input_delays, responses
+from asia.problem.folds import make_folds
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
-from asia.problem.protocol import make_folds
 from asia.report.comparison import BenchPictures
 from asia.report.drawing.style import DPI, drawing
 from asia.report.pictures.check import draw_data, draw_delays, draw_responses
@@ -90,7 +90,8 @@ def write_report(
 def write_validation(
     directory: Path, checks: Sequence[Check], title: str, failed: list[str] | None = None
 ) -> tuple[Path, ...]:
-    """Draw the checks of a dossier into `<directory>/report` as validation.png and validation.pdf.
+    """Draw the checks of a validation report into `<directory>/report` as validation.png and
+    validation.pdf.
     failed: as in `write_report`. Returns the paths written."""
     drawn: Picture = ("validation", lambda: draw_validation(checks, title))
     return save([drawn], directory / "report", failed)

@@ -12,7 +12,7 @@ from asia.ledger.chain import write_whole
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.evidence import IdentifiedModel, identified
 from asia.ledger.run import metric_of, model_to_use, open_run, tested_model
-from asia.ledger.text import error_value
+from asia.ledger.text import error_value, parameter_remarks
 from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric, metric_label
 from asia.report.simulated import final_models
@@ -62,7 +62,7 @@ def _search(view: SearchView, metric: str) -> Iterator[str]:
     )
     references = [
         f"{_quoted(r.name)} {error_value(r.outcome.value)}"
-        for r in view.rungs
+        for r in view.references
         if isinstance(r.outcome, Score)
     ]
     if references:
@@ -123,7 +123,7 @@ def _sealed_test(view: SearchView) -> Iterator[str]:
     if opened is None or named is None:
         yield f"The test records ({seal}) have not been opened."
         return
-    yield f"The test records ({seal}) were opened once, after the search had ended."
+    yield f"This run opened the test records ({seal}) once, after the search had ended."
     model = tested_model(opened, named.model)
     if not isinstance(model, TestedModel):
         yield "The model fails on them."
@@ -209,7 +209,7 @@ def _experiments_table(view: SearchView) -> str:
 def _winner_table(view: SearchView, metric: str) -> str:
     """V of the winner on each fold, with the reference models."""
     best = view.best
-    scores = [(r.name, r.outcome) for r in view.rungs if isinstance(r.outcome, Score)]
+    scores = [(r.name, r.outcome) for r in view.references if isinstance(r.outcome, Score)]
     if best is not None and best.score is not None:
         scores.append((best.proposed.title, best.score))
     folds = max((len(score.folds) for _, score in scores), default=0)
@@ -238,7 +238,7 @@ def _parameters_table(view: SearchView, found: IdentifiedModel) -> str:
             "--" if row.fold_error is None else f"{row.fold_error:.2g}",
             "--" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}",
             "--" if ends is None else row.decided_by,
-            "" if one.identifiable else "not identifiable",
+            latex("; ".join(parameter_remarks(found, row))),
         ])  # fmt: skip
     head = ["Parameter", "Value", "Unit", "Standard error", "by folds", r"95\,\% interval",
             "decided by", ""]  # fmt: skip

@@ -13,7 +13,7 @@ from asia.ledger.artifacts import Store
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment
-from asia.problem.protocol import Block, Fold
+from asia.problem.folds import Block, Fold
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def fold_outputs(
     """Simulated held-out blocks (H, ny) of each fold, as the search recorded them."""
     assert experiment.result is not None
     return tuple(
-        store.get_arrays(record.y_hat, [b.y.shape for b in fold.validation])
+        store.get_arrays(record.y_hat, [b.y.shape for b in fold.held_out])
         for record, fold in zip(experiment.result.folds, folds, strict=True)
     )
 

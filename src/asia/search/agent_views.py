@@ -124,7 +124,7 @@ def _reference(view: SearchView, name: str) -> float | None:
     """V of a reference model; None with the Ladder, which reports some V only."""
     if view.started.ladder is not None:
         return None
-    outcomes = (reference.outcome for reference in view.rungs if reference.name == name)
+    outcomes = (reference.outcome for reference in view.references if reference.name == name)
     return next((found.value for found in outcomes if isinstance(found, Score)), None)
 
 

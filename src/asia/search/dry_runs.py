@@ -11,8 +11,8 @@ from asia.judge.evaluation.dry_runs import dry_run as run_dry
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import Run
+from asia.problem.folds import make_folds
 from asia.problem.load import load_lock
-from asia.problem.protocol import make_folds
 from asia.search.run import LOCK, make_evaluator
 
 

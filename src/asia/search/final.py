@@ -32,8 +32,8 @@ from asia.ledger.evidence import put_estimates
 from asia.ledger.run import ModelToUse
 from asia.ledger.text import error_line, error_value
 from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
-from asia.problem.protocol import Fold
 from asia.search.literal_check import LiteralCheckFunction
 
 # Check of a refit: it saw all training records and must fit them as well as the fold models do.
@@ -275,9 +275,9 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
         why = evidence.detail or "there is no refit"
         return ModelToUse("ensemble", f"{why[:1].upper()}{why[1:]}.")
     kept = check.starts[(check.kept or 0) - 1]
-    errors = f"{number(kept.error)}, that of the ensemble {number(check.ensemble_error)}"
+    errors = f"{number(kept.error)}, the ensemble's {number(check.ensemble_error)}"
     if is_worthy(check):
-        text = f"The error of the refit on all training records is {errors}."
+        text = f"It fits the training records at least as well as the ensemble (error {errors})."
         return ModelToUse("refit", text)
     if is_as_good(check):
         text = f"{number(kept.disagreement)} against {number(check.fold_disagreement)}"
@@ -434,7 +434,7 @@ def _stack_of(
 
     parts: list[HeldOutPart] = []
     for fold in evaluator.data.folds:
-        y = np.concatenate([block.y for block in fold.validation])
+        y = np.concatenate([block.y for block in fold.held_out])
         # Weights need few samples; V of the stack is computed on all of them.
         thin = slice(None, None, -(-len(y) // 2000))
         y_hat = np.stack([simulated(e, fold)[thin] for e in experiments])
@@ -445,7 +445,7 @@ def _stack_of(
         return None
     judged: list[float] = []
     for fold, nested in zip(evaluator.data.folds, nested_weights(parts, shortfall), strict=True):
-        y = np.concatenate([block.y for block in fold.validation])
+        y = np.concatenate([block.y for block in fold.held_out])
         y_hat = np.zeros_like(y)
         for place in np.flatnonzero(nested).tolist():
             y_hat += nested[place] * simulated(experiments[place], fold)
@@ -482,7 +482,7 @@ def _passes(
 
 def _held_out_answers(store: Store, experiment: Experiment, fold: Fold) -> Answers:
     assert experiment.result is not None
-    shapes = [block.y.shape for block in fold.validation]
+    shapes = [block.y.shape for block in fold.held_out]
     return store.get_arrays(experiment.result.folds[fold.index].y_hat, shapes)
 
 

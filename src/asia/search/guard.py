@@ -8,8 +8,8 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import GuardLooked, GuardScore
 from asia.ledger.view import SearchView
+from asia.problem.folds import whole
 from asia.problem.problem import Problem
-from asia.problem.protocol import whole
 from asia.problem.seal import open_guard
 
 NEW_BESTS = 3

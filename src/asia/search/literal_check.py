@@ -22,8 +22,8 @@ from asia.judge.scoring.description import LiteralCheck, guard_gap
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
 from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Block, whole
 from asia.problem.problem import Problem
-from asia.problem.protocol import Block, whole
 from asia.problem.seal import open_guard
 
 LiteralCheckFunction = Callable[[str, Evaluation, SearchView], LiteralCheck | None]
@@ -61,16 +61,16 @@ class LiteralExaminer:
         """The first best; the training mean where an agent's candidate would be the first."""
         folds = self.evaluator.data.folds
         if not view.bests:
-            mean = next((r.outcome for r in view.rungs if r.name == MEAN_REFERENCE), None)
+            mean = next((r.outcome for r in view.references if r.name == MEAN_REFERENCE), None)
             if not isinstance(mean, Score):
                 return None
-            y_hats = [tuple(training_mean(f, b) for b in f.validation) for f in folds]
+            y_hats = [tuple(training_mean(f, b) for b in f.held_out) for f in folds]
             return Standard(1, self.problem.baseline or LINEAR, mean, y_hats)
         first = view.bests[0]
         assert first.result is not None
         assert first.score is not None
         y_hats = [
-            self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.validation])
+            self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.held_out])
             for kept, fold in zip(first.result.folds, folds, strict=True)
         ]
         source = self.store.text(first.proposed.source)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Generator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from statistics import fmean
 
 from asia._diagnostic import diagnostic
 from asia._timer import Activity, ActivityTimer
@@ -22,14 +20,8 @@ from asia.agents.view import (
     InterruptedWaitError,
     Proposal,
 )
-from asia.errors import Reason
-from asia.judge.evaluation.background import BackgroundJob, JobSettings
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.references import score_references
-from asia.judge.evaluation.results import Evaluation, same_simulations
-from asia.judge.scoring.confirmation import least_significant_difference
-from asia.judge.scoring.description import LiteralCheck
-from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import (
@@ -39,12 +31,10 @@ from asia.ledger.events import (
     GuardLooked,
     Landed,
     Proposed,
+    ReferenceScored,
     Refitted,
-    Retest,
-    RungScored,
     SessionEnded,
     SessionStarted,
-    Status,
     Steered,
     Stopped,
 )
@@ -53,217 +43,13 @@ from asia.ledger.index import refresh
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.problem import Problem
 from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, problem_facts
+from asia.search.decision import decide
 from asia.search.final import refit_winner
 from asia.search.guard import look_at_guard
-from asia.search.literal_check import LiteralCheckFunction, LiteralExaminer
+from asia.search.literal_check import LiteralExaminer
 from asia.search.pending import PendingFits, keep_folds, keep_output
-from asia.search.rules import bound_on_folds, decide, next_leg, stop_reason
+from asia.search.rules import bound_on_folds, next_leg, stop_reason
 from asia.search.steering import Steering
-
-
-@contextmanager
-def retest_fits(
-    evaluator: Evaluator, fit: Callable[[int], Evaluation], most: int
-) -> Generator[Callable[[int], Evaluation]]:
-    """Prefetch fits: yield a function that returns the results of `fit(0)`, `fit(1)`, ... in order.
-
-    Once all folds of one fit have started, the next fit begins; an unused one is cancelled. The
-    results do not depend on that. At most `most` fits are made.
-    """
-    if not evaluator.may_fit_ahead:
-        yield fit
-        return
-    folds = len(evaluator.data.folds)
-    fits: list[BackgroundJob[Evaluation]] = []
-    begun: list[threading.Semaphore] = []  # released once for each fold of a fit that has begun
-    with ExitStack() as opened:
-
-        def begin() -> None:
-            number, own = len(fits), threading.Semaphore(0)
-            before = begun[-1] if begun else None
-
-            def run() -> Evaluation:
-                if before is not None:
-                    for _ in range(folds):
-                        before.acquire()
-                try:
-                    return fit(number)
-                finally:
-                    own.release(folds)
-
-            begun.append(own)
-            job = evaluator.workers.background(run, JobSettings(on_begin=own.release))
-            fits.append(opened.enter_context(job))
-
-        def take(number: int) -> Evaluation:
-            while len(fits) < min(number + 2, most):
-                begin()
-            return fits[number].result()
-
-        yield take
-
-
-# Fit, score and decide on one candidate.
-#
-# A candidate about to become the incumbent is fitted again from other seeds. It takes the title
-# where its mean over the seeds is lower than the incumbent's by the floor. That is a statement on
-# its method. Its first fit is a model by itself: where its V is the lowest so far, it is the one
-# to hand over, whatever is said of the method.
-
-
-_FIRST_SEED = 1_000_000
-"""The number of the first seed of retests: those of `asia validate --repeat` count from 1, and
-a seed that chose a winner must not confirm it too."""
-_WORTH_A_RETEST = 0.5
-"""The share of the floor by which a first fit must be lower: with less, two more fits make a
-new best very unlikely."""
-
-_NARROW = 0.1
-"""The largest floor, over the mean, that an incumbent fitted from fewer seeds may leave."""
-
-
-@dataclass(frozen=True)
-class Judged:
-    """A candidate and the decision on it."""
-
-    evaluation: Evaluation
-    """Its first fit, or why there is no score."""
-    status: Status
-    retests: tuple[Retest, ...] = ()
-    floor: float | None = None
-    """Required improvement of the mean over seeds; None without incumbent or if one fit decides."""
-    deadline: bool = False
-    """True if the speed of the machine influenced the decision."""
-    validation_scores: int = 0
-    """Validation scores given in all fits."""
-    lowest: bool = False
-    """True if its own fit is the best so far."""
-    literals: LiteralCheck | None = None
-    """Its literals against its gain; None where it is no new best."""
-
-
-def judge(
-    evaluator: Evaluator,
-    source: str,
-    view: SearchView,
-    evaluation: Evaluation | None = None,
-    over: float | None = None,
-    check_literals: LiteralCheckFunction | None = None,
-) -> Judged:
-    """Evaluate and decide, by the rule that the ledger names. A candidate that would be kept, or
-    handed over, must also come back bitwise the same from its bytes, and answer like a model. With
-    the Ladder every candidate with a score must: otherwise the check, and the time it takes, would
-    say which one is kept. After an objection the folds stay. evaluation: where its first fit was
-    made before; over: as in `Proposed`; check_literals: compares the literals of a new best with
-    its gain."""
-    if evaluation is None:
-        evaluation = evaluator.evaluate(source, over=over)
-    scores, outcome = evaluation.validation_scores, evaluation.outcome
-    if isinstance(outcome, Failure):
-        status = outcome.reason.status
-        timed_out = status == "timeout"
-        return Judged(evaluation, status, deadline=timed_out, validation_scores=scores)
-    folds, answers, literals = evaluation.folds, None, None
-    best = view.best.score if view.best else None
-    lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
-    with ExitStack() as opened:
-        if lowest and not evaluator.workers.is_sequential:
-            # It is checked whatever the retests say.
-            check = partial(evaluator.objection_to_answers, source, folds)
-            answers = opened.enter_context(evaluator.workers.background(check))
-        if view.started.retests:
-            judged = _retested(evaluator, source, evaluation, outcome, view)
-        else:
-            judged = Judged(evaluation, decide(outcome, view), validation_scores=scores)
-        status = judged.status
-        if lowest and status == "discard":
-            # From other seeds its method is no better. Its own fit is.
-            status = "inconclusive"
-        if status == "keep" or lowest or view.started.ladder is not None:
-            if answers is None:
-                failure = evaluator.objection(source, folds)
-            else:
-                failure = answers.result() or evaluator.objection_to_consistency(source, folds)
-            if failure is None and check_literals is not None and (status == "keep" or lowest):
-                literals = check_literals(source, evaluation, view)
-                if literals is not None and literals.suspect:
-                    failure = Failure(Reason.LITERALS, literals.suspect)
-            if failure is not None:
-                evaluation = replace(evaluation, outcome=failure)
-                status, lowest = failure.reason.status, False
-    return replace(
-        judged,
-        evaluation=evaluation,
-        status=status,
-        deadline=judged.deadline or status == "timeout",
-        lowest=lowest,
-        literals=literals,
-    )
-
-
-def _retested(
-    evaluator: Evaluator, source: str, first: Evaluation, score: Score, view: SearchView
-) -> Judged:
-    """Fit from other seeds until the decision is clear, or there are no more.
-
-    `discard` where it is not lower than the incumbent, `inconclusive` where it is, but not by the
-    floor. Each as soon as it is certain enough, so most candidates cost no fit more.
-    """
-    known = view.incumbent.seed_values if view.incumbent else ()
-    scores = first.validation_scores
-    if known:
-        floor, lead = least_significant_difference(known, known), fmean(known) - score.value
-        if lead < _WORTH_A_RETEST * floor or lead <= 0.0:
-            status = "discard" if lead <= 0.0 else "inconclusive"
-            return Judged(first, status, floor=floor, validation_scores=scores)
-    retests: list[Retest] = []
-    values, failure = [score.value], None
-    most = view.started.retests
-
-    def fit(number: int) -> Evaluation:
-        return evaluator.evaluate(source, _FIRST_SEED + number)
-
-    with retest_fits(evaluator, fit, most) as take:
-        for number in range(most):
-            begin = time.monotonic()
-            again = take(number)
-            seconds = time.monotonic() - begin
-            scores += again.validation_scores
-            outcome = again.outcome
-            if isinstance(outcome, Failure):
-                failure = outcome.reason
-                retests.append(Retest(failed=failure.value, seconds=seconds))
-                break
-            same = same_simulations(first.y_hats, again.y_hats)
-            folds = tuple(fold.value for fold in outcome.folds)
-            retests.append(Retest(outcome.value, folds, same=same, seconds=seconds))
-            if same:
-                # One fit shows it: the others would be the same.
-                break
-            values.append(outcome.value)
-            if known and fmean(values) >= fmean(known):
-                break
-            # A wide floor would keep better candidates out.
-            narrow = least_significant_difference(values, values) <= _NARROW * fmean(values)
-            if known and narrow and _is_lower(values, known):
-                break
-    if not known:
-        # Nothing to beat; its spread is the first floor.
-        status, floor = "keep", None
-    else:
-        floor = least_significant_difference(values, known)
-        lower = failure is None and _is_lower(values, known)
-        status = "keep" if lower else "inconclusive"
-        if fmean(values) >= fmean(known):
-            status = "discard"
-    timed_out = failure is not None and failure.status == "timeout"
-    return Judged(first, status, tuple(retests), floor, timed_out, scores)
-
-
-def _is_lower(values: Sequence[float], known: Sequence[float]) -> bool:
-    """Return whether the mean is lower by more than the threshold."""
-    return fmean(known) - fmean(values) > least_significant_difference(values, known)
-
 
 # Propose, evaluate, keep or discard, each step written to the ledger, until a stop rule holds.
 #
@@ -355,10 +141,12 @@ class Loop:
 
     def _search(self) -> None:
         metric = self.problem.protocol.metric
-        names = {reference.name for reference in self.view.rungs}
-        with self.watch.activity(Activity.RUNGS, swallows=True):
+        names = {reference.name for reference in self.view.references}
+        with self.watch.activity(Activity.REFERENCES, swallows=True):
             for reference in score_references(self.evaluator, metric, self.problem.truth, names):
-                self.record(RungScored(reference.name, reference.outcome, reference.failed_checks))
+                self.record(
+                    ReferenceScored(reference.name, reference.outcome, reference.failed_checks)
+                )
         while self.view.stopped is None:
             stopped = self._advance()
             if stopped is not None:
@@ -394,7 +182,7 @@ class Loop:
         with self._lock, self.watch.activity(Activity.LEDGER):
             if isinstance(event, Evaluated | Refitted | GuardLooked):
                 event = replace(event, spent=self.watch.take())
-            if isinstance(event, RungScored | Evaluated | Refitted) and self._failed:
+            if isinstance(event, ReferenceScored | Evaluated | Refitted) and self._failed:
                 event = replace(event, failed_checks=(*event.failed_checks, *self._failed))
                 self._failed.clear()
             self.chain.append(event)
@@ -522,32 +310,32 @@ class Loop:
             self.watch.waited(fitted.lane, begin - start)
         first = None if fitted is None else fitted.evaluation
         source = self.store.text(proposed.source)
-        judged = judge(
+        decision = decide(
             self.evaluator, source, view, first, proposed.over, self.literal_examiner.check
         )
-        evaluation = judged.evaluation
+        evaluation = decision.evaluation
         with self.watch.activity(Activity.LEDGER):
             folds = keep_folds(self.store, evaluation.folds)
             output = keep_output(self.store, evaluation.output)
         now = time.monotonic()
         return Evaluated(
             experiment=experiment.number,
-            status=judged.status,
+            status=decision.status,
             outcome=evaluation.outcome,
             folds=folds,
             output=output,
             seconds=now - begin + (0.0 if fitted is None else fitted.seconds),
-            deadline=judged.deadline,
-            validation_scores=judged.validation_scores,
+            deadline=decision.deadline,
+            validation_scores=decision.validation_scores,
             isolation=self.evaluator.workers.isolation.value,
             left_behind=tuple(self.evaluator.workers.left_behind[before:]),
-            retests=judged.retests,
-            floor=judged.floor,
-            lowest=judged.lowest,
+            retests=decision.retests,
+            threshold=decision.threshold,
+            lowest=decision.lowest,
             elapsed=None if view.started.parallel == 1 else now - start,
             ended_folds=evaluation.ended_folds,
             failed_checks=evaluation.failed_checks,
-            literals=judged.literals,
+            literals=decision.literals,
         )
 
 

@@ -1,10 +1,12 @@
-"""Pending evaluations: experiments proposed ahead of results, recorded in order."""
+"""Pending evaluations: fits that begin before their results are needed, used in order."""
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +15,7 @@ from asia._timer import Lane
 from asia.agents.relay import RelayAgent
 from asia.agents.view import Agent, proposes_ahead
 from asia.errors import UserError
+from asia.judge.evaluation.background import BackgroundJob, JobSettings
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, FoldResult
 from asia.judge.scoring.outcome import Score
@@ -20,8 +23,9 @@ from asia.ledger.artifacts import Store
 from asia.ledger.events import FoldEvidence, Landed, Proposed
 from asia.ledger.evidence import get_findings, put_findings
 from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
-from asia.problem.protocol import Fold, ProtocolRule
+from asia.problem.protocol import ProtocolRule
 
 
 def check_ways(rule: ProtocolRule, parallel: int, *, strict: bool, stop_folds: bool) -> None:
@@ -90,7 +94,7 @@ def evaluation_of(landed: Landed, folds: Sequence[Fold], store: Store) -> Evalua
     results: list[FoldResult] = []
     if isinstance(landed.outcome, Score):
         for score, kept, fold in zip(landed.outcome.folds, landed.folds, folds, strict=True):
-            shapes = [block.y.shape for block in fold.validation]
+            shapes = [block.y.shape for block in fold.held_out]
             results.append(
                 FoldResult(
                     score=score,
@@ -197,3 +201,48 @@ class PendingFits:
             )
         )
         return PendingFit(evaluation, seconds, lane)
+
+
+# Fits of one candidate from several seeds.
+
+
+@contextmanager
+def retest_fits(
+    evaluator: Evaluator, fit: Callable[[int], Evaluation], most: int
+) -> Generator[Callable[[int], Evaluation]]:
+    """Prefetch fits: yield a function that returns the results of `fit(0)`, `fit(1)`, ... in order.
+
+    Once all folds of one fit have started, the next fit begins; an unused one is cancelled. The
+    results do not depend on that. At most `most` fits are made.
+    """
+    if not evaluator.may_fit_ahead:
+        yield fit
+        return
+    folds = len(evaluator.data.folds)
+    fits: list[BackgroundJob[Evaluation]] = []
+    begun: list[threading.Semaphore] = []  # released once for each fold of a fit that has begun
+    with ExitStack() as opened:
+
+        def begin() -> None:
+            number, own = len(fits), threading.Semaphore(0)
+            before = begun[-1] if begun else None
+
+            def run() -> Evaluation:
+                if before is not None:
+                    for _ in range(folds):
+                        before.acquire()
+                try:
+                    return fit(number)
+                finally:
+                    own.release(folds)
+
+            begun.append(own)
+            job = evaluator.workers.background(run, JobSettings(on_begin=own.release))
+            fits.append(opened.enter_context(job))
+
+        def take(number: int) -> Evaluation:
+            while len(fits) < min(number + 2, most):
+                begin()
+            return fits[number].result()
+
+        yield take

@@ -25,7 +25,7 @@ from asia.ledger.events import (
     HandedOver,
     HandOverReason,
     Proposed,
-    RungScored,
+    ReferenceScored,
     Status,
     Stopped,
     StopReason,
@@ -36,8 +36,8 @@ from asia.ledger.view import SearchView, replay
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.search.agent_views import agent_view, as_bytes, problem_facts
+from asia.search.decision import decide
 from asia.search.literal_check import LiteralExaminer
-from asia.search.loop import judge
 from asia.search.rules import stop_reason
 from asia.search.run import (
     LOCK,
@@ -168,7 +168,7 @@ class _Replaying:
             journals.append(_ReplayJournal(run.store, own))
             if isinstance(agent, Attached):
                 agent.attach(journals[-1])
-        self._references([event for event in events if isinstance(event, RungScored)])
+        self._references([event for event in events if isinstance(event, ReferenceScored)])
         asked: dict[int, Replayed] = {}
         for place, event in enumerate(events):
             match event:
@@ -197,18 +197,18 @@ class _Replaying:
         self.items.append(item)
         self.on_item(item)
 
-    def _references(self, recorded: list[RungScored]) -> None:
+    def _references(self, recorded: list[ReferenceScored]) -> None:
         metric, truth = self.problem.protocol.metric, self.problem.truth
         again = {r.name: r.outcome for r in score_references(self.evaluator, metric, truth, set())}
-        for rung in recorded:
-            item = Replayed(f"rung {rung.name}", "same")
-            if isinstance(rung.outcome, Failure) and rung.outcome.reason.status == "timeout":
+        for one in recorded:
+            item = Replayed(f"reference {one.name}", "same")
+            if isinstance(one.outcome, Failure) and one.outcome.reason.status == "timeout":
                 item = replace(item, outcome="exempt", detail="the deadline affected it")
-            elif rung.name not in again:
+            elif one.name not in again:
                 detail = "this version has no such reference model"
                 item = replace(item, outcome="differs", detail=detail)
             else:
-                item = self._compare(item, rung.outcome, again[rung.name])
+                item = self._compare(item, one.outcome, again[one.name])
             self._add(item)
 
     def _propose(self, event: Proposed, before: SearchView) -> Replayed:
@@ -260,7 +260,7 @@ class _Replaying:
             return _concluded(item, "exempt", "the deadline affected it")
         proposed = view.experiment(event.experiment).proposed
         source = self.run.store.text(proposed.source)
-        judged = judge(
+        judged = decide(
             self.evaluator, source, view, over=proposed.over, check_literals=self._examiner.check
         )
         item = self._compare(item, event.outcome, judged.evaluation.outcome)

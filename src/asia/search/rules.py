@@ -1,13 +1,12 @@
-"""Phases and stop rules; keep or discard in a search without retests."""
+"""Phases, stop rules and the bound of early pruning."""
 
 from __future__ import annotations
 
 from statistics import fmean
 from typing import Literal
 
-from asia.judge.scoring.outcome import Failure, Outcome
-from asia.ledger.events import HandedOver, Status, Stopped, StopReason
-from asia.ledger.view import SearchView, beats
+from asia.ledger.events import HandedOver, Stopped, StopReason
+from asia.ledger.view import SearchView
 from asia.problem.budget import Budget
 
 FAR_ABOVE = 1.5
@@ -62,10 +61,3 @@ def bound_on_folds(view: SearchView) -> float | None:
     if not view.started.stop_folds or held is None or best is None or best.score is None:
         return None
     return FAR_ABOVE * max(fmean(held.seed_values), best.score.value)
-
-
-def decide(outcome: Outcome, view: SearchView) -> Status:
-    """Decide by one fit: `keep` if V beats the incumbent's, else `discard`."""
-    if isinstance(outcome, Failure):
-        return outcome.reason.status
-    return "keep" if beats(outcome, view) else "discard"

@@ -39,9 +39,10 @@ from asia.ledger.folder import check_run_folder
 from asia.ledger.run import ERROR, keep_error
 from asia.ledger.verification import check_lock
 from asia.ledger.view import SearchView
+from asia.problem.folds import Fold, fold_names, make_folds
 from asia.problem.lock import lock_differences, lock_text, protocol_digest
 from asia.problem.problem import Problem, kept_places, record_places
-from asia.problem.protocol import EarlyStopping, Fold, fold_names, make_folds
+from asia.problem.protocol import EarlyStopping
 from asia.problem.protocol_table import check_feedback
 from asia.problem.seal import guard_digest, seal
 from asia.search.loop import Loop, OnEvent
@@ -203,9 +204,12 @@ def prepare(
             and not (one.key == "budget.retests" and one.before is None)
         ]
         if different:
+            words = [str(one) for one in different[:3]]
+            if len(different) > 3:
+                words.append(f"{len(different) - 3} more")
             raise UserError(
-                f"{directory} was started with other settings ({different[0]}); only the number of "
-                "experiments and the hours can grow: choose another --name"
+                f"{directory} was started with other settings ({'; '.join(words)}); only "
+                "the number of experiments and the hours can grow: choose another --name"
             )
     lock = lock_text(problem, sealed)
     started = Started(
@@ -233,7 +237,7 @@ def prepare(
         folds=fold_names(folds, rule),
         # The number of the last leg is the budget's: a larger budget extends it.
         legs=(*legs[:-1], *(replace(leg, experiments=None) for leg in legs[-1:])),
-        # The Ladder has a floor of its own, and retests would say by their time what is kept.
+        # The Ladder has a threshold of its own, and retests would say by their time what is kept.
         retests=0 if rule.ladder is not None else budget.retests,
         parallel=parallel,
         stop_folds=stop_folds,

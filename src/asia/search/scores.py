@@ -13,21 +13,15 @@ import numpy as np
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, UserError
 from asia.judge.evaluation.results import score_outputs
-from asia.judge.scoring.outcome import (
-    MeeTable,
-    Outcome,
-    Score,
-    TestScore,
-    mee_table,
-    score_test,
-)
+from asia.judge.scoring.euclidean_error import MeeTable, mee_table
+from asia.judge.scoring.outcome import Outcome, Score, TestScore, score_test
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Event, Landed, Started, TestedModel, Unsealed, Use
 from asia.ledger.verification import check_lock
+from asia.problem.folds import Block, Fold, make_folds, whole
 from asia.problem.load import load_lock
 from asia.problem.metrics import MEE, find_metric
 from asia.problem.problem import Problem
-from asia.problem.protocol import Block, Fold, make_folds, whole
 from asia.problem.seal import open_test
 from asia.search.run import LOCK
 
@@ -121,7 +115,7 @@ class ScoreCheck:
             )
         try:
             y_hat = [
-                self._store.get_arrays(one.y_hat, [block.y.shape for block in fold.validation])
+                self._store.get_arrays(one.y_hat, [block.y.shape for block in fold.held_out])
                 for one, fold in zip(event.folds, self._folds, strict=True)
             ]
             in_parts = rule.ladder is not None

@@ -29,9 +29,10 @@ from asia.ledger.artifacts import Store
 from asia.ledger.events import Use
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Block, Case, Fold, cut, whole
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
-from asia.problem.protocol import Block, Case, Fold, ProtocolRule, cut, whole
+from asia.problem.protocol import ProtocolRule
 from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
 from asia.search.run import LOCK, make_evaluator
 
@@ -140,13 +141,13 @@ def band_basis(evaluator: Evaluator, view: SearchView, store: Store, use: Use) -
     simulated: list[tuple[Array, ...]] = []
     errors: list[HeldOutErrors] = []
     for fold in evaluator.data.folds:
-        shapes = [block.y.shape for block in fold.validation]
+        shapes = [block.y.shape for block in fold.held_out]
         total = [np.zeros(shape) for shape in shapes]
         for result, weight in parts:
             assert result is not None
             kept = store.get_arrays(result.folds[fold.index].y_hat, shapes)
             total = [t + weight * y_hat for t, y_hat in zip(total, kept, strict=True)]
-        pairs = zip(fold.validation, total, strict=True)
+        pairs = zip(fold.held_out, total, strict=True)
         simulated.append(tuple(total))
         errors.append(HeldOutErrors(tuple(b.y - y for b, y in pairs)))
     region = region_of([(r.u, r.y) for r in evaluator.data.records])
@@ -349,10 +350,10 @@ def simulated_excerpts(run: Run, number: int, isolation: Isolation | None = None
             ) from None
         cases += simulated_cases(fold, blocks, y_hat, held_out=False)
         if rule.residuals == "held_out":
-            shapes = [block.y.shape for block in fold.validation]
+            shapes = [block.y.shape for block in fold.held_out]
             stored = run.store.get_arrays(kept.y_hat, shapes)
-            places = _spread(fold.validation, rule, most)
-            chosen = [fold.validation[k] for k in places], [stored[k] for k in places]
+            places = _spread(fold.held_out, rule, most)
+            chosen = [fold.held_out[k] for k in places], [stored[k] for k in places]
             cases += simulated_cases(fold, *chosen, held_out=True)
     return SimulatedCases(
         title=f"Experiment {number}, {one_line(experiment.description, 200)}",

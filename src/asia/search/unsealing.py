@@ -24,9 +24,9 @@ from asia.ledger.exports import write_exports
 from asia.ledger.run import model_to_use, open_run
 from asia.ledger.verification import check_lock, verify
 from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Block, whole
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
-from asia.problem.protocol import Block, whole
 from asia.problem.seal import check_openable, open_test
 from asia.search.run import LOCK, level_here, make_evaluator
 from asia.search.scores import ScoreCheck, by_record, score_sealed

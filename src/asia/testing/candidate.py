@@ -14,8 +14,9 @@ from asia.judge.evaluation.requests import simulate_held_out
 from asia.judge.sandbox.availability import open_worker, probe
 from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
+from asia.problem.folds import Block, whole
 from asia.problem.physics import ParameterRange, Physics
-from asia.problem.protocol import Block, ProtocolRule, whole
+from asia.problem.protocol import ProtocolRule
 
 _LIMITS = Limits(300.0, 120.0, 4096)
 

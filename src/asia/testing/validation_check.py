@@ -8,9 +8,14 @@ import numpy as np
 
 from asia.data.trajectory import Array
 from asia.judge.scoring.checks.check import Cause, Check, Verdict
-from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
-from asia.judge.scoring.checks.registry import ValidationCheck, ValidationData
-from asia.judge.scoring.checks.response import HORIZONS, LinearResponse, impulse_response
+from asia.judge.scoring.checks.response import HORIZONS, impulse_response
+from asia.judge.scoring.checks.validation_data import (
+    LinearResponse,
+    SimulatedBlock,
+    SimulatedBlocks,
+    ValidationCheck,
+    ValidationData,
+)
 
 
 def check_validation_check(check: ValidationCheck) -> None:

@@ -13,8 +13,9 @@ from asia.agents.library.cards import neural_ss
 from asia.agents.library.cost import Timing
 from asia.agents.library.move import Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.records import Switching, noise_of_periods, overfit, plateau_share
+from asia.agents.library.record_facts import Switching, noise_of_periods, plateau_share
 from asia.agents.library.registry import families, family
+from asia.agents.library.trial_evidence import overfit
 from asia.data import Trajectory
 from tests.unit.agents.records.test_relation import closed_loop, facts, lagged
 from tests.unit.agents.searches import (
@@ -52,8 +53,9 @@ def test_the_ladder_tries_each_family_once_and_physics_first() -> None:
     ladder = [t.family for t in climb(known, {})]
     assert ladder[0] == "greybox"
     assert ladder == [row.name for row in families(known)]
-    without = [t.family for t in climb(simulation(physics=False), {})]
-    assert without[:2] == ["nl_lfr", "linear"]
+    plain = simulation(physics=False)
+    without = [t.family for t in climb(plain, {})]
+    assert without == [row.name for row in families(plain)]
     assert not {"greybox", "hybrid"} & set(without)
 
 
@@ -265,8 +267,8 @@ def test_models_without_equations_get_the_symmetries_of_their_signals(leader: st
 def test_coloured_residuals_get_segments_and_polynomials_before_any_ridge() -> None:
     known = simulation(physics=False)
     trials = climb(known, {"neural_ss": 0.3})
-    # Two other families have had their refinement.
-    trials = (*trials, *(t for t in trials if t.family in ("linear", "narx")))
+    # The other families have had their refinement.
+    trials = (*trials, *(t for t in trials if t.family != "neural_ss"))
     left = replace(CLEAN, whiteness=0.9)
     trials = tuple(
         replace(t, diagnostics=(left, left)) if t.family == "neural_ss" else t for t in trials

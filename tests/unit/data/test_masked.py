@@ -8,14 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.data import Array, Trajectory, data_digest
-from asia.data.intake.records import take_in
+from asia.data.intake.conversion import take_in
 from asia.data.intake.sheet import Wanted
 from asia.errors import UserError
-from asia.judge.scoring.outcome import fit_index, mee_table, score_fold, score_test, without_gaps
+from asia.judge.scoring.euclidean_error import mee_table
+from asia.judge.scoring.outcome import fit_index, score_fold, score_test, without_gaps
 from asia.problem.create import init_problem, record_csv
+from asia.problem.folds import make_folds, whole
 from asia.problem.load import load_problem
 from asia.problem.metrics import find_metric
-from asia.problem.protocol import FoldRule, OutputGroup, ProtocolRule, make_folds, whole
+from asia.problem.protocol import FoldRule, OutputGroup, ProtocolRule
 
 NAN = float("nan")
 
@@ -70,14 +72,14 @@ def test_no_held_out_output_reaches_training(seed: int, past: int) -> None:
     _, one = masked(seed)
     rule = ProtocolRule(folds=FoldRule(count=3), past_inputs=past, past_outputs=past)
     for fold in make_folds([one], rule):
-        block = fold.validation[0]
+        block = fold.held_out[0]
         moved = one.measured_y.copy()
         moved[block.start : block.stop] += 100.0
         other = make_folds([Trajectory(one.u, moved, 1.0, "r")], rule)[fold.index]
         for a, b in zip(fold.train, other.train, strict=True):
             assert np.array_equal(a.y, b.y)
             assert a.missing is not None
-        assert np.array_equal(block.case.past_y, other.validation[0].case.past_y)
+        assert np.array_equal(block.case.past_y, other.held_out[0].case.past_y)
         assert np.isfinite(block.case.past_y).all()
         assert np.isnan(block.y).any()
 

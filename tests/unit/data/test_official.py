@@ -16,8 +16,8 @@ from asia.data import Signal, Trajectory
 from asia.data.sources import Channels, Subset
 from asia.data.sources.official import LAYOUTS, OfficialBenchmark, PublishedFile
 from asia.errors import UserError
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
 from asia.testing import check_source
 from tests.official_data import WRITERS
 
@@ -72,7 +72,7 @@ def test_the_first_400_samples_of_the_drives_train(files: Path) -> None:
         assert np.array_equal(np.concatenate([first.y, last.y]), found[f"z1{k}"])
         assert (len(first), len(last)) == (400, 100)
     folds = make_folds(train, load_problem("ced").protocol)
-    spans = [[(b.start, b.stop) for b in fold.validation] for fold in folds]
+    spans = [[(b.start, b.stop) for b in fold.held_out] for fold in folds]
     assert spans == [[(300, 350)] * 2, [(350, 400)] * 2]
     assert [len(fold.train[0]) for fold in folds] == [290, 340]
 
@@ -136,8 +136,8 @@ def test_folds_hold_out_whole_realisations(name: str, files: Path) -> None:
     folds = make_folds(problem.train, problem.protocol)
     if problem.protocol.folds.kind == "leave_one_group_out":
         for fold in folds:
-            held = {b.case.name.split("_")[0] for b in fold.validation}
-            assert not {b.case.name for b in fold.validation} & {t.name for t in fold.train}
+            held = {b.case.name.split("_")[0] for b in fold.held_out}
+            assert not {b.case.name for b in fold.held_out} & {t.name for t in fold.train}
             if name == "parallel_wiener_hammerstein":
                 assert not held & {t.name.split("_")[0] for t in fold.train}
     share = sum(len(t) for t in folds[0].train) / sum(len(t) for t in problem.train)

@@ -9,10 +9,10 @@ from asia.data.relations import find_delay
 from asia.errors import UserError
 from asia.ledger.run import Run
 from asia.problem.create import Preparation, init_problem
+from asia.problem.folds import Case
 from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import Problem
-from asia.problem.protocol import Case
 from asia.problem.seal import open_test, seal
 from asia.search import simulation
 

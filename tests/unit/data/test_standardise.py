@@ -13,7 +13,8 @@ import pytest
 from asia.candidate import Context, simulate_steps
 from asia.data import Array, Signal, Trajectory
 from asia.data.standardise import Standardised, StandardisedSteps, standardised
-from asia.problem.protocol import FoldRule, ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import FoldRule, ProtocolRule
 
 CONTEXT = Context((Signal("u"),), (Signal("y"), Signal("z")), 1.0, 2, 2, detrend=True, scale=True)
 LAG, LEVEL, SIZE = 0.8, np.array([300.0, -2.0]), np.array([0.01, 7.0])
@@ -75,7 +76,7 @@ def test_a_signal_that_does_not_move_is_not_divided() -> None:
 def held_out_changed(t: Trajectory, fold: Any) -> Trajectory:
     """The record with other outputs in what the fold holds out."""
     y = t.y.copy()
-    for block in fold.validation:
+    for block in fold.held_out:
         y[block.start : block.stop] = 10.0 * LEVEL + 3.0 * y[block.start : block.stop]
     return Trajectory(t.u, y, t.sampling_time, t.name)
 
@@ -86,7 +87,7 @@ def test_a_fit_is_bitwise_the_same_whatever_the_held_out_outputs(kind: Any) -> N
     t = record(4, 300)
     for k, fold in enumerate(make_folds([t], rule)):
         other = make_folds([held_out_changed(t, fold)], rule)[k]
-        assert not np.array_equal(other.validation[0].y, fold.validation[0].y)
+        assert not np.array_equal(other.held_out[0].y, fold.held_out[0].y)
         fits = [standardised(list(f.train), CONTEXT) for f in (fold, other)]
         for one, same in zip(fits[0][0], fits[1][0], strict=True):
             assert one.y.tobytes() == same.y.tobytes()

@@ -32,7 +32,7 @@ from asia.models import (
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import affine
 from asia.models._numerics.lags import FreeRun, History, Lags, OutputRange
-from asia.models._numerics.records import Scaling
+from asia.models._numerics.scaling import Scaling
 from asia.models._one_step import FreeRunModel, Polynomial, all_terms
 from asia.models._state_space.model import FittedStateSpace
 from asia.models._state_space.structure import StateSpaceStructure

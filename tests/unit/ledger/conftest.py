@@ -14,7 +14,7 @@ from asia.ledger.events import (
     Event,
     FoldEvidence,
     Proposed,
-    RungScored,
+    ReferenceScored,
     Started,
     Steered,
     Stopped,
@@ -65,7 +65,7 @@ def finished_run(directory: Path) -> Path:
     )
     events: list[Event] = [
         start,
-        RungScored("linear model", score(0.5)),
+        ReferenceScored("linear model", score(0.5)),
         proposed(store, 1),
         Evaluated(1, "keep", score(0.4), (fold, fold), store.put(b"printed"), 1.0),
         Steered("try a slower pole – τ ≈ 3 s"),
@@ -93,7 +93,7 @@ def run(tmp_path: Path) -> Path:
     store = Store(directory / "artifacts")
     events: list[Event] = [
         started(),
-        RungScored("linear model", score(0.5)),
+        ReferenceScored("linear model", score(0.5)),
         proposed(store, 1),
         evaluated(1, "keep", score(0.4)),
         proposed(store, 2),

@@ -144,3 +144,24 @@ def test_the_jackknife_measures_the_fold_models_around_the_fitted_value() -> Non
         with_fold_values(EstimatedModel((fitted(),), ((1.0,),), ()), [{"k": 0.4}, {}])[0].folds
         == ()
     )
+
+
+def test_values_without_standard_errors_are_printed_with_the_reason() -> None:
+    bare = fitted(standard_error=None, low=None, high=None, data_share=1.0)
+    model = IdentifiedModel(
+        2, (IdentifiedParameter(bare, (), None),), ((None,),), ("dx = -0.5 * x",), True, "too short"
+    )
+    text = "\n".join(identified_lines(model))
+    assert "dx = -0.5 * x" in text
+    assert "0.5" in text
+    assert "no standard errors and intervals: too short" in text
+    assert "not identifiable" not in text
+    assert identified_object(model)["no_intervals"] == "too short"
+
+
+def test_a_wide_interval_is_marked_and_the_bias_is_said_to_be_inside() -> None:
+    wide = fitted(low=0.12, high=2.0, misfit_error=0.01)
+    model = IdentifiedModel(2, (IdentifiedParameter(wide, (), None),), ((1.0,),), ())
+    text = "\n".join(identified_lines(model))
+    assert "interval wider than the value" in text
+    assert "the bias that it may cause is smaller than the intervals" in text

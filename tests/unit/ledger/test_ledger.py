@@ -190,3 +190,11 @@ def test_a_run_on_a_gpu_of_an_older_version_verifies_and_shows_but_does_not_resu
     assert str(view.best) == str(open_run(finished_run(tmp_path / "other")).view.best)
     with pytest.raises(UserError, match="started with --device gpu, which this version does not"):
         check_same_search(view, replace(view.started, device="cpu"))
+
+
+def test_the_threshold_is_read_by_its_name_in_older_ledgers() -> None:
+    event = replace(evaluated(1, "keep", score(0.5)), threshold=0.1)
+    fields = adapter.dump_python(event, mode="json")
+    older = {("floor" if name == "threshold" else name): value for name, value in fields.items()}
+    assert "threshold" not in older
+    assert adapter.validate_python(older) == event

@@ -7,8 +7,8 @@ import pytest
 from asia.errors import Reason
 from asia.judge.scoring.outcome import Failure, FoldScore, Score
 from asia.ledger.events import Evaluated, Event, Proposed, Started
-from asia.ledger.view import SearchView, beats, published, replay
-from asia.search.rules import decide
+from asia.ledger.view import SearchView, published, replay
+from asia.search.decision import beats, decide_by_one_fit
 
 STARTED = Started(
     "r", "p", "a", 0, 9, None, ("y",), "0", "0", None, "process", (), {}, ladder=0.1
@@ -26,7 +26,7 @@ def search(*outcomes: Score | float | None, ladder: float | None = 0.1) -> Searc
     for number, found in enumerate(outcomes, 1):
         outcome = Failure(Reason.CRASH) if found is None else found
         outcome = score(outcome) if isinstance(outcome, float) else outcome
-        status, word = decide(outcome, replay(events)), str(number)
+        status, word = decide_by_one_fit(outcome, replay(events)), str(number)
         events.append(Proposed(number, None, "explore", word, word, word, word, "0", word))
         events.append(Evaluated(number, status, outcome, (), None, 1.0))
     return replay(events)

@@ -14,8 +14,8 @@ from asia.errors import UserError
 from asia.models import neural_ss, recurrent
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._networks.training import HoldoutSplit, _split
-from asia.models._numerics.records import batch
 from asia.models._numerics.symmetry import SignalTransformations, TransformedRecords
+from asia.models._numerics.training_records import batch
 from asia.models.methods import LBFGS, Adam
 
 ARMS = {"u1": "u2", "u2": "u1", "y1": "y2", "y2": "y1"}

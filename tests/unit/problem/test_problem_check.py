@@ -10,9 +10,10 @@ import pytest
 from asia.data import Signal, Trajectory
 from asia.problem import Correction, Prior
 from asia.problem.check import check_problem
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem, Seal
-from asia.problem.protocol import Group, make_folds
+from asia.problem.protocol import Group
 
 
 @pytest.fixture
@@ -145,14 +146,14 @@ def test_lines_name_everything(
         "1024 samples, 4096 s",
         "missing values: none",
         "fold 2: holds out two_tanks_train 516-1024",
-        "test, sealed: two_tanks_test (1024 samples, 974 scored); 45 samples",
+        "test: two_tanks_test (1024 samples, 974 scored); 45 samples",
         "sha256 abababababab",
         "2 states (x1, x2), 4 parameters to fit",
     ):
         assert expected in text
     plain = check_problem(load_problem(write_problem(minimal)), Seal(None)).lines()
     assert "test: none" in plain
-    assert "physics: none" in plain
+    assert "physics: no equations in problem.toml" in plain
 
 
 def test_a_workspace_has_no_test_of_its_own(tanks: Problem) -> None:

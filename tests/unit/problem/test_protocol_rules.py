@@ -119,7 +119,7 @@ def test_check_lists_held_out_samples(write: Callable[[str], Path]) -> None:
         "fold 1, slow: holds out 6 windows of slow_1, slow_2; trains on 41 samples",
         "fold 2, fast: holds out 2 windows of fast_1; trains on 111 samples",
         "windows of 20 samples are simulated",
-        "test, sealed: t (62 samples, 4 windows); 4 windows; mean Euclidean error of level (y)",
+        "test: t (62 samples, 4 windows); 4 windows; mean Euclidean error of level (y)",
     ):
         assert line in text
     assert "early stopping" not in text

@@ -25,7 +25,7 @@ from asia.ledger.events import (
     GuardLooked,
     GuardScore,
     Proposed,
-    RungScored,
+    ReferenceScored,
     Started,
     Stopped,
     TestedModel,
@@ -33,8 +33,9 @@ from asia.ledger.events import (
 )
 from asia.ledger.evidence import put_findings
 from asia.problem import Budget
+from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem, TestSource
-from asia.problem.protocol import Fold, ProtocolRule, TestRule, make_folds
+from asia.problem.protocol import ProtocolRule, TestRule
 
 Outcomes = Sequence[tuple[str, float | None]]
 
@@ -98,7 +99,7 @@ def write_run(
     directory: Path,
     problem: Problem,
     outcomes: Outcomes,
-    rungs: Sequence[tuple[str, float]] = (("linear model", 0.345), ("last output held", 1.21)),
+    references: Sequence[tuple[str, float]] = (("linear model", 0.345), ("last output held", 1.21)),
     unsealed: int = 0,
     guard: Sequence[tuple[int, float]] = (),
     parameters: Sequence[tuple[tuple[str, float], ...]] = (),
@@ -112,8 +113,8 @@ def write_run(
     best = float("inf")
     with Chain(directory / "ledger.jsonl") as chain:
         chain.append(_started(directory, problem, len(outcomes)))
-        for name, value in rungs:
-            chain.append(RungScored(name, _score(folds, problem, value)[0]))
+        for name, value in references:
+            chain.append(ReferenceScored(name, _score(folds, problem, value)[0]))
         for i, (title, value) in enumerate(outcomes, start=1):
             best = append_experiment(chain, store, problem, i, title, value, best, parameters)
         chain.append(Stopped("budget"))
@@ -188,9 +189,9 @@ def _started(directory: Path, problem: Problem, experiments: int) -> Started:
 
 def _score(folds: Sequence[Fold], problem: Problem, value: float):
     metric = problem.protocol.metric
-    arrays = [[wobble(b.y, min(value, 2.0), f.index) for b in f.validation] for f in folds]
+    arrays = [[wobble(b.y, min(value, 2.0), f.index) for b in f.held_out] for f in folds]
     scores = [
-        score_fold([b.y for b in f.validation], a, f.scale, metric)
+        score_fold([b.y for b in f.held_out], a, f.scale, metric)
         for f, a in zip(folds, arrays, strict=True)
     ]
     combined = combine(scores)

@@ -15,8 +15,9 @@ import pytest
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.errors import InternalError
+from asia.judge.scoring.attribution import Attribution
 from asia.judge.scoring.checks.check import Verdict
-from asia.judge.scoring.confirmation import Attribution, ExpectedError, Interval
+from asia.judge.scoring.repeated_fits import ExpectedError, Interval
 from asia.ledger.chain import Chain
 from asia.ledger.events import (
     Ablated,
@@ -35,7 +36,7 @@ from asia.ledger.evidence import identified, put_curves, put_estimates
 from asia.ledger.run import Run, open_run
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
-from asia.problem.problem import Seal
+from asia.problem.problem import DESCRIPTION_TEMPLATE, Seal, is_described
 from asia.report import write_bundle, write_page
 from asia.report.page.code import python
 from asia.report.page.html import Html, fixed, join, said, table, tag
@@ -95,7 +96,7 @@ def test_every_part_of_an_opened_run_is_there(make_run: Callable[..., Run]) -> N
     page = page_of(make_run(unsealed=2))
     for key in ("verdict", "model", "accuracy", "test", "use", "progress", "experiments"):
         assert f'<section id="{key}"' in page
-    assert "On the sealed test, opened once" in page
+    assert "On the sealed test, which this run opened" in page
 
 
 def test_no_figure_of_the_test_stands_on_a_page_of_a_sealed_run(
@@ -343,7 +344,7 @@ def test_an_interval_by_folds_or_by_a_missing_effect_is_on_the_page(
     [
         (Verdict.PASS, 0.0, "Usable", "good"),
         (Verdict.DOUBT, 0.4, "Usable with limits", "doubt"),
-        (Verdict.FAIL, 0.6, "Usable with limits", "doubt"),
+        (Verdict.FAIL, 0.6, "Usable with limits", "doubt"),  # a residual check: a limit
         (Verdict.FAIL, 1.5, "Not usable", "none"),
     ],
 )
@@ -433,3 +434,14 @@ def test_a_source_is_coloured_and_escaped() -> None:
     assert "not python (" in str(python("not python (", "source")).replace("</span>", "").replace(
         '<span class="k">', ""
     )
+
+
+def test_the_description_of_the_problem_is_on_the_page(make_run: Callable[..., Run]) -> None:
+    run = make_run()
+    assert 'id="problem"' in page_of(run)
+    description = load_problem("two_tanks_sim").description
+    first = description.strip().split("\n\n")[0].replace("\n", " ")
+    assert first[:60] in page_of(run)
+    assert not is_described(DESCRIPTION_TEMPLATE.format(name="mill"))
+    assert not is_described(" ")
+    assert is_described("A pump fills a tank.")

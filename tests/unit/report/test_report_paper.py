@@ -94,7 +94,7 @@ def test_the_paragraph_names_what_a_reader_has_to_know(run: Path) -> None:
         "linear model 0.3450",
         "isolation level namespace",
         "V = 0.2000",
-        "were opened once",
+        "This run opened the test records",
         view.started.lock_digest[:16],
     ):
         assert part in words

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from asia.data import Signal
-from asia.judge.scoring.outcome import mee_table
+from asia.judge.scoring.euclidean_error import mee_table
 from asia.judge.scoring.residuals import cross_correlation
 from asia.ledger.run import open_run
 from asia.problem.load import load_problem
@@ -116,7 +116,7 @@ def test_the_horizon_is_drawn_from_the_recorded_simulations(tmp_path: Path) -> N
     assert titles == ["p", "R"]
     assert first.get_ylabel() == "Distance [m/s]"
     assert second.get_ylabel().startswith("Angle")
-    from asia.problem.protocol import make_folds
+    from asia.problem.folds import make_folds
     from asia.report.simulated import fold_outputs
 
     fold = make_folds(problem.train, problem.protocol)[0]
@@ -125,7 +125,7 @@ def test_the_horizon_is_drawn_from_the_recorded_simulations(tmp_path: Path) -> N
     y_hat = fold_outputs(run.store, best, make_folds(problem.train, problem.protocol))[0]
     names = [s.name for s in problem.outputs]
     groups = problem.protocol.test.groups
-    table = mee_table([b.y for b in fold.validation], y_hat, names, groups, ())
+    table = mee_table([b.y for b in fold.held_out], y_hat, names, groups, ())
     assert curve == pytest.approx(table.groups[0].steps)
 
 

@@ -27,8 +27,7 @@ from asia.ledger.run import open_run
 from asia.ledger.view import SearchView
 from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import protocol_digest
-from asia.search.loop import Judged
-from asia.search.rules import decide
+from asia.search.decision import Decision, decide_by_one_fit
 from asia.search.run import prepare, search, with_early_stopping
 
 from .toy import Scripted, arx, write_problem
@@ -174,21 +173,21 @@ def judged_as_without_the_ladder(
     first: Evaluation | None = None,
     over: float | None = None,
     check_literals: object = None,
-) -> Judged:
+) -> Decision:
     """Only a would-be winner is doubted."""
     del first, over, check_literals
     evaluation = evaluator.evaluate(source)
     assert isinstance(evaluation.outcome, Score)
-    if decide(evaluation.outcome, view) != "keep":
-        return Judged(evaluation, "discard")
+    if decide_by_one_fit(evaluation.outcome, view) != "keep":
+        return Decision(evaluation, "discard")
     outcome = evaluator.objection(source, ()) or evaluation.outcome
-    return Judged(replace(evaluation, outcome=outcome), decide(outcome, view))
+    return Decision(replace(evaluation, outcome=outcome), decide_by_one_fit(outcome, view))
 
 
 @pytest.mark.parametrize(
     ("spoil", "part", "otherwise"),
     [
-        (arena.forgetful, "judge", judged_as_without_the_ladder),
+        (arena.forgetful, "decide", judged_as_without_the_ladder),
         (arena.one_start(0.35), "published", lambda view: view),
     ],
 )

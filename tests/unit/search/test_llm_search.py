@@ -200,9 +200,9 @@ def test_a_replay_without_network_comes_out_the_same(
     outcomes = {item.name: (item.proposal, item.outcome) for item in shown}
     assert len(outcomes) == 3 + EXPERIMENTS
     assert outcomes.pop("#05") == ("same", "exempt")
-    rungs = {name for name in outcomes if name.startswith("rung")}
-    assert {outcomes[name] for name in rungs} == {("none", "same")}
-    assert {outcomes[name] for name in outcomes.keys() - rungs} == {("same", "same")}
+    references = {name for name in outcomes if name.startswith("reference")}
+    assert {outcomes[name] for name in references} == {("none", "same")}
+    assert {outcomes[name] for name in outcomes.keys() - references} == {("same", "same")}
     assert (searched.run.directory / "ledger.jsonl").read_bytes() == before
 
 
@@ -253,7 +253,7 @@ def test_an_interrupted_search_replays_as_far_as_it_went(
     searched: Searched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runs, _ = cut(searched, tmp_path / "runs", 10)
-    monkeypatch.setattr("asia.search.replay.judge", unjudged(searched))
+    monkeypatch.setattr("asia.search.replay.decide", unjudged(searched))
     report = replay_run(runs / searched.run.name, lambda item: None)
     assert report.agrees
     assert [item.name for item in report.items if item.proposal == "same"] == [
@@ -266,7 +266,7 @@ def test_a_replay_finds_what_was_changed(
 ) -> None:
     """Other words in a prompt are told, and the exit code is 1."""
     monkeypatch.setattr("asia.agents.llm.prompt._MEANING", "something else")
-    monkeypatch.setattr("asia.search.replay.judge", unjudged(searched))
+    monkeypatch.setattr("asia.search.replay.decide", unjudged(searched))
     done = command_line("verify", "--replay", searched.run.directory)
     assert done.code == 1
     lines = done.out.splitlines()
@@ -280,7 +280,7 @@ def test_a_replay_finds_what_was_changed(
 def test_from_scratch_says_how_far_apart(
     searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("asia.search.replay.judge", unjudged(searched, factor=1 + 1e-9))
+    monkeypatch.setattr("asia.search.replay.decide", unjudged(searched, factor=1 + 1e-9))
     done = command_line("verify", "--replay", searched.run.directory, "--from-scratch", "--json")
     assert done.code == 0, done.out
     *items, end = [json.loads(line) for line in done.out.splitlines()]
@@ -292,13 +292,13 @@ def test_from_scratch_says_how_far_apart(
 
 
 def unjudged(searched: Searched, factor: float = 1.0) -> Any:
-    """In place of `judge`: the recorded outcomes, their scores times a factor."""
+    """In place of `decide`: the recorded outcomes, their scores times a factor."""
 
-    def judge(evaluator: Any, source: str, view: Any, **given: Any) -> Any:
+    def decide(evaluator: Any, source: str, view: Any, **given: Any) -> Any:
         del evaluator, given
         from asia.judge.evaluation.results import Evaluation
         from asia.judge.scoring.outcome import Score
-        from asia.search.loop import Judged
+        from asia.search.decision import Decision
 
         number = view.pending.number
         result = searched.run.view.experiment(number).result
@@ -306,6 +306,6 @@ def unjudged(searched: Searched, factor: float = 1.0) -> Any:
         outcome = result.outcome
         if isinstance(outcome, Score):
             outcome = replace(outcome, value=outcome.value * factor)
-        return Judged(Evaluation(outcome), result.status, result.retests)
+        return Decision(Evaluation(outcome), result.status, result.retests)
 
-    return judge
+    return decide

@@ -86,10 +86,10 @@ def searched(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 def references_search_and_evidence(s: Searched) -> None:
     view = s.run.view
-    assert all(isinstance(rung.outcome, Score) for rung in view.rungs)
-    windows = view.rungs[2].name == "constant velocity"  # a reference where windows are scored
-    assert len(view.rungs) == 3 + windows
-    assert view.rungs[-1].name == LINEAR_REFERENCE
+    assert all(isinstance(reference.outcome, Score) for reference in view.references)
+    windows = view.references[2].name == "constant velocity"  # a reference where windows are scored
+    assert len(view.references) == 3 + windows
+    assert view.references[-1].name == LINEAR_REFERENCE
     assert all(e.score is not None for e in view.finished)
     assert view.best is not None
     assert view.best.number == 2

@@ -24,7 +24,7 @@ def problem(tmp_path: Path) -> Path:
 
 def replayed(directory: Path, tolerance: float = 0.0) -> dict[str, Replayed]:
     report = replay_run(directory, lambda item: None, tolerance)
-    return {item.name: item for item in report.items if not item.name.startswith("rung")}
+    return {item.name: item for item in report.items if not item.name.startswith("reference")}
 
 
 @pytest.mark.long

@@ -47,7 +47,7 @@ def go(
 
 @pytest.fixture(scope="module")
 def whole_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished search of 4 experiments beside its problem, the real linear rung included."""
+    """A finished search of 4 experiments beside its problem, the real linear reference included."""
     root = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("asia.judge.evaluation.references.LINEAR", LINEAR)
@@ -101,7 +101,11 @@ def test_a_search_end_to_end(whole_once: Path) -> None:
     assert crash is not None
     assert crash.reason is Reason.CRASH
     assert "no such luck" in crash.detail
-    assert {r.name for r in view.rungs} == {"training mean", "last output held", "linear model"}
+    assert {r.name for r in view.references} == {
+        "training mean",
+        "last output held",
+        "linear model",
+    }
     assert view.refitted is not None
     assert view.refitted.model is not None
     assert view.refitted.again is not None

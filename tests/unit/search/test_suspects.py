@@ -12,8 +12,8 @@ from asia.judge.evaluation import workers as workers_module
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.ledger.view import SearchView
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
 from asia.search.replay import replay_run
 from asia.search.run import make_evaluator, prepare, search
 
@@ -47,7 +47,7 @@ def looking(problem: Path) -> str:
     answers = {
         zlib.crc32(block.case.u.tobytes()): np.round(block.y[::2, 0], 1).tolist()
         for fold in make_folds(loaded.train, loaded.protocol)
-        for block in fold.validation
+        for block in fold.held_out
     }
     honest = ARX.replace("{order}", "1").replace("def fit(", "def train(")
     return honest + LOOK_UP.replace("{answers}", repr(answers))

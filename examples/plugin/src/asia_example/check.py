@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asia.judge.scoring.checks.check import Check, Verdict
-from asia.judge.scoring.checks.registry import ValidationData
+from asia.judge.scoring.checks.validation_data import ValidationData
 
 _LARGEST = 0.1
 

@@ -23,8 +23,8 @@ from asia.agents.expert.notes import Wish, avoided, read_notes, wished_moves, wi
 from asia.agents.library.family import Family, is_new, under_protocol
 from asia.agents.library.move import Move, Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe, read_recipe
-from asia.agents.library.records import overfit
 from asia.agents.library.registry import families, family
+from asia.agents.library.trial_evidence import overfit
 from asia.agents.view import AgentStoppedError, AgentView, Proposal, Running, Trial
 
 SURE = 0.9

@@ -7,14 +7,8 @@ from statistics import NormalDist
 
 from asia.agents.library.methods import by_multiple_shooting
 from asia.agents.library.move import Move, Situation
-from asia.agents.library.records import (
-    Relation,
-    integrating,
-    noise_of_periods,
-    overfit,
-    relation,
-    worst,
-)
+from asia.agents.library.record_facts import Relation, integrating, noise_of_periods, relation
+from asia.agents.library.trial_evidence import overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
 
 # Strategy while no candidate beats the mean of the output: a likely cause with advice, and moves

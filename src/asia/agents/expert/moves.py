@@ -20,9 +20,9 @@ from asia.agents.library.methods import (
 )
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import GRADIENT, Recipe
-from asia.agents.library.records import coloured, input_left, overfit
 from asia.agents.library.registry import all_cards
 from asia.agents.library.traits import traits
+from asia.agents.library.trial_evidence import coloured, input_left, overfit
 
 
 def _full_weight(at: Situation) -> float:

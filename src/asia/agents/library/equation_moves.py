@@ -7,8 +7,8 @@ from collections.abc import Callable
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe, Value
-from asia.agents.library.records import (
-    Cause,
+from asia.agents.library.record_facts import Cause, switching
+from asia.agents.library.trial_evidence import (
     biased,
     by_overfit,
     coloured,
@@ -17,7 +17,6 @@ from asia.agents.library.records import (
     folds_disagree,
     input_left,
     overfit,
-    switching,
 )
 from asia.agents.view import Facts
 from asia.problem.physics import parse_expression

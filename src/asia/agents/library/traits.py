@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from asia.agents.library.records import integrating
+from asia.agents.library.record_facts import integrating
 from asia.agents.view import Facts
 from asia.problem.symmetry import of_signals
 

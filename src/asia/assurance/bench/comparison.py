@@ -466,7 +466,7 @@ def compare(
     # References and baseline are the same in every run of a seed; the linear model may depend on
     # the seed.
     first = list({run.planned.seed: run for run in reversed(own)}.values())[::-1]
-    outcomes = [{r.name: r.outcome for r in run.view.rungs} for run in first]
+    outcomes = [{r.name: r.outcome for r in run.view.references} for run in first]
     for name in dict.fromkeys(name for of_seed in outcomes for name in of_seed):
         found = [of_seed.get(name) for of_seed in outcomes]
         values = tuple(outcome.value for outcome in found if isinstance(outcome, Score))
@@ -866,7 +866,7 @@ def draw(
         # The linear model, and the paper's searches where they were measured alike.
         levels = [
             ComparedValue(LINEAR_REFERENCE, reference.outcome.value)
-            for reference in own[0].view.rungs
+            for reference in own[0].view.references
             if reference.name == LINEAR_REFERENCE and isinstance(reference.outcome, Score)
         ]
         if setting == "validation" and paper is not None:

@@ -26,8 +26,8 @@ from asia.judge.scoring.description import guard_gap
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.events import Evaluated, Event, Proposed, Started
 from asia.ledger.view import published, replay
-from asia.problem.protocol import whole
-from asia.search.loop import judge
+from asia.problem.folds import whole
+from asia.search.decision import decide
 
 # Evaluation of one cheating candidate with the real evaluator, and detection of its traces.
 
@@ -270,7 +270,7 @@ class ScoreOnlySearch:
             spoil: the way in which the candidate breaks a relation
         """
         view, evaluator = replay(self._events), _Known(score, spoil)
-        number, judged = len(view.experiments) + 1, judge(evaluator, "", view)
+        number, judged = len(view.experiments) + 1, decide(evaluator, "", view)
         name, status, outcome = str(number), judged.status, judged.evaluation.outcome
         proposed = Proposed(number, None, "explore", "probe", name, "h", "e", name, name)
         self._events += [proposed, Evaluated(number, status, outcome, (), None, 0.0)]

@@ -20,10 +20,11 @@ from asia.judge.evaluation.relations import suspicions
 from asia.judge.evaluation.requests import simulate_held_out
 from asia.judge.sandbox.availability import open_worker
 from asia.judge.sandbox.types import Isolation, Limits
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.physics import ParameterRange, Physics
 from asia.problem.problem import Problem
-from asia.problem.protocol import ProtocolRule, make_folds
+from asia.problem.protocol import ProtocolRule
 from asia.search.agent_views import problem_facts
 
 TWO_TANKS, SMALL_DRONE = "two_tanks_sim", "small drone"
@@ -133,14 +134,12 @@ def try_honest(
         check_source(source)
         with open_worker(level, limits) as worker, interruption.ends(worker):
             worker.fit(executed_source(source), fold.train, problem.context)
-            y_hat = simulate_held_out(worker, fold.validation)
+            y_hat = simulate_held_out(worker, fold.held_out)
             model = worker.dump()
         with open_worker(level, limits) as worker, interruption.ends(worker):
             worker.load(executed_source(source), model, problem.context)
             followed = [i for i, known in enumerate(fold.followed) if known]
-            found = suspicions(
-                worker, fold.validation, y_hat, fold.scale, horizon, followed=followed
-            )
+            found = suspicions(worker, fold.held_out, y_hat, fold.scale, horizon, followed=followed)
     except CandidateError as error:
         flagged = error.reason in (Reason.LITERAL_DATA, Reason.SUSPECT, Reason.RESTART)
         failure = None if flagged else error.reason

@@ -18,7 +18,8 @@ from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.problem.budget import Budget
-from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
 
 ProblemName = Literal[
     "simulation",

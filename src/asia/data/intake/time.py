@@ -184,7 +184,24 @@ def time_column(sheet: FileTable, wanted: Wanted) -> str | None:
         name = named.get(candidate)
         if name is not None and name not in taken and not _is_count(name, sheet):
             return name
-    return next((n for n, c in sheet.columns.items() if c.cells.dtype.kind == "M"), None)
+    others = (n for n in sheet.columns if n not in taken and _holds_stamps(sheet, n))
+    return next(others, None)
+
+
+def _holds_stamps(sheet: FileTable, name: str) -> bool:
+    """Return whether the first cells of a column are different dates or times of the day."""
+    cells = sheet.columns[name].cells
+    if cells.dtype.kind in "Mfiu":
+        return cells.dtype.kind == "M"
+    filled = [c for c in cells[:50] if c is not None and str(c).strip()]
+    if not filled or not _is_dated(filled[0]):
+        return False
+    pattern: list[str] = []
+    try:
+        found = [_timestamp(cell, pattern, name) for cell in filled]
+    except UserError:
+        return False
+    return len(set(found)) > 1
 
 
 def _is_count(name: str, sheet: FileTable) -> bool:

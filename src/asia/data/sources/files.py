@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from asia.data.intake.records import Intake, Use, take_in
+from asia.data.intake.conversion import Intake, Use, take_in
 from asia.data.intake.sheet import Wanted
 from asia.data.sources.source import (
     Channels,

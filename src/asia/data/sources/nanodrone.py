@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from asia.data.intake.records import as_written
+from asia.data.intake.conversion import as_written
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.text import Text
 from asia.data.sources.official import is_lfs_pointer

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from asia.data.intake.records import as_written
+from asia.data.intake.conversion import as_written
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.text import Text
 from asia.data.sources.source import Channels, DataTable, Source, SourceData, Subset, TestSummary

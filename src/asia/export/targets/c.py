@@ -47,7 +47,11 @@ def template(name: str, **values: object) -> str:
 FLOAT = "typedef float asia_real;"
 """Line of `model.h` that selects single precision; it is replaced by an error where single
 precision is not good enough."""
-NO_FLOAT = '#error "in float this model differs too much from its simulation in double, see USE.md"'
+# The type is still defined, so that the compiler prints this error and no other.
+NO_FLOAT = (
+    '#error "in float this model differs too much from its simulation in double, see USE.md"\n'
+    "typedef float asia_real;"
+)
 
 
 def header(model: ExportModel) -> str:

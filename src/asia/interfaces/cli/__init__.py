@@ -69,7 +69,7 @@ class Commands(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """List the names, plugins last; without plugins whose names clash, see `asia doctor`."""
-        own = [*_MAIN, *_MORE]
+        own = [*MAIN_COMMANDS, *MORE_COMMANDS]
         with suppress(UserError):
             own += [part.name for part in parts_of(PLUGINS) if part.name not in own]
         return own
@@ -118,7 +118,7 @@ app.info.name = "asia"
 agent_app = _group("Connect a coding agent or a language model, or work by hand in a workspace.")
 bench_app = _group("Run benchmarks: the paper's, the suite, or agents compared.", _Benchmarks)
 
-_MAIN: dict[str, Callable[..., None]] = {
+MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "init": init.init,
     "check": _check.check,
     "run": _run.run,
@@ -130,7 +130,7 @@ _MAIN: dict[str, Callable[..., None]] = {
     "export": export.export,
     "view": view.view,
 }
-_MORE: dict[str, Callable[..., None] | typer.Typer] = {
+MORE_COMMANDS: dict[str, Callable[..., None] | typer.Typer] = {
     "steer": steer.steer,
     "verify": verify.verify,
     "agent": agent_app,
@@ -160,8 +160,8 @@ _BRIEF_HELP = {
 """Options that `--help` of a command shows; `--help-all` shows the others too. Without an entry
 here `--help` shows all."""
 for _app, _commands, _panel in (
-    (app, _MAIN, None),
-    (app, _MORE, "More commands"),
+    (app, MAIN_COMMANDS, None),
+    (app, MORE_COMMANDS, "More commands"),
     (agent_app, _AGENT, None),
     (bench_app, _BENCH, None),
 ):

@@ -291,13 +291,13 @@ def training_lines(found: Diagnostics) -> tuple[str, ...]:
 
 
 class Waiting:
-    """Print each change once: finished rungs and experiments, and the state of the submission.
+    """Print each change once: finished references and experiments, and the state of the submission.
     Repeat an unchanged state every minute."""
 
     def __init__(self, desk: RunDesk | SocketDesk, say: Callable[[str], None]) -> None:
         self._desk, self._say = desk, say
         now = desk.progress()
-        self._rungs = set(now.rungs if now.experiments else ())
+        self._references = set(now.references if now.experiments else ())
         self._finished = now.experiments
         self._state = ""
         self._since = self._said = time.monotonic()
@@ -305,9 +305,9 @@ class Waiting:
     def look(self, submission: Submission) -> None:
         """Print the changes since the last call."""
         now = self._desk.progress()
-        for name, value in now.rungs.items():
-            if name not in self._rungs:
-                self._rungs.add(name)
+        for name, value in now.references.items():
+            if name not in self._references:
+                self._references.add(name)
                 self._say(f"reference {name}: {now.metric} {_equals(value)}")
         if now.experiments > self._finished:
             for result in self._desk.results()[self._finished :]:
@@ -345,7 +345,7 @@ def submission_line(submission: Submission, now: SearchProgress) -> str:
         behind = f"; {ahead} before yours" if ahead else "; yours is next"
         return f"#{running:02d}{baseline} is being evaluated{behind if queued else ''}"
     if now.experiments == 0:
-        return "the search evaluates the rungs, which are simple references, then the baseline"
+        return "the search evaluates the reference models, then the baseline"
     return f"queued, {ahead} before it" if ahead else "queued, it is next"
 
 

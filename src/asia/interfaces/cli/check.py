@@ -10,7 +10,7 @@ import typer
 
 from asia._text import say
 from asia.interfaces.cli.options import DEFAULT_RUNS, ProblemName, Runs
-from asia.problem.protocol import make_folds
+from asia.problem.folds import make_folds
 
 
 def check(

@@ -47,7 +47,7 @@ class InitAnswers:
 def completed(given: InitAnswers, wanted: Wanted, *, yes: bool) -> InitAnswers:
     """Complete the answers: ask on a terminal, or take the defaults with `yes`. Raises UserError if
     neither is possible."""
-    from asia.data.intake.records import record_files, split_names
+    from asia.data.intake.conversion import record_files, split_names
 
     asks = sys.stdin.isatty() and not yes
     answers = given
@@ -81,7 +81,7 @@ def completed(given: InitAnswers, wanted: Wanted, *, yes: bool) -> InitAnswers:
 
 def _with_test(given: InitAnswers, wanted: Wanted) -> InitAnswers:
     """Ask for the test: experiments of the training files, or else files."""
-    from asia.data.intake.records import experiments_in, record_files, split_names
+    from asia.data.intake.conversion import experiments_in, record_files, split_names
 
     known = experiments_in(given.train, wanted)
     if len(known) > 1:
@@ -110,7 +110,7 @@ def _with_test(given: InitAnswers, wanted: Wanted) -> InitAnswers:
 
 
 def _with_columns(answers: InitAnswers, wanted: Wanted, *, asks: bool) -> InitAnswers:
-    from asia.data.intake.records import split_names, survey
+    from asia.data.intake.conversion import split_names, survey
 
     found = survey(answers.train[0], wanted)
 

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-from asia._text import printable
+from asia._text import folded, printable
 from asia._timer import Activity, Seconds, TimeSpent, add_seconds, duration
 from asia.judge.scoring.outcome import Outcome, Score
 from asia.ledger.events import Evaluated, Event, GuardLooked, Refitted, Usage
@@ -35,6 +35,14 @@ class Terminal(Console):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(highlight=False, markup=False, emoji=False, **settings)
+
+    def print(self, *objects: Any, soft_wrap: bool | None = None, **settings: Any) -> None:
+        """Print; on a terminal one line of text is folded as by `asia._text.say`."""
+        text = objects[0] if len(objects) == 1 else None
+        if isinstance(text, str) and self.is_terminal:
+            lines = (folded(line, self.width) for line in text.split("\n"))
+            objects, soft_wrap = ("\n".join(lines),), True
+        super().print(*objects, soft_wrap=soft_wrap, **settings)
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
@@ -142,7 +150,7 @@ def use_lines(view: SearchView) -> list[str]:
     if named is None or refitted is None:
         return []
     lines = [f"use     {named.model}: {named.reason}"]
-    mean = next((r.outcome for r in view.rungs if r.name == "training mean"), None)
+    mean = next((r.outcome for r in view.references if r.name == "training mean"), None)
     best = view.best.score if view.best is not None else None
     if best is not None and isinstance(mean, Score) and best.value >= _BETTER * mean.value:
         lines.append(
@@ -153,8 +161,8 @@ def use_lines(view: SearchView) -> list[str]:
         )
     if refitted.model is None and refitted.detail and named.model != "ensemble":
         lines.append(f"refit   none: {refitted.detail}")
-    if refitted.stack is not None:
-        stack = refitted.stack
+    stack = refitted.stack
+    if stack is not None and best is not None and stack.value < best.value:
         lines.append(
             f"stack   {view.v_name}={error_value(stack.value)} (nested cross-validation), weights "
             f"{stack_words(stack)}"

@@ -60,19 +60,19 @@ from asia.ledger.events import (
     HandedOver,
     Leg,
     Proposed,
+    ReferenceScored,
     Refitted,
-    RungScored,
 )
-from asia.ledger.evidence import identified, significance_threshold
+from asia.ledger.evidence import identified, incumbent_threshold
 from asia.ledger.run import alarms, control, open_run
 from asia.ledger.text import (
     control_text,
     error_value,
-    floor_words,
     hand_over_text,
     identified_lines,
     method_note,
     seed_mean_words,
+    threshold_text,
 )
 from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric
@@ -335,7 +335,7 @@ class JsonDisplay:
                     seconds=round(event.seconds, 3),
                     validation_scores=event.validation_scores,
                     retests=[r.value for r in event.retests],
-                    floor=event.floor,
+                    threshold=event.threshold,
                     failed_checks=list(event.failed_checks),
                     best=best.number if best else None,
                 )
@@ -343,8 +343,8 @@ class JsonDisplay:
                 self._print(
                     "handed_over", agent=event.agent, after=event.after, reason=event.reason
                 )
-            case RungScored():
-                self._print("rung", name=event.name, V=_value(event.outcome))
+            case ReferenceScored():
+                self._print("reference", name=event.name, V=_value(event.outcome))
             case GuardLooked():
                 scores = {str(s.experiment): _value(s.outcome) for s in event.scores}
                 self._print("guard", look=event.look, pick=event.pick, V=scores)
@@ -426,7 +426,7 @@ class TextDisplay:
             self._print(f"note    the run began in another environment: {change}")
         if view.experiments:
             self._print(f"resumed after {len(view.finished)} of {view.budget} experiments")
-        for reference in view.rungs:
+        for reference in view.references:
             self._print_reference(reference)
         for experiment in view.finished:
             for event in view.handed_over:
@@ -441,7 +441,7 @@ class TextDisplay:
     def on_event(self, event: Event, view: SearchView) -> None:
         """Print an event if it matters to a user."""
         match event:
-            case RungScored():
+            case ReferenceScored():
                 self._print_reference(event)
             case Proposed():
                 before = view.experiments[-2].proposed.remark if len(view.experiments) > 1 else ""
@@ -491,12 +491,16 @@ class TextDisplay:
         if view.refitted is not None:
             self._print("models   asia.simulate(run, ...) uses the model of the line `use`")
         run = directory.name if directory.parent == DEFAULT_RUNS else str(directory)
-        show, unseal = f"asia show {run}", f"asia unseal {run}"
-        width = len(unseal) + 4
+        show, validate, report, unseal = (
+            f"asia {command} {run}" for command in ("show", "validate", "report", "unseal")
+        )
+        width = len(validate) + 4
         if best is None:
             self._print(f"next     {show:<{width}}why the last candidate failed")
             return
         self._print(f"next     {show:<{width}}the best candidate: source, folds, evidence")
+        self._print(f"         {validate:<{width}}may I use this model: checks of the residuals")
+        self._print(f"         {report:<{width}}one HTML page about the search")
         if view.started.test_digest and view.unsealed is None:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
 
@@ -524,14 +528,14 @@ class TextDisplay:
             self._print(f"control  {control_text(compared, view.started)}")
         for name, words in (
             ("method", method_note(view)),
-            ("threshold", floor_words(view)),
+            ("threshold", threshold_text(view)),
             ("second fit", again_words(view)),
         ):
             if words:
                 self._print(f"{name:<8} {words}")
         if view.looks:
             self._print(f"guard    {guard_words(view)}")
-        references = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.rungs)
+        references = " · ".join(f"{r.name} {value_words(r.outcome)}" for r in view.references)
         self._print(f"references V: {references}")
 
     def profile(self, events: Sequence[Event], unrecorded: Sequence[TimeSpent]) -> None:
@@ -551,10 +555,15 @@ class TextDisplay:
         self._print(experiment_line(experiment, view), style=style)
         if experiment.failure is not None:
             self._print(f"    {_last_line(experiment.failure)}", style="dim")
+        mean = next((r.outcome for r in view.references if r.name == "training mean"), None)
+        worse = isinstance(mean, Score) and experiment.score and experiment.score.value > mean.value
+        if worse and experiment.kept:
+            text = "    kept as the first with a score, although the training mean has a lower V"
+            self._print(text, style="yellow")
         for line in experiment.result.failed_checks:
             self._print(f"    {line}", style="yellow")
 
-    def _print_reference(self, reference: RungScored) -> None:
+    def _print_reference(self, reference: ReferenceScored) -> None:
         from asia.judge.evaluation.references import TRUTH
 
         note = "   the true system: the noise floor" if reference.name == TRUTH else ""
@@ -572,9 +581,9 @@ class TextDisplay:
         elif view.running:
             doing = " · ".join(running_words(view))
         done = f"{len(view.finished)}/{view.budget} experiments · {duration(view.seconds)}"
-        floor = significance_threshold(view)
-        if floor is not None:
-            done += f" · threshold {floor:.2g}"
+        threshold = incumbent_threshold(view)
+        if threshold is not None:
+            done += f" · threshold {threshold:.2g}"
         self.footer.update(Text(f"{done} · {printable_line(doing)}"))
 
     def _print(self, text: str, style: str = "") -> None:

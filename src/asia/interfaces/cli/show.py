@@ -30,6 +30,8 @@ from asia.ledger.text import (
 from asia.ledger.view import Experiment
 from asia.problem.metrics import metric_label
 
+# Width of the columns that are not of an output.
+_OTHER_COLUMNS = 64
 # With more, each output gets a row of its own.
 _MOST_OUTPUTS_AS_COLUMNS = 3
 _COLUMNS = """\
@@ -97,7 +99,7 @@ def show(
     if console.is_terminal:
         from rich.syntax import Syntax
 
-        console.print(Syntax(printable(text), "python", background_color="default"))
+        console.print(Syntax(printable(text), "python", background_color="default", word_wrap=True))
     else:
         hand_over(f"{text}\n")
 
@@ -199,9 +201,11 @@ def _print_folds(console: Terminal, run: Run, experiment: Experiment) -> None:
     assert score is not None
     assert result is not None
     names, metric = run.view.started.outputs, run.metric
-    wide = len(names) > _MOST_OUTPUTS_AS_COLUMNS
     heads = metric_label(metric), "fit %"
     asked = run.view.started.early_stopping == "validation"
+    columns = sum(max(len(f"{head} {name}"), 7) + 2 for head in heads for name in names)
+    left = console.width - _OTHER_COLUMNS - (13 if asked else 0)
+    wide = len(names) > _MOST_OUTPUTS_AS_COLUMNS or columns > left
     # V, metric and fit index of each output on each fold.
     errors = [[f"{value:.4g}" for value in fold.per_channel(metric)] for fold in score.folds]
     fits = [["-" if v is None else f"{v:.1f}" for v in fold.fit_index] for fold in score.folds]
@@ -213,7 +217,7 @@ def _print_folds(console: Terminal, run: Run, experiment: Experiment) -> None:
         *(("val. scores",) if asked else ()),
         *("train", "bias", "white", "u-corr", "top", "start", "fit s"),
     ):
-        table.add_column(head, justify="right", overflow="fold")
+        table.add_column(head, justify="right", no_wrap=True)
     for k, (fold, kept) in enumerate(zip(score.folds, result.folds, strict=True)):
         d = kept.diagnostics
         table.add_row(
@@ -233,15 +237,15 @@ def _print_folds(console: Terminal, run: Run, experiment: Experiment) -> None:
     console.print(table)
     console.print(_COLUMNS, style="dim")
     if wide:
-        table = Table(title="by output", title_justify="left", box=None)
-        table.add_column("output", overflow="fold")
-        for head in heads:
+        for head, values in zip(heads, (errors, fits), strict=True):
+            table = Table(title=f"{head} by output", title_justify="left", box=None)
+            table.add_column("output", overflow="fold")
             for k in range(1, len(score.folds) + 1):
-                table.add_column(f"{head} {k}", justify="right", overflow="fold")
-        for name, *row in zip(names, *errors, *fits, strict=True):
-            table.add_row(name, *row)
-        console.print()
-        console.print(table)
+                table.add_column(f"fold {k}", justify="right", no_wrap=True)
+            for name, *row in zip(names, *values, strict=True):
+                table.add_row(name, *row)
+            console.print()
+            console.print(table)
 
     ratio = consistency(score.value, [kept.diagnostics.train_error for kept in result.folds])
     text = f"{ratio:.2f}"

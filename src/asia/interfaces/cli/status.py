@@ -26,13 +26,13 @@ from asia.interfaces.cli.output import (
 )
 from asia.interfaces.cli.validate import noise_words, verdict
 from asia.judge.scoring.outcome import Score
-from asia.ledger.evidence import cancelled_folds, pruned_folds, significance_threshold
+from asia.ledger.evidence import cancelled_folds, incumbent_threshold, pruned_folds
 from asia.ledger.run import alarms, control, error_of, metric_of, model_to_use, open_run
 from asia.ledger.text import (
     control_text,
-    floor_words,
     hand_over_text,
     method_note,
+    threshold_text,
     validation_summary,
 )
 from asia.problem.metrics import metric_label
@@ -96,7 +96,7 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "error": error_of(directory) if found.state == "interrupted" else None,
         "failed_checks": list(view.failed_checks),
         "alarms": list(alarms(view)),
-        "floor": significance_threshold(view),
+        "threshold": incumbent_threshold(view),
         "use": named.model if named else None,
         "use_reason": named.reason if named else None,
         "confirmed": None if view.confirmed is None else asdict(view.confirmed),
@@ -104,8 +104,9 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "control": None
         if compared is None
         else {"run": compared.run, "V": compared.value, "experiments": compared.experiments},
-        "rungs": {
-            r.name: r.outcome.value if isinstance(r.outcome, Score) else None for r in view.rungs
+        "references": {
+            r.name: r.outcome.value if isinstance(r.outcome, Score) else None
+            for r in view.references
         },
     }
 
@@ -159,7 +160,7 @@ def _print_status(directory: Path, found: Brief) -> None:
     # Evidence for the best candidate other than V.
     for name, words in (
         ("method", method_note(view)),
-        ("threshold", floor_words(view)),
+        ("threshold", threshold_text(view)),
         ("second fit", again_words(view)),
     ):
         if words:
@@ -181,7 +182,7 @@ def _print_status(directory: Path, found: Brief) -> None:
     compared = control(directory, start, found.finished)
     if compared is not None:
         say(f"control {control_text(compared, start)}")
-    for reference in view.rungs:
+    for reference in view.references:
         say(f"reference {reference.name:<18} V={value_words(reference.outcome)}")
     shown = view.finished[-_EXPERIMENTS_SHOWN:]
     if shown:

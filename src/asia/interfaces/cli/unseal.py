@@ -71,7 +71,7 @@ def unseal(
         names = ", ".join(result.opened_before)
         say(f"note: this test was opened before, by {names}", file=sys.stderr)
     if not result.first_time:
-        say("already unsealed: this is the first and only result", file=sys.stderr)
+        say("the test of this run is open already: this is its only result", file=sys.stderr)
     view = open_run(directory).view
     board = read_board(load_lock(directory / "problem.lock.toml"), view)
     # What was drawn before is not changed by the test.
@@ -173,11 +173,14 @@ def _result_object(record: Unsealed, view: SearchView, board: Board) -> dict[str
 
 
 def _print_result(record: Unsealed, view: SearchView, *, by_record: bool) -> None:
-    how = f"{record.skip} samples skipped"
+    how = f", {record.skip} samples skipped" if record.skip else ""
     if record.horizon is not None:
-        how = f"windows of {record.horizon} samples"
+        how = f", windows of {record.horizon} samples"
     print_alarms(view)
-    say(f"sealed test, experiment #{record.experiment:02d}, {how}")
+    say(
+        f"sealed test, experiment #{record.experiment:02d}{how}: errors in the unit of each output "
+        "(V is divided by their standard deviation)"
+    )
     for title, model in (
         ("ensemble of the fold models", record.ensemble),
         ("refit on all training data", record.refit),

@@ -30,8 +30,8 @@ from asia.interfaces.cli.options import (
     run_directory,
 )
 from asia.interfaces.cli.output import value_words
-from asia.judge.scoring.confirmation import Interval
 from asia.judge.scoring.outcome import Score
+from asia.judge.scoring.repeated_fits import Interval
 from asia.ledger.events import (
     Ablated,
     AblationFit,

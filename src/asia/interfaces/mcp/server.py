@@ -69,7 +69,7 @@ class WaitAnswer(SubmissionAnswer):
 
 @dataclass(frozen=True, kw_only=True)
 class ProgressAnswer(SearchProgress):
-    """State of the search and the recommended action. rungs: V of the reference models, null
+    """State of the search and the recommended action. references: V of the reference models, null
     without a score."""
 
     next: str

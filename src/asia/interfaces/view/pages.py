@@ -372,7 +372,7 @@ def _comparison_table(subjects: Sequence[Subject]) -> Html:
         return subject.v(found) if found is not None else tag("span", "no score")
 
     def reference(subject: Subject, name: str) -> Html:
-        found = subject.rung(name)
+        found = subject.reference(name)
         if found is None:
             return tag("span", "none")
         return subject.number(found[0], "outcome.value", "error")
@@ -387,7 +387,7 @@ def _comparison_table(subjects: Sequence[Subject]) -> Html:
             return tag("span", "no answer")
         return subject.number(opened, f"{place}.scores.0.value", "sig4")
 
-    references = dict.fromkeys(one.name for subject in subjects for one in subject.view.rungs)
+    references = dict.fromkeys(one.name for subject in subjects for one in subject.view.references)
     rows: list[tuple[str, Callable[[Subject], Html]]] = [
         ("state", lambda s: state_mark(s.run.state)),
         ("verdict", verdict),

@@ -124,7 +124,7 @@ class ExperimentResult:
 
 @dataclass(frozen=True)
 class SearchProgress:
-    """State of the search. rungs: V of the reference models, null without a score."""
+    """State of the search. references: V of the reference models, null without a score."""
 
     run: str
     problem: str
@@ -137,7 +137,7 @@ class SearchProgress:
     budget: int
     remaining: int
     best: Best | None
-    rungs: dict[str, float | None]
+    references: dict[str, float | None]
     notes: tuple[str, ...]
     """Notes of the user to the agent."""
     running: int | None
@@ -156,7 +156,7 @@ class SearchProgress:
             budget=view.leg_end,
             remaining=max(0, view.leg_end - len(view.finished)),
             best=Best(best.number, best.score.value) if best and best.score else None,
-            rungs={r.name: getattr(r.outcome, "value", None) for r in view.rungs},
+            references={r.name: getattr(r.outcome, "value", None) for r in view.references},
             notes=tuple(note.text for note in view.notes),
             running=view.pending.number if view.pending is not None else None,
         )

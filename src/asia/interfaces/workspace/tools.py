@@ -44,10 +44,11 @@ from asia.judge.scoring.residuals import (
     with_input,
     with_own_past,
 )
+from asia.problem.folds import Block, Fold, make_folds, whole
 from asia.problem.load import load_problem
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
-from asia.problem.protocol import Block, Fold, FoldRule, Group, ProtocolRule, make_folds, whole
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
 from asia.report import draw_cases
 from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
 
@@ -93,7 +94,7 @@ class LocalFold:
         """Return the operating ranges in which the model is too high or too low, on the held-out or
         on the training part.
         """
-        blocks = self.fold.validation if held_out else self.training
+        blocks = self.fold.held_out if held_out else self.training
         y_hat = self.y_hat if held_out else self.training_y_hat
         u = [b.case.u for b in blocks]
         y = [without_gaps(b.y, found) for b, found in zip(blocks, y_hat, strict=True)]
@@ -128,8 +129,8 @@ def _evaluate_fold(
         if calls > VALIDATION_SCORES:
             raise RuntimeError(f"validation_score was called {VALIDATION_SCORES} times")
         try:
-            y_hat = simulate_held_out(_Simulator(model), fold.validation)
-            return rounded_score(score(fold.validation, y_hat).value)
+            y_hat = simulate_held_out(_Simulator(model), fold.held_out)
+            return rounded_score(score(fold.held_out, y_hat).value)
         except CandidateError as error:
             if error.reason is Reason.NOT_FINITE:
                 return float("inf")
@@ -153,13 +154,13 @@ def _evaluate_fold(
     model = restored(module.fit(train, known))
     seconds = time.monotonic() - begin
     simulator, training = _Simulator(model), whole(fold.train, rule)
-    y_hat = simulate_held_out(simulator, fold.validation)
+    y_hat = simulate_held_out(simulator, fold.held_out)
     training_y_hat = simulate_training(simulator.simulate_known, training, rule.horizon)
     return LocalFold(
         fold=fold,
         model=model,
         seconds=seconds,
-        score=score(fold.validation, y_hat),
+        score=score(fold.held_out, y_hat),
         training_score=score(training, training_y_hat),
         training=training,
         y_hat=y_hat,
@@ -210,7 +211,7 @@ def draw(
     for one in folds:
         cases += simulated_cases(one.fold, *some(one.training, one.training_y_hat), held_out=False)
         if held_out:
-            held = some(one.fold.validation, one.y_hat)
+            held = some(one.fold.held_out, one.y_hat)
             cases += simulated_cases(one.fold, *held, held_out=True)
     shown = SimulatedCases(
         title=title,
@@ -284,7 +285,7 @@ def tables(
     # The correlations as the picture draws them: all folds together, the held-out part if shown.
     where = "held-out" if held_out else "training"
     yield f"correlation of the residuals, {where} part, all folds together, 99 % bands"
-    blocks = [b for one in folds for b in (one.fold.validation if held_out else one.training)]
+    blocks = [b for one in folds for b in (one.fold.held_out if held_out else one.training)]
     y_hat = [y for one in folds for y in (one.y_hat if held_out else one.training_y_hat)]
     errors = [without_gaps(b.y, y) - y for b, y in zip(blocks, y_hat, strict=True)]
     for k, output in enumerate(problem.outputs):

@@ -27,7 +27,7 @@ from asia.judge.evaluation.results import FoldResult, mean_simulation
 from asia.judge.scoring.description import LiteralCheck, gained_bits, guard_gap
 from asia.judge.scoring.outcome import Failure, Score, combine, score_fold
 from asia.literals import Literals, literals, merged, perturbed
-from asia.problem.protocol import Block
+from asia.problem.folds import Block
 
 COLLAPSE = 0.5
 """Bits by which the error of a fold grows where literals decide it: a factor of 1.41."""
@@ -115,7 +115,7 @@ def check_literals(
     """
     own, known = literals_of(source), literals_of(standard.source)
     bits = own.bits_beyond(known, library_literals())
-    y = [[block.y for block in fold.validation] for fold in evaluator.data.folds]
+    y = [[block.y for block in fold.held_out] for fold in evaluator.data.folds]
     gain = gained_bits(y, standard.y_hats, [fold.y_hat for fold in folds])
     found = LiteralCheck(standard.experiment, bits, gain)
     if SuspicionKind.LITERALS in evaluator.without or (found.affordable and not doubted):

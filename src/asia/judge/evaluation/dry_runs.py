@@ -15,7 +15,8 @@ from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.requests import spread
 from asia.judge.evaluation.results import same_simulations
 from asia.judge.scoring.outcome import Failure
-from asia.problem.protocol import Fold, ProtocolRule, whole
+from asia.problem.folds import Fold, whole
+from asia.problem.protocol import ProtocolRule
 
 _LONGEST_SECONDS = 120.0
 _SHARE = 0.25
@@ -154,7 +155,7 @@ def dry_run(evaluator: Evaluator, short: DryFold, source: str, limit_seconds: fl
     else:
         first = evaluation.folds[0]
         try:
-            again = evaluator.models.simulate(source, [first.model], short.fold.validation)
+            again = evaluator.models.simulate(source, [first.model], short.fold.held_out)
             if not same_simulations(again, [first.y_hat]):
                 failure = Failure(Reason.NOT_REPRODUCIBLE)
         except CandidateError as error:

@@ -51,7 +51,8 @@ from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import Failure, combine
 from asia.judge.scoring.residuals import ranges_of
 from asia.lowering.program import LoweredModel
-from asia.problem.protocol import Block, Fold, ProtocolRule, whole
+from asia.problem.folds import Block, Fold, whole
+from asia.problem.protocol import ProtocolRule
 
 T = TypeVar("T")
 _Ask: TypeAlias = Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]]
@@ -330,7 +331,7 @@ class Evaluator:
                 without=self._options.without, rounding=0.0,
             )  # fmt: skip
             try:
-                found = self.models.ask(source, result.model, fold.validation, result.y_hat, ask)
+                found = self.models.ask(source, result.model, fold.held_out, result.y_hat, ask)
             except CandidateError as error:
                 return Failure(error.reason, error.detail, place)
             return objection_to(found, place)
@@ -445,10 +446,10 @@ class Evaluator:
         if horizon is None or SuspicionKind.STRANGERS in self._options.without:
             return
         ask = partial(
-            strangers, secret=self.models.secret_of(fold.validation), scale=fold.scale,
+            strangers, secret=self.models.secret_of(fold.held_out), scale=fold.scale,
             rounding=0.0, most=_STRANGERS_ASKED,
             seed=self.models.check_seed(source, fold.index, "strangers"),
         )  # fmt: skip
-        failure = objection_to(self.models.ask(source, model, fold.validation, y_hat, ask), None)
+        failure = objection_to(self.models.ask(source, model, fold.held_out, y_hat, ask), None)
         if failure is not None:
             raise CandidateError(failure.reason, failure.detail)

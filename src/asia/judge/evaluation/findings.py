@@ -21,9 +21,10 @@ from asia.judge.scoring.residuals import (
     diagnose,
     signed_residuals,
 )
+from asia.problem.folds import Fold, whole
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold, ProtocolRule, whole
+from asia.problem.protocol import ProtocolRule
 
 _MOST_RESIDUALS = 120
 
@@ -60,7 +61,7 @@ def fold_result(
         CandidateError: for outputs that are not finite or too large to analyse
     """
     inside = whole(fold.train, rule)
-    y, train_y = [b.y for b in fold.validation], [b.y for b in inside]
+    y, train_y = [b.y for b in fold.held_out], [b.y for b in inside]
     in_parts = rule.ladder is not None
     score = score_fold(y, fitted.y_hat, fold.scale, rule.metric, in_parts=in_parts)
     train = score_fold(train_y, fitted.train_y_hat, fold.scale, rule.metric)
@@ -106,8 +107,8 @@ def _held_out_residuals(
 ) -> tuple[SignedResidual, ...]:
     if rule.residuals == "train":
         return ()
-    u = [b.case.u for b in fold.validation]
-    y = [without_gaps(b.y, one) for b, one in zip(fold.validation, fitted.y_hat, strict=True)]
+    u = [b.case.u for b in fold.held_out]
+    y = [without_gaps(b.y, one) for b, one in zip(fold.held_out, fitted.y_hat, strict=True)]
     return signed_residuals(u, y, fitted.y_hat, fold.scale, ranges)[:_MOST_RESIDUALS]
 
 
@@ -126,7 +127,7 @@ def _step_errors(fold: Fold, y_hat: Sequence[Array], rule: ProtocolRule) -> tupl
     for step in rule.test.horizons:
         y, simulated = (
             [one[step - 1 : step] for one in parts]
-            for parts in ((block.y for block in fold.validation), y_hat)
+            for parts in ((block.y for block in fold.held_out), y_hat)
         )
         found.append(StepErrors(step, _errors(y, simulated, fold.scale, rule)))
     return tuple(found)

@@ -12,7 +12,7 @@ from asia.data.trajectory import Array
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import score_outputs
 from asia.judge.scoring.outcome import Outcome
-from asia.problem.protocol import Block, Fold
+from asia.problem.folds import Block, Fold
 
 Rates = tuple[int | None, ...]
 
@@ -93,7 +93,7 @@ def score_references(
         truth: one (T, ny) array a training record
     """
     folds, horizon = evaluator.data.folds, evaluator.data.horizon
-    past = len(folds[0].validation[0].case.past_y)
+    past = len(folds[0].held_out[0].case.past_y)
     simulations: dict[str, Callable[[Fold, Block], Array]] = {
         MEAN_REFERENCE: training_mean,
         # The training mean where the protocol gives no past output.
@@ -112,7 +112,7 @@ def score_references(
             )
 
     def score(simulate: Callable[[Fold, Block], Array]) -> Outcome:
-        outputs = [[simulate(fold, block) for block in fold.validation] for fold in folds]
+        outputs = [[simulate(fold, block) for block in fold.held_out] for fold in folds]
         return score_outputs(folds, outputs, metric)
 
     for name, simulate in simulations.items():

@@ -24,7 +24,7 @@ from asia.judge.evaluation.requests import (
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, FoldResult, consistency
 from asia.judge.sandbox.worker.prefixes import SHORT, chunk_ends
 from asia.judge.scoring.outcome import Failure
-from asia.problem.protocol import Block
+from asia.problem.folds import Block
 
 TINY, COARSE = 1e-6, 1e-2
 STARTS = 4

@@ -39,7 +39,8 @@ from asia.judge.sandbox.availability import layers_in_force, open_worker, why_no
 from asia.judge.sandbox.standby import StandbyWorkers
 from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
-from asia.problem.protocol import Fold, ProtocolRule, whole
+from asia.problem.folds import Fold, whole
+from asia.problem.protocol import ProtocolRule
 
 _LOOK_SECONDS = 0.5
 _KEPT_SECONDS = 60.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from asia.data.trajectory import Array, filled
 from asia.judge.scoring.outcome import check_reply
-from asia.problem.protocol import Block
+from asia.problem.folds import Block
 
 MOST_TRAINING_WINDOWS = 256
 MOST_SESSIONS = 16

@@ -16,7 +16,7 @@ from asia.errors import CandidateError
 from asia.judge.evaluation.training_checks import TrainingCheck
 from asia.judge.scoring.outcome import Failure, FoldScore, Outcome, combine, score_fold
 from asia.judge.scoring.residuals import Diagnostics, SignedResidual
-from asia.problem.protocol import Fold
+from asia.problem.folds import Fold
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def score_outputs(
 ) -> Outcome:
     """Score given simulations, one (H, ny) array a held-out block of each fold."""
     scores = [
-        score_fold([b.y for b in fold.validation], y_hat, fold.scale, metric, in_parts=in_parts)
+        score_fold([b.y for b in fold.held_out], y_hat, fold.scale, metric, in_parts=in_parts)
         for fold, y_hat in zip(folds, outputs, strict=True)
     ]
     return combine(scores)

@@ -14,10 +14,14 @@ from asia.candidate import Context
 from asia.data.trajectory import Array, filled
 from asia.judge.evaluation.requests import spread
 from asia.judge.scoring.checks.check import Verdict
-from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
 from asia.judge.scoring.checks.residual import residual_checks
 from asia.judge.scoring.checks.response import check_frequency_response, check_gain
-from asia.problem.protocol import Block
+from asia.judge.scoring.checks.validation_data import (
+    SimulatedBlock,
+    SimulatedBlocks,
+    without_responses,
+)
+from asia.problem.folds import Block
 
 _MOST_SAMPLES, _MOST_OUTPUTS, _MOST_INPUTS = 2000, 2, 4
 _FEWEST_SAMPLES = 200
@@ -66,7 +70,8 @@ def training_checks(
         tuple(context.outputs[k].name for k in outputs),
         context.sampling_time,
     )  # fmt: skip
-    checks = (*residual_checks(found), check_gain(found), check_frequency_response(found, ()))
+    data = without_responses(found)
+    checks = (*residual_checks(data), check_gain(data), check_frequency_response(data))
     raised = [c for c in checks if c.verdict in (Verdict.DOUBT, Verdict.FAIL)]
     raised.sort(key=lambda c: -c.weight)
     return tuple(TrainingCheck(c.name, c.verdict, c.sentence, round(c.weight, 4)) for c in raised)

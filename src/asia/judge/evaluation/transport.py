@@ -23,7 +23,8 @@ from asia.errors import CandidateError, Reason, SandboxError, UserError
 from asia.judge.evaluation.findings import Fitted
 from asia.judge.evaluation.requests import secret_of, sessions
 from asia.judge.sandbox.types import FitReply, Isolation, Limits, WorkerKilledError
-from asia.problem.protocol import Block, Case, Fold, ProtocolRule
+from asia.problem.folds import Block, Case, Fold
+from asia.problem.protocol import ProtocolRule
 
 _HEAD_BYTES = 8
 
@@ -92,7 +93,7 @@ class FoldAnswer:
 
 def fold_data(fold: Fold, rule: ProtocolRule) -> FoldData:
     """Collect the data of a fold: everything but the outputs that it holds out."""
-    blocks = fold.validation
+    blocks = fold.held_out
     return FoldData(
         train=fold.train,
         cases=tuple(block.case for block in blocks),

@@ -13,7 +13,8 @@ from asia.judge.evaluation.requests import simulate_held_out
 from asia.judge.sandbox.types import ScoreRefusedError
 from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import score_fold
-from asia.problem.protocol import Fold, ProtocolRule
+from asia.problem.folds import Fold
+from asia.problem.protocol import ProtocolRule
 
 LARGEST_SCORE = 100.0
 
@@ -63,7 +64,7 @@ class Oracle:
                 self._worker = self._stack.enter_context(self.open_worker())
             self._worker.answer_by(deadline)
             self._worker.load(self.source, model, self.context)
-            blocks = self.fold.validation
+            blocks = self.fold.held_out
             y_hat = simulate_held_out(self._worker, blocks)
             score = score_fold([b.y for b in blocks], y_hat, self.fold.scale, self.rule.metric)
             return rounded_score(score.value)

@@ -37,7 +37,8 @@ class Around:
         put in.
 
         Raises:
-            ValueError: if these are not the records of the fit.
+            ValueError: if these are not the records of the fit, or the measured stretches are too
+                short, see `uncertainty.sandwich`.
         """
         # Import of JAX, which a trained model does not need.
         from asia.models._equations.programs import CompiledSimulator
@@ -63,11 +64,13 @@ class Around:
         )
         theta = error.theta0
         e, jacobian, nuisance = error.jacobians(theta)
-        lengths = (self.segments.mask > 0).sum(axis=1)
-        residuals, jacobians, own = (
+        # A segment ends at its last measured sample; padding follows.
+        lengths = [int(np.flatnonzero(mask > 0)[-1]) + 1 for mask in segments.mask]
+        residuals, jacobians, own, masks = (
             [part[:length] for part, length in zip(values, lengths, strict=True)]
-            for values in (e, jacobian, nuisance)
+            for values in (e, jacobian, nuisance, segments.mask)
         )
+        gaps = any((mask <= 0).any() for mask in masks)
         held, known, weight = error.penalties(theta)
         covariance = uncertainty.sandwich(
             residuals,
@@ -75,6 +78,7 @@ class Around:
             held,
             own if nuisance.shape[-1] else None,
             uncertainty.PriorPenalty(known, weight),
+            masks if gaps else None,
         )
         ranges = dict(zip(structure.equations.parameters, structure.ranges, strict=False))
         learned = zip(structure.learned.names, structure.learned.positive, strict=True)

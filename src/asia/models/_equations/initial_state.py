@@ -19,11 +19,19 @@ from asia.models._equations.simulate import (
     sample_by_sample,
     simulate,
 )
-from asia.models._least_squares import LevenbergMarquardt, NormalEquations, minimise, traced_minimum
+from asia.models._least_squares import (
+    LevenbergMarquardt,
+    NormalEquations,
+    minimise,
+    solve,
+    traced_minimum,
+)
 
 _METHOD = LevenbergMarquardt(iterations=12, damping=1e-3, tolerance=1e-10)
 # Step of fourth-order differences, in units of the initial state's deviation.
 _STEP = 1e-3
+# Greatest change of a coordinate by the last step, in the same units.
+_SETTLED = 1e-3
 _WEIGHTS = {1: 8.0, -1: -8.0, 2: -1.0, -2: 1.0}
 
 
@@ -170,4 +178,10 @@ def case_start(
         shift = minimise(cost, linearise, start, _METHOD).theta
     else:
         shift = traced_minimum(cost, linearise, start, _METHOD)
+    # Near the minimum rounding decides whether a step lowers the cost. This last step needs no such
+    # decision, so that printed programs start from the same state.
+    last = linearise(shift)
+    step = solve(last.gram, last.gradient)
+    small = abs(step).max(axis=1, keepdims=True) < _SETTLED
+    shift = xp.where(small, shift - step, shift)
     return expected + deviation[:, None] * shift.T, inputs

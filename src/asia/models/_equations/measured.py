@@ -20,7 +20,7 @@ from asia.models._equations.ode import Equations, equations
 from asia.models._equations.simulate import physical_parameters
 from asia.models._networks.network import NetworkModel
 from asia.models._networks.structure import Float32, Params, cast_tree
-from asia.models._numerics.records import Scaling
+from asia.models._numerics.scaling import Scaling
 from asia.problem.physics import Bounds, Name
 from asia.problem.symmetry import group
 

@@ -23,7 +23,7 @@ from asia.models._config import Progress
 from asia.models._equations.measured import MeasuredCell
 from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEquations, minimise
 from asia.models._networks.structure import Params, rollout
-from asia.models._numerics.records import HorizonWindows
+from asia.models._numerics.training_records import HorizonWindows
 
 Judge = Callable[[Params], float]
 

@@ -12,7 +12,7 @@ from asia.models._equations.simulate import physical_parameters
 from asia.models._equations.starts import RecordSegments, Starts
 from asia.models._least_squares import NormalEquations
 from asia.models._noise.model import ErrorWeighting, huber_root
-from asia.models._numerics.records import Indices
+from asia.models._numerics.training_records import Indices
 
 if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator

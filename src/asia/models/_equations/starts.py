@@ -12,7 +12,7 @@ from asia.data.trajectory import Array, Trajectory
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales, WindowPrior
 from asia.models._least_squares import Minimum
-from asia.models._numerics.records import measured_samples, rows, side_by_side, spread
+from asia.models._numerics.training_records import measured_samples, rows, side_by_side, spread
 
 # Starting points of the fit of a grey-box: records cut to segments, draws, screening, scales.
 

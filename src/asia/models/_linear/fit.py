@@ -32,16 +32,16 @@ from asia.models._noise.model import (
     settled,
 )
 from asia.models._numerics.encoder import BlockedRidge, Encoder, window_encoder
-from asia.models._numerics.records import (
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
-    Scaling,
     contiguous_splits,
+    measured_samples,
     past_length,
-    refuse_gaps,
+    past_windows,
     side_by_side,
     window_rows,
-    windows,
 )
 
 # Starts for a linear state-space fit: (A, C) from subspace and realisation methods.
@@ -324,7 +324,7 @@ def choose_order(
     for kept, left in contiguous_splits(records, 3, 2 * past + 4 * max_order):
         long = [r for r in kept if len(r) > past]
         rows = window_rows(long, context)
-        shown = [windows(r, context)[at] for r, at in zip(long, rows, strict=True)]
+        shown = [past_windows(r, context)[at] for r, at in zip(long, rows, strict=True)]
         splits.append((kept, left, BlockedRidge(np.concatenate(shown))))
     errors: list[float] = []
     least = min(max(1, refinement.integrators), max_order)
@@ -360,7 +360,7 @@ def unseen_error(
     """
     start, total = past_length(context), 0.0
     for r in (r for r in records if len(r) > start):
-        x0 = encoder(windows(r, context)[:1])
+        x0 = encoder(past_windows(r, context)[:1])
         _, y = fitted.system.simulate(x0, r.u[None, start:])
         total += float((r.counts[start:, None] * (y[0] - r.y[start:]) ** 2).sum())
     return total
@@ -554,19 +554,19 @@ class ScaledRecord:
 
     u: Array  # (T, nu)
     y: Array  # (T, ny)
+    counts: Array  # (T,): 1 where every output was measured, else 0
 
 
 def delayed_records(
     trajectories: Sequence[Trajectory], scaling: Scaling, delay: int
 ) -> list[ScaledRecord]:
-    """Scale and delay records, without the samples whose delayed input was not measured.
-
-    Raises:
-        ValueError: if outputs were not measured.
-    """
-    refuse_gaps(trajectories)
+    """Scale and delay records, without the samples whose delayed input was not measured."""
     return [
-        ScaledRecord(scaling.inputs(t.u)[: len(t) - delay], scaling.outputs(t.y)[delay:])
+        ScaledRecord(
+            scaling.inputs(t.u)[: len(t) - delay],
+            scaling.outputs(t.y)[delay:],
+            measured_samples(t)[delay:],
+        )
         for t in trajectories
     ]
 
@@ -584,8 +584,8 @@ def system_estimates(
         report: computes the quantities from a system.
 
     Raises:
-        ValueError: for a system of too many numbers, and if the simulation error of the records has
-            no minimum at the system.
+        ValueError: for a system of too many numbers, if the simulation error of the records has
+            no minimum at the system, and where `uncertainty.sandwich` raises it.
     """
     n, shapes = system.order, [part.shape for part in system.matrices]
     theta = np.concatenate([part.ravel() for part in system.matrices])
@@ -598,16 +598,19 @@ def system_estimates(
         rest = np.zeros((n, *record.u.shape))
         responses.append(undisturbed.simulate(np.eye(n), rest)[1].transpose(1, 2, 0))
         forced = system.simulate(np.zeros((1, n)), record.u[None])[1][0]
-        flat = responses[-1].reshape(-1, n)
-        starts.append(np.linalg.lstsq(flat, (record.y - forced).ravel())[0])
+        here = record.counts > 0
+        flat = responses[-1][here].reshape(-1, n)
+        starts.append(np.linalg.lstsq(flat, (record.y - forced)[here].ravel())[0])
 
     def residuals(theta: Array) -> list[Array]:
         other = LinearSystem(*unpacked(theta, shapes))
         return [_errors(other, record, x0) for record, x0 in zip(records, starts, strict=True)]
 
     found, slopes = uncertainty.jacobians_of(residuals, theta)
-    covariance = uncertainty.sandwich(found, slopes, nuisance=responses)
-    step = -covariance.information @ uncertainty.gradient(found, slopes, responses)
+    gaps = any((record.counts <= 0).any() for record in records)
+    masks = [record.counts for record in records] if gaps else None
+    covariance = uncertainty.sandwich(found, slopes, nuisance=responses, measured=masks)
+    step = -covariance.information @ uncertainty.gradient(found, slopes, responses, masks)
     errors = np.sqrt(np.maximum(np.diagonal(covariance.matrix), 0.0))
     if np.any(np.abs(step) > _NEAR * errors + 1e-12):
         raise ValueError("the fit is no minimum of the simulation error of these records")

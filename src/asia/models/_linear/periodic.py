@@ -24,7 +24,13 @@ from asia.models._least_squares import (
 from asia.models._linear.fit import Observability
 from asia.models._linear.system import LinearSystem, Spectrum, unpacked
 from asia.models._numerics.encoder import Encoder, fit_encoder
-from asia.models._numerics.records import Indices, ScaledData, past_length, spread, windows_before
+from asia.models._numerics.training_records import (
+    Indices,
+    ScaledData,
+    past_length,
+    past_windows_before,
+    spread,
+)
 
 # Excited lines of periodic records, with all realisations compressed to few columns.
 
@@ -343,11 +349,11 @@ def fit_periodic(
     width = max(1, context.n_past_u * context.nu + context.n_past_y * context.ny)
     most = min(_MOST_WINDOWS, _WINDOW_NUMBERS // width) // len(records) + 1
     rows: list[Indices] = [past + spread(len(r) - past, most) for r in records]
-    features = [windows_before(r, at, context) for r, at in zip(records, rows, strict=True)]
-    targets = [
+    features = [past_windows_before(r, at, context) for r, at in zip(records, rows, strict=True)]
+    responses = [
         (x * scale)[(at - s.first) % len(x)] for x, at, s in zip(states, rows, steady, strict=True)
     ]
-    return found.transformed(np.diag(scale)), fit_encoder(features, targets)
+    return found.transformed(np.diag(scale)), fit_encoder(features, responses)
 
 
 def _chosen_order(lines: ExcitedLines, max_order: int, tolerance: float) -> int | None:

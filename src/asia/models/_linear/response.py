@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from asia.data.trajectory import Array
 from asia.models._linear.system import LinearSystem, Powers, Spectrum, transform_size
 from asia.models._noise.model import ErrorWeighting
-from asia.models._numerics.records import ScaledData
+from asia.models._numerics.training_records import ScaledData
 
 # Response of a linear system on long records, block by block.
 #

@@ -24,7 +24,6 @@ from asia.models._networks.objective import (
     started,
 )
 from asia.models._networks.structure import Cell, NetworkStructure, Params, Penalised
-from asia.models._numerics.records import PaddedBatch
 from asia.models._numerics.segments import (
     Places,
     Simulations,
@@ -35,6 +34,7 @@ from asia.models._numerics.segments import (
     tracks,
     whole,
 )
+from asia.models._numerics.training_records import PaddedBatch
 from asia.models.methods import Adam
 
 

@@ -19,8 +19,8 @@ from asia.models._networks.adam import joined, merged, split
 from asia.models._networks.monitor import Monitor, marks
 from asia.models._networks.objective import NoiseWeighting, Number, objective
 from asia.models._networks.structure import NetworkStructure, Params, rollout
-from asia.models._numerics.records import PaddedBatch
 from asia.models._numerics.segments import Simulations, laid, whole
+from asia.models._numerics.training_records import PaddedBatch
 from asia.models.methods import LBFGS, Loss
 
 Vector: TypeAlias = np.ndarray[Any, Any]

@@ -27,9 +27,10 @@ from asia.models._networks.structure import (
     rollout,
     trace,
 )
-from asia.models._numerics.records import ScaledData, Scaling, batch, check, window
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import laid, whole
 from asia.models._numerics.symmetry import SignalTransformations, TransformedRecords
+from asia.models._numerics.training_records import ScaledData, batch, check, flat_past
 from asia.models._steps import mean
 from asia.models.methods import NetworkMethod
 
@@ -127,7 +128,7 @@ class NetworkModel:
         if self.turns is not None:
             return self.turns.initial(replace(self, turns=None), past_u, past_y, u)
         scaling, cell = self._scaling(), self._sequential()
-        past = window(scaling.inputs(past_u), scaling.outputs(past_y)).astype(np.float32)
+        past = flat_past(scaling.inputs(past_u), scaling.outputs(past_y)).astype(np.float32)
         begin = cell.initial if isinstance(cell, Cell) else cell.begin
         return [begin(params, past) for params in self._members(past)]
 
@@ -167,7 +168,7 @@ class NetworkModel:
 
     def _simulated(self, past_u: Array, past_y: Array, u: Array) -> Array:
         scaling = self._scaling()
-        past = window(scaling.inputs(past_u), scaling.outputs(past_y))
+        past = flat_past(scaling.inputs(past_u), scaling.outputs(past_y))
         arrays = past.astype(np.float32), scaling.inputs(u).astype(np.float32)
         members = (self.params, *self.others)
         outputs = [np.asarray(outputs_of(self.cell, p, *arrays), np.float64) for p in members]

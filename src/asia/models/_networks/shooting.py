@@ -25,8 +25,8 @@ from asia.models._networks.objective import (
     started,
 )
 from asia.models._networks.structure import Cell, NetworkStructure, Params, SequenceMap
-from asia.models._numerics.records import PaddedBatch
 from asia.models._numerics.segments import Simulations, laid
+from asia.models._numerics.training_records import PaddedBatch
 from asia.models.methods import MultipleShooting
 
 _MEMORY = 0.98

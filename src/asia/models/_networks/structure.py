@@ -15,7 +15,7 @@ from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, complex_number, namespace, scan, sigmoid, split
 from asia.models._config import owner
-from asia.models._numerics.records import Scaling
+from asia.models._numerics.scaling import Scaling
 
 # Structures of networks, and their simulation.
 #

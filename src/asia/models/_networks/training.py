@@ -16,7 +16,8 @@ from asia.models._networks.monitor import Monitor, Scorer
 from asia.models._networks.objective import NoiseWeighting, error_of
 from asia.models._networks.structure import NetworkStructure, Params, rollout
 from asia.models._noise.model import LEAST_DEVIATION, NoiseChoice, estimate_noise
-from asia.models._numerics.records import (
+from asia.models._numerics.segments import Simulations, laid, whole
+from asia.models._numerics.training_records import (
     PaddedBatch,
     ScaledData,
     batch,
@@ -25,7 +26,6 @@ from asia.models._numerics.records import (
     holdout_records,
     reweighted,
 )
-from asia.models._numerics.segments import Simulations, laid, whole
 from asia.models.methods import LBFGS, Adam, NetworkMethod
 
 _error = jax.jit(error_of, static_argnums=(0, 1))

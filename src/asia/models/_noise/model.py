@@ -15,7 +15,7 @@ from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace, scan
 from asia.models._config import check_choice, demand, owner
-from asia.models._numerics.records import spread
+from asia.models._numerics.training_records import spread
 
 NoiseKind: TypeAlias = Literal["white", "slow"]
 
@@ -398,6 +398,7 @@ class ResidualProcess:
         residuals: Sequence[Array],
         jacobians: Sequence[Array],
         nuisance: Sequence[Array] | None = None,
+        stretches: Sequence[Sequence[slice]] | None = None,
     ) -> ResidualProcess:
         """Fit the processes to residuals.
 
@@ -405,17 +406,24 @@ class ResidualProcess:
             residuals: (T, ny) of each record.
             jacobians: derivatives (T, ny, P) of each record by all that was fitted to them.
             nuisance: derivatives (T, ny, Q) by the record's own unknowns.
+            stretches: those of each record that are used; None: all of it.
         """
         outputs = range(residuals[0].shape[1])
-        segments = [[e[:, i] for e in residuals] for i in outputs]
+        if stretches is None:
+            stretches = [[slice(None)]] * len(residuals)
+
+        def cut(parts: Sequence[Array]) -> list[Array]:
+            return [part[s] for part, own in zip(parts, stretches, strict=True) for s in own]
+
+        segments = [cut([e[:, i] for e in residuals]) for i in outputs]
         filters = tuple(burg(some) for some in segments)
         own = 0 if nuisance is None else nuisance[0].shape[-1] * len(nuisance)
         work = sum(e.size for e in residuals) * (jacobians[0].shape[-1] + own)
         lags = max(len(a) for a in filters) - 1
         restricted = work * lags <= _MOST_WORK and lags <= _MOST_RESTRICTED_LAGS
-        columns = [[np.zeros((len(e), 0)) for e in residuals] for _ in outputs]
+        columns = [[np.zeros((len(e), 0)) for e in segments[i]] for i in outputs]
         if restricted:
-            columns = [_columns(jacobians, nuisance, i) for i in outputs]
+            columns = [cut(_columns(jacobians, nuisance, i)) for i in outputs]
             filters = tuple(map(_restricted, filters, segments, columns))
         white: list[Array] = []
         for each in zip(filters, segments, columns, strict=True):

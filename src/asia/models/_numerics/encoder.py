@@ -13,14 +13,14 @@ import numpy as np
 from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models._arrays import AnyArray, namespace
-from asia.models._numerics.records import (
+from asia.models._numerics.training_records import (
     Indices,
     ScaledData,
     past_length,
+    past_windows,
+    past_windows_before,
     window_rows,
     window_size,
-    windows,
-    windows_before,
 )
 
 # Initial state from the past window, learned from a fitted model's own states.
@@ -172,7 +172,7 @@ def window_encoder(
         return _fitted_by_blocks(pairs, hidden, seed)
     each = list(zip(long, rows, strict=True))
     return fit_encoder(
-        [windows(records[i], context)[at] for i, at in each],
+        [past_windows(records[i], context)[at] for i, at in each],
         [np.concatenate(list(states_of(i)))[past:][at] for i, at in each],
         hidden,
         seed,
@@ -194,7 +194,7 @@ def _window_pairs(
                 chosen = at[begin:end] + past
             for k in range(0, len(chosen), _BLOCK):
                 some = chosen[k : k + _BLOCK]
-                yield windows_before(records[i], some, context), states[some - first]
+                yield past_windows_before(records[i], some, context), states[some - first]
             first = stop
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array, Trajectory
-from asia.models._numerics.records import ScaledData, ScaledTrajectory, past_length
 from asia.models._numerics.segments import ScaledSimulator
+from asia.models._numerics.training_records import ScaledData, ScaledTrajectory, past_length
 
 # Greatest assumed correlation of simulation errors in time.
 _MOST = 0.98

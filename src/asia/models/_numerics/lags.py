@@ -12,13 +12,13 @@ from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models._arrays import AnyArray, bounded, namespace, scan
 from asia.models._numerics.encoder import Encoder, fit_encoder
-from asia.models._numerics.records import (
+from asia.models._numerics.training_records import (
     ScaledData,
     ScaledTrajectory,
+    flat_past,
     past_length,
-    window,
+    past_windows,
     window_rows,
-    windows,
 )
 
 # Greatest number of windows in the regression of missing lags.
@@ -141,7 +141,7 @@ def fit_history(
         old_u = r.u[rows[:, None] - lags.past_inputs + np.arange(missing_u)]
         old_y = y[rows[:, None] - lags.outputs + np.arange(missing_y)]
         targets.append(np.concatenate([a.reshape(len(rows), -1) for a in (old_u, old_y)], axis=1))
-        features.append(np.concatenate([windows(r, context)[rows - past], r.u[rows]], axis=1))
+        features.append(np.concatenate([past_windows(r, context)[rows - past], r.u[rows]], axis=1))
     if sum(len(t) for t in targets) < 2:
         measured = max(0, lags.outputs - context.n_past_y)
         return History(lags, measured, missing_u, None)
@@ -149,7 +149,7 @@ def fit_history(
 
 
 def _features(past_u: AnyArray, past_y: AnyArray, first: AnyArray) -> AnyArray:
-    before = window(past_u, past_y)
+    before = flat_past(past_u, past_y)
     return namespace(before, first).concatenate([before, first], axis=1)
 
 

@@ -11,16 +11,16 @@ import numpy as np
 from asia.candidate import Context
 from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace
-from asia.models._numerics.records import (
+from asia.models._numerics.training_records import (
     PaddedBatch,
     ScaledData,
     contiguous_splits,
+    flat_past,
     laid_end_to_end,
     past_length,
     rows,
     side_by_side,
     spread,
-    window,
 )
 
 # Segments over which a model is simulated for its fit or choice, and the error on them.
@@ -260,4 +260,4 @@ def random_chunks(p: Places, length: int, count: int | None, key: AnyArray) -> S
 
     total = p.u.shape[1]
     past = (cut(values, values.shape[1] - total) for values in (p.past_u, p.past_y))
-    return Simulations(window(*past), *(cut(v, length) for v in (p.u, p.y, p.weight)))
+    return Simulations(flat_past(*past), *(cut(v, length) for v in (p.u, p.y, p.weight)))

@@ -12,7 +12,8 @@ from asia.candidate import Context, StepModel
 from asia.data.trajectory import Array, Mask, Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray
-from asia.models._numerics.records import ScaledData, ScaledTrajectory, Scaling, scaled
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import ScaledData, ScaledTrajectory, scaled
 from asia.models._steps import mean
 from asia.problem.symmetry import group, of_signals
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -16,7 +16,8 @@ from asia.models._arrays import tree_size
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
-from asia.models._numerics.records import ScaledData, ScaledTrajectory, Scaling
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import ScaledData, ScaledTrajectory
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.model import FittedStateSpace, past_fit, window_samples
 from asia.models._state_space.structure import StateSpaceStructure
@@ -109,19 +110,21 @@ def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: 
     return states
 
 
+def state_responses(system: LinearSystem, signals: Array) -> Array:
+    """Outputs (T, ny, s, n) to signals (T, s) that act on each state."""
+    found = np.empty((len(signals), len(system.c), signals.shape[1], system.order))
+    # The outputs to one signal on every state are the states of the dual system.
+    state, c = np.zeros(found.shape[1:]), system.c[:, None, :]
+    for k, signal in enumerate(signals):
+        found[k] = state
+        state = state @ system.a + signal[:, None] * c
+    return found
+
+
 def responses(system: LinearSystem, signals: Array) -> Array:
     """Outputs (T, ny, s, n + ny) to signals (T, s) that act on each state and on each output."""
-    length, s = signals.shape
-    n, ny = system.order, len(system.c)
-    found = np.zeros((length, ny, s, n + ny))
-    state = np.zeros((s * n, n))
-    each, at = np.tile(np.eye(n), (s, 1)), system.a.T
-    for k in range(length):
-        found[k, :, :, :n] = (system.c @ state.T).reshape(ny, s, n)
-        state = state @ at + np.repeat(signals[k], n)[:, None] * each
-    for i in range(ny):
-        found[:, i, :, n + i] = signals
-    return found
+    direct = signals[:, None, :, None] * np.eye(len(system.c))[:, None, :]
+    return np.concatenate([state_responses(system, signals), direct], axis=-1)
 
 
 def _linear_terms(system: LinearSystem, record: ScaledTrajectory) -> Array:
@@ -257,25 +260,41 @@ class RegressorSearch:
         right-hand side and the mean square of the residual to explain."""
         if not candidates:
             return []
-        h, n_act = self.structure.hidden, self.structure.order + self.structure.ny
-        size = h * n_act
+        h, n, ny = self.structure.hidden, self.structure.order, self.structure.ny
+        size = h * (n + ny)
         grams = [np.zeros((size, size)) for _ in candidates]
         sides = [np.zeros(size) for _ in candidates]
         power, samples = 0.0, 0
         for r in self.records:
+            weight = r.weight[:, None]
             units = [
                 np.tanh(r.read(d, o) @ layer["w1"] + layer["b1"]) for d, o, layer in candidates
             ]
-            every = responses(self.system, np.hstack(units))
-            weight = np.repeat(r.weight, self.structure.ny)[:, None]
             rest = r.residual.ravel()
             rest = rest - r.basis @ (r.basis.T @ rest)
             power, samples = power + float(rest @ rest), samples + len(rest)
-            for i in range(len(candidates)):
-                columns = every[:, :, i * h : (i + 1) * h].reshape(len(rest), size) * weight
-                columns -= r.basis @ (r.basis.T @ columns)
-                grams[i] += columns.T @ columns
-                sides[i] += columns.T @ rest
+            on_states = state_responses(self.system, np.hstack(units)) * weight[..., None, None]
+            on_states = on_states.reshape(len(rest), -1)
+            for i, unit in enumerate(units):
+                # Columns of signals on states, and of the same signals on each of the outputs.
+                columns, signals = on_states[:, i * h * n : (i + 1) * h * n], unit * weight
+                known = r.basis.T @ columns
+                side = np.empty((h, n + ny))
+                gram = np.zeros((h, n + ny, h, n + ny))
+                side[:, :n] = (columns.T @ rest).reshape(h, n)
+                gram[:, :n, :, :n] = (columns.T @ columns - known.T @ known).reshape(h, n, h, n)
+                inner = signals.T @ signals
+                direct = [r.basis[o::ny].T @ signals for o in range(ny)]
+                for o in range(ny):
+                    side[:, n + o] = signals.T @ rest[o::ny]
+                    both = columns[o::ny].T @ signals - known.T @ direct[o]
+                    gram[:, :n, :, n + o] = both.reshape(h, n, h)
+                    gram[:, n + o, :, :n] = both.reshape(h, n, h).transpose(2, 0, 1)
+                    gram[:, n + o, :, n + o] = inner
+                    for other in range(ny):
+                        gram[:, n + o, :, n + other] -= direct[o].T @ direct[other]
+                grams[i] += gram.reshape(size, size)
+                sides[i] += side.ravel()
         mean = [np.trace(g) / size for g in grams]
         return [
             ((g + _RIDGE * m * np.eye(size)) / samples, s / samples, power / samples)
@@ -407,6 +426,8 @@ class _Starts:
 _LINEAR, _FUNCTIONS = ("a", "b", "c", "d", "offset"), ("f", "read", "act")
 # Share of the iterations that every start gets, and number of starts that are continued.
 _TRIED, _GO_ON = 0.25, 2
+# Samples up to which compiling a program takes longer than running it with more states.
+_WIDENED = 4000
 
 
 class LinearCore(NamedTuple):
@@ -430,12 +451,51 @@ class FeedbackOptions:
     pieces: bool  # Begin the fits with short segments of the records
 
 
+@dataclass(frozen=True)
+class _Widening:
+    """States without effect that are added before the integrators, so that models of several orders
+    share compiled programs. They stay without effect: all derivatives by their entries are zero."""
+
+    structure: StateSpaceStructure  # Model without them
+    more: int  # Number of added states
+
+    @property
+    def wide(self) -> StateSpaceStructure:
+        """Model with them."""
+        return replace(self.structure, order=self.structure.order + self.more)
+
+    def widened(self, params: dict[str, Any]) -> dict[str, Any]:
+        """Parameters, or initial states "x0", with zeros for the added states."""
+        at = [self.structure.order - self.structure.integrators] * self.more
+        return {
+            name: self._along(name, value, lambda v, axis: np.insert(v, at, 0.0, axis=axis))
+            for name, value in params.items()
+        }
+
+    def narrowed(self, params: dict[str, Any]) -> dict[str, Any]:
+        """The same without the added states."""
+        first = self.structure.order - self.structure.integrators
+        gone = range(first, first + self.more)
+        return {
+            name: self._along(name, value, lambda v, axis: np.delete(v, gone, axis=axis))
+            for name, value in params.items()
+        }
+
+    @staticmethod
+    def _along(name: str, value: Any, change: Callable[[Array, int], Array]) -> Any:
+        """Change each axis of a parameter that counts states."""
+        axes = {"a": (0, 1), "b": (1,), "c": (0,), "read": (0,), "act": (1,), "x0": (1,)}
+        for axis in axes.get(name, ()):
+            value = change(value, axis)
+        return value
+
+
 class _Fit(NamedTuple):
     """Unfinished fit."""
 
     core: LinearCore
     structure: StateSpaceStructure
-    start: dict[str, object]
+    start: dict[str, Any]
     now: StateFit
     expected_error: float  # Final prediction error: estimate of the error on new records
 
@@ -448,7 +508,7 @@ def fit_feedback(
     method: LevenbergMarquardt,
 ) -> FittedStateSpace:
     """Best of the fits from `method.starts` starts for each linear model."""
-    fits = _Fits(options, context, method)
+    fits = _Fits(options, context, method, max(core.found.system.order for core in cores))
     tried = sorted(
         (one for core in cores for one in fits.begun(core)), key=lambda t: t.expected_error
     )
@@ -471,9 +531,11 @@ class _Fits:
     """Fits of one model, with their common settings."""
 
     def __init__(
-        self, options: FeedbackOptions, context: Context, method: LevenbergMarquardt
+        self, options: FeedbackOptions, context: Context, method: LevenbergMarquardt, largest: int
     ) -> None:
+        """largest: greatest order of the linear models."""
         self.options, self.context, self.method = options, context, method
+        self.largest = largest
         first = max(1, round(_TRIED * method.iterations))
         self.first = replace(method, iterations=first, noise_model="white")
         self.rest = replace(method, iterations=max(0, method.iterations - first))
@@ -505,16 +567,21 @@ class _Fits:
         self,
         core: LinearCore,
         structure: StateSpaceStructure,
-        start: dict[str, object],
+        start: dict[str, Any],
         now: StateFit,
         method: LevenbergMarquardt,
     ) -> _Fit:
         """Continue a fit; the ridge holds it to its start."""
-        samples = of_records(core.records, core.found.x0)
-        one = fit_states(
-            structure, [start], samples, self._ridges(core), method, self.context.log,
-            self.context.sampling_time, [now.params], [now.x0],
+        short = sum(len(r) for r in core.records) <= _WIDENED
+        both = _Widening(structure, self.largest - structure.order if short else 0)
+        samples = of_records(core.records, both.widened({"x0": core.found.x0})["x0"])
+        wide = fit_states(
+            both.wide, [both.widened(start)], samples, self._ridges(core), method,
+            self.context.log, self.context.sampling_time, [both.widened(now.params)],
+            [both.widened({"x0": now.x0})["x0"]],
         )[0]  # fmt: skip
+        x0 = both.narrowed({"x0": wide.x0})["x0"]
+        one = wide._replace(params=both.narrowed(wide.params), x0=x0)
         count = sum(float(r.weight.sum()) for r in core.records) * structure.ny
         # Akaike's final prediction error penalises further states.
         p = min(float(tree_size(one.params)), 0.9 * count)

@@ -25,7 +25,7 @@ from asia.models._noise.model import (
     settled,
 )
 from asia.models._numerics.encoder import Encoder, window_encoder
-from asia.models._numerics.records import ScaledData, past_length, side_by_side
+from asia.models._numerics.training_records import ScaledData, past_length, side_by_side
 from asia.models._state_space.programs import CompiledEquations, StateSamples, chunked
 from asia.models._state_space.structure import StateSpaceStructure
 

@@ -26,17 +26,17 @@ from asia.models._linear.system import LinearSystem
 from asia.models._networks.network import outputs_of
 from asia.models._networks.structure import Cell, cast_tree
 from asia.models._numerics.encoder import Encoder, affine, fit_encoder
-from asia.models._numerics.records import (
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.symmetry import SignalTransformations
+from asia.models._numerics.training_records import (
     ScaledData,
-    Scaling,
     delayed,
+    flat_past,
     past_length,
-    window,
+    past_windows,
     window_rows,
     window_size,
-    windows,
 )
-from asia.models._numerics.symmetry import SignalTransformations
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models._steps import first_of_line, median, through_line
 from asia.models.methods import Adam
@@ -87,7 +87,7 @@ def past_fit(
     for record, x0, at in zip(records, fit.x0, window_rows(records, context), strict=True):
         if len(record) > skip:
             x, y = structure.simulate(fit.params, x0[None], record.u[None])
-            features.append(windows(record, context)[at])
+            features.append(past_windows(record, context)[at])
             states.append(x[0, skip - back : len(record) - back][at])
             errors.append((y[0] - record.y)[record.counts > 0])
     encoder = fit_encoder(features, states, hidden, context.seed)
@@ -210,7 +210,7 @@ class FittedStateSpace:
     def _starts(self, past: AnyArray, y: AnyArray, u: AnyArray) -> list[AnyArray]:
         """State of each member (B, n) at the first sample from z-scored past inputs (B, n_past_u,
         nu), past outputs y (B, n_past_y, ny) and the first input u (B, nu)."""
-        features = window(past, y)
+        features = flat_past(past, y)
         if self.structure.lags is not None:
             return [features @ self.structure.lags.selection()] * len(self.members)
         known = namespace(past, u).concatenate([past, u[:, None]], axis=1)

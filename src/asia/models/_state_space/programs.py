@@ -20,7 +20,7 @@ from asia.data.trajectory import Array
 from asia.models._arrays import Packing
 from asia.models._least_squares import NormalEquations
 from asia.models._noise.model import ErrorWeighting, InnovationFilter, huber_root
-from asia.models._numerics.records import padded
+from asia.models._numerics.training_records import padded
 from asia.models._state_space.structure import StateSpaceStructure
 
 # Limits on the numbers in the derivatives of one chunk, and of each of several chunks.

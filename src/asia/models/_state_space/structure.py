@@ -15,7 +15,7 @@ from asia.data.trajectory import Array
 from asia.models._arrays import AnyArray, bounded, namespace, relu, scan
 from asia.models._linear.fit import free_entries, held_entries
 from asia.models._linear.system import LinearSystem
-from asia.models._linear.windows import WindowLags, WindowPredictor
+from asia.models._linear.window_predictor import WindowLags, WindowPredictor
 
 # Elements of dry friction and of play in a discrete state-space model, for NumPy and JAX.
 #

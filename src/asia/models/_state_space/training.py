@@ -15,7 +15,8 @@ from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import Encoder
-from asia.models._numerics.records import ScaledData, Scaling, spread
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import ScaledData, spread
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.model import (
     PastFit,

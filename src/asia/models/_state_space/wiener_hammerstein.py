@@ -19,7 +19,7 @@ from asia.models._config import Progress
 from asia.models._least_squares import LevenbergMarquardt, NormalEquations, minimise
 from asia.models._linear.fit import Refinement, spread_poles
 from asia.models._linear.system import LinearSystem, unpacked
-from asia.models._numerics.records import ScaledData, ScaledTrajectory, holdout_masks
+from asia.models._numerics.training_records import ScaledData, ScaledTrajectory, holdout_masks
 from asia.models._state_space.structure import Coefficients, StateSpaceStructure
 
 # Wiener-Hammerstein structure: linear system, static function, linear system.
@@ -198,15 +198,15 @@ def _shared_start(
         return None
     one = one._replace(gain=one.gain / size)
     rows: list[Array] = []
-    targets: list[Array] = []
+    responses: list[Array] = []
     for r, middle in zip(records, middles, strict=True):
         v = middle / size
         through = two(np.concatenate([v, template.features(function, v)], axis=1))
         skip = min(_SETTLE, len(v) // 4)
         known = np.flatnonzero(r.counts[skip : len(v)] > 0) + skip
         rows.append(np.concatenate([through, np.ones((len(v), 1))], axis=1)[known])
-        targets.append(r.y[known])
-    x, y = np.concatenate(rows), np.concatenate(targets)
+        responses.append(r.y[known])
+    x, y = np.concatenate(rows), np.concatenate(responses)
     if not np.isfinite(x).all():
         return None
     ridge = 1e-6 * np.diag((x**2).sum(axis=0) + 1e-12)
@@ -570,15 +570,15 @@ def _start(
         # Tanh units whose centres cover the argument of unit size evenly.
         slope = np.full(hidden, max(1.0, 0.5 * hidden / _REACH))
         shift = -slope * np.linspace(-_REACH, _REACH, hidden + 2)[1:-1]
-        rows, targets = list[Array](), list[Array]()
+        rows, responses = list[Array](), list[Array]()
         for r, middle in zip(parts, middles, strict=True):
             v = middle[:, None] / size
             through = two(np.concatenate([v, np.tanh(v * slope + shift)], axis=1))
             skip = min(_SETTLE, len(v) // 4)
             known = np.flatnonzero(r.counts[skip:] > 0) + skip
             rows.append(np.concatenate([through, np.ones((len(v), 1))], axis=1)[known])
-            targets.append(r.y[known, 0])
-        x, y = np.concatenate(rows), np.concatenate(targets)
+            responses.append(r.y[known, 0])
+        x, y = np.concatenate(rows), np.concatenate(responses)
     if not np.isfinite(x).all():
         return None
     scale = np.sqrt((x**2).sum(axis=0)) + 1e-12

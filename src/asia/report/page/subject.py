@@ -12,8 +12,8 @@ from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Event
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold, make_folds
 from asia.report.page.html import ONE, Html, follow, join, tag, write_number
 
 
@@ -134,9 +134,9 @@ class Subject:
         """`#07`."""
         return self.number(experiment.proposed, "experiment", "number")
 
-    def rung(self, name: str) -> tuple[Event, float] | None:
+    def reference(self, name: str) -> tuple[Event, float] | None:
         """Return a reference model's event with its V; None without a score."""
-        for reference in self.view.rungs:
+        for reference in self.view.references:
             if reference.name == name and isinstance(reference.outcome, Score):
                 return reference, reference.outcome.value
         return None

@@ -203,7 +203,7 @@ def _levels(levels: Sequence[tuple[str, float]], across: Scale, up: Scale, size:
             at += 1
         taken.append(at)
         x, anchor = (across.end + 8, "start") if beside else (across.end, "end")
-        parts.append(_label(x, at, one_line(name, 26), anchor, "rung"))
+        parts.append(_label(x, at, one_line(name, 26), anchor, "reference"))
     return join(parts)
 
 

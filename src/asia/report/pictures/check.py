@@ -11,10 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from asia.data.frequency import FrequencyResponse
+from asia.data.relations import ALONE, PAIR
 from asia.data.trajectory import Array
 from asia.problem.check import InputDelay
+from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold, make_folds
 from asia.report.drawing.places import Stretch, TimeAxis, last_sample, lay_out, time_unit
 from asia.report.drawing.style import (
     BLUE,
@@ -121,7 +122,7 @@ def _tint_folds(
 def _spans(fold: Fold) -> dict[int, range]:
     """Return the held-out samples of each record, from the first to the last."""
     spans: dict[int, range] = {}
-    for block in fold.validation:
+    for block in fold.held_out:
         old = spans.get(block.record, range(block.start, block.stop))
         spans[block.record] = range(min(old.start, block.start), max(old.stop, block.stop))
     return spans
@@ -206,6 +207,9 @@ def draw_delays(problem: Problem, found: Sequence[InputDelay]) -> Figure:
         values = answer.delay.correlation[:lags]
         axes.vlines(np.arange(len(values)), 0.0, values, color=BLUE, lw=1.5)
         axes.axhspan(-answer.delay.band, answer.delay.band, color=INK, alpha=0.15, lw=0.0)
+        for times in (PAIR, ALONE):
+            edges = (-times * answer.delay.band, times * answer.delay.band)
+            axes.hlines(edges, 0, len(values) - 1, color=INK, lw=0.6, ls="--", alpha=0.5)
         lag = answer.delay.lag
         if lag is not None:
             axes.plot([lag], [answer.delay.correlation[lag]], "o", ms=4.0, color=ORANGE)
@@ -215,7 +219,11 @@ def draw_delays(problem: Problem, found: Sequence[InputDelay]) -> Figure:
         axes.set_ylabel(plain(name, 14))
     for axes, name in zip(grid[0], inputs, strict=True):
         axes.set_title(plain(name, 20))
-    figure.supxlabel("lag [samples]; grey: 99 % band; dot: the delay")
+    figure.supxlabel(
+        f"lag [samples]; grey: 99 % band; dashed: {PAIR:g} and {ALONE:g} times it\n"
+        f"dot: the delay, the first lag above {ALONE:g}, or above {PAIR:g} twice in a row",
+        fontsize="medium",
+    )
     entitle(figure, f"{plain(problem.name, 30)}: correlation of inputs with outputs, whitened")
     return figure
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,8 +17,8 @@ from asia.judge.scoring.residuals import Correlation, with_input, with_own_past
 from asia.ledger.events import Ablated
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment
+from asia.problem.folds import Fold
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold
 from asia.report.drawing.places import LOGARITHMIC_CHECKS
 from asia.report.drawing.style import (
     BLUE,
@@ -139,7 +140,7 @@ def _draw_check(axes: Axes, check: Check) -> float:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.set_title(f"{check.name}: {check.verdict}", color=_VERDICTS[check.verdict])
     axes.set_xlabel(check.axes[0])
-    axes.set_ylabel(check.axes[1])
+    axes.set_ylabel(fill(check.axes[1], 28))
     quiet_grid(axes)
     if len(curves) == 1:
         return 0.0
@@ -161,7 +162,7 @@ def draw_residuals(
     with 99 % bands; all held-out blocks together. Of many outputs those with the lowest fit."""
     assert experiment.score is not None
     outputs = fold_outputs(run.store, experiment, folds)
-    blocks = [b for fold in folds for b in fold.validation]
+    blocks = [b for fold in folds for b in fold.held_out]
     simulated = [y_hat for fold in outputs for y_hat in fold]
     residual = [
         without_gaps(b.y, y_hat) - y_hat for b, y_hat in zip(blocks, simulated, strict=True)

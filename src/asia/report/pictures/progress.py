@@ -72,7 +72,7 @@ def draw_progress(view: SearchView, metric: str, beside: Control | None = None) 
     """
     references = [
         (_REFERENCE_NAMES.get(r.name, plain(r.name, 24)), r.outcome.value)
-        for r in view.rungs
+        for r in view.references
         if isinstance(r.outcome, Score)
     ]
     if beside is not None and beside.value is not None:

@@ -14,13 +14,15 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from asia.data.trajectory import Array, Signal, spread_of
-from asia.judge.scoring.outcome import FoldScore, fit_index, mee_table
+from asia.judge.scoring.euclidean_error import mee_table
+from asia.judge.scoring.outcome import FoldScore, fit_index
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.run import Run
 from asia.ledger.view import Experiment
+from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
-from asia.problem.protocol import Fold, OutputGroup
+from asia.problem.protocol import OutputGroup
 from asia.report.comparison import PublishedMee
 from asia.report.drawing.places import Stretch, TimeAxis, last_sample, lay_out, time_unit
 from asia.report.drawing.style import (
@@ -256,7 +258,7 @@ def _fold_segments(
 ) -> list[Segment]:
     """The first records, or the windows with the least, the middle and the largest error over all
     outputs."""
-    blocks = fold.validation
+    blocks = fold.held_out
     chosen = [(block.case.name, k) for k, block in enumerate(blocks[:_MOST_SEGMENTS])]
     if problem.protocol.kind == "windows":
         chosen = []
@@ -308,7 +310,7 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble: TestedMode
         return Panel(f"{trajectory or 'Test'}{output}", error, problem.outputs[c], segments)
 
     use = run.view.refitted.use if run.view.refitted else None
-    title = f"Sealed test, opened once: experiment {opened.experiment}"
+    title = f"Sealed test: experiment {opened.experiment}"
     title += f", model to use: {use}" if use else ""
     if opened.horizon is None:
         channels = list(range(min(len(opened.channels), MOST_PANELS)))
@@ -481,8 +483,8 @@ def draw_horizon(
     for fold, y_hat in zip(folds, outputs, strict=True):
         groups = problem.protocol.folds.groups
         held_out = f", {groups[fold.index].name}" if groups else ""
-        name = f"fold {fold.index + 1}{held_out}: {len(fold.validation)} windows"
-        simulations[name] = [block.y for block in fold.validation], y_hat
+        name = f"fold {fold.index + 1}{held_out}: {len(fold.held_out)} windows"
+        simulations[name] = [block.y for block in fold.held_out], y_hat
     title = f"{_experiment(experiment)}: error over the horizon, held-out folds"
     return _draw_errors(problem, simulations, title)
 
@@ -504,7 +506,7 @@ def draw_test_horizon(
     simulations = {
         name: (measured, opened_windows(run, opened, model.y_hat)) for name, model in models.items()
     }
-    title = f"Sealed test, opened once: experiment {opened.experiment}, error over the horizon, "
+    title = f"Sealed test: experiment {opened.experiment}, error over the horizon, "
     title += f"{len(measured)} windows"
     return _draw_errors(problem, simulations, title, published, caption)
 

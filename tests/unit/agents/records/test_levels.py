@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asia.agents import ExpertAgent, Facts
-from asia.agents.library.records import periodic, several_levels
+from asia.agents.library.record_facts import periodic, several_levels
 from asia.agents.library.registry import family
 from asia.data import Trajectory
 from tests.unit.agents.searches import simulation, trial, view

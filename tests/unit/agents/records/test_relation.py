@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asia.agents import Facts
-from asia.agents.library.records import relation
+from asia.agents.library.record_facts import relation
 from asia.data import Array, Trajectory
 from tests.unit.agents.searches import simulation
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from asia.agents import ExpertAgent, Trial
-from asia.agents.library.records import Cause, switching
+from asia.agents.library.record_facts import Cause, switching
 from asia.data import Trajectory
 from tests.unit.agents.searches import recipe_of, simulation, trial, view
 from tests.unit.models.systems.equations import duffing_record

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from asia.agents import ExpertAgent, Facts, Trial
-from asia.agents.library.records import transport
+from asia.agents.library.record_facts import transport
 from asia.data import Signal, Trajectory
 from tests.unit.agents.searches import recipe_of, simulation, trial, view
 from tests.unit.models.systems.transport import belt

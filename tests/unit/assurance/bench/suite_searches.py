@@ -51,7 +51,7 @@ def check_and_search(
     with painted():
         done = command_line("check", name)
     assert done.code == 0, done.err
-    assert "test, sealed" in done.out
+    assert "test: " in done.out
     monkeypatch.setattr(Source, "records", partialmethod(first_samples, Source.records))
     problem = load_problem(name)
     problem = replace(problem, budget=replace(problem.budget, experiments=experiments))

@@ -84,8 +84,8 @@ def make_plan(problem: Problem, runs: Path, **changes: object) -> ComparisonPlan
 
 @pytest.fixture(scope="module", autouse=True)
 def _without_jax() -> Iterator[None]:
-    """The linear rung by the toy's own least squares: a compilation in every run would be most of
-    the time."""
+    """The linear reference by the toy's own least squares: a compilation in every run would be most
+    of the time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("asia.judge.evaluation.references.LINEAR", arx(2))
         yield

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from asia.data import Trajectory, data_digest
-from asia.data.intake.records import take_in
+from asia.data.intake.conversion import take_in
 from asia.data.intake.sheet import Wanted
 
 STEP = 0.25

@@ -17,8 +17,8 @@ import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
 from asia.data import data_digest
+from asia.data.intake.conversion import take_in
 from asia.data.intake.formats import FORMATS
-from asia.data.intake.records import take_in
 from asia.data.intake.sheet import Wanted
 from asia.errors import UserError
 

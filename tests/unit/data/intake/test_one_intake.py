@@ -15,6 +15,7 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 import scipy.io
+from asia.data.intake.records import survey
 
 from asia.data import Signal, Trajectory, data_digest
 from asia.data.arrays import read_arrays
@@ -194,3 +195,18 @@ def test_a_matrix_in_a_problem_file_is_named_by_its_columns(tmp_path: Path) -> N
     path.write_text(path.read_text().replace('["u1", "u2"]', '["u"]'))
     with pytest.raises(UserError, match=r"name the columns u1, u2, y in problem\.toml"):
         load_problem(folder)
+
+
+def test_a_column_of_dates_is_the_time_whatever_its_name(tmp_path: Path) -> None:
+    r, start = record(3), datetime(2024, 5, 3, 8)
+    rows = [
+        f"{start + timedelta(seconds=2 * k):%d.%m.%Y %H:%M:%S};{u[0]};{y[0]}"
+        for k, (u, y) in enumerate(zip(r.u, r.y, strict=True))
+    ]
+    path = tmp_path / "messung.csv"
+    path.write_text("\n".join(["Datum/Uhrzeit;u;y", *rows, ""]))
+    found = survey(path, Wanted((), ()))
+    assert found.time == "Datum/Uhrzeit"
+    assert (list(found.inputs), list(found.outputs)) == (["u"], ["y"])
+    path.write_text("\n".join(["a;u;y", *(f"12:30;{k}.5;{k}.25" for k in range(99)), ""]))
+    assert survey(path, Wanted((), ())).time is None

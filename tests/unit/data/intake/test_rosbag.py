@@ -5,7 +5,7 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from asia.data import data_digest
-from asia.data.intake.records import take_in
+from asia.data.intake.conversion import take_in
 from asia.data.intake.sheet import Wanted
 
 from .clean import CLEAN, signals

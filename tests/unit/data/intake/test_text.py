@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from asia.data.intake.records import Intake, take_in
+from asia.data.intake.conversion import Intake, take_in
 from asia.data.intake.sheet import Wanted
 from asia.errors import UserError
 

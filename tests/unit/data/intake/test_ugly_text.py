@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from asia.data import data_digest
-from asia.data.intake.records import take_in
+from asia.data.intake.conversion import take_in
 from asia.errors import UserError
 
 from .clean import CLEAN, STEP, WANTED, digest, record, signals

@@ -13,7 +13,7 @@ from .conftest import Asia
 
 @pytest.fixture(autouse=True)
 def _without_jax(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The linear rung by the toy's own least squares, so that nothing is compiled."""
+    """The linear reference by the toy's own least squares, so that nothing is compiled."""
     monkeypatch.setattr("asia.judge.evaluation.references.LINEAR", arx(2))
 
 

@@ -16,7 +16,8 @@ def test_json_lines_and_nothing_else(searched: Searched) -> None:
     events = [json.loads(line) for line in printed.out.splitlines()]
     kinds = [e["event"] for e in events]
     assert kinds == [
-        "start", "rung", "rung", "rung", "proposed", "evaluated", "stopped", "refitted", "done",
+        "start", "reference", "reference", "reference", "proposed", "evaluated",
+        "stopped", "refitted", "done",
     ]  # fmt: skip
     evaluated, done = events[5], events[-1]
     assert evaluated["status"] == "keep"
@@ -68,9 +69,9 @@ def test_status_json(searched: Searched, asia: Asia) -> None:
     assert set(answer) == {
         "run", "problem", "agent", "seed", "state", "experiments", "budget", "isolation",
             "isolation_strict",
-        "early_stopping", "validation_scores", "residuals", "best", "rungs",
+        "early_stopping", "validation_scores", "residuals", "best", "references",
         "control", "stopped", "usage", "metric", "legs", "handed_over", "use", "use_reason",
-        "confirmed", "parallel", "running", "floor", "remark", "incumbent", "validated",
+        "confirmed", "parallel", "running", "threshold", "remark", "incumbent", "validated",
         "stop_folds", "pruned_folds", "cancelled_folds", "error", "failed_checks",
         "alarms",
     }  # fmt: skip
@@ -124,7 +125,7 @@ def test_unseal_once(searched: Searched, asia: Asia) -> None:
     again = asia(*words, "--json")
     assert again.code == 0
     assert again.out == first.out
-    assert "already unsealed" in again.err
+    assert "the test of this run is open already" in again.err
     text = asia(*words)
     assert f"RMSE {answer['test']['rmse']:.4f}" in text.out
     assert "picture" in text.out
@@ -226,7 +227,7 @@ def test_where_the_seconds_went(searched: Searched, asia: Asia, tmp_path: Path) 
     assert done.code == 0, done.err
     table = done.out[done.out.index("profile ") :].splitlines()
     rows = {line.split()[0]: line.split()[1:] for line in table[1:]}
-    assert float(rows["rungs"][0]) > 0
+    assert float(rows["references"][0]) > 0
     assert rows["pictures"] == ["not", "recorded"]
     told = json.loads(asia("status", searched.directory, "--profile", "--json").out)["profile"]
     # Workers that were started ahead may cost next to no wall time.

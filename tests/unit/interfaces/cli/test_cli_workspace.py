@@ -176,7 +176,7 @@ def test_a_search_that_dies_is_not_waited_for(tmp_path: Path, asia: Asia, state:
                 break
         assert lines[-1] == said
         if state == "running":
-            # This call has started the search: its rungs and its baseline come first.
+            # This call has started the search: its references and its baseline come first.
             assert any(line.startswith("reference linear model: V = ") for line in lines)
             assert any(line.startswith("#01 keep    V = ") for line in lines)
         end_searches(run)

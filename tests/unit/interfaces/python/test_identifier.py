@@ -14,7 +14,7 @@ import pytest
 import asia
 from asia.data import Array, Signal
 from asia.data.arrays import read_arrays
-from asia.data.intake.records import Intake, Use
+from asia.data.intake.conversion import Intake, Use
 from asia.errors import UserError
 from asia.search.simulation import BandedSimulation
 from tests.unit.interfaces.cli.conftest import command_line

@@ -11,8 +11,9 @@ from asia.errors import UserError
 from asia.interfaces.workspace.server import DeskServer, RunDesk, SocketDesk
 from asia.interfaces.workspace.workspace import Workspace
 from asia.ledger.run import open_run
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import ProtocolRule, make_folds
+from asia.problem.protocol import ProtocolRule
 from asia.report import SimulatedCases
 from asia.search.simulation import training_excerpt
 from tests.unit.search.toy import CRASH, Scripted, arx, write_problem

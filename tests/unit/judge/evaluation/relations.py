@@ -13,7 +13,8 @@ from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.relations import Suspicion, suspicions
 from asia.judge.evaluation.requests import simulate_held_out
 from asia.judge.sandbox.worker.prefixes import by_prefixes
-from asia.problem.protocol import Block, Fold, ProtocolRule, make_folds
+from asia.problem.folds import Block, Fold, make_folds
+from asia.problem.protocol import ProtocolRule
 
 Answer = Callable[[Array, Array, Array], Array]
 
@@ -91,7 +92,7 @@ def fold(horizon: int | None = None, records: int = 3, hold: int = 4) -> Fold:
 def found(answer: Answer, horizon: int | None = None, records: int = 3) -> tuple[Suspicion, ...]:
     """Return the suspicions for simulations of the fold's held-out blocks."""
     held = fold(horizon, records)
-    return suspicions_of(Model(answer), held.validation, held.scale, horizon)
+    return suspicions_of(Model(answer), held.held_out, held.scale, horizon)
 
 
 def suspicions_of(

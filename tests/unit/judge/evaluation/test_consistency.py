@@ -16,7 +16,8 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Score
 from asia.problem import Budget
-from asia.problem.protocol import ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import ProtocolRule
 
 # Level `process` lets both folds write into one folder. Each waits a little for the other one.
 FIT = """
@@ -109,7 +110,7 @@ def test_candidates_scored_elsewhere_are_asked_again() -> None:
     assert drawn != source(None)
     for text, fine in ((source(None), True), (drawn, False)):
         models = [fold.model for fold in judge.evaluate(text).folds]
-        blocks = judge.data.folds[0].validation
+        blocks = judge.data.folds[0].held_out
         assert len(judge.models.simulate(text, models, blocks)) == 2
         for found in judge.models.simulate_scored(text, models, blocks):
             assert isinstance(found, CandidateError) is not fine

@@ -5,7 +5,8 @@ import pytest
 
 from asia.data import Trajectory
 from asia.judge.evaluation.dry_runs import DryRun, allowed_seconds, made_up_fold
-from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
 
 
 def record(length: int, first: float = 0.0, name: str = "a") -> Trajectory:
@@ -40,12 +41,12 @@ def test_no_measured_value_is_in_a_made_up_record(
     measured = set(np.concatenate([t.y[1:-1, 0] for t in records]).tolist())
     measured |= {-value for value in measured}
     ends = {t.y[k, 0] for t in short.fold.train for k in (t.y.argmin(), t.y.argmax())}
-    made_up = [*short.fold.train, *short.fold.validation]
+    made_up = [*short.fold.train, *short.fold.held_out]
     values = set(np.concatenate([one.y[:, 0] for one in made_up]).tolist()) - ends
     assert not values & measured
     assert short.samples == sum(map(len, short.fold.train))
     assert short.samples <= short.of_samples == sum(map(len, fold.train))
-    assert len(short.fold.validation) <= 64
+    assert len(short.fold.held_out) <= 64
     assert (short.fold.scale > 0).all()
     if short.of_samples > 2000:
         assert short.samples < 0.3 * short.of_samples

@@ -24,7 +24,8 @@ from asia.judge.sandbox.worker import process
 from asia.judge.sandbox.worker.worker import Worker
 from asia.judge.scoring.outcome import Failure, Score
 from asia.problem import Budget
-from asia.problem.protocol import ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import ProtocolRule
 
 STRONGEST = probe().level
 ENDS = sorted({Isolation.PROCESS, STRONGEST})

@@ -8,8 +8,8 @@ import pytest
 from asia.judge.evaluation.results import Evaluation
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.view import replay
+from asia.problem.folds import fold_names, make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import fold_names, make_folds
 from asia.search.run import make_evaluator, prepare
 from tests.unit.search.toy import arx, write_problem
 

@@ -20,14 +20,14 @@ def kinds(answer: Answer, horizon: int | None = None, records: int = 3) -> set[s
 
 def answers(horizon: int | None) -> tuple[Array, Array]:
     """Inputs and outputs of every held-out case, as one who has seen all records knows them."""
-    blocks = fold(horizon).validation
+    blocks = fold(horizon).held_out
     return np.stack([b.case.u for b in blocks]), np.stack([b.y for b in blocks])
 
 
 def looked_up(horizon: int | None, digits: int, otherwise: Answer = honest) -> Answer:
     """Outputs of the case that begins as this one."""
     u_known, y_known = answers(horizon)
-    pasts = [block.case.past_y for block in fold(horizon).validation]
+    pasts = [block.case.past_y for block in fold(horizon).held_out]
 
     def key(past_y: Array, u: Array) -> bytes:
         return (np.round(np.concatenate([past_y[:, 0], u[0]]), digits) + 0.0).tobytes()
@@ -105,7 +105,7 @@ class FailingLate:
     def __init__(self, reason: Reason) -> None:
         self.reason = reason
         model, held = Model(honest), fold()
-        assert suspicions_of(model, held.validation, held.scale, None) == ()
+        assert suspicions_of(model, held.held_out, held.scale, None) == ()
         self.left = len(model.asked)
 
     def __call__(self, past_u: Array, past_y: Array, u: Array) -> Array:
@@ -130,9 +130,9 @@ def test_answers_that_change_when_asked_again_are_found_out():
     held, scored = fold(), [True]
     table = looked_up(None, 2)
     model = Model(lambda *case: (table if scored else honest)(*case))
-    y_hat = simulate_held_out(model, held.validation)
+    y_hat = simulate_held_out(model, held.held_out)
     scored.clear()
-    found = suspicions(model, held.validation, y_hat, held.scale, None)
+    found = suspicions(model, held.held_out, y_hat, held.scale, None)
     assert {"replay", "strangers"} <= {one.kind.value for one in found}
 
 
@@ -140,8 +140,8 @@ def test_answers_that_change_when_asked_again_are_found_out():
 def test_inputs_of_the_future_are_found_out(horizon: int | None):
     """An output is known as soon as the next input is."""
     held = fold(horizon, hold=1)
-    u_known = np.stack([block.case.u for block in held.validation])
-    y_known = np.stack([block.y for block in held.validation])
+    u_known = np.stack([block.case.u for block in held.held_out])
+    y_known = np.stack([block.y for block in held.held_out])
 
     def ahead(past_u: Array, past_y: Array, u: Array) -> Array:
         y = honest(past_u, past_y, u)
@@ -153,7 +153,7 @@ def test_inputs_of_the_future_are_found_out(horizon: int | None):
                     row[:count][told] = outputs[:count][told]
         return y
 
-    broken = suspicions_of(Model(ahead), held.validation, held.scale, horizon)
+    broken = suspicions_of(Model(ahead), held.held_out, held.scale, horizon)
     assert "look-ahead" in {one.kind.value for one in broken}
 
 
@@ -170,8 +170,8 @@ def test_what_a_chunk_sends_ahead_is_not_used_by_an_adaptive_solver():
 
 def test_a_simulation_drawn_to_data_after_the_block_is_detected():
     held = fold()
-    after = {round(float(b.case.past_u[-1, 0]), 9): b.y[-1, 0] for b in held.validation}
-    length = len(held.validation[0].y)
+    after = {round(float(b.case.past_u[-1, 0]), 9): b.y[-1, 0] for b in held.held_out}
+    length = len(held.held_out[0].y)
 
     def drawn(past_u: Array, past_y: Array, u: Array) -> Array:
         """The block's length reveals the end, from any start."""
@@ -279,8 +279,8 @@ def test_the_same_checks_twice_say_the_same():
 
 def test_the_checked_windows_are_unpredictable():
     held_out = fold(10)
-    count = len(held_out.validation)
-    u = [held_out.validation[k].case.u for k in (0, count // 2, count - 1)]
+    count = len(held_out.held_out)
+    u = [held_out.held_out[k].case.u for k in (0, count // 2, count - 1)]
     known = looked_up(10, 12)
 
     def answer(past_u: Array, past_y: Array, given: Array) -> Array:
@@ -288,19 +288,19 @@ def test_the_checked_windows_are_unpredictable():
             return honest(past_u, past_y, given)
         return known(past_u, past_y, given)
 
-    y_hat = simulate_held_out(Model(answer), held_out.validation)
+    y_hat = simulate_held_out(Model(answer), held_out.held_out)
     for seed in range(10):
-        assert suspicions(Model(answer), held_out.validation, y_hat, held_out.scale, 10, seed)
+        assert suspicions(Model(answer), held_out.held_out, y_hat, held_out.scale, 10, seed)
 
 
 def test_a_model_that_does_not_answer_fails():
     model = Model(honest)
     held_out = fold()
     y_hat = [model.simulate(*(a[None] for a in (b.case.past_u, b.case.past_y, b.case.u)))[0]
-             for b in held_out.validation]  # fmt: skip
+             for b in held_out.held_out]  # fmt: skip
 
     def crash(past_u: Array, past_y: Array, u: Array) -> Array:
         raise CandidateError(Reason.CRASH)
 
     with pytest.raises(CandidateError):
-        suspicions(Model(crash), held_out.validation, y_hat, held_out.scale, None)
+        suspicions(Model(crash), held_out.held_out, y_hat, held_out.scale, None)

@@ -6,7 +6,8 @@ import types
 import pytest
 
 from asia.agents.library.registry import all_families
-from asia.problem.protocol import ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import ProtocolRule
 from asia.testing.family import family_problem, smallest_source
 from tests.unit.judge.evaluation.relations import Stepping, suspicions_of
 
@@ -28,4 +29,4 @@ def test_a_family_is_not_suspected(row):
     module = types.ModuleType(row.name)
     exec(smallest_source(row, record, context), module.__dict__)
     model = Stepping(module.fit(held.train, context))
-    assert suspicions_of(model, held.validation, held.scale, None) == ()
+    assert suspicions_of(model, held.held_out, held.scale, None) == ()

@@ -17,7 +17,8 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure, score_fold
 from asia.problem import Budget
-from asia.problem.protocol import Block, ProtocolRule, make_folds
+from asia.problem.folds import Block, make_folds
+from asia.problem.protocol import ProtocolRule
 
 HORIZON = 20
 
@@ -100,8 +101,8 @@ def all_at_once(source: str) -> float:
     for fold in evaluator().data.folds:
         model = names["fit"]([], None)  # type: ignore[operator]
         given = ("past_u", "past_y", "u")
-        y_hat = model.simulate(*(stacked(fold.validation, what) for what in given))
-        y = [block.y for block in fold.validation]
+        y_hat = model.simulate(*(stacked(fold.held_out, what) for what in given))
+        y = [block.y for block in fold.held_out]
         scores.append(score_fold(y, list(y_hat), fold.scale, "rmse").value)
     return float(np.mean(scores))
 

@@ -21,7 +21,8 @@ from asia.judge.sandbox.types import Isolation
 from asia.judge.sandbox.worker.process import Channel
 from asia.judge.scoring.outcome import Failure
 from asia.problem import Budget
-from asia.problem.protocol import EarlyStopping, ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import EarlyStopping, ProtocolRule
 
 LEVELS = sorted({Isolation.PROCESS, probe().level})
 DESCENT = """
@@ -172,10 +173,10 @@ def test_the_worker_that_trains_gets_a_number_and_no_case(
                 assert type(number) is float
             assert not any(
                 part.tobytes() in body
-                for block in fold.validation
+                for block in fold.held_out
                 for part in (block.y[:4], block.y[-4:], block.case.u[:4], block.case.u[-4:])
             )
-    targets = [b.y[-8:].tobytes() for f in judge.data.folds for b in f.validation]
+    targets = [b.y[-8:].tobytes() for f in judge.data.folds for b in f.held_out]
     for requests in oracles:
         names = [name for name, _, _ in requests]
         # Prefixes of one case of each record; the last asks for times and brings none of them.

@@ -18,7 +18,8 @@ from asia.judge.evaluation.requests import (
     simulate_held_out,
     simulate_training,
 )
-from asia.problem.protocol import Block, ProtocolRule, whole
+from asia.problem.folds import Block, whole
+from asia.problem.protocol import ProtocolRule
 
 RULE = ProtocolRule(kind="windows", horizon=4, past_inputs=0, past_outputs=1)
 

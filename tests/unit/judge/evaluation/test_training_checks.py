@@ -9,7 +9,7 @@ from asia.candidate import Context
 from asia.data import Signal
 from asia.judge.evaluation.training_checks import training_checks
 from asia.judge.scoring.checks.check import Verdict
-from asia.problem.protocol import Block, Case
+from asia.problem.folds import Block, Case
 
 CONTEXT = Context((Signal("valve"),), (Signal("level"), Signal("flow")), 0.5, 0, 0)
 

@@ -139,6 +139,21 @@ def test_estimates_that_fail_are_none_and_no_failure(worker, case, body):
         assert one.estimates() is None
 
 
+def test_values_come_with_the_reason_where_standard_errors_fail(worker, case):
+    naming = ESTIMATING.replace("OFFERED", "raise ValueError('too short\\x1b[31m')").replace(
+        "    def simulate",
+        "    def parameters(self):\n        return {'k': 2.0, 'bad': float('nan')}\n\n"
+        "    def equations(self):\n        return ['d(x)/dt = -2 * x']\n\n    def simulate",
+    )
+    with worker() as one:
+        one.fit(naming, case.trajectories, case.context)
+        found = one.estimates()
+    assert [(p.name, p.value) for p in found.parameters] == [("k", 2.0)]
+    assert np.isnan(found.parameters[0].standard_error)
+    assert found.equations == ("d(x)/dt = -2 * x",)
+    assert found.reason == "too short_[31m"
+
+
 def test_estimates_are_not_asked_for_once_a_case_was_seen(worker, case):
     with worker() as one:
         one.fit(ESTIMATING.replace("OFFERED", "return None"), case.trajectories, case.context)

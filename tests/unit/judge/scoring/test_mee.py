@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from asia.errors import CandidateError, InternalError, Reason
-from asia.judge.scoring.outcome import GroupError, geodesic, mee_table, rotation
+from asia.judge.scoring.euclidean_error import GroupError, geodesic, mee_table, rotation
 from asia.problem.protocol import OutputGroup
 
 angle = st.floats(-3.1, 3.1)

@@ -16,7 +16,8 @@ from asia.models._equations.measured import MeasuredCell, measured_sizes
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._networks import compiled
 from asia.models._networks.structure import rollout
-from asia.models._numerics.records import Scaling, window
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import flat_past
 from asia.models.methods import Adam
 from asia.problem import Correction, ParameterRange, Physics, Prior
 
@@ -120,7 +121,7 @@ def test_numpy_simulates_what_jax_does() -> None:
     params["fixed"] = measured_sizes(cell, records, scaling, CONTEXT)
     past_y, u, _ = requests(record(9))
     arrays = (
-        window(np.zeros((len(u), 0, 2)), scaling.outputs(past_y)).astype(np.float32),
+        flat_past(np.zeros((len(u), 0, 2)), scaling.outputs(past_y)).astype(np.float32),
         scaling.inputs(u).astype(np.float32),
     )
     by_jax = compiled.compiled(rollout, cell, params, *arrays)

@@ -144,3 +144,19 @@ def test_expressions_keep_their_meaning_in_print(expression: str, expected: str)
 def evaluated(expression: str, values: dict[str, float]) -> float:
     with np.errstate(invalid="ignore"):
         return float(parse_expression(expression, "test").evaluate(values, {"sqrt": np.sqrt}))
+
+
+def test_an_unmeasured_sample_leaves_the_errors_as_they_are() -> None:
+    context = context_for(LAG, "u", "y", 0.5)
+    whole = record()
+    found: list[ParameterEstimates] = []
+    for missing in ([], [123], list(range(120, 150))):
+        y = whole.y.copy()
+        y[missing] = np.nan
+        data = [Trajectory(whole.u, y, 0.5, ""), record(seed=1)]
+        model = greybox.train(greybox.build(greybox.Config(), context), data, context, METHOD)
+        found.append(model.estimates(data, context))
+    for estimates in found[1:]:
+        assert estimates.equations
+        for one, other in zip(estimates.parameters, found[0].parameters, strict=True):
+            assert one.standard_error == pytest.approx(other.standard_error, rel=0.15)

@@ -391,3 +391,32 @@ def test_measured_states_start_the_windows_of_an_unstable_system() -> None:
 def test_measured_start_needs_every_state_in_the_past_window() -> None:
     with pytest.raises(UserError, match="does not show every state"):
         greybox.build(greybox.Config(initial="measured"), context_for(DUFFING, "force", "y", 0.15))
+
+
+def test_rounding_does_not_move_the_initial_state() -> None:
+    """A printed program rounds otherwise than NumPy; the last step needs no comparison of costs."""
+    physics = Physics(
+        states=("h",),
+        parameters={"b": ParameterRange(1e-3, 1.0), "a": ParameterRange(1e-3, 1.0)},
+        dynamics={"h": "b*u - a*sqrt(h)"},
+        observation={"y": "h"},
+    )
+    context = context_for(physics, "u", "y", 2.0)
+    u = held_steps(600, 3, 0.5, 4.0)
+    rng = np.random.default_rng(4)
+    x = simulated(
+        lambda x, u: 0.05 * u - 0.06 * np.sqrt(np.maximum(x, 0.0)), u, np.array([4.0]), 2.0
+    )
+    y = x + 0.02 * rng.normal(size=x.shape)
+    record = Trajectory(u, y, 2.0, "")
+    method = LevenbergMarquardt(iterations=20, starts=2)
+    model = greybox.train(greybox.build(greybox.Config(), context), [record], context, method)
+    places = np.arange(0, 500)
+    n_u, n_y = context.n_past_u, context.n_past_y
+    past_u = np.stack([u[k : k + n_u] for k in places])
+    past_y = np.stack([y[k : k + n_y] for k in places])
+    after = np.stack([u[k + n_u : k + n_u + 1] for k in places])
+    plain = model.simulate(past_u, past_y, after)
+    rounded = past_y * (1.0 + 4e-16 * rng.choice([-1.0, 1.0], size=past_y.shape))
+    other = model.simulate(past_u, rounded, after)
+    assert np.abs(plain - other).max() < 2e-11 * y.std()

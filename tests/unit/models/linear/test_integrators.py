@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.agents.library.records import integrating
+from asia.agents.library.record_facts import integrating
 from asia.agents.library.registry import family
 from asia.data import Trajectory
 from asia.errors import UserError

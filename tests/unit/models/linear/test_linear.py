@@ -24,7 +24,8 @@ from asia.models._linear.fit import (
 from asia.models._linear.response import DrivenRecords
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import BlockedRidge, fit_encoder
-from asia.models._numerics.records import ScaledTrajectory, Scaling, scaled
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import ScaledTrajectory, scaled
 from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two
 
 

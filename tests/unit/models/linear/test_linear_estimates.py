@@ -64,3 +64,14 @@ def test_records_that_it_was_not_fitted_to_are_refused() -> None:
     model = fitted(records(1))
     with pytest.raises(ValueError, match="no minimum"):
         model.estimates(records(2, noise=1.0), CONTEXT)
+
+
+def test_an_unmeasured_sample_leaves_the_errors_as_they_are() -> None:
+    data = records(1)
+    whole = fitted(data).estimates(data, CONTEXT).parameters
+    y = data[0].y.copy()
+    y[130] = np.nan
+    gapped = [Trajectory(data[0].u, y, 0.5, ""), data[1]]
+    found = fitted(gapped).estimates(gapped, CONTEXT).parameters
+    for one, other in zip(found, whole, strict=True):
+        assert one.standard_error == pytest.approx(other.standard_error, rel=0.05)

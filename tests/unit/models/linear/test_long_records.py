@@ -19,7 +19,7 @@ from asia.models._linear.response import DrivenRecords, LongResponse
 from asia.models._linear.system import LinearSystem
 from asia.models._noise import model as process
 from asia.models._numerics import encoder
-from asia.models._numerics.records import ScaledTrajectory
+from asia.models._numerics.training_records import ScaledTrajectory
 
 
 def measured(samples: int, seed: int = 0) -> Trajectory:

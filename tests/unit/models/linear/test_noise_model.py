@@ -15,7 +15,8 @@ from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.response import DrivenRecords
 from asia.models._linear.system import LinearSystem
 from asia.models._noise.model import ErrorWeighting, ResidualNoise
-from asia.models._numerics.records import Scaling, scaled
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import scaled
 from tests.unit.models.noise.drawn import slow_disturbance
 
 POLE, GAIN, SAMPLES = 0.95, 0.05, 800

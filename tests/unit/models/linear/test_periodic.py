@@ -23,7 +23,8 @@ from asia.models._linear.periodic import (
     with_inputs,
 )
 from asia.models._linear.system import LinearSystem
-from asia.models._numerics.records import Scaling, scaled
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import scaled
 
 PERIOD, CHANNELS = 512, 3
 SIGNALS = [tuple(Signal(f"{name}{k}", "V") for k in range(CHANNELS)) for name in "uy"]

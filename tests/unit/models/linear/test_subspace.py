@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asia.models._linear.fit import solve_linear_part, spread_poles, stabilised, starts
-from asia.models._numerics.records import ScaledTrajectory
+from asia.models._numerics.training_records import ScaledTrajectory
 from tests.unit.models.systems.black_box import A, filtered
 
 

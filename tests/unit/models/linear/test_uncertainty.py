@@ -121,3 +121,40 @@ def test_a_missing_effect_that_the_residuals_show_widens_the_interval() -> None:
             assert abs(a - 2.0) > 3.0 * row.standard_error  # noise alone does not hold the truth
             assert abs(a - 2.0) < row.misfit_error
     assert found[0] == 0.0
+
+
+def test_intervals_hold_the_truth_where_samples_are_missing() -> None:
+    """The missing samples have residuals of any size; the fit did not use them."""
+    rng, held = np.random.default_rng(6), []
+    for _ in range(150):
+        x, y = regressors(rng), coloured(rng, 0.8)
+        y += x @ THETA
+        mask = np.ones(SAMPLES)
+        mask[[7, 8, 9, 120, 250]], mask[300:360] = 0, 0
+        y[mask == 0] = 1e3
+        theta = np.linalg.lstsq(x[mask > 0], y[mask > 0])[0]
+        covariance = uncertainty.sandwich([(x @ theta - y)[:, None]], [x[:, None]], measured=[mask])
+        found = uncertainty.estimates(covariance, report, theta).parameters
+        held += [one.low <= true <= one.high for one, true in zip(found, THETA, strict=True)]
+    assert 0.90 < np.mean(held) < 0.98
+
+
+def test_without_a_gap_the_mask_changes_nothing() -> None:
+    rng = np.random.default_rng(7)
+    x, own = regressors(rng), 0.99 ** np.arange(SAMPLES)[:, None, None]
+    residual = coloured(rng, 0.5)[:, None]
+    plain = uncertainty.sandwich([residual], [x[:, None]], nuisance=[own])
+    masked = uncertainty.sandwich(
+        [residual], [x[:, None]], nuisance=[own], measured=[np.ones(SAMPLES)]
+    )
+    np.testing.assert_array_equal(plain.matrix, masked.matrix)
+    assert (plain.freedom, plain.misfit) == (masked.freedom, masked.misfit)
+
+
+def test_short_stretches_of_measured_samples_are_refused() -> None:
+    rng = np.random.default_rng(8)
+    mask = np.arange(SAMPLES) % 4 > 0
+    with pytest.raises(ValueError, match="stretches of less than 20 samples"):
+        uncertainty.sandwich(
+            [coloured(rng, 0.5)[:, None]], [regressors(rng)[:, None]], measured=[mask]
+        )

@@ -11,7 +11,7 @@ from asia.candidate import Context, Model
 from asia.data import Array, Signal, Trajectory
 from asia.models import linear, neural_ss
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._linear.windows import (
+from asia.models._linear.window_predictor import (
     WindowLags,
     WindowPredictor,
     held,
@@ -20,7 +20,8 @@ from asia.models._linear.windows import (
     one_step,
     refined,
 )
-from asia.models._numerics.records import HorizonWindows, Scaling, cut_windows, scaled, stretches
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import HorizonWindows, cut_windows, scaled, stretches
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import Adam
 

@@ -17,15 +17,15 @@ from asia.models._networks.network import NetworkModel, as_built, train_network
 from asia.models._networks.objective import objective
 from asia.models._networks.structure import Params, rollout
 from asia.models._networks.training import FitTask, HoldoutSplit
-from asia.models._numerics.records import (
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.segments import laid, tracks
+from asia.models._numerics.training_records import (
     PaddedBatch,
-    Scaling,
     batch,
     holdout_masks,
     reweighted,
     scaled,
 )
-from asia.models._numerics.segments import laid, tracks
 from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import Case, case, filtered
 from tests.unit.models.systems.networks import (

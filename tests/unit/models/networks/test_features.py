@@ -10,7 +10,7 @@ from asia.data import Trajectory
 from asia.errors import UserError
 from asia.models import lru
 from asia.models._networks.structure import FUNCTIONS, Features, drive_size
-from asia.models._numerics.records import Scaling
+from asia.models._numerics.scaling import Scaling
 
 
 def record(seed: int = 0) -> Trajectory:

@@ -13,7 +13,7 @@ from asia.models import recurrent
 from asia.models._networks.compiled import compiled
 from asia.models._networks.network import NetworkModel
 from asia.models._networks.structure import rollout
-from asia.models._numerics.records import window_size
+from asia.models._numerics.training_records import window_size
 from asia.models.methods import Adam
 from tests.unit.models.systems.black_box import Case, case, filtered, two_by_two
 

@@ -14,7 +14,7 @@ from asia.errors import UserError
 from asia.models import ltc
 from asia.models._networks.monitor import Monitor, marks
 from asia.models._networks.network import NetworkModel, as_built, train_network
-from asia.models._numerics.records import holdout_records
+from asia.models._numerics.training_records import holdout_records
 from asia.models.methods import LBFGS, Adam, MultipleShooting, NetworkMethod
 from tests.unit.models.systems.networks import (
     Echo,

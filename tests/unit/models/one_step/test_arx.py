@@ -9,8 +9,9 @@ from asia.errors import UserError
 from asia.models import arx
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._numerics.lags import Lags, OutputRange, fit_history
-from asia.models._numerics.records import Scaling, scaled
+from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import segments, simulation_error
+from asia.models._numerics.training_records import scaled
 from asia.models._one_step import Polynomial, PolynomialRun, _normal, all_terms
 from asia.models.methods import LeastSquares
 from tests.unit.models.systems.black_box import case, filtered, late, two_by_two

@@ -9,7 +9,8 @@ from asia.candidate import Context
 from asia.data import Array, Signal, Trajectory
 from asia.models._numerics.gaps import reconstructed
 from asia.models._numerics.lags import Lags, regressors
-from asia.models._numerics.records import Scaling, scaled
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import scaled
 
 CONTEXT = Context((Signal("u"),), (Signal("y"),), 1.0, 2, 2)
 PLAIN = Scaling(np.zeros(1), np.ones(1), np.zeros(1), np.ones(1))

@@ -10,7 +10,8 @@ from asia.errors import UserError
 from asia.models import block_oriented, linear
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import Refinement
-from asia.models._numerics.records import Scaling, scaled
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import scaled
 from asia.models._state_space.wiener_hammerstein import (
     WienerHammersteinStructure,
     wiener_hammerstein_starts,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from asia.data import Array
-from asia.models._numerics.records import ScaledTrajectory
+from asia.models._numerics.training_records import ScaledTrajectory
 from asia.models._state_space import wiener_hammerstein
 from asia.models._state_space.wiener_hammerstein import (
     FilterEquations,

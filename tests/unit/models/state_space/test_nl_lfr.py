@@ -10,7 +10,8 @@ from asia.errors import UserError
 from asia.models import linear, nl_lfr
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.fit import Refinement
-from asia.models._numerics.records import Scaling, scaled
+from asia.models._numerics.scaling import Scaling
+from asia.models._numerics.training_records import scaled
 from asia.models._state_space.feedback import feedback_starts
 from asia.models._state_space.structure import StateSpaceStructure
 from tests.unit.models.systems.black_box import PAST, case, filtered, two_by_two, wiener

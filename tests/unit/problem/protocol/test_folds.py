@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from asia.data import Trajectory
 from asia.errors import UserError
-from asia.problem.protocol import FoldRule, ProtocolRule, make_folds, whole
+from asia.problem.folds import make_folds, whole
+from asia.problem.protocol import FoldRule, ProtocolRule
 
 
 def record(length: int, name: str = "r") -> Trajectory:
@@ -18,12 +19,12 @@ def record(length: int, name: str = "r") -> Trajectory:
 def test_cascaded_tanks_folds_are_those_of_the_paper() -> None:
     rule = ProtocolRule(folds=FoldRule(count=2), past_inputs=5, past_outputs=5)
     first, second = make_folds([record(1024)], rule)
-    block = first.validation[0]
+    block = first.held_out[0]
     assert (block.start + 1, block.stop) == (6, 515)
-    assert (second.validation[0].start + 1, second.validation[0].stop) == (516, 1024)
+    assert (second.held_out[0].start + 1, second.held_out[0].stop) == (516, 1024)
     assert first.train[0].u[0, 0] + 1 == 516
     assert (second.train[0].u[0, 0] + 1, len(second.train[0])) == (6, 510)
-    assert np.array_equal(second.validation[0].case.past_u[:, 0] + 1, [511, 512, 513, 514, 515])
+    assert np.array_equal(second.held_out[0].case.past_u[:, 0] + 1, [511, 512, 513, 514, 515])
 
 
 @given(
@@ -44,7 +45,7 @@ def test_forward_folds_train_only_on_the_past(
     ends = dict.fromkeys(range(len(records)), 0)
     for fold in folds:
         assert not any(fold.followed)
-        for block in fold.validation:
+        for block in fold.held_out:
             (trained,) = [t for t in fold.train if t.name == str(block.record)]
             assert trained.u[-1, 0] == block.start - gap - 1
             assert ends[block.record] in (0, block.start)
@@ -58,8 +59,8 @@ def test_a_gap_next_to_a_held_out_block_trains_nothing(length: int, count: int, 
     plain = ProtocolRule(folds=FoldRule(count=count), past_inputs=2, past_outputs=2)
     folds = make_folds([record(length)], rule)
     for fold, same in zip(folds, make_folds([record(length)], plain), strict=True):
-        (block,) = fold.validation
-        assert (block.start, block.stop) == (same.validation[0].start, same.validation[0].stop)
+        (block,) = fold.held_out
+        assert (block.start, block.stop) == (same.held_out[0].start, same.held_out[0].stop)
         trained = np.concatenate([t.u[:, 0] for t in fold.train])
         near = (trained >= block.start - gap) & (trained < block.stop + gap)
         assert not near.any()
@@ -78,7 +79,7 @@ def test_laws_of_contiguous_folds(lengths: list[int], count: int, past: int) -> 
     folds = make_folds(records, rule)
     seen: list[set[int]] = [set() for _ in records]
     for fold in folds:
-        for block in fold.validation:
+        for block in fold.held_out:
             held = set(range(block.start, block.stop))
             assert not seen[block.record] & held
             seen[block.record] |= held
@@ -127,7 +128,7 @@ def test_tail_folds_hold_out_the_end_of_each_record(length: int, count: int, gap
     found = make_folds([record(length, "a"), record(length + 9, "b")], rule)
     assert len(found) == count
     for number, samples in enumerate((length, length + 9)):
-        blocks = [fold.validation[number] for fold in found]
+        blocks = [fold.held_out[number] for fold in found]
         assert (blocks[0].start, blocks[-1].stop) == (samples - 20, samples)
         assert all(a.stop == b.start for a, b in pairwise(blocks))
         for fold, block in zip(found, blocks, strict=True):
@@ -140,5 +141,5 @@ def test_folds_share_the_records_memory() -> None:
     rule = ProtocolRule(folds=FoldRule(count=2), past_inputs=4, past_outputs=4)
     whole_record = record(90)
     for fold in make_folds([whole_record], rule):
-        for part in (*fold.train, fold.validation[0].case):
+        for part in (*fold.train, fold.held_out[0].case):
             assert np.shares_memory(part.u, whole_record.u)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from asia.data import Trajectory
 from asia.errors import UserError
-from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds, whole
+from asia.problem.folds import make_folds, whole
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
 
 RULE = ProtocolRule(kind="windows", horizon=50, past_inputs=0, past_outputs=1, metric="mae")
 
@@ -67,8 +68,8 @@ def test_one_group_is_held_out_and_the_others_train_whole() -> None:
         ["a1", "b1", "a2"],
     ]
     assert [len(t) for t in folds[0].train] == [95, 70]
-    assert [b.record for b in folds[0].validation] == [0, 0, 0, 2, 2, 2]
-    assert [b.start for b in folds[0].validation] == [1, 51, 70, 1, 51, 101]
+    assert [b.record for b in folds[0].held_out] == [0, 0, 0, 2, 2, 2]
+    assert [b.start for b in folds[0].held_out] == [1, 51, 70, 1, 51, 101]
     trained = np.concatenate([b.y for b in whole(folds[0].train, RULE)])
     assert len(trained) == 50 * (2 + 2)
     assert np.array_equal(folds[0].scale, trained.std(axis=0))
@@ -77,7 +78,7 @@ def test_one_group_is_held_out_and_the_others_train_whole() -> None:
 def test_groups_go_with_long_simulation_too() -> None:
     rule = replace(grouped(("a",), ("b",)), kind="simulation", horizon=None)
     first, _ = make_folds([record(30, "a"), record(20, "b")], rule)
-    assert [(b.start, b.stop) for b in first.validation] == [(1, 30)]
+    assert [(b.start, b.stop) for b in first.held_out] == [(1, 30)]
     assert np.array_equal(first.scale, record(20, "b").y.std(axis=0))
 
 
@@ -88,7 +89,7 @@ def test_contiguous_folds_are_cut_into_windows(length: int, count: int, past: in
     )
     seen: set[int] = set()
     for fold in make_folds([record(length, "r")], rule):
-        held = {k for b in fold.validation for k in range(b.start, b.stop)}
+        held = {k for b in fold.held_out for k in range(b.start, b.stop)}
         assert not seen & held
         seen |= held
         assert not held & {int(k) for t in fold.train for k in t.u[:, 0]}

@@ -10,7 +10,7 @@ import pytest
 import asia
 from asia.analysis.ablation import ablate, crossed, without_change
 from asia.errors import UserError
-from asia.judge.scoring.confirmation import attribute
+from asia.judge.scoring.attribution import attribute
 from asia.ledger.events import AblationFit
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
@@ -162,7 +162,7 @@ def test_a_crossing_takes_what_each_side_needs() -> None:
         )
 
 
-@pytest.mark.usefixtures("real_linear_rung")
+@pytest.mark.usefixtures("real_linear_reference")
 def test_a_setting_is_taken_back_where_the_winner_still_has_it() -> None:
     from asia.judge.evaluation.references import LINEAR
 

@@ -20,9 +20,9 @@ from asia.ledger.evidence import cancelled_folds, pruned_folds
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.metrics import find_metric
-from asia.problem.protocol import make_folds
 from asia.search.replay import replay_run
 from asia.search.run import prepare, search
 from tests.unit.interfaces.cli.conftest import command_line

@@ -12,7 +12,7 @@ from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import Executor, LocalExecutor, SequentialExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.problem.budget import Budget
-from asia.search.loop import retest_fits
+from asia.search.pending import retest_fits
 
 SECONDS = 20.0
 

@@ -15,13 +15,13 @@ from asia.errors import Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, FoldResult
 from asia.judge.evaluation.workers import WorkerRunner
-from asia.judge.scoring.confirmation import least_significant_difference
 from asia.judge.scoring.outcome import Failure, Score
+from asia.judge.scoring.repeated_fits import significance_threshold
 from asia.ledger.events import Evaluated, Event, Proposed, Retest, Started
-from asia.ledger.evidence import significance_threshold
-from asia.ledger.text import floor_words, method_note
+from asia.ledger.evidence import incumbent_threshold
+from asia.ledger.text import method_note, threshold_text
 from asia.ledger.view import Experiment, SearchView, replay
-from asia.search.loop import Judged, judge
+from asia.search.decision import Decision, decide
 from asia.search.replay import replay_run
 from tests.unit.search.toy import Scripted, arx, write_problem
 
@@ -82,10 +82,10 @@ def a_search(retests: int, *incumbent: float) -> SearchView:
     return replay(events)
 
 
-def judged(view: SearchView, *outcomes: float | Failure) -> tuple[Judged, int]:
+def judged(view: SearchView, *outcomes: float | Failure) -> tuple[Decision, int]:
     """The decision, and how many fits it took."""
     evaluator = Fits(*outcomes)
-    return judge(evaluator, "", view), len(evaluator.starts)
+    return decide(evaluator, "", view), len(evaluator.starts)
 
 
 NOISY = 1.0, 1.1, 0.9
@@ -116,48 +116,48 @@ def test_a_candidate_must_stand_out_over_its_seeds(
 
 def test_where_no_fit_depends_on_the_seed_any_lower_value_is_kept_after_one_more_fit() -> None:
     found, fits = judged(a_search(2, 1.0, 1.0), 0.999, 0.999)
-    assert (found.status, found.floor, fits) == ("keep", 0.0, 2)
+    assert (found.status, found.threshold, fits) == ("keep", 0.0, 2)
     assert found.retests[0].same
 
 
 def test_a_ledger_without_retests_is_decided_by_the_first_fit() -> None:
     found, fits = judged(a_search(0, 1.0), 0.999)
-    assert (found.status, found.floor, fits) == ("keep", None, 1)
+    assert (found.status, found.threshold, fits) == ("keep", None, 1)
 
 
-def test_the_first_candidate_with_a_score_is_kept_and_measures_the_floor() -> None:
+def test_the_first_candidate_with_a_score_is_kept_and_measures_the_threshold() -> None:
     view = replace(a_search(2, 1.0), experiments=())
     found, fits = judged(view, 1.0, 1.1, 0.9)
-    assert (found.status, found.floor, fits) == ("keep", None, 3)
+    assert (found.status, found.threshold, fits) == ("keep", None, 3)
     assert judged(view, 1.0, Failure(Reason.CRASH))[0].status == "keep"
 
 
 def test_the_seeds_are_not_those_of_a_confirmation() -> None:
     evaluator = Fits(0.6, 0.8, 0.65)
-    judge(evaluator, "", a_search(2, *NOISY))
+    decide(evaluator, "", a_search(2, *NOISY))
     assert evaluator.starts[0] == 0
     assert min(evaluator.starts[1:]) > 1000
     assert len(set(evaluator.starts)) == 3
 
 
-def test_the_floor_is_students_interval() -> None:
+def test_the_threshold_is_students_interval() -> None:
     from scipy.stats import ttest_ind
 
     one, other = [1.0, 1.1, 0.9], [0.5, 0.56, 0.53]
     interval = ttest_ind(one, other).confidence_interval(0.9)
-    assert least_significant_difference(one, other) == pytest.approx(
-        (interval.high - interval.low) / 2
-    )
-    assert least_significant_difference([1.0], [2.0]) == 0.0
+    assert significance_threshold(one, other) == pytest.approx((interval.high - interval.low) / 2)
+    assert significance_threshold([1.0], [2.0]) == 0.0
 
 
-def test_the_floor_is_told_once_it_is_known() -> None:
-    assert significance_threshold(a_search(2, *NOISY)) == pytest.approx(
-        least_significant_difference(NOISY, NOISY)
+def test_the_threshold_is_told_once_it_is_known() -> None:
+    assert incumbent_threshold(a_search(2, *NOISY)) == pytest.approx(
+        significance_threshold(NOISY, NOISY)
     )
-    assert floor_words(a_search(2, *NOISY)).endswith("below 1.0000, the mean of #01 over 3 seeds")
-    assert floor_words(a_search(2, 1.0, 1.0)) == "0: the fits of #01 do not depend on the seed"
-    assert significance_threshold(a_search(0, 1.0)) is None
+    assert threshold_text(a_search(2, *NOISY)).endswith(
+        "below 1.0000, the mean of #01 over 3 seeds"
+    )
+    assert "the fits of #01 do not depend on the seed" in threshold_text(a_search(2, 1.0, 1.0))
+    assert incumbent_threshold(a_search(0, 1.0)) is None
 
 
 @pytest.mark.long
@@ -235,9 +235,9 @@ def test_a_fit_that_is_handed_over_is_checked_like_one_that_is_kept() -> None:
         def objection(self, source: str, folds: object) -> Failure:
             return Failure(Reason.RESTART)
 
-    found = judge(Objecting(0.95), "", a_search(2, *NOISY))
+    found = decide(Objecting(0.95), "", a_search(2, *NOISY))
     assert (found.status, found.lowest) == (Reason.RESTART.status, False)
-    assert judge(Objecting(1.01), "", a_search(2, *NOISY)).status == "discard"
+    assert decide(Objecting(1.01), "", a_search(2, *NOISY)).status == "discard"
 
 
 def test_where_one_fit_decides_the_best_is_the_incumbent() -> None:
@@ -248,11 +248,11 @@ def test_where_one_fit_decides_the_best_is_the_incumbent() -> None:
     assert after.best == after.incumbent == after.experiment(2)
 
 
-def with_another(view: SearchView, number: int, found: Judged) -> SearchView:
+def with_another(view: SearchView, number: int, found: Decision) -> SearchView:
     """The search after one more experiment."""
     proposed = Proposed(number, None, "refine", "f", "t", "h", "e", "s", "d")
     result = Evaluated(
         number, found.status, found.evaluation.outcome, (), None, 1.0,
-        retests=found.retests, floor=found.floor, lowest=found.lowest,
+        retests=found.retests, threshold=found.threshold, lowest=found.lowest,
     )  # fmt: skip
     return replace(view, experiments=(*view.experiments, Experiment(proposed, result)))

@@ -36,7 +36,7 @@ from asia.ledger.run import Run
 from asia.ledger.text import hand_over_text
 from asia.ledger.verification import verify
 from asia.ledger.view import SearchView
-from asia.search.loop import Judged
+from asia.search.decision import Decision
 from asia.search.replay import replay_run
 from tests.unit.agents.fake_llm import FakeServer, fake_llm, said
 from tests.unit.search.toy import Scripted, arx, write_problem
@@ -56,7 +56,7 @@ def judged() -> Iterator[pytest.MonkeyPatch]:
         first: Evaluation | None = None,
         over: float | None = None,
         check_literals: object = None,
-    ) -> Judged:
+    ) -> Decision:
         del first, over, check_literals
         best = view.best
         if not known:
@@ -67,14 +67,14 @@ def judged() -> Iterator[pytest.MonkeyPatch]:
         value = 0.1 + number / 2**32
         lower = best is None or best.score is None or value < best.score.value
         evaluation = replace(known[0], outcome=replace(outcome, value=value))
-        return Judged(evaluation, "keep" if lower else "discard")
+        return Decision(evaluation, "keep" if lower else "discard")
 
     def refit(self: Evaluator, source: str) -> None:
         raise CandidateError(Reason.CRASH, "made up")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("asia.search.loop.judge", judge)
-        patch.setattr("asia.search.replay.judge", judge)
+        patch.setattr("asia.search.loop.decide", judge)
+        patch.setattr("asia.search.replay.decide", judge)
         patch.setattr(Evaluator, "refit", refit)
         patch.setenv("MADE_UP_KEY", KEY)
         yield patch
@@ -195,7 +195,7 @@ def test_killed_at_a_hand_over_it_goes_on_as_it_would_have(
 
 def test_a_replay_asks_every_agent_again(searched: Searched) -> None:
     report = replay_run(searched.run.directory, lambda item: None)
-    items = {item.name: item for item in report.items if not item.name.startswith("rung")}
+    items = {item.name: item for item in report.items if not item.name.startswith("reference")}
     assert [item.proposal for item in items.values()] == ["same"] * 12
     assert report.agrees
     assert [name for name in items if name.startswith("hand-over")] == [

@@ -8,8 +8,9 @@ from asia.agents.library.family import Family
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
-from asia.agents.library.records import coloured, curved, fails_on_top, plateau_share
+from asia.agents.library.record_facts import plateau_share
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.trial_evidence import coloured, curved, fails_on_top
 from asia.agents.view import Facts
 
 

@@ -15,15 +15,9 @@ from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.records import (
-    biased,
-    coloured,
-    fails_on_top,
-    input_left,
-    overfit,
-    plateau_share,
-)
+from asia.agents.library.record_facts import plateau_share
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.trial_evidence import biased, coloured, fails_on_top, input_left, overfit
 from asia.agents.view import Facts
 
 

@@ -16,7 +16,7 @@ from asia.agents.library.methods import (
 )
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.records import periodic, several_levels
+from asia.agents.library.record_facts import periodic, several_levels
 from asia.agents.library.space import OneOf, Space
 from asia.agents.view import Facts
 

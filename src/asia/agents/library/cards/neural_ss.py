@@ -17,8 +17,9 @@ from asia.agents.library.methods import (
 )
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe, Value
-from asia.agents.library.records import Cause, coloured, curved, overfit, switching, transport
+from asia.agents.library.record_facts import Cause, switching, transport
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.trial_evidence import coloured, curved, overfit
 from asia.agents.view import Facts
 
 

@@ -16,8 +16,8 @@ from asia.agents.library.methods import (
 )
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
-from asia.agents.library.records import coloured
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.trial_evidence import coloured
 from asia.agents.view import Facts
 
 

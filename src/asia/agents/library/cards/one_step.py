@@ -8,8 +8,9 @@ from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.records import by_overfit, curved, plateau_share
+from asia.agents.library.record_facts import plateau_share
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.trial_evidence import by_overfit, curved
 
 CARD = Card(
     (

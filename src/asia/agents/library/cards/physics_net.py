@@ -10,8 +10,8 @@ from asia.agents.library.family import Family
 from asia.agents.library.methods import LM, absolute_loss, adam_space
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
-from asia.agents.library.records import coloured, overfit
 from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.library.trial_evidence import coloured, overfit
 from asia.agents.view import Facts, Trial
 
 

@@ -38,7 +38,7 @@ from asia.judge.sandbox.types import Isolation
 from asia.judge.sandbox.worker.process import peak_memory_mb
 from asia.judge.scoring.outcome import Failure
 from asia.problem.budget import Budget
-from asia.problem.protocol import Fold, make_folds
+from asia.problem.folds import Fold, make_folds
 from asia.problem.protocol_table import LADDER_STEP
 
 # Threads: the candidate has a score only where all of them ran at once.
@@ -216,7 +216,7 @@ def _message_by_figures(_: Scene) -> SearchAttackResult:
     problem = small_problem("simulation")
     # The second fold: its training cases do not begin where the held-out ones do.
     fold = make_folds(problem.records, problem.rule)[1]
-    secret = (float(fold.validation[0].case.past_y[-1, 0]) + 5.0) / 10.0
+    secret = (float(fold.held_out[0].case.past_y[-1, 0]) + 5.0) / 10.0
     read: list[str] = []
     for level in _levels():
         evaluator = _evaluator(problem, fold, level)
@@ -239,7 +239,7 @@ def _message_plainly(_: Path) -> bool:
     """The figures of a process after it has answered."""
     problem = small_problem("simulation")
     fold = make_folds(problem.records, problem.rule)[1]
-    case = fold.validation[0].case
+    case = fold.held_out[0].case
     model = _module(MESSAGES["memory"], problem).fit(fold.train, problem.context)
     model.simulate(case.past_u[None], case.past_y[None], case.u[None])
     secret = (float(case.past_y[-1, 0]) + 5.0) / 10.0

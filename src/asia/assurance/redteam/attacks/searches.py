@@ -25,8 +25,8 @@ from asia.ledger.folder import MARK, link_path, link_workspace
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.ledger.view import SearchView
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
-from asia.problem.protocol import make_folds
 from asia.search.run import prepare, search
 from asia.search.scores import ScoreCheck
 

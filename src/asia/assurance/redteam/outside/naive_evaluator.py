@@ -20,7 +20,7 @@ import numpy as np
 
 from asia.assurance.redteam.problem import SmallProblem
 from asia.assurance.redteam.types import Mistake
-from asia.problem.protocol import Fold, make_folds
+from asia.problem.folds import Fold, make_folds
 
 _MODEL, _RESULT, _LOG = "model.bin", "result.npy", "log.txt"
 
@@ -65,8 +65,8 @@ def _fold_score(source: str, problem: SmallProblem, fold: Fold) -> float:
     model: Any = module.fit(fold.train, problem.context)
     with contextlib.suppress(Exception):
         Path(_MODEL).write_bytes(pickle.dumps(model))
-    y = np.stack([block.y for block in fold.validation])
-    cases = [block.case for block in fold.validation]
+    y = np.stack([block.y for block in fold.held_out])
+    cases = [block.case for block in fold.held_out]
     arrays = [np.stack([getattr(c, n) for c in cases]) for n in ("past_u", "past_y", "u")]
     for k in range(len(y) if problem.rule.horizon else 0):
         model.simulate(*(a[k : k + 1] for a in arrays))  # one by one first, as a trial

@@ -34,10 +34,15 @@ int main(int argc, char **argv)
     asia_state x;
     char names[65536], *at;
     long k, i;
-    FILE *file = argc == 2 ? fopen(argv[1], "r") : NULL;
-    if (file == NULL) {
+    FILE *file;
+    if (argc != 2) {
         fprintf(stderr, "usage: model record.csv (%d inputs, then %d outputs)\n", ASIA_INPUTS,
                 ASIA_OUTPUTS);
+        return 2;
+    }
+    file = fopen(argv[1], "r");
+    if (file == NULL) {
+        perror(argv[1]);
         return 2;
     }
     for (i = 1, at = fgets(names, sizeof names, file); at != NULL && *at != '\0'; ++at)

@@ -334,13 +334,16 @@ class _Session:
             return b""
 
     def _estimates(self) -> bytes:
-        """Return the model's parameter estimates for its training records; nothing where it has no
-        such method or fails in it."""
+        """Return the model's parameter estimates for its training records, or its values alone with
+        the reason; nothing where it has no such method."""
         offered = getattr(self._model, "estimates", None)
         try:
             assert callable(offered)
             assert self._fitted_to is not None
-            return figures.pack_estimates(offered(*self._fitted_to))
+            try:
+                return figures.pack_estimates(offered(*self._fitted_to))
+            except Exception as error:  # noqa: BLE001 - the border to candidate code
+                return figures.pack_values(self._model, str(error) or type(error).__name__)
         except Exception:  # noqa: BLE001 - the border to candidate code
             return b""
 

@@ -2,7 +2,7 @@
 
 Both ends of a worker's pipes use it. The reading end parses numbers, names of a few characters and
 lines of printable text, and nothing else. Estimates are a head, one row per parameter, the
-correlations, and the equations as text.
+correlations, and as text the reason why there are no standard errors, then the equations.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _NO_TEXT = re.compile(r"[^\x20-\x7e\n]")
 _HEAD = struct.Struct("<Q")
 _ESTIMATE = struct.Struct("<48s16s8d")
 _NUMBER = struct.Struct("<d")
-_TEXT_BYTES = 8000
+_TEXT_BYTES, _REASON = 8000, 400
 ESTIMATES_BYTES = (
     _HEAD.size + PARAMETERS * (_ESTIMATE.size + PARAMETERS * _NUMBER.size) + _TEXT_BYTES
 )
@@ -75,9 +75,28 @@ def pack_estimates(offered: Any) -> bytes:
         body.append(_ESTIMATE.pack(_raw(one.name, 48), _raw(one.unit, 16), *map(float, figures)))
     for i in range(len(rows)):
         body += [_NUMBER.pack(float(offered.correlation[i][j])) for j in range(len(rows))]
-    text = "\n".join(str(line).replace("\n", " ") for line in offered.equations)
+    lines = (str(offered.reason)[:_REASON], *map(str, offered.equations))
+    text = "\n".join(line.replace("\n", " ") for line in lines)
     body.append(text.encode("ascii", "replace")[:_TEXT_BYTES])
     return b"".join(body)
+
+
+def pack_values(model: Any, reason: str) -> bytes:
+    """Pack the parameters and equations that a model names, without standard errors, and the reason
+    why there are none. Raises where it names no parameters."""
+    import numpy as np
+
+    from asia.candidate import ParameterEstimate, ParameterEstimates
+
+    values = [(name, float(value)) for name, value in model.parameters().items()]
+    rows = [
+        ParameterEstimate(name, value, math.nan, math.nan, math.nan)
+        for name, value in values
+        if math.isfinite(value)
+    ]
+    equations = getattr(model, "equations", tuple)()
+    unknown = np.full((len(rows), len(rows)), math.nan)
+    return pack_estimates(ParameterEstimates(tuple(rows), unknown, tuple(equations), reason))
 
 
 def unpack_estimates(body: bytes) -> ParameterEstimates:
@@ -110,7 +129,8 @@ def unpack_estimates(body: bytes) -> ParameterEstimates:
         raise ValueError("a parameter that is named twice")
     correlation = np.frombuffer(body[table:text], "<f8").astype(np.float64).reshape(count, count)
     words = _NO_TEXT.sub("_", body[text:].decode("ascii", "replace"))
-    return ParameterEstimates(tuple(rows.values()), correlation, tuple(words.splitlines()))
+    reason, *equations = words.split("\n")
+    return ParameterEstimates(tuple(rows.values()), correlation, tuple(equations), reason)
 
 
 def _raw(word: object, size: int) -> bytes:

@@ -51,7 +51,7 @@ class Check:
     """One check of a model."""
 
     name: str
-    """A few words, unique within a dossier."""
+    """A few words, unique within a validation report."""
     verdict: Verdict
     sentence: str
     """Finding, with numbers."""

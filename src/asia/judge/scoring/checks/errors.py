@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from asia.data.trajectory import Array
 from asia.judge.scoring.bands import Region
 from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
-from asia.judge.scoring.checks.records import SimulatedBlocks, listed, percent
+from asia.judge.scoring.checks.validation_data import SimulatedBlocks, listed, percent
 
 # Errors some steps after a start from measured samples, against holding the last output.
 

@@ -10,7 +10,12 @@ import numpy as np
 
 from asia.data.trajectory import Array
 from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
-from asia.judge.scoring.checks.records import SimulatedBlocks, listed, percent
+from asia.judge.scoring.checks.validation_data import (
+    SimulatedBlocks,
+    ValidationData,
+    listed,
+    percent,
+)
 from asia.judge.scoring.outcome import fit_index, pooled
 from asia.judge.scoring.residuals import QUANTILE, with_input, with_own_past
 from asia.problem.metrics import find_metric
@@ -321,8 +326,9 @@ class _Found:
         )
 
 
-def residual_checks(found: SimulatedBlocks) -> tuple[Check, ...]:
+def residual_checks(data: ValidationData) -> tuple[Check, ...]:
     """Fit, and dependence of the residual on inputs, time, amplitude and motion."""
+    found = data.simulations
     columns = [groups(found, output) for output in range(len(found.outputs))]
     return (
         check_fit(found),
@@ -349,7 +355,7 @@ def check_fit(found: SimulatedBlocks) -> Check:
     sentence = f"fit index of the simulation: {words}"
     if bad:
         sentence += "; below 0 % the mean of the output has a smaller error"
-        return Check("fit in free run", Verdict.FAIL, sentence, weight=0.5)
+        return Check("fit in free run", Verdict.FAIL, sentence, weight=1.5)
     return Check("fit in free run", Verdict.PASS, sentence)
 
 

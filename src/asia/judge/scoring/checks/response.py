@@ -10,8 +10,13 @@ from numpy.typing import NDArray
 
 from asia.data.trajectory import Array
 from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
-from asia.judge.scoring.checks.records import SimulatedBlocks, listed, percent
 from asia.judge.scoring.checks.residual import groups
+from asia.judge.scoring.checks.validation_data import (
+    LinearResponse,
+    ValidationData,
+    listed,
+    percent,
+)
 
 # Check of the sign of the gain from each input.
 
@@ -21,9 +26,10 @@ _LEAST_PART = 0.15
 _AGAINST = -0.3
 
 
-def check_gain(found: SimulatedBlocks) -> Check:
+def check_gain(data: ValidationData) -> Check:
     """The part of each output that the past of an input explains, in the data and in the
     simulation: the two must not point in opposite directions."""
+    found = data.simulations
     title, inputs = "direction of gain", len(found.inputs)
     # Correlation of the two parts, input, output.
     judged: list[tuple[float, str, str]] = []
@@ -37,11 +43,11 @@ def check_gain(found: SimulatedBlocks) -> Check:
         for number, name in enumerate(found.inputs):
             # The columns of one input: every `inputs`-th.
             own = slice(number, None, inputs)
-            data, model = (x[:, own] @ fit[own] for fit in fits)
+            of_data, of_model = (x[:, own] @ fit[own] for fit in fits)
             sizes = (part.std() / max(whole.std(), 1e-300)
-                     for part, whole in ((data, measured), (model, simulated)))  # fmt: skip
+                     for part, whole in ((of_data, measured), (of_model, simulated)))  # fmt: skip
             if min(sizes) >= _LEAST_PART:
-                agreement = float(np.mean(data * model) / (data.std() * model.std()))
+                agreement = float(np.mean(of_data * of_model) / (of_data.std() * of_model.std()))
                 judged.append((agreement, name, label))
     if not judged:
         sentence = "no single input affects an output enough to judge the direction of its gain"
@@ -76,32 +82,8 @@ SMALL = 1e-3
 _SEEN = 1e-6
 _MOST_STATES = 8
 _MOST_ROWS = 60
-_DECAYED = 1e-3
 # With more outputs than these the sentence would be a table.
 _MOST_GAINS = 3
-
-
-@dataclass(frozen=True)
-class LinearResponse:
-    """Response of one model to a small impulse of one input around an operating point."""
-
-    point: str
-    input: str
-    impulse: Array
-    """Change of the outputs (n, ny) for an input of 1 during the first sample."""
-
-    @property
-    def step(self) -> Array:
-        """Change of the outputs (n, ny) for an input of 1 from the first sample on."""
-        return np.cumsum(self.impulse, axis=0)
-
-    @property
-    def settled(self) -> bool:
-        """Whether the response has decayed by the end."""
-        tail = self.impulse[-max(1, len(self.impulse) // 10) :]
-        return bool(
-            np.max(np.abs(tail)) <= _DECAYED * max(float(np.abs(self.impulse).max()), 1e-300)
-        )
 
 
 def impulse_response(up: Array, down: Array, size: float) -> Array:
@@ -141,18 +123,17 @@ def poles(impulse: Array) -> NDArray[np.complex128]:
     return found[np.argsort(-np.abs(found), kind="stable")]
 
 
-def check_responses(
-    found: Sequence[LinearResponse], outputs: Sequence[str], sampling_time: float
-) -> Check:
+def check_responses(data: ValidationData) -> Check:
     """Static gains, slowest poles and step responses: shown."""
     name, axes = "poles and static gain", ("time [s]", "change for a step of 1")
-    if not found:
+    outputs = data.simulations.outputs
+    if not data.linear_responses:
         reason = "does not apply: the response of the model to small input steps is not finite"
         return Check(name, Verdict.ABSENT, reason)
     curves: list[CheckCurve] = []
     words: list[str] = []
-    for one in found:
-        times = np.arange(len(one.impulse), dtype=np.float64) * sampling_time
+    for one in data.linear_responses:
+        times = np.arange(len(one.impulse), dtype=np.float64) * data.simulations.sampling_time
         for k, output in enumerate(outputs):
             curves.append(
                 CheckCurve(f"{one.input} to {output}, {one.point}", times, one.step[:, k])
@@ -237,12 +218,9 @@ def spectra(
     return Spectra(frequency, power[0], power[1], power[2], cross[0], cross[1], count)
 
 
-def check_spectrum(found: SimulatedBlocks, noise: Sequence[float | None]) -> Check:
-    """Show the spectrum of the residual against the output and the noise; it is not judged.
-
-    Args:
-        noise: noise of each output over its standard deviation, None where it is not known
-    """
+def check_spectrum(data: ValidationData) -> Check:
+    """Show the spectrum of the residual against the output and the noise; it is not judged."""
+    found, noise = data.simulations, data.noise()
     curves: list[CheckCurve] = []
     words: list[str] = []
     for k, name in enumerate(found.outputs):
@@ -269,9 +247,10 @@ def check_spectrum(found: SimulatedBlocks, noise: Sequence[float | None]) -> Che
                  axes=("frequency [Hz]", "amplitude"))  # fmt: skip
 
 
-def check_frequency_response(found: SimulatedBlocks, linear: Sequence[LinearResponse]) -> Check:
+def check_frequency_response(data: ValidationData) -> Check:
     """Gain of the data against gain of the simulation, input by input, where the coherence is high
     enough; the linearised model is drawn with them."""
+    found, linear = data.simulations, data.linear_responses
     title, axes = "frequency response", ("frequency [Hz]", "gain")
     drawn: list[CheckCurve] = []
     # Relative difference, frequency, coherence, and which input and output.
@@ -364,14 +343,9 @@ _MORE = 1.5
 _DRAWN_SAMPLES = 2000
 
 
-def check_long_run(y_hat: Array | None, lowest: Array, highest: Array) -> Check:
-    """Check that a long simulation stays bounded.
-
-    Args:
-        y_hat: (HORIZONS * H, ny) simulated with a repeated input, or None where the outputs are
-            not finite
-        lowest, highest: (ny,) range of the training outputs
-    """
+def check_long_run(data: ValidationData) -> Check:
+    """Check that a simulation over HORIZONS horizons stays bounded."""
+    y_hat, lowest, highest = data.long_run(), data.lowest, data.highest
     name, axes = (
         "ten horizons",
         ("horizon", "distance from the middle / half the training range [-]"),

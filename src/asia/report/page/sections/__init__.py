@@ -12,6 +12,7 @@ from asia.report.page.subject import Section
 
 SECTIONS: Final[tuple[Section, ...]] = (
     verdict.SECTION,
+    experiments.PROBLEM,
     experiments.MODEL,
     evidence.IDENTIFIED,
     verdict.ACCURACY,

@@ -9,13 +9,14 @@ from asia._text import one_line
 from asia.judge.scoring.checks.check import Verdict
 from asia.ledger.events import Confirmed, Validated
 from asia.ledger.evidence import (
+    IdentifiedModel,
     IdentifiedParameter,
     get_curves,
     get_findings,
     identified,
 )
 from asia.ledger.run import Run
-from asia.ledger.text import disagreement_lines
+from asia.ledger.text import interval_lines, parameter_remarks
 from asia.report.page.html import (
     ONE,
     Html,
@@ -208,15 +209,16 @@ def _write_identified(subject: Subject) -> Html | None:
     if found.parameters:
         head = ["parameter", "value", "unit", "standard error", "standard error by folds",
                 "interval", "interval decided by", "remark"]  # fmt: skip
-        rows = [_parameter(run, f"parameters.{k}", one) for k, one in enumerate(found.parameters)]
+        rows = [_parameter(run, found, k) for k in range(len(found.parameters))]
         own = "" if found.library else ", as the candidate's own code reports them"
         parts.append(table(head, rows, f"Parameters, fitted to all training records{own}"))
-        parts += [tag("p", tag("b", said(line), ".")) for line in disagreement_lines(found)]
+        parts += [tag("p", tag("b", said(line), ".")) for line in interval_lines(found)]
         text = (
             ". It is the widest of three intervals: from the noise, from the spread of the fold "
             "models, and from a missing effect."
         )
-        parts.append(tag("p", "Each interval has a level of ", fixed("95 %"), text))
+        if not found.reason:
+            parts.append(tag("p", "Each interval has a level of ", fixed("95 %"), text))
     if found.entangled:
         names = [one.fitted.name for one in found.parameters]
         pairs = [
@@ -233,16 +235,14 @@ def _write_identified(subject: Subject) -> Html | None:
     return join(parts)
 
 
-def _parameter(run: Run, at: str, one: IdentifiedParameter) -> list[str | None]:
+def _parameter(run: Run, found: IdentifiedModel, number: int) -> list[str | None]:
+    one, at = found.parameters[number], f"parameters.{number}"
     fitted = one.fitted
     error = by_folds = None
     if fitted.standard_error is not None:
         error = _number(run, f"{at}.standard_error", fitted.standard_error, "sig2")
     if one.fold_error is not None:
         by_folds = _of_folds(run, one, [f"{at}.value"], [fitted.value], "jackknife", "sig2")
-    remarks = [] if fitted.identifiable else ["not identifiable from these records"]
-    if fitted.at_bound:
-        remarks.append(f"at the {fitted.at_bound} end of its range")
     return [
         said(fitted.name),
         _number(run, f"{at}.value", fitted.value, "sig5"),
@@ -251,7 +251,7 @@ def _parameter(run: Run, at: str, one: IdentifiedParameter) -> list[str | None]:
         by_folds,
         _interval(run, at, one),
         None if one.interval is None else one.decided_by,
-        "; ".join(remarks),
+        "; ".join(parameter_remarks(found, one)),
     ]
 
 
@@ -347,7 +347,7 @@ def _validation(subject: Subject, found: Validated) -> Html:
     caption = tag("caption", "Validation checks")
     inner = tag("table", caption, tag("thead", tag("tr", *head)), tag("tbody", *rows))
     label = f"Validation checks, {found.record or 'held-out parts'}"
-    checks = region("div", inner, class_="scroll dossier", label=label)
+    checks = region("div", inner, class_="scroll checks", label=label)
     pictures = None
     if subject.run.store.kept:
         drawn = get_curves(subject.run.store, found.curves)

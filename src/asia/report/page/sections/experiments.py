@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from asia.judge.scoring.outcome import Score
 from asia.ledger.text import error_line, phase_text
 from asia.ledger.view import Experiment
+from asia.problem.problem import is_described
 from asia.report.page.code import change, python
 from asia.report.page.html import Html, equations, facts, join, region, said, table, tag
 from asia.report.page.subject import Section, Subject, result_of
@@ -156,6 +158,20 @@ def _write_lineage(subject: Subject) -> Html | None:
 LINEAGE = Section("lineage", "Lineage", _write_lineage)
 
 
+# The problem, in the words of its description.
+
+
+def _write_problem(subject: Subject) -> Html | None:
+    text = "" if subject.problem is None else subject.problem.description
+    if not is_described(text):
+        return None
+    paragraphs = re.split(r"\n\s*\n", text.strip())
+    return join([tag("p", said(one, 4000)) for one in paragraphs])
+
+
+PROBLEM = Section("problem", "The problem", _write_problem)
+
+
 # The winner: equations or structure, and its code.
 
 
@@ -211,7 +227,7 @@ def _write_progress(subject: Subject) -> Html | None:
         before = e
     head = ["experiment", "candidate", view.v_name, "change of V"]
     references: list[list[str | None]] = []
-    for r in view.rungs:
+    for r in view.references:
         scored = isinstance(r.outcome, Score)
         value = subject.number(r, "outcome.value", "error") if scored else "no score"
         references.append([said(r.name), value])
@@ -242,7 +258,7 @@ def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
               e.proposed.title, e.number in bests)
         for e in shown
     ]  # fmt: skip
-    levels = [(r.name, r.outcome.value) for r in view.rungs if isinstance(r.outcome, Score)]
+    levels = [(r.name, r.outcome.value) for r in view.references if isinstance(r.outcome, Score)]
     alt = (
         "V of each experiment with the best so far as a step line; the table below has the same "
         "numbers."

@@ -73,7 +73,7 @@ def _test(subject: Subject) -> Html | str:
     if view.started.test_digest is None:
         return "none"
     digest = tag("code", view.started.test_digest[:12])
-    state = "opened once, after the search" if view.unsealed else "sealed, never opened"
+    state = "opened by this run once, after the search" if view.unsealed else "sealed, never opened"
     consent = view.unsealing is not None and view.unsealing.process_consent
     agreed = (
         "; the user agreed to open it, although candidates could have read it" if consent else ""

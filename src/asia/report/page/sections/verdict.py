@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from asia._text import one_line
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.checks.check import Verdict
-from asia.judge.scoring.checks.records import listed
+from asia.judge.scoring.checks.validation_data import listed
 from asia.ledger.events import Refitted, TestedModel, Unsealed
 from asia.ledger.evidence import identified
 from asia.ledger.run import alarms, model_to_use, tested_model
@@ -45,7 +45,7 @@ def doubts(subject: Subject) -> Iterator[str]:
         ("training mean", "than the training mean"),
         ("linear model", "than a linear model"),
     ):
-        reference = subject.rung(name)
+        reference = subject.reference(name)
         if reference is not None and value > _BETTER * reference[1]:
             yield f"the model is {'worse' if value > reference[1] else 'hardly better'} {text}"
             break
@@ -157,7 +157,7 @@ def _error(subject: Subject, best: Experiment) -> Html:
     assert score is not None
     share = tag("b", subject.number(result, "outcome.value", "share"))
     start = ("On held-out data its error is ", share, " of the output's standard deviation")
-    reference = subject.rung("linear model")
+    reference = subject.reference("linear model")
     if reference is None:
         return join((*start, "."))
     linear, value = reference
@@ -191,7 +191,7 @@ def _test(subject: Subject) -> Html:
     label = said(find_metric(model.scores[0].metric).label)
     units = {s.unit for s in subject.problem.outputs} if subject.problem else set[str]()
     unit = join((" ", said(units.pop()))) if len(units) == 1 else None
-    text = "On the sealed test, opened once after the search, its "
+    text = "On the sealed test, which this run opened after the search, its "
     return join((text, label, " is ", value, unit, "."))
 
 
@@ -218,7 +218,7 @@ def _tiles(subject: Subject, best: Experiment) -> Html:
         ("V, noise floor", "simulated truth"),
         ("V, training mean", "training mean"),
     ):
-        reference = subject.rung(name)
+        reference = subject.reference(name)
         if reference is not None:
             tiles.append((label, subject.number(reference[0], "outcome.value", "error")))
     paths = [
@@ -335,7 +335,9 @@ def _write_tested(subject: Subject) -> Html | None:
     how = join((subject.number(opened, "skip", "count"), " samples of each record are left out"))
     if opened.horizon is not None:
         how = join(("windows of ", subject.number(opened, "horizon", "count"), " samples"))
-    parts = [tag("p", "The test records were opened once, after the search had ended: ", how, ".")]
+    parts = [
+        tag("p", "This run opened the test records once, after the search had ended: ", how, ".")
+    ]
     found = final_models(opened)
     failed = [text for _, text, model in found if not isinstance(model, TestedModel)]
     models = [(key, text, model) for key, text, model in found if isinstance(model, TestedModel)]
@@ -511,11 +513,11 @@ def held_out_overlays(subject: Subject, experiment: Experiment) -> list[Overlay]
             chosen = [("held-out part", 0)]
             if problem.protocol.kind == "windows":
                 found = representative_windows(
-                    [block.y for block in fold.validation], y_hat, fold.scale
+                    [block.y for block in fold.held_out], y_hat, fold.scale
                 )
                 chosen = [(f"{word} window", index) for word, index in found if word != "median"]
             for what, index in chosen:
-                block = fold.validation[index]
+                block = fold.held_out[index]
                 overlays.append(
                     Overlay(
                         title=join((f"{what} of fold ", _fold_name(subject, fold.index))),

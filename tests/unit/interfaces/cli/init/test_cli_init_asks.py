@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.data.intake.records import record_files, split_names, survey
+from asia.data.intake.conversion import record_files, split_names, survey
 from asia.data.intake.sheet import Wanted
 from asia.problem.load import load_problem
 from tests.unit.interfaces.cli.conftest import Asia, Terminal

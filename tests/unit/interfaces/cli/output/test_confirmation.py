@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from asia.interfaces.cli.validate import confirmation_lines, verdict
-from asia.judge.scoring.confirmation import ExpectedError, Interval
+from asia.judge.scoring.repeated_fits import ExpectedError, Interval
 from asia.ledger.events import Confirmed, ConfirmedCandidate, ConfirmedPair
 from tests.unit.interfaces.cli.conftest import Asia, Searched
 

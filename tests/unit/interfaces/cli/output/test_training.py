@@ -21,10 +21,10 @@ def test_every_figure_of_the_training_side_is_named_in_words() -> None:
         assert words in said, words
 
 
-def test_the_search_is_not_said_to_begin_with_rungs_that_were_said_already() -> None:
+def test_the_search_is_not_said_to_begin_with_references_that_were_said_already() -> None:
     now: Any = SimpleNamespace(running=None, experiments=0)
     said = submission_line(Submission("t", "queued"), now)
-    assert said == "the search evaluates the rungs, which are simple references, then the baseline"
+    assert said == "the search evaluates the reference models, then the baseline"
     now.experiments = 1
     assert submission_line(Submission("t", "queued"), now) == "queued, it is next"
 

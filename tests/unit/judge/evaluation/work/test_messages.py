@@ -29,9 +29,9 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation, Limits, WorkerKilledError
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
-from asia.problem.protocol import make_folds
 from asia.search.replay import replay_run
 from asia.search.run import prepare, search
 from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
@@ -99,7 +99,7 @@ def test_held_out_outputs_do_not_travel(problem: Problem) -> None:
     for fold in folds:
         raw = encode_data(fold_data(fold, problem.protocol))[1]
         assert raw in there.sent
-        for block in fold.validation:
+        for block in fold.held_out:
             pairs = [block.y[k : k + 2].tobytes() for k in range(len(block.y) - 1)]
             assert not any(pair in sent for pair in pairs for sent in (raw, *there.requests))
     fold = folds[0]

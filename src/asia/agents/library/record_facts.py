@@ -13,11 +13,10 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.agents.view import Facts, Trial
+from asia.agents.view import Facts
 from asia.data.frequency import find_period, frequency_response
 from asia.data.relations import FoundTransport, find_transport
 from asia.data.trajectory import Array, Trajectory
-from asia.judge.scoring.residuals import Diagnostics
 
 T = TypeVar("T")
 
@@ -73,8 +72,8 @@ def _one_step_poles(
         for u, y in signals
     ])  # fmt: skip
     spread = np.where(x.std(axis=0) > 0, x.std(axis=0), 1.0)
-    target = np.concatenate([y[order:, output] for _, y in signals])
-    theta = np.linalg.lstsq(x / spread, target, rcond=1e-10)[0] / spread
+    response = np.concatenate([y[order:, output] for _, y in signals])
+    theta = np.linalg.lstsq(x / spread, response, rcond=1e-10)[0] / spread
     return np.roots([1.0, *-theta[:order]])
 
 
@@ -252,8 +251,8 @@ def _innovations(signals: Sequence[Array]) -> tuple[Array, ...] | None:
         )
         for s in scaled
     ]
-    target = np.concatenate([s[_OWN_LAGS:] for s in scaled])
-    theta = np.linalg.lstsq(np.concatenate(pasts), target, rcond=1e-10)[0]
+    response = np.concatenate([s[_OWN_LAGS:] for s in scaled])
+    theta = np.linalg.lstsq(np.concatenate(pasts), response, rcond=1e-10)[0]
     new = [s[_OWN_LAGS:] - past @ theta for s, past in zip(scaled, pasts, strict=True)]
     left = float(np.concatenate(new).std())
     return tuple(n / left for n in new) if left > _PREDICTABLE else None
@@ -286,7 +285,7 @@ def _input_gain(records: Sequence[Trajectory], output: int, size: int) -> float:
     """Return the share of the one-step error of block means that the inputs take away."""
     own: list[Array] = []
     driven: list[Array] = []
-    targets: list[Array] = []
+    responses: list[Array] = []
     for record in records:
         y = _block_means(record.y[:, output : output + 1], size)[:, 0]
         u = _block_means(record.u, size)
@@ -298,12 +297,12 @@ def _input_gain(records: Sequence[Trajectory], output: int, size: int) -> float:
         late = _lagged(inputs, range(_BLOCK_LAGS + 1), _BLOCK_LAGS)
         own.append(np.column_stack([*past, np.ones(rows)]))
         driven.append(np.column_stack([*past, *late, np.ones(rows)]))
-        targets.append(y[_BLOCK_LAGS:])
-    if not targets:
+        responses.append(y[_BLOCK_LAGS:])
+    if not responses:
         return 0.0
-    target = np.concatenate(targets)
-    without = _left_out_error(np.concatenate(own), target)
-    return 1.0 - _left_out_error(np.concatenate(driven), target) / max(without, 1e-300)
+    response = np.concatenate(responses)
+    without = _left_out_error(np.concatenate(own), response)
+    return 1.0 - _left_out_error(np.concatenate(driven), response) / max(without, 1e-300)
 
 
 def _left_out_error(x: Array, y: Array) -> float:
@@ -376,8 +375,8 @@ def _switching_terms(records: Sequence[Trajectory], output: int) -> Iterator[Swi
         bent = [past**2, past**3, now**2, now**3, past * now, past**2 * now, past * now**2]
         smooth.append(np.hstack([np.ones((len(past), 1)), *lags, *bent]))
     basis = np.linalg.qr(np.concatenate(smooth))[0]
-    target = np.concatenate([v[_LAGS:] for v in outputs])
-    error = target - basis @ (basis.T @ target)
+    response = np.concatenate([v[_LAGS:] for v in outputs])
+    error = response - basis @ (basis.T @ response)
     pace = np.concatenate([np.diff(v) for v in outputs]).std() or 1.0
     directions = [np.tanh(np.diff(v, prepend=v[0]) / (_FINE * pace)) for v in outputs]
     terms: list[tuple[Cause, int, list[Array]]] = [
@@ -436,64 +435,9 @@ def transport(records: tuple[Trajectory, ...]) -> FoundTransport | None:
     return min(likely, key=lambda f: f.ratio, default=None)
 
 
-# Evidence from data and training residuals for the choice of the next move.
-
-
 def plateau_share(facts: Facts) -> float:
     """Largest share over the outputs of samples within 0.5 % of the range from the maximum: a
     signal that stays there is limited by the system or by its sensor."""
     y = np.concatenate([r.y for r in facts.records])
     reach = y.max(axis=0) - 0.005 * (y.max(axis=0) - y.min(axis=0))
     return float((y >= reach).mean(axis=0).max())
-
-
-def worst(trial: Trial, read: Callable[[Diagnostics], float]) -> float:
-    """The largest value of a diagnostic over the folds; 0 without evidence."""
-    return max((read(d) for d in trial.diagnostics), default=0.0)
-
-
-def overfit(trial: Trial) -> float:
-    """V over the training error: far above 1 the model has learned its own fold."""
-    train = trial.train_error
-    if trial.value is None or not train:
-        return 1.0
-    return trial.value / train
-
-
-def by_overfit(trial: Trial, far: float, some: float, none: float) -> float:
-    """A weight by how far V is above the training error."""
-    ratio = overfit(trial)
-    return far if ratio > 2.0 else some if ratio > 1.3 else none
-
-
-def coloured(trial: Trial) -> bool:
-    """The residual is far from white: dynamics are missing."""
-    return worst(trial, lambda d: d.whiteness) > 0.5
-
-
-def biased(trial: Trial) -> bool:
-    """The mean residual is not small."""
-    return worst(trial, lambda d: d.bias) > 0.03
-
-
-def fails_on_top(trial: Trial) -> bool:
-    """Errors gather where the output is highest."""
-    return worst(trial, lambda d: d.top_error) > 1.3
-
-
-def input_left(trial: Trial) -> bool:
-    """The input still explains part of the residual."""
-    return worst(trial, lambda d: d.input_correlation) > 0.25
-
-
-def curved(trial: Trial) -> bool:
-    """The residual goes with the square of the output: a static nonlinearity is missing."""
-    return worst(trial, lambda d: d.curvature) > 0.25
-
-
-def folds_disagree(trial: Trial) -> float:
-    """Return the largest over the smallest V of the folds: far above 1 the training parts differ in
-    information."""
-    if not trial.folds or min(trial.folds) <= 0:
-        return 1.0
-    return max(trial.folds) / min(trial.folds)

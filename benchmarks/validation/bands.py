@@ -5,7 +5,7 @@ are fitted to each fold, the lowest V wins, and its fold models and its refit ar
 record of the same kind, one with a larger input and two with a faster and a slower one. Folds,
 errors, region and bands are those of asia.simulate and asia unseal.
 
-    python benchmarks/dossier/bands.py --seeds 0 9
+    python benchmarks/validation/bands.py --seeds 0 9
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from band_systems import KINDS, PAST, Kind, Model, fit, make_system
 from asia.data import Array, Trajectory
 from asia.judge.scoring.bands import HeldOutErrors, region_of
 from asia.judge.scoring.outcome import score_fold
-from asia.problem.protocol import Block, Fold, FoldRule, Group, ProtocolRule, make_folds, whole
+from asia.problem.folds import Block, Fold, make_folds, whole
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
 from asia.search.simulation import BandBasis
 
 LEVELS = (0.5, 0.9, 0.95)
@@ -100,8 +101,8 @@ def searched(
     best, kept = np.inf, None
     for candidate in CANDIDATES:
         models = [fit(fold.train, *candidate, seed=fold.index) for fold in folds]
-        answers = [simulated(m, f.validation) for m, f in zip(models, folds, strict=True)]
-        measured = [[b.y for b in fold.validation] for fold in folds]
+        answers = [simulated(m, f.held_out) for m, f in zip(models, folds, strict=True)]
+        measured = [[b.y for b in fold.held_out] for fold in folds]
         value = np.mean([
             score_fold(y, y_hat, fold.scale, "rmse").value
             for y, y_hat, fold in zip(measured, answers, folds, strict=True)

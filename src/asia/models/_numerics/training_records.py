@@ -13,45 +13,7 @@ from asia.candidate import Context
 from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace
-
-# Z-scores: signals leave physical units inside a model and come back at its border.
-
-
-@dataclass(frozen=True)
-class Scaling:
-    """Mean and standard deviation of each channel, in physical units."""
-
-    u_mean: Array  # (nu,)
-    u_std: Array  # (nu,), 1 for a constant channel
-    y_mean: Array  # (ny,)
-    y_std: Array  # (ny,), 1 for a constant channel
-
-    @classmethod
-    def of(cls, trajectories: Sequence[Trajectory]) -> Scaling:
-        """Statistics over all samples of all records; a constant channel is only shifted."""
-        u = np.concatenate([t.u for t in trajectories])
-        y = np.concatenate([t.y for t in trajectories])
-        return cls(u.mean(axis=0), _spread(u), y.mean(axis=0), _spread(y))
-
-    def inputs(self, u: Array) -> Array:
-        """Scale inputs (..., nu) in physical units to z-scores."""
-        return (u - self.u_mean) / self.u_std
-
-    def outputs(self, y: Array) -> Array:
-        """Scale outputs (..., ny) in physical units to z-scores."""
-        return (y - self.y_mean) / self.y_std
-
-    def physical(self, y: Array) -> Array:
-        """Convert outputs (..., ny) from z-scores to physical units."""
-        return y * self.y_std + self.y_mean
-
-
-def _spread(values: Array) -> Array:
-    std = values.std(axis=0)
-    # A constant channel has rounding noise for a standard deviation; dividing by it would amplify.
-    constant = std <= 1e-12 * np.maximum(1.0, np.abs(values.mean(axis=0)))
-    return np.where(constant, 1.0, std)
-
+from asia.models._numerics.scaling import Scaling
 
 # Cuts of records, and padding of segments of unequal length to one array.
 
@@ -177,32 +139,21 @@ def measured_samples(record: Trajectory) -> Array:
     return np.asarray(record.measured.all(axis=1), dtype=np.float64)
 
 
-def refuse_gaps(trajectories: Sequence[Trajectory]) -> None:
-    """Refuse records with outputs that were not measured: the correlation of the residuals in time
-    would be unknown there.
-
-    Raises:
-        ValueError: if there are such outputs.
-    """
-    if any(t.missing is not None for t in trajectories):
-        raise ValueError("standard errors need records in which every output was measured")
-
-
-def window(past_u: AnyArray, past_y: AnyArray) -> AnyArray:
+def flat_past(past_u: AnyArray, past_y: AnyArray) -> AnyArray:
     """Flatten past windows: past_u (B, npu, nu), past_y (B, npy, ny) -> (B, npu*nu + npy*ny),
     z-scored alike."""
     flat = [past.reshape(past.shape[0], past.shape[1] * past.shape[2]) for past in (past_u, past_y)]
     return namespace(*flat).concatenate(flat, axis=1)
 
 
-def windows(record: ScaledTrajectory, context: Context) -> Array:
+def past_windows(record: ScaledTrajectory, context: Context) -> Array:
     """Past windows (T - past_length, d) before each sample from `past_length` on."""
-    return windows_before(record, np.arange(past_length(context), len(record)), context)
+    return past_windows_before(record, np.arange(past_length(context), len(record)), context)
 
 
 def window_rows(records: ScaledData, context: Context) -> list[Indices | slice]:
-    """Rows of each record's `windows` that contain only measured outputs; all rows of all records
-    if too few do."""
+    """Rows of each record's `past_windows` that contain only measured outputs; all rows of all
+    records if too few do."""
     past = past_length(context)
     if all(r.counts.all() for r in records):
         return [slice(None)] * len(records)
@@ -216,11 +167,11 @@ def window_rows(records: ScaledData, context: Context) -> list[Indices | slice]:
     return [slice(None)] * len(records) if few else found
 
 
-def windows_before(record: ScaledTrajectory, rows: Indices, context: Context) -> Array:
+def past_windows_before(record: ScaledTrajectory, rows: Indices, context: Context) -> Array:
     """Past windows (N, d) before samples (N,), none before `past_length`."""
     back_u = rows[:, None] + np.arange(-context.n_past_u, 0)
     back_y = rows[:, None] + np.arange(-context.n_past_y, 0)
-    return window(record.measured_u[back_u], record.y[back_y])
+    return flat_past(record.measured_u[back_u], record.y[back_y])
 
 
 def holdout_records(count: int, fraction: float) -> list[int]:
@@ -315,7 +266,7 @@ class PaddedBatch:
             p[record[:, None], rows(sample, p.shape[1] - length)]
             for p in (self.past_u, self.past_y)
         )
-        return window(*each)
+        return flat_past(*each)
 
 
 def batch(records: ScaledData, context: Context) -> PaddedBatch:
@@ -327,7 +278,9 @@ def batch(records: ScaledData, context: Context) -> PaddedBatch:
         for name, past in (("measured_u", context.n_past_u), ("y", context.n_past_y))
     )
     return PaddedBatch(
-        window=np.concatenate([windows_before(r, first, context) for r in records], dtype=_SINGLE),
+        window=np.concatenate(
+            [past_windows_before(r, first, context) for r in records], dtype=_SINGLE
+        ),
         u=past_u[:, context.n_past_u :]
         if all(r.u is r.measured_u for r in records)
         else _single([r.u[skip:] for r in records]),
@@ -399,7 +352,7 @@ def cut_windows(records: ScaledData, context: Context, most: int) -> HorizonWind
     for r, count in zip(usable, places, strict=True):
         starts = np.arange((count - 1) % stride // 2, count, stride)
         simulated = rows(past + starts, horizon)
-        features.append(windows(r, context)[starts])
+        features.append(past_windows(r, context)[starts])
         u.append(r.u[simulated])
         y.append(r.y[simulated])
         counts.append(r.counts[simulated])
@@ -414,7 +367,7 @@ def whole_windows(records: ScaledData, context: Context, horizon: int, most: int
     counts = [(len(r) - past) // horizon for r in records]
     stride = max(1, round(sum(max(count, 1) for count in counts) / most))
     places = [(i, k * horizon) for i, count in enumerate(counts) for k in range(count)][::stride]
-    features = [windows(r, context) for r in records]
+    features = [past_windows(r, context) for r in records]
     segments = [records[i].part(past + k, horizon) for i, k in places]
     return HorizonWindows(
         np.stack([features[i][k] for i, k in places]),

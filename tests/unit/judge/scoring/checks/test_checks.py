@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -17,11 +20,9 @@ from asia.judge.scoring.checks.errors import (
     check_steps_ahead,
     no_bands,
 )
-from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
 from asia.judge.scoring.checks.residual import residual_checks
 from asia.judge.scoring.checks.response import (
     HORIZONS,
-    LinearResponse,
     check_frequency_response,
     check_gain,
     check_long_run,
@@ -30,6 +31,13 @@ from asia.judge.scoring.checks.response import (
     frequency_response_of,
     impulse_response,
     poles,
+)
+from asia.judge.scoring.checks.validation_data import (
+    LinearResponse,
+    SimulatedBlock,
+    SimulatedBlocks,
+    ValidationData,
+    without_responses,
 )
 from asia.judge.scoring.residuals import cross_correlation
 
@@ -46,6 +54,13 @@ def simulations(y_hat: Array, y: Array, u: Array) -> SimulatedBlocks:
     return SimulatedBlocks(blocks, ("valve",), ("level",), 0.5)
 
 
+def data_with(**fields: Any) -> ValidationData:
+    """Data of a model with outputs between -1 and 1, with other responses."""
+    zeros = np.zeros(SAMPLES)
+    data = without_responses(simulations(zeros, zeros, zeros))
+    return replace(data, lowest=np.array([-1.0]), highest=np.array([1.0]), **fields)
+
+
 @pytest.fixture
 def random() -> np.random.Generator:
     return np.random.default_rng(3)
@@ -60,7 +75,8 @@ def flagged(checks: tuple[Check, ...]) -> set[Cause | None]:
 
 
 def all_checks(found: SimulatedBlocks) -> tuple[Check, ...]:
-    return (*residual_checks(found), check_gain(found), check_frequency_response(found, ()))
+    data = without_responses(found)
+    return (*residual_checks(data), check_gain(data), check_frequency_response(data))
 
 
 def test_a_sound_model_under_coloured_noise_passes(random: np.random.Generator) -> None:
@@ -99,7 +115,7 @@ def test_the_sentence_names_input_output_and_lags(random: np.random.Generator) -
     u = random.standard_normal(SAMPLES)
     y_hat = np.zeros(SAMPLES)
     y = np.concatenate([np.zeros(5), u[:-5]]) + 0.1 * random.standard_normal(SAMPLES)
-    check = residual_checks(simulations(y_hat, y, u))[1]
+    check = residual_checks(without_responses(simulations(y_hat, y, u)))[1]
     assert check.verdict is Verdict.FAIL
     assert "the residual of level follows valve at lag 5" in check.sentence
 
@@ -134,7 +150,7 @@ def test_the_linearised_frequency_response_is_that_of_the_linear_system() -> Non
     one = LinearResponse("middle inputs", "valve", impulse)
     assert one.settled
     assert one.step[-1, 0] == pytest.approx(sum(B) / sum(A), abs=1e-9)
-    check = check_responses([one], ["level"], 0.5)
+    check = check_responses(data_with(linear_responses=(one,)))
     assert check.verdict is Verdict.SHOWN
     assert "static gain 1.5 on level, slowest pole z = 0.65 ± 0.27" in check.sentence
 
@@ -150,15 +166,14 @@ def test_the_same_response_by_python_control() -> None:
 
 
 def test_a_long_run() -> None:
-    low, high = np.array([-1.0]), np.array([1.0])
     t = np.arange(HORIZONS * 100.0)
     wave = np.sin(t)[:, None]
-    assert check_long_run(wave, low, high).verdict is Verdict.PASS
+    assert check_long_run(data_with(long_run=lambda: wave)).verdict is Verdict.PASS
     rising = wave + 1e-3 * 1.01 ** t[:, None]
-    assert check_long_run(rising, low, high).cause is Cause.UNSTABLE
-    ramp = check_long_run(wave + 0.02 * t[:, None], low, high)
+    assert check_long_run(data_with(long_run=lambda: rising)).cause is Cause.UNSTABLE
+    ramp = check_long_run(data_with(long_run=lambda: wave + 0.02 * t[:, None]))
     assert (ramp.verdict, ramp.cause) == (Verdict.DOUBT, None)
-    assert check_long_run(None, low, high).verdict is Verdict.FAIL
+    assert check_long_run(data_with(long_run=lambda: None)).verdict is Verdict.FAIL
 
 
 def test_errors_that_grow_where_the_model_was_not_fitted() -> None:
@@ -188,7 +203,7 @@ def test_the_error_spectrum_is_shown_with_the_noise(random: np.random.Generator)
     u = held_steps(random)
     y = signal.lfilter(B, A, u)
     found = simulations(y, y + 0.1 * y.std() * random.standard_normal(SAMPLES), u)
-    check = check_spectrum(found, [0.1])
+    check = check_spectrum(replace(without_responses(found), noise=lambda: [0.1]))
     assert check.verdict is Verdict.SHOWN
     assert "noise 10 %" in check.sentence
     assert len(check.curves) == 2
@@ -209,10 +224,10 @@ def test_the_gain_of_the_data_is_drawn_where_it_is_clear(random: np.random.Gener
     y_hat = signal.lfilter(B, A, u)
     slow = signal.lfilter([0.02], [1.0, -0.98], u)
     noisy = slow + 0.05 * random.standard_normal(SAMPLES)
-    check = check_frequency_response(simulations(slow, noisy, u), ())
+    check = check_frequency_response(without_responses(simulations(slow, noisy, u)))
     assert check.curves[0].name == "valve to level, data, coherence above 0.5"
     assert "agrees with the data within statistical error" in check.sentence
-    clear = check_frequency_response(simulations(y_hat, y_hat, u), ())
+    clear = check_frequency_response(without_responses(simulations(y_hat, y_hat, u)))
     assert 0 < len(check.curves[0].x) < len(clear.curves[0].x)
 
 

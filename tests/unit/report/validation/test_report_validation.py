@@ -1,4 +1,4 @@
-"""The dossier on the page: its verdicts, its pictures, and nothing that its record does not say."""
+"""Validation on the page: its verdicts, its pictures, and nothing that its record does not say."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def directory(tmp_path: Path) -> Path:
     return write_run(tmp_path / "made", problem, (("first", 0.9), ("last", 0.2)))
 
 
-def dossier(directory: Path, record: str = "", digest: str = "") -> Validated:
+def validated(directory: Path, record: str = "", digest: str = "") -> Validated:
     """As `asia validate` would have appended it, with four checks."""
     steps = np.arange(1.0, 2001.0)
     checks = (
@@ -68,10 +68,10 @@ def changed_page(run: Run, change: tuple[str, str]) -> str:
     return page_of(run, (Section("one", "One", write),))
 
 
-def test_a_dossier_has_its_section_and_its_pictures(directory: Path) -> None:
+def test_a_validation_report_has_its_section_and_its_pictures(directory: Path) -> None:
     assert 'id="validation"' not in page_of(open_run(directory))
-    dossier(directory)
-    dossier(directory, ATTACK, "d")
+    validated(directory)
+    validated(directory, ATTACK, "d")
     page = page_of(open_run(directory))
     assert page.count(SENTENCE) == 2 * 2 * 2  # first and in the table, as value and as text
     assert 'class="stamp small none">fail<' in page
@@ -84,17 +84,19 @@ def test_a_dossier_has_its_section_and_its_pictures(directory: Path) -> None:
     assert verify(directory).records
 
 
-def test_a_dossier_that_is_not_the_ledgers_is_refused(directory: Path) -> None:
-    dossier(directory)
+def test_a_validation_report_that_is_not_the_ledgers_is_refused(directory: Path) -> None:
+    validated(directory)
     run = open_run(directory)
     assert SENTENCE in changed_page(run, ("lags 3 to 8", "lags 3 to 8"))
     with pytest.raises(InternalError, match="where the ledger"):
         changed_page(run, ("lags 3 to 8", "lags 3 to 9"))
 
 
-def test_a_newer_dossier_takes_the_place_of_the_older_one_of_its_record(directory: Path) -> None:
-    first = dossier(directory, "new.csv", "d")
-    dossier(directory)
+def test_a_newer_validation_takes_the_place_of_the_older_one_of_its_record(
+    directory: Path,
+) -> None:
+    first = validated(directory, "new.csv", "d")
+    validated(directory)
     with Chain(directory / "ledger.jsonl") as chain:
         chain.append(replace(first, record="again.csv"))
         assert [one.record for one in chain.view.validated] == ["", "again.csv"]
@@ -103,7 +105,7 @@ def test_a_newer_dossier_takes_the_place_of_the_older_one_of_its_record(director
 def test_a_long_curve_keeps_its_extremes(directory: Path) -> None:
     from asia.ledger.evidence import get_curves
 
-    event = dossier(directory)
+    event = validated(directory)
     inputs, spectrum = get_curves(open_run(directory).store, event.curves)
     curve = inputs.curves[0]
     assert len(curve.x) <= 240

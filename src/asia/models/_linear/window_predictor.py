@@ -12,7 +12,7 @@ from asia.models._least_squares import SEQUENTIAL, LevenbergMarquardt, NormalEqu
 from asia.models._linear.fit import Refinement
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import Encoder, affine
-from asia.models._numerics.records import (
+from asia.models._numerics.training_records import (
     HorizonWindows,
     ScaledData,
     ScaledTrajectory,

@@ -14,7 +14,8 @@ from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Score
 from asia.problem import Budget
-from asia.problem.protocol import FoldRule, Group, ProtocolRule, make_folds
+from asia.problem.folds import make_folds
+from asia.problem.protocol import FoldRule, Group, ProtocolRule
 
 HOLD = """
 import numpy as np
@@ -63,7 +64,7 @@ def windows(past: int) -> ProtocolRule:
     return ProtocolRule("windows", folds, 0, past, "mae", "inner", 10)
 
 
-def rungs(rule: ProtocolRule) -> dict[str, float]:
+def references(rule: ProtocolRule) -> dict[str, float]:
     found = score_references(evaluator(rule, carts()), rule.metric, None, {"linear model"})
     return {r.name: r.outcome.value for r in found if isinstance(r.outcome, Score)}
 
@@ -71,18 +72,18 @@ def rungs(rule: ProtocolRule) -> dict[str, float]:
 def test_a_rate_is_found_among_the_outputs_and_used() -> None:
     fold = make_folds(carts(), windows(1))[0]
     assert find_rates(fold, 10) == (1, None, None)
-    block = fold.validation[0]
+    block = fold.held_out[0]
     y_hat = constant_velocity(block, (1, None, None), 0.1)
     position, velocity, third = block.case.past_y[-1]
     assert y_hat[:, 0] == pytest.approx(position + 0.1 * velocity * np.arange(1, 11))
     assert np.array_equal(y_hat[:, 1:], np.tile([velocity, third], (10, 1)))
-    found = rungs(windows(1))
+    found = references(windows(1))
     assert list(found) == ["training mean", "last output held", "constant velocity"]
     assert found["constant velocity"] < found["last output held"]
 
 
 def test_two_past_outputs_tell_a_velocity() -> None:
-    block = make_folds(carts(), windows(3))[0].validation[0]
+    block = make_folds(carts(), windows(3))[0].held_out[0]
     past = block.case.past_y
     y_hat = constant_velocity(block, (None, None, None), 0.1)
     assert y_hat[0] == pytest.approx(past[-1] + (past[2] - past[0]) / 2)
@@ -95,7 +96,7 @@ def test_no_velocity_where_nothing_tells_one() -> None:
     names = [r.name for r in score_references(found, "mae", None, {"linear model"})]
     assert names == ["training mean", "last output held"]
     long = ProtocolRule(past_inputs=2, past_outputs=2)
-    assert list(rungs(long)) == ["training mean", "last output held"]
+    assert list(references(long)) == ["training mean", "last output held"]
 
 
 def test_a_candidate_is_judged_on_windows() -> None:
@@ -103,7 +104,7 @@ def test_a_candidate_is_judged_on_windows() -> None:
     found = evaluator(windows(1), carts())
     evaluation = found.evaluate(HOLD)
     assert isinstance(evaluation.outcome, Score)
-    assert evaluation.outcome.value == pytest.approx(rungs(windows(1))["last output held"])
+    assert evaluation.outcome.value == pytest.approx(references(windows(1))["last output held"])
     assert [len(f.y_hat) for f in evaluation.folds] == [8, 8]
     assert evaluation.folds[0].y_hat[0].shape == (10, 3)
     assert found.objection(HOLD, evaluation.folds) is None

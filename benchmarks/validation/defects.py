@@ -1,10 +1,11 @@
-"""Does the validation dossier name a planted defect, and none where there is none?
+"""Does the validation report name a planted defect, and none where there is none?
 
 Eight systems, each with one of eight defects or none, five seeds. The model has the structure of
 the system without the defect, fitted to noisy records by Levenberg-Marquardt on two of three
-contiguous folds at a time. The pure functions of the dossier see held-out simulations and answers
-of the model, as in asia validate. Options: --seeds FIRST LAST (default 0 4; thresholds were set on
-100 to 109), --jobs, --planted to look at some rows alone, --show to print each flag that is missed
+contiguous folds at a time. The pure functions of the validation report see held-out simulations
+and answers of the model, as in asia validate. Options: --seeds FIRST LAST (default 0 4;
+thresholds were set on 100 to 109), --jobs, --planted to look at some rows alone, --show to print
+each flag that is missed
 or false.
 """
 
@@ -16,6 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 from collections import Counter
+from dataclasses import replace
 from multiprocessing import Pool
 
 import numpy as np
@@ -23,13 +25,17 @@ from defect_systems import SAMPLES, SYSTEMS, Array, Defect, Motion, excitation, 
 
 from asia.judge.scoring.checks.check import Cause, Check, Verdict, most_serious
 from asia.judge.scoring.checks.errors import check_overfit
-from asia.judge.scoring.checks.records import SimulatedBlock, SimulatedBlocks
 from asia.judge.scoring.checks.residual import residual_checks
 from asia.judge.scoring.checks.response import (
     HORIZONS,
     check_frequency_response,
     check_gain,
     check_long_run,
+)
+from asia.judge.scoring.checks.validation_data import (
+    SimulatedBlock,
+    SimulatedBlocks,
+    without_responses,
 )
 
 FOLDS, NOISE, ROUNDS = 3, 0.03, 12
@@ -85,7 +91,7 @@ def fit(system: Motion, u: Array, y: Array, weights: Array) -> Array:
     return best
 
 
-def dossiers(number: int, planted: str, seeds: range) -> list[tuple[Check, ...]]:
+def validation_reports(number: int, planted: str, seeds: range) -> list[tuple[Check, ...]]:
     """The checks of each seed of one system."""
     system = SYSTEMS[number]
     defect = PLANTED[planted][0]
@@ -153,11 +159,17 @@ def judge(u: Array, y: Array, y_hat: Array, far: Array, parts: list[Array]) -> t
         e2 = (y - y_hat[:, k]) ** 2
         held_out.append(float(np.sqrt(e2[held].mean()) / y.std()))
         train.append(float(np.sqrt(np.delete(e2, held).mean()) / y.std()))
+    data = replace(
+        without_responses(simulations),
+        lowest=y.min(keepdims=True),
+        highest=y.max(keepdims=True),
+        long_run=lambda: far[:, None],
+    )
     return (
-        *residual_checks(simulations),
-        check_gain(simulations),
-        check_frequency_response(simulations, ()),
-        check_long_run(far[:, None], y.min(keepdims=True), y.max(keepdims=True)),
+        *residual_checks(data),
+        check_gain(data),
+        check_frequency_response(data),
+        check_long_run(data),
         check_overfit(train, held_out, simulations),
     )
 
@@ -175,7 +187,7 @@ def main() -> None:
     print("|---|---|---|---|")
     asked = [(k, planted, seeds) for planted in options.planted for k in range(len(SYSTEMS))]
     with Pool(options.jobs) as pool:
-        answers = pool.starmap(dossiers, asked, chunksize=1)
+        answers = pool.starmap(validation_reports, asked, chunksize=1)
     for place, planted in enumerate(options.planted):
         own = answers[place * len(SYSTEMS) : (place + 1) * len(SYSTEMS)]
         print(row(planted, own, options.show))

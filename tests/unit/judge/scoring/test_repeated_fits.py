@@ -12,7 +12,7 @@ from scipy import stats
 
 from asia.data import Array
 from asia.errors import InternalError
-from asia.judge.scoring.confirmation import (
+from asia.judge.scoring.repeated_fits import (
     RepeatedFits,
     block_values,
     corrected_level,

@@ -1,0 +1,209 @@
+"""Decision on a candidate: keep or discard, with retests from other seeds and the threshold.
+
+`decide` is the entry. A candidate about to become the incumbent is fitted again from other seeds.
+It is kept where its mean over the seeds is lower than the incumbent's by more than the significance
+threshold. That is a statement on its method. Its first fit is a model by itself: where its V is the
+lowest so far, it is the one to hand over, whatever is decided on the method.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from statistics import fmean, stdev
+
+from asia.errors import Reason
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.results import Evaluation, same_simulations
+from asia.judge.scoring.description import LiteralCheck
+from asia.judge.scoring.outcome import Failure, Outcome, Score
+from asia.judge.scoring.repeated_fits import significance_threshold
+from asia.ledger.events import Retest, Status
+from asia.ledger.view import SearchView, on_ladder
+from asia.search.literal_check import LiteralCheckFunction
+from asia.search.pending import retest_fits
+
+_FIRST_SEED = 1_000_000
+"""The number of the first seed of retests: those of `asia validate --repeat` count from 1, and
+a seed that chose a winner must not confirm it too."""
+_WORTH_A_RETEST = 0.5
+"""The share of the threshold by which a first fit must be lower: with less, two more fits make a
+new best very unlikely."""
+
+_NARROW = 0.1
+"""The largest threshold, over the mean, that an incumbent fitted from fewer seeds may leave."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """A candidate and the decision on it."""
+
+    evaluation: Evaluation
+    """Its first fit, or why there is no score."""
+    status: Status
+    retests: tuple[Retest, ...] = ()
+    threshold: float | None = None
+    """Required improvement of the mean over seeds; None without incumbent or if one fit decides."""
+    deadline: bool = False
+    """True if the speed of the machine influenced the decision."""
+    validation_scores: int = 0
+    """Validation scores given in all fits."""
+    lowest: bool = False
+    """True if its own fit is the best so far."""
+    literals: LiteralCheck | None = None
+    """Its literals against its gain; None where it is no new best."""
+
+
+def decide(
+    evaluator: Evaluator,
+    source: str,
+    view: SearchView,
+    evaluation: Evaluation | None = None,
+    over: float | None = None,
+    check_literals: LiteralCheckFunction | None = None,
+) -> Decision:
+    """Evaluate and decide, by the rule that the ledger names. A candidate that would be kept, or
+    handed over, must also come back bitwise the same from its bytes, and answer like a model. With
+    the Ladder every candidate with a score must: otherwise the check, and the time it takes, would
+    say which one is kept. After an objection the folds stay. evaluation: where its first fit was
+    made before; over: as in `Proposed`; check_literals: compares the literals of a new best with
+    its gain."""
+    if evaluation is None:
+        evaluation = evaluator.evaluate(source, over=over)
+    scores, outcome = evaluation.validation_scores, evaluation.outcome
+    if isinstance(outcome, Failure):
+        status = outcome.reason.status
+        timed_out = status == "timeout"
+        return Decision(evaluation, status, deadline=timed_out, validation_scores=scores)
+    folds, answers, literals = evaluation.folds, None, None
+    best = view.best.score if view.best else None
+    lowest = view.started.retests > 0 and (best is None or outcome.value < best.value)
+    with ExitStack() as opened:
+        if lowest and not evaluator.workers.is_sequential:
+            # It is checked whatever the retests say.
+            check = partial(evaluator.objection_to_answers, source, folds)
+            answers = opened.enter_context(evaluator.workers.background(check))
+        if view.started.retests:
+            decision = _decide_by_retests(evaluator, source, evaluation, outcome, view)
+        else:
+            decision = Decision(
+                evaluation, decide_by_one_fit(outcome, view), validation_scores=scores
+            )
+        status = decision.status
+        if lowest and status == "discard":
+            # From other seeds its method is no better. Its own fit is.
+            status = "inconclusive"
+        if status == "keep" or lowest or view.started.ladder is not None:
+            if answers is None:
+                failure = evaluator.objection(source, folds)
+            else:
+                failure = answers.result() or evaluator.objection_to_consistency(source, folds)
+            if failure is None and check_literals is not None and (status == "keep" or lowest):
+                literals = check_literals(source, evaluation, view)
+                if literals is not None and literals.suspect:
+                    failure = Failure(Reason.LITERALS, literals.suspect)
+            if failure is not None:
+                evaluation = replace(evaluation, outcome=failure)
+                status, lowest = failure.reason.status, False
+    return replace(
+        decision,
+        evaluation=evaluation,
+        status=status,
+        deadline=decision.deadline or status == "timeout",
+        lowest=lowest,
+        literals=literals,
+    )
+
+
+def _decide_by_retests(
+    evaluator: Evaluator, source: str, first: Evaluation, score: Score, view: SearchView
+) -> Decision:
+    """Fit from other seeds until the decision is clear, or there are no more.
+
+    `discard` where it is not lower than the incumbent, `inconclusive` where it is, but not by the
+    threshold. Each as soon as it is certain enough, so most candidates cost no fit more.
+    """
+    known = view.incumbent.seed_values if view.incumbent else ()
+    scores = first.validation_scores
+    if known:
+        threshold, lead = significance_threshold(known, known), fmean(known) - score.value
+        if lead < _WORTH_A_RETEST * threshold or lead <= 0.0:
+            status = "discard" if lead <= 0.0 else "inconclusive"
+            return Decision(first, status, threshold=threshold, validation_scores=scores)
+    retests: list[Retest] = []
+    values, failure = [score.value], None
+    most = view.started.retests
+
+    def fit(number: int) -> Evaluation:
+        return evaluator.evaluate(source, _FIRST_SEED + number)
+
+    with retest_fits(evaluator, fit, most) as take:
+        for number in range(most):
+            begin = time.monotonic()
+            again = take(number)
+            seconds = time.monotonic() - begin
+            scores += again.validation_scores
+            outcome = again.outcome
+            if isinstance(outcome, Failure):
+                failure = outcome.reason
+                retests.append(Retest(failed=failure.value, seconds=seconds))
+                break
+            same = same_simulations(first.y_hats, again.y_hats)
+            folds = tuple(fold.value for fold in outcome.folds)
+            retests.append(Retest(outcome.value, folds, same=same, seconds=seconds))
+            if same:
+                # One fit shows it: the others would be the same.
+                break
+            values.append(outcome.value)
+            if known and fmean(values) >= fmean(known):
+                break
+            # A wide threshold would keep better candidates out.
+            narrow = significance_threshold(values, values) <= _NARROW * fmean(values)
+            if known and narrow and _is_lower(values, known):
+                break
+    if not known:
+        # Nothing to beat; its spread is the first threshold.
+        status, threshold = "keep", None
+    else:
+        threshold = significance_threshold(values, known)
+        lower = failure is None and _is_lower(values, known)
+        status = "keep" if lower else "inconclusive"
+        if fmean(values) >= fmean(known):
+            status = "discard"
+    timed_out = failure is not None and failure.status == "timeout"
+    return Decision(first, status, tuple(retests), threshold, timed_out, scores)
+
+
+def _is_lower(values: Sequence[float], known: Sequence[float]) -> bool:
+    """Return whether the mean is lower by more than the threshold."""
+    return fmean(known) - fmean(values) > significance_threshold(values, known)
+
+
+def decide_by_one_fit(outcome: Outcome, view: SearchView) -> Status:
+    """Decide without retests: `keep` if V beats the incumbent's, else `discard`."""
+    if isinstance(outcome, Failure):
+        return outcome.reason.status
+    return "keep" if beats(outcome, view) else "discard"
+
+
+def beats(score: Score, view: SearchView) -> bool:
+    """Return whether a score is a new best.
+
+    It must be below the lowest V so far. With the Ladder it must be below the reported V by more
+    than the step, and better over the parts by three standard errors.
+    """
+    best = view.best.score if view.best else None
+    if best is None:
+        return True
+    step = view.started.ladder
+    if step is None:
+        return score.value < best.value
+    if not score.value < on_ladder(best.value, step) * (1.0 - step):
+        return False
+    before, now = ([part for fold in s.folds for part in fold.parts] for s in (best, score))
+    gains = [a - b for a, b in zip(before, now, strict=True)]
+    return len(gains) > 1 and fmean(gains) > 3.0 * stdev(gains) / math.sqrt(len(gains))
