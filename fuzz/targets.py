@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from asia.data.intake.records import take_in
 from fuzz import hostile
 
 from asia._source import source_facts
@@ -25,6 +24,7 @@ from asia.agents.llm.client import ChatClient, read_answer
 from asia.agents.llm.reply import MalformedReplyError, read_reply
 from asia.agents.llm.settings import LlmSettings
 from asia.candidate import check_source
+from asia.data.intake.conversion import take_in
 from asia.data.intake.sheet import Wanted
 from asia.data.store import read_seal
 from asia.errors import CandidateError, UserError
