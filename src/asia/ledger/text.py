@@ -215,14 +215,19 @@ def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Itera
         return
     own = "" if found.library else ", as the candidate's own code reports them"
     yield f"parameters, fitted to all training records{own}:"
-    heads = (
-        "", "value", "unit", "std. error", "by folds", "95 % interval", "interval decided by", "",
-    )  # fmt: skip
-    rows = [heads, *(_parameter_row(found, one) for one in found.parameters)]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        yield f"  {'  '.join(cells).rstrip()}"
+    heads = "", "value", "unit", "std. error", "by folds", "95 % interval", "decided by"
+    columns = [*zip(*(_parameter_row(one) for one in found.parameters), strict=True)]
+    table = [(head, *cells) for head, cells in zip(heads, columns, strict=True) if any(cells)]
+    padded = [[cell.ljust(max(map(len, column))) for cell in column] for column in table]
+    yield from (f"  {'  '.join(row).rstrip()}" for row in zip(*padded, strict=True))
+    alike: dict[str, list[str]] = {}
+    for one in found.parameters:
+        fitted = one.fitted
+        for remark in parameter_remarks(found, one):
+            end = fitted.lower if fitted.at_bound == "lower" else fitted.upper
+            reached = f" ({end:g})" if "end of its range" in remark else ""
+            alike.setdefault(remark, []).append(f"{fitted.name}{reached}")
+    yield from (f"  {remark}: {', '.join(names)}" for remark, names in alike.items())
     yield from (f"  {line}" for line in interval_lines(found))
     for first, second, rho in found.entangled[:_MOST_PAIRS]:
         yield (
@@ -244,11 +249,8 @@ def parameter_remarks(found: IdentifiedModel, one: IdentifiedParameter) -> Itera
         yield f"at the {fitted.at_bound} end of its range"
 
 
-def _parameter_row(found: IdentifiedModel, one: IdentifiedParameter) -> tuple[str, ...]:
+def _parameter_row(one: IdentifiedParameter) -> tuple[str, ...]:
     fitted, ends = one.fitted, one.interval
-    remarks = "; ".join(parameter_remarks(found, one))
-    if fitted.at_bound:
-        remarks += f", {fitted.lower if fitted.at_bound == 'lower' else fitted.upper:g}"
     return (
         fitted.name,
         f"{fitted.value:.5g}",
@@ -257,7 +259,6 @@ def _parameter_row(found: IdentifiedModel, one: IdentifiedParameter) -> tuple[st
         "" if one.fold_error is None else f"{one.fold_error:.2g}",
         "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}",
         "" if ends is None else one.decided_by,
-        remarks,
     )
 
 

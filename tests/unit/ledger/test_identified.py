@@ -96,9 +96,8 @@ def test_people_and_scripts_read_the_same() -> None:
     lines = list(identified_lines(found))
     assert lines[1].strip() == "d(x)/dt = -0.5 * x"
     assert "0.46 to 0.54" in next(line for line in lines if line.strip().startswith("k "))
-    other = next(line for line in lines if line.strip().startswith("m "))
-    assert "not identifiable" in other
-    assert "upper end of its range, 10" in other
+    assert "  not identifiable from these records: m" in lines
+    assert "  at the upper end of its range: m (10)" in lines
     assert "-0.970" in lines[-1]
     first = identified_object(found)["parameters"][0]
     assert first["interval_95"] == [0.46, 0.54]
