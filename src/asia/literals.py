@@ -26,7 +26,7 @@ RUN = 8
 _REFLECTIVE = re.compile(
     r"inspect|linecache|traceback|tokenize|symtable|dis|ast|gc|ctypes|sys|importlib|pkgutil|marshal"
     r"|getsource\w*|_getframe|currentframe|f_\w+|tb_\w+|co_\w+|gi_\w+|settrace|setprofile"
-    r"|open|read_text|read_bytes|fromfile|genfromtxt|loadtxt|memmap|vars|dir|locals|globals|eval"
+    r"|open|open_code|FileIO|mmap|fileinput|read_text|read_bytes|fromfile|genfromtxt|loadtxt|memmap|vars|dir|locals|globals|eval"
     r"|exec|compile|__import__|__(?:file|loader|spec|code|dict|name|qualname|doc|annotations|slots"
     r"|kwdefaults|defaults|closure|globals|builtins|subclasses|mro|traceback|getattr|getattribute"
     r"|set_name|prepare|class_getitem|dataclass_fields|match_args|members|static_attributes"
@@ -50,6 +50,8 @@ class Literals:
     """Runs of siblings of one kind: tables of numbers, truth values or names."""
     text: str = ""
     """The whole text, where the program can read it; "" where not."""
+    reader: str = ""
+    """What can read it there, as in the source: a name, or `**kwargs`."""
 
     def bits_beyond(self, *known: Literals) -> float:
         """Bits that are not in any of the `known` sources.
@@ -147,9 +149,9 @@ def literals(text: str, tree: ast.Module) -> Literals:
             strings.add(value if isinstance(value, str) else repr(value))
         elif id(node) not in in_runs:
             numbers[_written(node, lines)] += 1
-    return Literals(
-        dict(numbers), frozenset(strings), tuple(runs), text if _is_reflective(tree) else ""
-    )
+    reader = _reader(tree)
+    seen = text if reader else ""
+    return Literals(dict(numbers), frozenset(strings), tuple(runs), seen, reader)
 
 
 def merged(parts: Iterable[Literals]) -> Literals:
@@ -284,34 +286,34 @@ def _blanked(tree: ast.Module) -> set[int]:
     }
 
 
-def _is_reflective(tree: ast.Module) -> bool:
-    """Return whether the program can read its own text or its names."""
+def _reader(tree: ast.Module) -> str:
+    """Return what the program can read its own text or names with; "" for nothing."""
     for node in ast.walk(tree):
         match node:
             case ast.Import(names=names):
                 found = [part for one in names for part in one.name.split(".")]
             case ast.ImportFrom(module=module, names=names):
                 found = [*(module or "").split("."), *(one.name for one in names)]
-            case ast.Call(func=ast.Name(id="getattr" | "setattr" | "hasattr"), args=args):
+            case ast.Call(func=ast.Name(id="getattr" | "setattr" | "hasattr" as word), args=args):
                 match args:
                     case [_, ast.Constant(value=str(name)), *_]:
                         found = [name]
                     case _:
-                        return True
+                        return word
             case ast.Name(id=name) | ast.Attribute(attr=name):
                 found = [name]
             case ast.Call(func=ast.Name(id="dict"), keywords=keywords) if len(keywords) >= RUN:
-                return True
+                return "dict"
             case (
                 ast.FunctionDef(args=ast.arguments(kwarg=ast.arg()))
                 | ast.Lambda(args=ast.arguments(kwarg=ast.arg()))
             ):
-                return True
+                return "**kwargs"
             case _:
                 continue
-        if any(_REFLECTIVE.fullmatch(name) for name in found):
-            return True
-    return False
+        if known := [name for name in found if _REFLECTIVE.fullmatch(name)]:
+            return known[0]
+    return ""
 
 
 # Runs: siblings of one kind whose choice or order can spell data.

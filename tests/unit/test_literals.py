@@ -46,11 +46,24 @@ def test_comments_and_docstrings_hold_nothing():
     assert bits('"""3.14159 and more."""\n# 2.71828\nx = None') == bits("x = None")
 
 
-def test_a_reading_of_the_own_text_counts_all_of_it():
-    plain = bits("x = 1.5\nlonger_name = x")
-    assert bits("import inspect\nx = 1.5\nlonger_name = x") > plain + 100.0
-    assert bits("x = 1.5\nlonger_name = getattr(x, 'a' + 'b')") > plain + 100.0
-    assert bits("def f(**given): return list(given)\nx = 1.5") > plain + 100.0
+@pytest.mark.parametrize(
+    ("reader", "source"),
+    [
+        ("inspect", "import inspect\nx = 1.5"),
+        ("getattr", "x = 1.5\nlonger_name = getattr(x, 'a' + 'b')"),
+        ("__dict__", "x = getattr(fit, '__dict__')"),
+        ("**kwargs", "def f(**given): return list(given)\nx = 1.5"),
+        ("FileIO", "import io\nx = io.FileIO('/proc/self/mem')"),
+        ("open", "with open('notes') as file:\n    x = 1.5"),
+    ],
+)
+def test_a_reading_of_the_own_text_counts_all_of_it(reader, source):
+    assert of(source).reader == reader
+    assert bits(source) > bits("x = 1.5") + 100.0
+
+
+def test_a_program_that_cannot_read_its_text_is_counted_by_its_literals():
+    assert of("x = 1.5\nlonger_name = x").reader == ""
 
 
 @pytest.mark.parametrize(

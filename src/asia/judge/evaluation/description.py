@@ -121,8 +121,9 @@ def check_literals(
     if SuspicionKind.LITERALS in evaluator.without or (found.affordable and not doubted):
         return found
     # Agents read this: it has no figure of held-out data.
+    whole = f", its whole text included because `{own.reader}` can read it," if own.text else ""
     spent = (
-        f"literals: the source holds {bits:.0f} bits of data more than "
+        f"literals: the source holds {bits:.0f} bits of data{whole} more than "
         f"#{standard.experiment:02d} and the library, above a tenth of what V gained"
     )
     beyond, known_guard = inf, guard()

@@ -1,10 +1,12 @@
-"""Questions of `asia unseal` before it opens a test."""
+"""Questions of `asia unseal` before it opens a test, and the alarm after it."""
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from asia.judge.sandbox.types import Isolation
@@ -68,3 +70,33 @@ def test_a_person_is_told_why_and_asked(
     monkeypatch.setattr("sys.stdin", Terminal(run, "y"))
     assert asia("unseal", run).code == 0
     assert opened(run)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("alike", [False, True], ids=["another system", "the same system"])
+def test_a_test_error_far_above_v_is_printed_first_and_in_red(
+    tmp_path: Path, asia: Asia, monkeypatch: pytest.MonkeyPatch, alike: bool
+) -> None:
+    problem, runs = write_problem(tmp_path / "toy", experiments=2), tmp_path / "runs"
+    if not alike:
+        table = np.loadtxt(problem / "test.csv", delimiter=",", skiprows=1)
+        table[:, 1] *= -1
+        np.savetxt(problem / "test.csv", table, delimiter=",", header="u,y", comments="")
+    monkeypatch.setattr("asia.judge.evaluation.references.LINEAR", arx(2))
+    ready = prepare(load_problem(problem), "scripted", seed=0, runs=runs)
+    search(ready, Scripted((arx(2),)), lambda event, view: None, lambda view: None)
+    run = ready.directory
+    # Nothing is known before the test is opened.
+    assert "ALARM" not in asia("status", run).out
+    opened_first = json.loads(asia("unseal", run, "--yes", "--yes-process", "--json").out)
+    assert [words.partition(" times V")[1] for words in opened_first["alarms"]] == (
+        [] if alike else [" times V"]
+    )
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    for command in ("unseal", "status", "show"):
+        done = asia(command, run)
+        assert done.code == 0, done.err
+        assert ("ALARM" in done.out) is not alike
+        # Bold and red, before any other line.
+        assert done.out.startswith("\x1b[1;31mALARM   the test error is ") is not alike, command

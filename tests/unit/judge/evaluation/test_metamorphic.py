@@ -1,6 +1,7 @@
 """Cheats that isolation cannot stop give themselves away; honest models never."""
 
 from collections.abc import Callable
+from itertools import count
 
 import numpy as np
 import pytest
@@ -304,3 +305,16 @@ def test_a_model_that_does_not_answer_fails():
 
     with pytest.raises(CandidateError):
         suspicions(Model(crash), held_out.held_out, y_hat, held_out.scale, None)
+
+
+@pytest.mark.parametrize("horizon", HORIZONS)
+def test_no_request_depends_on_a_clock(horizon: int | None, monkeypatch: pytest.MonkeyPatch):
+    """A model that sleeps is asked as much as any other: here each look at a clock takes a day."""
+    held = fold(horizon)
+    plain, slow = Model(honest), Model(honest)
+    first = suspicions_of(plain, held.held_out, held.scale, horizon)
+    days = count()
+    for name in ("time", "monotonic", "perf_counter", "process_time", "thread_time"):
+        monkeypatch.setattr(f"time.{name}", lambda: 86400.0 * next(days))
+    assert suspicions_of(slow, held.held_out, held.scale, horizon) == first == ()
+    assert slow.asked == plain.asked
