@@ -44,8 +44,8 @@ class Activity(StrEnum):
     """Reproduction of a new best and checks of its model."""
     SCORE = "score"
     """Errors and residuals."""
-    REFERENCES = "rungs"
-    """The reference models are scored. The value is the name in ledgers."""
+    REFERENCES = "references"
+    """The reference models are scored."""
     REFIT = "refit"
     """The winner fitted on all records, and a second time on a fold."""
     GUARD = "guard"
@@ -60,6 +60,11 @@ class Activity(StrEnum):
     """Pause by the user."""
     OTHER = "other"
     """Time of no other activity."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Activity | None:
+        """Older ledgers call the references rungs."""
+        return cls.REFERENCES if value == "rungs" else None
 
 
 @dataclass(frozen=True)
