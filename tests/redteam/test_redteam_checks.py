@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 from typer.testing import CliRunner
 
+from asia.assurance.redteam.arena import attack_candidate
 from asia.assurance.redteam.attacks.table import ATTACKS
 from asia.assurance.redteam.problem import Principle
 from asia.assurance.redteam.suite import unchecked_table, without_checks
@@ -109,3 +110,12 @@ def test_the_command_leaves_out_one_check(monkeypatch):
     assert done.exit_code == 0, done.output
     assert asked == [("block end",)]
     assert "with all checks" in done.stdout
+
+
+@needs_level
+def test_a_look_ahead_is_flagged_where_few_large_errors_hide_its_mean():
+    (attack,) = (a for a in ATTACKS if a.number == 27)
+    assert isinstance(attack, CandidateAttack)
+    found = attack_candidate(attack, ONE_LEVEL)
+    assert found.verdict is AttackVerdict.FLAGGED
+    assert "look-ahead" in found.note

@@ -268,6 +268,8 @@ MOST_STRANGERS = 24
 _FURTHER = (0.25, 1.0)
 # Excess of the error without look-ahead, in its standard errors.
 _SIGNIFICANT = 2.5
+# Excess of the number of ends with a larger error, in its standard deviations.
+_MORE_OFTEN = 3.5
 
 
 def suspicions(
@@ -392,8 +394,12 @@ def look_ahead(
                 excess.append(float(chunk[-1] - (chunk[:-1].mean() + later[:-1].mean()) / 2))
     if len(excess) < 2:
         return None
-    error = float(np.std(excess, ddof=1)) / np.sqrt(len(excess))
-    if np.mean(excess) <= _SIGNIFICANT * error:
+    count = len(excess)
+    error = float(np.std(excess, ddof=1)) / np.sqrt(count)
+    # Few large errors hide the mean, but not how many ends are worse: half of them by chance.
+    worse = sum(one > 0 for one in excess)
+    often = 2 * worse - count > _MORE_OFTEN * np.sqrt(count)
+    if np.mean(excess) <= _SIGNIFICANT * error and not often:
         return None
     words = "samples simulated without a later input have larger errors than those around them"
     share = float(np.sum(excess) / np.sum(free))
