@@ -22,8 +22,9 @@ _MOST = 64
 def chunk_ends(past_u: Array, past_y: Array, u: Array, secret: bytes) -> list[int]:
     """End of each chunk of a batch of cases, the last one at H.
 
-    There are at most 64 chunks, of 2 samples or more on average and twice as many at most. The ends are drawn from
-    `secret` and the cases, so that they are the same whenever the same cases are asked.
+    There are at most 64 chunks, of 2 samples or more on average and twice as many at most. The ends
+    are drawn from `secret` and the cases, so that they are the same whenever the same cases are
+    asked.
     """
     length = u.shape[1]
     if length <= SHORT:
