@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from asia.candidate import simulate_steps
+
 LENGTH, CHANNELS = 40, 30
 
 
@@ -19,11 +21,7 @@ class Cnn:
         return np.concatenate([buffer[:, 1:], u], axis=1), y[:, None]
 
     def simulate(self, past_u, past_y, u):
-        buffer, found = self.initial(past_u, past_y, u[:, 0]), []
-        for k in range(u.shape[1]):
-            buffer, y = self.step(buffer, u[:, k])
-            found.append(y)
-        return np.stack(found, axis=1)
+        return simulate_steps(self, past_u, past_y, u)
 
 
 def fit(trajectories, context):

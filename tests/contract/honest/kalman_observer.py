@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from asia.candidate import simulate_steps
+
 
 class Observer:
     def __init__(self, a, b, offset):
@@ -21,11 +23,7 @@ class Observer:
         return state @ self.a.T + u * self.b + self.offset, state[:, :1]
 
     def simulate(self, past_u, past_y, u):
-        state, found = self.initial(past_u, past_y, u[:, 0]), []
-        for k in range(u.shape[1]):
-            state, y = self.step(state, u[:, k])
-            found.append(y)
-        return np.stack(found, axis=1)
+        return simulate_steps(self, past_u, past_y, u)
 
 
 def fit(trajectories, context):

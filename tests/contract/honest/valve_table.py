@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from asia.candidate import simulate_steps
+
 KNOTS = 9
 
 
@@ -17,11 +19,7 @@ class Valve:
         return self.pole * x + np.interp(u, self.places, self.flow), x
 
     def simulate(self, past_u, past_y, u):
-        x, found = self.initial(past_u, past_y, u[:, 0]), []
-        for k in range(u.shape[1]):
-            x, y = self.step(x, u[:, k])
-            found.append(y)
-        return np.stack(found, axis=1)
+        return simulate_steps(self, past_u, past_y, u)
 
 
 def fit(trajectories, context):
