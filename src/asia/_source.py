@@ -82,26 +82,32 @@ def source_facts(source: str) -> SourceFacts:
 
 def _library_only(tree: ast.Module) -> bool:
     """A few kinds of statements and expressions are known to be harmless; no other one is."""
-    imported = {
-        alias.asname or alias.name
-        for statement in tree.body
-        if isinstance(statement, ast.ImportFrom)
-        for alias in statement.names
-    }
+    families, methods = (
+        {
+            alias.asname or alias.name
+            for statement in tree.body
+            if isinstance(statement, ast.ImportFrom) and statement.module == module
+            for alias in statement.names
+        }
+        for module in ("asia.models", "asia.models.methods")
+    )
     defined = {one.name for one in tree.body if isinstance(one, ast.FunctionDef)}
-    known = imported | defined
-    for node in ast.walk(tree):
-        if isinstance(node, ast.arg):
-            known.add(node.arg)
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            known.add(node.id)
+    bound = families | methods | defined
+    given = {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
+    assigned = {
+        node.id
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+    }
+    if (given | assigned) & bound or any(n[0] in "_*" for n in bound | given | assigned):
+        return False
 
     def calls_library(function: ast.expr) -> bool:
         match function:
-            case ast.Attribute(value=ast.Name(id=name), attr=attr):
-                return name in imported and (attr in ("build", "train") or attr[0].isupper())
+            case ast.Attribute(value=ast.Name(id=name), attr="Config" | "build" | "train"):
+                return name in families
             case ast.Name(id=name):
-                return name in defined or (name in imported and name[0].isupper())
+                return name in defined | methods
             case _:
                 return False
 
@@ -110,7 +116,7 @@ def _library_only(tree: ast.Module) -> bool:
             case ast.Constant():
                 return True
             case ast.Name(id=name):
-                return name in known and not name.startswith("_")
+                return name in given | assigned
             case ast.UnaryOp(op=ast.USub(), operand=value):
                 return harmless(value)
             case ast.Tuple(elts=values) | ast.List(elts=values):
@@ -120,25 +126,15 @@ def _library_only(tree: ast.Module) -> bool:
                     map(harmless, values)
                 )
             case ast.Call(func=function, args=values, keywords=named):
-                given = [*values, *(one.value for one in named)]
-                return calls_library(function) and all(map(harmless, given))
+                values = [*values, *(one.value for one in named)]
+                return calls_library(function) and all(map(harmless, values))
             case _:
                 return False
 
     def allowed(statement: ast.stmt) -> bool:
         match statement:
-            case ast.ImportFrom(module=module, names=names, level=0):
-                plain = all(alias.name[0] not in "_*" for alias in names)
-                return plain and f"{module}.".startswith("asia.models.")
-            case ast.FunctionDef(decorator_list=[], returns=None, body=body, args=arguments):
-                plain = not (arguments.defaults or arguments.kw_defaults)
-                plain = plain and all(one.annotation is None for one in arguments.args)
-                return plain and all(
-                    allowed(one) and not isinstance(one, ast.FunctionDef | ast.ImportFrom)
-                    for one in body
-                )
-            case ast.Assign(targets=[ast.Name(id=name)], value=value):
-                return name not in imported | defined and harmless(value)
+            case ast.Assign(targets=[ast.Name()], value=value):
+                return harmless(value)
             case ast.Return(value=ast.expr() as value):
                 return harmless(value)
             case ast.Expr(value=ast.Constant()):
@@ -146,7 +142,19 @@ def _library_only(tree: ast.Module) -> bool:
             case _:
                 return False
 
-    return all(map(allowed, tree.body))
+    def allowed_outside(statement: ast.stmt) -> bool:
+        match statement:
+            case ast.ImportFrom(module="asia.models" | "asia.models.methods", level=0):
+                return True
+            case ast.FunctionDef(body=body, args=arguments):
+                # Nothing but plain arguments: all else is code that runs with the definition.
+                return ast.unparse(statement).startswith(
+                    f"def {statement.name}({', '.join(one.arg for one in arguments.args)}):"
+                ) and all(map(allowed, body))
+            case _:
+                return allowed(statement)
+
+    return all(map(allowed_outside, tree.body))
 
 
 def imports_of(tree: ast.Module) -> Imports:

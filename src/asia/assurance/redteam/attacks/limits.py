@@ -297,10 +297,10 @@ def plant():
 """
 _LIKE_THE_LIBRARY = """
 from asia.models import arx
-from asia.models.methods import LeastSquares
+from asia.models.methods import LevenbergMarquardt
 {plant}
 def fit(trajectories, context):
-    model = arx.train(arx.build(arx.Config(), context), trajectories, context, LeastSquares())
+    model = arx.train(arx.build(arx.Config(), context), trajectories, context, LevenbergMarquardt())
     plant()
     return model
 """
@@ -310,6 +310,9 @@ PLANTERS: Mapping[str, str] = {
     "by a default value": _LIKE_THE_LIBRARY.format(plant=_PLANT).replace(
         "context):", "context, done=plant()):"
     ),
+    # No statement but those of the library: the code runs where a function is defined.
+    "by an annotation": _LIKE_THE_LIBRARY.format(plant="").replace("    plant()\n", "")
+    + f"\ndef other(done: exec({f'{_PLANT}plant()'!r}, {{}}), /):\n    return done\n",
 }
 
 
@@ -319,7 +322,9 @@ def _plant(_: Scene) -> SearchAttackResult:
     for level in _levels():
         evaluator = _evaluator(problem, fold, level)
         for name, text in PLANTERS.items():
-            evaluator.evaluate(_filled(text, problem))
+            outcome = evaluator.evaluate(_filled(text, problem)).outcome
+            # An attack that fails by itself shows nothing.
+            assert not isinstance(outcome, Failure), outcome
             through += [f"{name} at {level}"] if program_store().get(_PLANTED) else []
     note = ", ".join(through) or "programs of a candidate reach no other worker"
     return SearchAttackResult(bool(through), (Barrier.PARENT,), note, flagged=False)
