@@ -1,4 +1,4 @@
-"""What a model without `step` can gain by a look ahead inside chunks before a check objects.
+"""Gain of a model without `step` that looks ahead inside chunks, up to where a check objects.
 
 python benchmarks/machinery/look_ahead.py [--samples 480] [--seeds 8] [--shares 0.1 0.2 0.3]
 

@@ -51,7 +51,7 @@ class Literals:
     text: str = ""
     """The whole text, where the program can read it; "" where not."""
     reader: str = ""
-    """What can read it there, as in the source: a name, or `**kwargs`."""
+    """Name in the source by which the program can read its text, or `**kwargs`."""
 
     def bits_beyond(self, *known: Literals) -> float:
         """Bits that are not in any of the `known` sources.
@@ -287,7 +287,7 @@ def _blanked(tree: ast.Module) -> set[int]:
 
 
 def _reader(tree: ast.Module) -> str:
-    """Return what the program can read its own text or names with; "" for nothing."""
+    """Return the name by which the program can read its own text or names; "" for none."""
     for node in ast.walk(tree):
         match node:
             case ast.Import(names=names):

@@ -88,8 +88,8 @@ class CaseCheck:
 
     @cached_property
     def case(self) -> ScoredCase:
-        """The case, or its beginning: what a model with `step` answers to the first inputs hangs on
-        no later one."""
+        """The case; its beginning for a model with `step`, whose answers to the first inputs do not
+        depend on later ones."""
         return self.block.beginning(_LONGEST) if self.simulator.has_steps else self.block
 
     @cached_property

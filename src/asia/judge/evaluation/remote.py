@@ -226,10 +226,19 @@ class FoldFitter:
         problem: str,
         without: Collection[SuspicionKind] = (),
     ) -> None:
-        """context: the part that is the same for all folds; problem: sha256 of the run's lock
-        file; without: as in `EvaluatorOptions`. Raises UserError where folds are fitted on other
-        machines and candidates may ask for
-        their score, which takes the held-out outputs to the machine that fits."""
+        """Prepare the folds of a search.
+
+        Args:
+            rule: protocol of the problem
+            context: part of the context that is the same for all folds
+            workers: runs the fits
+            problem: sha256 of the run's lock file
+            without: as in `EvaluatorOptions`
+
+        Raises:
+            UserError: where folds are fitted on other machines and candidates may ask for their
+                score, which takes the held-out outputs to the machine that fits
+        """
         if workers.remote is not None and rule.early_stopping != "inner":
             raise UserError(
                 "validation early stopping needs the held-out outputs where a candidate is fitted, "

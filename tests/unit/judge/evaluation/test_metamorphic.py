@@ -159,7 +159,7 @@ def test_inputs_of_the_future_are_found_out(horizon: int | None):
 
 
 def test_what_a_chunk_sends_ahead_is_not_used_by_an_adaptive_solver():
-    """Its steps hang on the end of the simulation, its errors do not."""
+    """Adaptive solver: its step sizes depend on the end of the simulation, its errors do not."""
 
     def adaptive(past_u: Array, past_y: Array, u: Array) -> Array:
         given = hash(u.tobytes()) % 1000

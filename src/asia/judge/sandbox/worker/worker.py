@@ -206,7 +206,7 @@ class Worker:
         """Simulate a batch of cases, shapes as in `Model.simulate`; returns (B, H, ny), finite.
 
         The model receives one input sample at a time and answers it before it receives the next. A
-        model without `step` is asked for whole simulations of prefixes, whose ends hang on
+        model without `step` is asked for whole simulations of prefixes. Their ends are drawn from
         `secret`: see `prefixes`.
         """
         deadline = self._begin_cases()
