@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +14,7 @@ from asia._diagnostic import diagnostic
 from asia._text import one_line
 from asia.data.intake.sheet import Wanted
 from asia.data.trajectory import Array, Trajectory, data_digest, filled
-from asia.errors import CandidateError, UserError
+from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.checks.check import Check, Verdict, most_serious, summary
@@ -111,7 +112,9 @@ def linear_responses(
             blocks.append(given.block(moved))
     try:
         found = [y_hat[_SETTLING:] for y_hat in simulate(blocks)]
-    except CandidateError:
+    except CandidateError as error:
+        if error.reason is not Reason.NOT_FINITE:
+            raise
         return ()
     return tuple(
         LinearResponse(
@@ -130,7 +133,9 @@ def long_run(given: ProbeRange, horizon: int | None, simulate: Simulator) -> Arr
     block = given.block(np.concatenate([record.u[:past], u]), record.y[:past])
     try:
         return simulate([block])[0]
-    except CandidateError:
+    except CandidateError as error:
+        if error.reason is not Reason.NOT_FINITE:
+            raise
         return None
 
 
@@ -257,10 +262,20 @@ def validate(
     return ValidationReport(run.name, best.number, chosen.model, name or None, checks, recorded)
 
 
+@contextmanager
+def _diagnostic_of_model(name: str, failed: list[str]) -> Generator[None]:
+    """As `diagnostic`, for a block in which the model may fail too, for example by its time."""
+    with diagnostic(name, failed):
+        try:
+            yield
+        except CandidateError as error:
+            failed.append(f"check {name} failed: {error.reason.advice}")
+
+
 def _run_check(name: str, make: Callable[[], Check | tuple[Check, ...]]) -> tuple[Check, ...]:
     """The checks, or one that says why they failed."""
     failed: list[str] = []
-    with diagnostic(name, failed):
+    with _diagnostic_of_model(name, failed):
         found = make()
         return found if isinstance(found, tuple) else (found,)
     return (Check(name, Verdict.ABSENT, failed[0]),)
@@ -363,7 +378,7 @@ class _Validation:
         self.progress("responses to small steps")
         failed: list[str] = []
         linear: tuple[LinearResponse, ...] = ()
-        with diagnostic("small steps", failed):
+        with _diagnostic_of_model("small steps", failed):
             linear = linear_responses(given, found.inputs, simulator)
 
         def noise() -> list[float | None]:
@@ -411,7 +426,9 @@ class _Validation:
             one = FinalMember(member.source, (name,))
             try:
                 replies = self._simulator([one])(blocks)
-            except CandidateError:
+            except CandidateError as error:
+                if error.reason is not Reason.NOT_FINITE:
+                    raise
                 continue
             for block, reply in zip(blocks, replies, strict=True):
                 model_errors.append(filled(block.y - reply))
@@ -427,13 +444,7 @@ class _Validation:
         """Simulations by a final model, in the sandbox."""
 
         def simulate(blocks: Sequence[Block]) -> list[Array]:
-            total = [np.zeros_like(block.y) for block in blocks]
-            for member in members:
-                models = [self.run.store.get(one) for one in member.models]
-                source = self.run.store.text(member.source)
-                for replies in self.evaluator.models.simulate(source, models, blocks):
-                    for sum_, reply in zip(total, replies, strict=True):
-                        sum_ += member.weight / len(models) * reply
-            return total
+            each = simulate_members(self.evaluator, self.run, members, blocks)
+            return [y_hat.mean(axis=0) for y_hat in each]
 
         return simulate

@@ -32,6 +32,7 @@ from asia.search.simulation import (
     FinalMember,
     final_members,
     fold_models,
+    loading_stored_models,
     simulate,
     simulate_members,
 )
@@ -349,7 +350,9 @@ def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None)
     parts: list[tuple[float, LoweredModel]] = []
     for member in members:
         models = [run.store.get(one) for one in member.models]
-        for one in evaluator.models.lowered(run.store.text(member.source), models):
+        with loading_stored_models(run.view):
+            found = evaluator.models.lowered(run.store.text(member.source), models)
+        for one in found:
             if isinstance(one, str):
                 raise UserError(f"run '{run.name}': the model cannot be exported: {one}")
             parts.append((member.weight / len(models), one))

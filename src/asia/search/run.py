@@ -61,12 +61,12 @@ def environment(*agents: str) -> dict[str, str]:
         "platform": platform.platform(),
         **{part.package: part.version for part in parts()},
         **{name: importlib.metadata.version(name) for name in names},
-        "asia.models": _library_digest(),
+        "asia.models": library_digest(),
     }
 
 
 @cache
-def _library_digest() -> str:
+def library_digest() -> str:
     """12 hexadecimal digits of the sources of `asia.models`."""
     digest = hashlib.sha256()
     root = Path(__file__).parents[1] / "models"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from asia._text import one_line
 from asia.data.trajectory import Array, filled
-from asia.errors import CandidateError, UserError
+from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.bands import (
@@ -34,7 +35,7 @@ from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.problem.protocol import ProtocolRule
 from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
-from asia.search.run import LOCK, make_evaluator
+from asia.search.run import LOCK, library_digest, make_evaluator
 
 
 @dataclass(frozen=True)
@@ -291,15 +292,36 @@ def _block(
     return Block(case, np.zeros((len(after), ny)), record=record, start=0)
 
 
+@contextmanager
+def loading_stored_models(view: SearchView) -> Generator[None]:
+    """Say so where a model fails because another version of the library stored it.
+
+    Raises:
+        UserError: in that case
+        CandidateError: for any other failure, unchanged
+    """
+    try:
+        yield
+    except CandidateError as error:
+        broken = error.reason in (Reason.CRASH, Reason.CONTRACT)
+        if broken and view.started.environment.get("asia.models") != library_digest():
+            raise UserError(
+                "the model was stored by another version of ASIA, and this one cannot execute it: "
+                "use that version, or run the search again"
+            ) from None
+        raise
+
+
 def simulate_members(
     evaluator: Evaluator, run: Run, members: Sequence[FinalMember], blocks: Sequence[Block]
 ) -> list[Array]:
     """Simulations (K, H, ny) of each block whose mean is that of the members. Raises
-    CandidateError."""
+    CandidateError, and UserError as `loading_stored_models`."""
     total = [np.zeros((1, *block.y.shape)) for block in blocks]
     for member in members:
         models = [run.store.get(one) for one in member.models]
-        replies = evaluator.models.simulate(run.store.text(member.source), models, blocks)
+        with loading_stored_models(run.view):
+            replies = evaluator.models.simulate(run.store.text(member.source), models, blocks)
         for place, each in enumerate(zip(*replies, strict=True)):
             total[place] = total[place] + member.weight * np.stack(each)
     return total
@@ -343,7 +365,8 @@ def simulated_excerpts(run: Run, number: int, isolation: Isolation | None = None
     for index, (fold, kept) in enumerate(zip(evaluator.data.folds, result.folds, strict=True)):
         blocks = training_excerpt(fold, rule, most)
         try:
-            (y_hat,) = evaluator.models.simulate(source, [run.store.get(kept.model)], blocks)
+            with loading_stored_models(run.view):
+                (y_hat,) = evaluator.models.simulate(source, [run.store.get(kept.model)], blocks)
         except CandidateError as error:
             raise UserError(
                 f"the model of fold {index + 1} cannot be simulated again: {error.reason.advice}"

@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 
 from asia.analysis.validation import validate
-from asia.errors import CandidateError, InternalError, Reason
+from asia.errors import CandidateError, InternalError, Reason, UserError
 from asia.interfaces.cli import main
 from asia.judge.evaluation import findings
+from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.checks.registry import VALIDATION_CHECKS
 from asia.ledger.run import Run, error_of, open_run
 from asia.problem.load import load_problem
@@ -50,13 +51,18 @@ def line(name: str) -> str:
     return f"check {name} failed: ValueError: array must not contain infs or NaNs"
 
 
-def searched(folder: Path) -> Run:
+# Fails, and does not diverge, where more samples are asked than a record holds.
+HEAD = "def simulate(self, past_u, past_y, u):\n"
+SHORT = f"{HEAD}        if u.shape[1] > 1000:\n            raise RuntimeError('too long')\n"
+
+
+def searched(folder: Path, source: str = "") -> Run:
     problem = folder / "toy"
     if not problem.is_dir():
         write_problem(problem, experiments=2)
         text = (problem / "problem.toml").read_text()
         (problem / "problem.toml").write_text(text.replace("[budget]", "[budget]\nretests = 0"))
-    agent = Scripted((arx(2),))
+    agent = Scripted((source or arx(2),))
     ready = prepare(load_problem(problem), agent.name, seed=0, runs=folder / "runs")
     search(ready, agent, lambda event, view: None, lambda view: None)
     return open_run(ready.directory)
@@ -156,3 +162,19 @@ def test_errors_raised_on_purpose_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(KeyboardInterrupt), diagnostic("anything", failed):
         raise KeyboardInterrupt
     assert failed == []
+
+
+def test_a_model_that_fails_in_a_check_is_not_called_unstable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = searched(tmp_path, arx(2).replace(HEAD, SHORT))
+    checks = {c.name: c for c in validate(run.directory).checks}
+    assert checks["ten horizons"].verdict is Verdict.ABSENT
+    assert checks["ten horizons"].sentence.startswith(
+        "check ten horizons failed: the candidate raised an exception"
+    )
+    assert checks["fit in free run"].verdict is not Verdict.ABSENT
+
+    monkeypatch.setattr("asia.search.simulation.library_digest", lambda: "another")
+    with pytest.raises(UserError, match="stored by another version of ASIA"):
+        validate(run.directory)
