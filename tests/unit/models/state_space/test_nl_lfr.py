@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
-from asia.data import Array
+from asia.candidate import Context
+from asia.data import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.models import linear, nl_lfr
 from asia.models._least_squares import LevenbergMarquardt
-from asia.models._linear.fit import Refinement
+from asia.models._linear.fit import LinearFit, Refinement
+from asia.models._linear.system import LinearSystem
 from asia.models._numerics.scaling import Scaling
-from asia.models._numerics.training_records import scaled
+from asia.models._numerics.training_records import ScaledTrajectory, scaled
+from asia.models._state_space import feedback
 from asia.models._state_space.feedback import feedback_starts
 from asia.models._state_space.structure import StateSpaceStructure
 from tests.unit.models.systems.black_box import PAST, case, filtered, two_by_two, wiener
@@ -149,3 +153,48 @@ def test_without_training_it_says_so() -> None:
         model.simulate(data.unseen.u[None, :PAST], data.unseen.y[None, :PAST], data.unseen.u[None])
     with pytest.raises(UserError, match="channels"):
         nl_lfr.Config(channels=0)
+
+
+def test_models_of_several_orders_are_the_same_in_one_program(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    config = nl_lfr.Config(hidden=3, encoder=4, integrators=1)
+    context = Context((Signal("u"),), (Signal("y"),), 1.0, n_past_u=10, n_past_y=10, seed=1)
+    u = np.random.default_rng(0).normal(size=150)
+    y = np.cumsum(0.1 * np.tanh(filtered(u[:, None])), axis=0)[:, 0]
+    record = Trajectory(u[:, None], y[:, None], 1.0)
+    found: list[np.ndarray] = []
+    for most in (feedback._WIDENED, 0):
+        monkeypatch.setattr(feedback, "_WIDENED", most)
+        model = nl_lfr.train(
+            nl_lfr.build(config, context), [record], context, LevenbergMarquardt(4, starts=1)
+        )
+        found.append(model.simulate(u[None, :10, None], y[None, :10, None], u[None, 10:, None]))
+    assert_allclose(found[0], found[1], rtol=1e-6, atol=1e-6)
+
+
+def test_normal_equations_of_regressors_are_those_of_their_columns() -> None:
+    rng = np.random.default_rng(0)
+    system = LinearSystem(
+        np.array([[0.8, 0.1], [-0.1, 0.6]]), rng.normal(size=(2, 1)), rng.normal(size=(2, 2)),
+        rng.normal(size=(2, 1)), rng.normal(size=2),
+    )  # fmt: skip
+    structure = StateSpaceStructure(2, 1, 2, "state", "tanh", 3, 2, 1)
+    u, weight = rng.normal(size=(80, 1)), np.ones(80)
+    weight[20:30] = 0.0
+    y = system.simulate(np.zeros((1, 2)), u[None])[1][0] + 0.1 * rng.normal(size=(80, 2))
+    record = ScaledTrajectory(u, y, weight, u, weight)
+    (r,) = prepared = feedback.prepared_records([record], LinearFit(system, np.zeros((1, 2)), 0.1))
+    search = feedback.RegressorSearch(structure, system, prepared, rng)
+    direction = rng.normal(size=(3, 1))
+    layer = search.layer(direction, observed=False)
+    ((gram, side, power),) = search.normal([(direction, False, layer)])
+    units = np.tanh(r.read(direction, observed=False) @ layer["w1"] + layer["b1"])
+    columns = feedback.responses(system, units).reshape(160, -1) * np.repeat(weight, 2)[:, None]
+    residual = r.residual.ravel()
+    columns, residual = (one - r.basis @ (r.basis.T @ one) for one in (columns, residual))
+    whole = columns.T @ columns
+    ridge = gram - whole / 160
+    assert_allclose(ridge, np.eye(len(gram)) * ridge[0, 0], atol=1e-12)
+    assert_allclose(side, columns.T @ residual / 160, atol=1e-12)
+    assert_allclose(power, residual @ residual / 160)
