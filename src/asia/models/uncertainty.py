@@ -18,13 +18,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
-from scipy.stats import f as fisher
-from scipy.stats import t as student
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array
-from asia.models._noise.model import ResidualProcess
+from asia.models._noise.model import ResidualProcess, lfilter
 
 __all__ = ["Covariance", "PriorPenalty", "estimates", "gradient", "jacobians_of", "sandwich"]
 
@@ -188,7 +185,9 @@ def estimates(
     )
     shares = np.clip(1.0 - priors / np.where(alls > 0, alls, 1.0), 0.0, 1.0)
     shares = np.where(lost, 0.0, shares)
-    factor = float(student.ppf(0.975, covariance.freedom))
+    from scipy.special import stdtrit
+
+    factor = float(stdtrit(covariance.freedom, 0.975))
     misfits = _ABSORBED * covariance.misfit * np.sqrt(np.maximum(alls, 0.0))
     found: list[ParameterEstimate] = []
     for one, error, share, misfit in zip(plain, errors, shares, misfits, strict=True):
@@ -313,6 +312,8 @@ def _misfit(
             used += e.size
     if not kept or not jacobians[0].shape[-1]:
         return 0.0
+    from scipy.special import fdtrc
+
     e, slopes, own = ([record[i] for record in kept] for i in range(3))
     groups = _shapes(slopes)
     white, tests = _explained(e, slopes, own, groups, noise.filters, spans)
@@ -323,7 +324,7 @@ def _misfit(
         if freedom > 0 and 0 < basis.shape[1] < freedom / 4:
             rest = max(float(white @ white) - part, 1e-300)
             ratio = part / basis.shape[1] / (rest / freedom)
-            chances.append(float(fisher.sf(ratio, basis.shape[1], freedom)))
+            chances.append(float(fdtrc(basis.shape[1], freedom, ratio)))
     # The smallest of the probabilities, corrected for their number.
     if not chances or len(chances) * min(chances) > 0.1:
         return 0.0

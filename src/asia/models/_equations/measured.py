@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from asia.candidate import Context, Model
 from asia.data.relations import LARGEST_GAIN, LEAST_CORRELATION, Motion, motion
@@ -515,6 +514,8 @@ def most_probable(cell: MeasuredCell) -> Float32:
     """Coordinates of the parameters, in the middle of the ranges but for what priors say."""
     z = np.zeros(len(cell.physics.ranges))
     if cell.physics.priors:
+        from scipy.optimize import least_squares  # loading takes long
+
         z = least_squares(lambda z: np.append(cell.physics.deviations(z), _WEAK * z), z).x
     return z.astype(np.float32)
 

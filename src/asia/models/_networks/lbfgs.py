@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import minimize
 
 from asia.models._arrays import Packing, packed
 from asia.models._networks.adam import joined, merged, split
@@ -71,6 +70,8 @@ def run(
 
     def current() -> Params:
         return joined(packing.unpack(best.astype(np.float32)), fixed)
+
+    from scipy.optimize import minimize  # loading takes long
 
     due, taken = set(marks(method, steps)), 0
 

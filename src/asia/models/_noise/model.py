@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Literal, NamedTuple, Protocol, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias, get_args
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.signal import lfilter
 
 from asia.data.trajectory import Array
 from asia.errors import UserError
@@ -18,6 +16,16 @@ from asia.models._config import check_choice, demand, owner
 from asia.models._numerics.training_records import spread
 
 NoiseKind: TypeAlias = Literal["white", "slow"]
+
+
+def lfilter(
+    b: Sequence[float] | Array, a: Sequence[float] | Array, x: Array, **options: Any
+) -> Any:
+    """`scipy.signal.lfilter`, which is loaded when a noise model is fitted: it takes half a second
+    of every worker."""
+    from scipy import signal
+
+    return signal.lfilter(b, a, x, **options)
 
 
 class NoiseSettings(Protocol):
@@ -555,6 +563,8 @@ def _restricted(a: Array, segments: Sequence[Array], columns: Sequence[Array]) -
         reflections.insert(0, k)
         rest = ((rest - k * rest[::-1]) / max(1.0 - k * k, 1e-12))[:-1]
     start = np.arctanh(np.clip(np.array(reflections) / 0.999, -0.9999, 0.9999))
+    from scipy.optimize import minimize  # loading takes long
+
     found = minimize(criterion, start, method="BFGS", options={"maxiter": 30, "gtol": 1e-3})
     better = np.isfinite(found.fun) and found.fun < criterion(start)
     return stable(found.x) if better else a

@@ -8,7 +8,6 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from asia.candidate import Context
 from asia.data.trajectory import Array
@@ -93,6 +92,8 @@ def prepared_records(records: ScaledData, found: LinearFit) -> list[PreparedReco
 def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: float) -> Array:
     """States (T, n) of a Kalman filter that attributes most of the error to a disturbance of the
     states."""
+    from scipy.linalg import solve_discrete_are  # loading takes long
+
     n, ny = system.order, len(system.c)
     wander = max(error, 1e-9) * (system.b @ system.b.T + 1e-3 * np.eye(n))
     noise = (_SENSOR * error + 1e-6) * np.eye(ny)

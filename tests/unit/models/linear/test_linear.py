@@ -175,6 +175,14 @@ def test_package_loads_no_numerical_library() -> None:
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
+def test_families_load_no_scipy() -> None:
+    # Each worker would spend half a second on it.
+    program = """import sys
+from asia.models import arx, greybox, linear, narx, neural_ss, nl_lfr, recurrent
+sys.exit(any(name in sys.modules for name in ("scipy.signal", "scipy.optimize", "scipy.stats")))"""
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
 def test_a_regression_serves_several_targets() -> None:
     rng = np.random.default_rng(0)
     features, states = rng.standard_normal((300, 5)), rng.standard_normal((300, 2))
