@@ -289,6 +289,23 @@ class Stack:
     folds: tuple[float, ...]
 
 
+@dataclass(frozen=True)
+class StressTest:
+    """Simulation of a model on training inputs in other combinations."""
+
+    model: Use
+    experiment: int
+    """Its experiment; of a stack the member with the largest weight."""
+    reach: float | None
+    """Largest distance of an output from the middle of its training range, in half ranges; None
+    where the model diverges or fails."""
+    output: str
+    """Name of that output."""
+    linear: float | None
+    """Largest distance for the best linear model; None where it was not asked."""
+    passed: bool
+
+
 # The course of a search: its start, its experiments, its end.
 
 
@@ -592,6 +609,8 @@ class Refitted:
     """Why this one, in a sentence."""
     estimates: ArtifactName | None = None
     """Estimates of its parameters; None where it gives none, and in older ledgers."""
+    stress: tuple[StressTest, ...] = ()
+    """Stress tests in the order in which models were considered; () in older ledgers."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
     event: Literal["refitted"] = "refitted"
 

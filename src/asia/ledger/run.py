@@ -11,10 +11,11 @@ from typing import Literal
 from asia._diagnostic import error_sentence
 from asia._text import one_line
 from asia.errors import UserError
-from asia.judge.scoring.outcome import Failure
+from asia.judge.scoring.checks.check import Verdict
+from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Line, in_use, ledger_of, read_lines, write_whole
-from asia.ledger.events import Started, TestedModel, Unsealed, Use
+from asia.ledger.events import Started, StressTest, TestedModel, Unsealed, Use
 from asia.ledger.view import FAR_ABOVE_V, SearchView, replay
 
 ERROR = "error.txt"
@@ -137,6 +138,97 @@ def model_to_use(view: SearchView) -> ModelToUse | None:
         reason = "The search is of an older version, which did not check the refit."
         return ModelToUse("ensemble", reason)
     return ModelToUse(refitted.use, refitted.reason)
+
+
+def stress_text(test: StressTest) -> str:
+    """Describe what a model did on training inputs in other combinations, in a sentence."""
+    start = f"On training inputs in other combinations the {test.model}"
+    if test.reach is None:
+        return f"{start} diverges."
+    return (
+        f"{start} takes {test.output} {test.reach:.3g} times as far from the middle of its "
+        "training range as any measured output."
+    )
+
+
+@dataclass(frozen=True)
+class Usability:
+    """Verdict on the model to use."""
+
+    kind: Literal["usable", "doubtful", "not usable"]
+    reasons: tuple[str, ...]
+    """Sentences, the most important first; empty for a usable model."""
+
+
+# Ratios of V to that of the mean or of the linear model from which on a model is not, or hardly,
+# better; of the largest to the smallest V of the folds, and of other seeds, that are doubtful.
+_NO_BETTER, _FOLDS_APART, _SEEDS_APART = 0.95, 4.0, 2.0
+# Difference between fold models on the training records, in standard deviations of the output.
+_MODELS_APART = 0.5
+
+
+def usability(view: SearchView) -> Usability | None:
+    """Judge the model to use by the ledger alone; None while there is no model.
+
+    Not usable: worse than the mean of the output in a fold, diverges in the stress simulation,
+    contradicted by the test or a heavy check. Doubtful: folds, fold models or seeds differ, or a
+    nonlinear model is no better than the linear one.
+    """
+    best = view.best
+    if best is None or best.score is None:
+        return None
+    value, folds = best.score.value, best.score.folds
+    wrong, doubts = [f"{text[:1].upper()}{text[1:]}." for text in alarms(view)], list[str]()
+    references = {r.name: r.outcome for r in view.references if isinstance(r.outcome, Score)}
+    mean, linear = references.get("training mean"), references.get("linear model")
+    worse = [
+        k + 1
+        for k, fold in enumerate(folds)
+        if mean is not None and fold.value >= mean.folds[k].value
+    ]
+    if mean is not None and (worse or value >= _NO_BETTER * mean.value):
+        where = f" in fold {', '.join(map(str, worse))}" if worse else ""
+        wrong.append(
+            f"It is {'worse' if worse else 'no better'} than the mean of the output{where} "
+            f"(V {value:.3g}, mean {mean.value:.3g})."
+        )
+        remark = view.experiments[-1].proposed.remark
+        wrong.append(remark or "Record longer, with larger and more varied inputs.")
+    if view.refitted is not None and view.refitted.stress and not view.refitted.stress[-1].passed:
+        wrong.append(
+            f"{stress_text(view.refitted.stress[0])} Record the inputs in more combinations, each "
+            "with its own steps."
+        )
+    for validation in view.validated:
+        for check in validation.checks:
+            if check.weight > 1.0 and check.verdict in (Verdict.DOUBT, Verdict.FAIL):
+                ends = "fails" if check.verdict is Verdict.FAIL else "is in doubt"
+                cause = f" ({check.cause})" if check.cause else ""
+                wrong.append(f"The check '{check.name}' {ends}{cause}.")
+    if linear is not None and value > linear.value:
+        doubts.append(f"It is worse than a linear model (V {value:.3g}, {linear.value:.3g}).")
+    elif linear is not None and value > _NO_BETTER * linear.value and best.proposed.family not in (
+        "linear", "arx",
+    ):  # fmt: skip
+        doubts.append(f"It is hardly better than a linear model (V {linear.value:.3g}).")
+    values = [fold.value for fold in folds]
+    if max(values) > _FOLDS_APART * min(values):
+        doubts.append(
+            f"V of the folds is {min(values):.3g} to {max(values):.3g}: record more of what only "
+            "one part of the records shows."
+        )
+    seeds = best.seed_values
+    if seeds and max(seeds) > _SEEDS_APART * min(seeds):
+        doubts.append(f"Other seeds give V from {min(seeds):.3g} to {max(seeds):.3g}.")
+    check = view.refitted.check if view.refitted is not None else None
+    apart = check.fold_disagreement if check is not None else None
+    if apart is not None and apart > _MODELS_APART:
+        doubts.append(
+            f"The fold models differ by {apart:.2g} standard deviations of the output: record "
+            "longer."
+        )
+    kind = "not usable" if wrong else "doubtful" if doubts else "usable"
+    return Usability(kind, (*wrong, *doubts))
 
 
 def tested_model(record: Unsealed, use: Use) -> TestedModel | Failure:

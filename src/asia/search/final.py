@@ -35,6 +35,7 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
 from asia.search.literal_check import LiteralCheckFunction
+from asia.search.stress import StressRoom, bounded_model
 
 # Check of a refit: it saw all training records and must fit them as well as the fold models do.
 
@@ -541,10 +542,13 @@ def refit_winner(
         check=checked.check,
         stack=stack,
         estimates=estimates,
-        failed_checks=tuple(failed),
     )
     chosen = choose_model(FinalEvidence.of(best, refitted))
-    return replace(refitted, use=chosen.model, reason=chosen.reason)
+    refitted = replace(refitted, use=chosen.model, reason=chosen.reason)
+    with diagnostic("stress simulation", failed):
+        room = StressRoom(evaluator, store, view)
+        refitted = bounded_model(room, view, best, refitted, chosen)
+    return replace(refitted, failed_checks=tuple(failed))
 
 
 def _kept_estimates(store: Store, checked: CheckedRefit, source: str) -> str | None:

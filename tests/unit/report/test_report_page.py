@@ -343,8 +343,8 @@ def test_an_interval_by_folds_or_by_a_missing_effect_is_on_the_page(
     ("verdict", "weight", "stamp", "kind"),
     [
         (Verdict.PASS, 0.0, "Usable", "good"),
-        (Verdict.DOUBT, 0.4, "Usable with limits", "doubt"),
-        (Verdict.FAIL, 0.6, "Usable with limits", "doubt"),  # a residual check: a limit
+        (Verdict.DOUBT, 0.4, "Doubtful", "doubt"),
+        (Verdict.FAIL, 0.6, "Doubtful", "doubt"),  # a residual check: a limit
         (Verdict.FAIL, 1.5, "Not usable", "none"),
     ],
 )

@@ -13,7 +13,7 @@ from asia._text import folded, printable
 from asia._timer import Activity, Seconds, TimeSpent, add_seconds, duration
 from asia.judge.scoring.outcome import Outcome, Score
 from asia.ledger.events import Evaluated, Event, GuardLooked, Refitted, Usage
-from asia.ledger.run import alarms, model_to_use
+from asia.ledger.run import alarms, model_to_use, usability
 from asia.ledger.text import error_value, seed_mean_words, stack_words, validation_score_words
 from asia.ledger.view import Experiment, SearchView
 
@@ -25,8 +25,6 @@ RESIDUALS_SHOWN = (
     "held-out residuals are shown to the agent, which can fit a model to them, so V is only "
     "comparable with V of the same setting"
 )
-# V divided by V of the training mean, above which a model is no better than the mean.
-_BETTER = 0.95
 
 
 class Terminal(Console):
@@ -144,21 +142,25 @@ def again_words(view: SearchView) -> str:
     return f"a second fit of fold {again.fold} {found}: V varies over repeated fits"
 
 
+def verdict_lines(view: SearchView) -> list[str]:
+    """Return `verdict doubtful: ...` of a finished search, the reasons on lines of their own."""
+    found = usability(view) if view.refitted is not None else None
+    if found is None:
+        return []
+    first, *others = found.reasons or ("",)
+    return [
+        f"verdict {found.kind}{': ' if first else ''}{first}",
+        *(f"        {r}" for r in others),
+    ]
+
+
 def use_lines(view: SearchView) -> list[str]:
     """Return the model to use of a finished search with its reason, and the other models."""
     named, refitted = model_to_use(view), view.refitted
     if named is None or refitted is None:
         return []
-    lines = [f"use     {named.model}: {named.reason}"]
-    mean = next((r.outcome for r in view.references if r.name == "training mean"), None)
     best = view.best.score if view.best is not None else None
-    if best is not None and isinstance(mean, Score) and best.value >= _BETTER * mean.value:
-        lines.append(
-            f"doubt   no candidate is clearly better than the training mean ({view.v_name} "
-            f"{error_value(mean.value)}). Do the inputs act on the outputs? Was the plant in "
-            "closed loop? Is it unstable? Read the output of asia check. For an unstable plant use "
-            'short windows: kind = "windows" in [protocol]'
-        )
+    lines = [f"use     {named.model}: {named.reason}"]
     if refitted.model is None and refitted.detail and named.model != "ensemble":
         lines.append(f"refit   none: {refitted.detail}")
     stack = refitted.stack

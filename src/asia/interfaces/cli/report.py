@@ -10,7 +10,7 @@ import typer
 
 from asia._text import say
 from asia.interfaces.cli.options import DEFAULT_RUNS, RunName, Runs, run_directory
-from asia.interfaces.cli.output import use_lines
+from asia.interfaces.cli.output import use_lines, verdict_lines
 from asia.ledger.artifacts import Store
 from asia.ledger.run import open_run
 
@@ -66,7 +66,8 @@ def report(
         say(str(path))
     for line in failed:
         say(f"note    {line}", file=sys.stderr)
-    for line in use_lines(open_run(directory).view):
+    view = open_run(directory).view
+    for line in (*verdict_lines(view), *use_lines(view)):
         say(line, file=sys.stderr)
     if not Store(directory / "artifacts").kept:
         say(

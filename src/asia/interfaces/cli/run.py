@@ -50,6 +50,7 @@ from asia.interfaces.cli.output import (
     use_lines,
     validation_words,
     value_words,
+    verdict_lines,
 )
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.events import (
@@ -485,7 +486,7 @@ class TextDisplay:
                 self._print(f"picture  {picture}")
         for line in failed:
             self._print(f"note     {line}", style="yellow")
-        for line in use_lines(view):
+        for line in (*verdict_lines(view), *use_lines(view)):
             word, _, words = line.partition(" ")
             self._print(f"{word:<9}{words.strip()}")
         if view.refitted is not None:

@@ -13,7 +13,7 @@ from rich.text import Text
 from asia._text import hand_over, printable, printable_line, say
 from asia.errors import UserError
 from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Runs, run_directory
-from asia.interfaces.cli.output import Terminal, again_words, print_alarms, use_lines
+from asia.interfaces.cli.output import Terminal, again_words, print_alarms, use_lines, verdict_lines
 from asia.interfaces.cli.validate import confirmation_lines
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.ledger.evidence import evidence_of, identified, settings_of_run
@@ -167,7 +167,7 @@ def describe(console: Terminal, run: Run, experiment: Experiment) -> None:
     if view.confirmed is not None:
         for line in confirmation_lines(view.confirmed, view.v_name, experiment.number):
             row("confirmed", line)
-    for line in use_lines(view) if refitted else ():
+    for line in (*verdict_lines(view), *use_lines(view)) if refitted else ():
         label, _, text = line.partition(" ")
         row(label, text.strip())
     if experiment.score:

@@ -23,11 +23,12 @@ from asia.interfaces.cli.output import (
     use_lines,
     validation_words,
     value_words,
+    verdict_lines,
 )
 from asia.interfaces.cli.validate import noise_words, verdict
 from asia.judge.scoring.outcome import Score
 from asia.ledger.evidence import cancelled_folds, incumbent_threshold, pruned_folds
-from asia.ledger.run import alarms, control, error_of, metric_of, model_to_use, open_run
+from asia.ledger.run import alarms, control, error_of, metric_of, model_to_use, open_run, usability
 from asia.ledger.text import (
     control_text,
     hand_over_text,
@@ -64,7 +65,7 @@ def status(
 def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
     view, start, best = found.view, found.view.started, found.view.best
     compared = control(directory, start, found.finished)
-    named = model_to_use(view)
+    named, judged = model_to_use(view), usability(view) if view.refitted else None
     return {
         "run": start.run,
         "problem": start.problem,
@@ -97,6 +98,7 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "failed_checks": list(view.failed_checks),
         "alarms": list(alarms(view)),
         "threshold": incumbent_threshold(view),
+        "verdict": None if judged is None else asdict(judged),
         "use": named.model if named else None,
         "use_reason": named.reason if named else None,
         "confirmed": None if view.confirmed is None else asdict(view.confirmed),
@@ -132,6 +134,8 @@ def _print_status(directory: Path, found: Brief) -> None:
         f"{state_words(found)}: {found.finished} of {view.budget} experiments in "
         f"{duration(found.seconds)}, metric {metric_label(metric_of(directory))}"
     )
+    for line in verdict_lines(view):
+        say(line)
     error = error_of(directory) if found.state == "interrupted" else None
     if error is not None:
         say(f"error   {error}")

@@ -128,6 +128,25 @@ class StoredModels:
 
         return self._workers.run([partial(answers, model) for model in models])
 
+    def simulate_together(
+        self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
+    ) -> list[Array | CandidateError]:
+        """Simulate blocks of one length in one request; outputs (blocks, H, ny) of each model, or
+        an error where it fails. For cases without measured outputs only."""
+        arrays = [
+            np.stack([getattr(block.case, name) for block in blocks])
+            for name in ("past_u", "past_y", "u")
+        ]
+
+        def answers(model: bytes) -> Array | CandidateError:
+            try:
+                with self._loaded(source, model) as worker:
+                    return worker.simulate_known(*arrays)
+            except CandidateError as error:
+                return error
+
+        return self._workers.run([partial(answers, model) for model in models])
+
     def simulate_scored(
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
     ) -> list[tuple[Array, ...] | CandidateError]:

@@ -10,7 +10,7 @@ from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.checks.validation_data import listed
 from asia.ledger.events import Refitted, TestedModel, Unsealed
 from asia.ledger.evidence import identified
-from asia.ledger.run import alarms, model_to_use, tested_model
+from asia.ledger.run import alarms, model_to_use, tested_model, usability
 from asia.ledger.view import Experiment
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
@@ -40,15 +40,10 @@ def doubts(subject: Subject) -> Iterator[str]:
     if best is None or best.score is None:
         return
     value = best.score.value
-    yield from _false_scores(subject)
-    for name, text in (
-        ("training mean", "than the training mean"),
-        ("linear model", "than a linear model"),
-    ):
-        reference = subject.reference(name)
-        if reference is not None and value > _BETTER * reference[1]:
-            yield f"the model is {'worse' if value > reference[1] else 'hardly better'} {text}"
-            break
+    judged = usability(view)
+    for reason in () if judged is None else judged.reasons:
+        start = reason[:2] if reason.startswith("V ") else reason[:2].lower()
+        yield f"{start}{reason[2:]}".rstrip(".")
     if view.started.isolation == "process":
         yield "candidates ran without isolation and could have read the held-out data"
     if view.started.early_stopping == "validation":
@@ -61,7 +56,7 @@ def doubts(subject: Subject) -> Iterator[str]:
     for validation in view.validated:
         where = f" on the record {validation.record}" if validation.record else ""
         for check in validation.checks:
-            if check.verdict in (Verdict.DOUBT, Verdict.FAIL):
+            if check.verdict in (Verdict.DOUBT, Verdict.FAIL) and check.weight <= 1.0:
                 ends = "fails" if check.verdict is Verdict.FAIL else "is in doubt"
                 cause = f" ({check.cause})" if check.cause else ""
                 yield f"the check '{check.name}' {ends}{where}{cause}"
@@ -97,13 +92,11 @@ def stamp(subject: Subject) -> tuple[str, str]:
     view = subject.view
     if view.best is None:
         return "No model", "none"
-    raised = (Verdict.DOUBT, Verdict.FAIL)
-    if any(c.weight > 1.0 and c.verdict in raised for d in view.validated for c in d.checks):
-        return "Not usable", "none"
-    if next(_false_scores(subject), None) is not None:
+    judged = usability(view)
+    if judged is not None and judged.kind == "not usable":
         return "Not usable", "none"
     if next(doubts(subject), None) is not None:
-        return "Usable with limits", "doubt"
+        return "Doubtful", "doubt"
     return ("Usable", "good") if view.validated else ("A model was found, not validated", "shown")
 
 
@@ -198,7 +191,7 @@ def _test(subject: Subject) -> Html:
 def _trust(subject: Subject, kind: str) -> Html:
     against, view = list(doubts(subject)), subject.view
     if against:
-        start = "Do not use this model" if kind == "none" else "Use it with limits"
+        start = "Do not use this model" if kind == "none" else "Use it with care"
         return join((f"{start}: ", said("; ".join(against), 2000), "."))
     text = "No candidate saw its validation data."
     if view.refitted and view.refitted.again:

@@ -1,0 +1,179 @@
+"""Stress simulation: a model is named only if it stays bounded on training inputs in other
+combinations.
+
+Each case is ten horizons long, or twice the longest record. The inputs are training inputs: each
+input from another record or time, all moved in time and level, or all stretched or shrunk; they
+never leave their training ranges. The initial states are perturbed. An output must stay within
+`LIMIT` half ranges of the middle of its training range. An integrator or inputs that always
+balanced each other may lead further: then the best linear model on the same inputs gives the limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from asia.data.trajectory import Array, Trajectory
+from asia.errors import CandidateError
+from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.references import LINEAR
+from asia.judge.evaluation.results import RefitModel
+from asia.ledger.artifacts import Store
+from asia.ledger.events import Refitted, Stack, StackMember, StressTest, Use
+from asia.ledger.run import ModelToUse, stress_text
+from asia.ledger.text import error_value
+from asia.ledger.view import Experiment, SearchView
+from asia.problem.folds import Block, Case, cut
+from asia.problem.protocol import ProtocolRule
+
+LIMIT = 5.0
+"""Largest distance of an output from the middle of its training range, in half ranges."""
+TIMES_LINEAR = 3.0
+"""The same, relative to that of the best linear model on the same inputs."""
+HORIZONS = 10
+_MOST_SAMPLES = 20_000
+_RECOMBINED, _MOVED, _SCALES = 4, 2, (0.5, 1.5)
+# Noise on the initial outputs, in standard deviations.
+_PERTURBATION = 0.1
+# Other experiments whose models are tried in place of the winner's, and their largest V.
+_OTHERS, _NEAR = 3, 1.5
+
+
+def stress_cases(
+    records: Sequence[Trajectory], rule: ProtocolRule, seed: int = 0
+) -> tuple[Block, ...]:
+    """Cases of one length with inputs inside their training ranges; their outputs are unknown."""
+    random = np.random.default_rng(seed)
+    longest = max(len(record) for record in records)
+    length = min(2 * longest if rule.horizon is None else HORIZONS * rule.horizon, _MOST_SAMPLES)
+    total = rule.past_inputs + length
+    every = np.concatenate([record.u for record in records])
+    low, high = every.min(axis=0), every.max(axis=0)
+    middle, spread = (low + high) / 2.0, np.concatenate([r.y for r in records]).std(axis=0)
+
+    def drawn(channels: slice) -> Array:
+        """Inputs of records in any order, each from a random sample on and repeated."""
+        parts: list[Array] = []
+        while sum(map(len, parts)) < total:
+            record = records[int(random.integers(len(records)))]
+            parts.append(np.roll(record.u[:, channels], int(random.integers(len(record))), axis=0))
+        return np.concatenate(parts)[:total]
+
+    inputs = [
+        np.hstack([drawn(slice(j, j + 1)) for j in range(every.shape[1])])
+        for _ in range(_RECOMBINED)
+    ]
+    for _ in range(_MOVED):
+        level = random.uniform(-0.25, 0.25, every.shape[1]) * (high - low)
+        inputs.append(np.clip(drawn(slice(None)) + level, low, high))
+    for scale in _SCALES:
+        inputs.append(np.clip(middle + scale * (drawn(slice(None)) - middle), low, high))
+    blocks: list[Block] = []
+    for u in inputs:
+        record = records[int(random.integers(len(records)))]
+        start = int(random.integers(rule.past, len(record)))
+        past_y = cut(record, start, start + 1, rule).case.past_y
+        past_y = past_y + _PERTURBATION * spread * random.standard_normal(past_y.shape)
+        case = Case("stress", u[: rule.past_inputs], past_y, u[rule.past_inputs :])
+        blocks.append(Block(case, np.zeros((length, len(spread))), 0, start))
+    return tuple(blocks)
+
+
+class StressRoom:
+    """Stress simulations of the models of one search."""
+
+    def __init__(self, evaluator: Evaluator, store: Store, view: SearchView) -> None:
+        self._evaluator, self._store, self._view = evaluator, store, view
+        data = evaluator.data
+        self._blocks = stress_cases(data.records, data.rule)
+        measured = np.concatenate([record.measured_y for record in data.records])
+        low, high = np.nanmin(measured, axis=0), np.nanmax(measured, axis=0)
+        self._middle, self._half = (low + high) / 2.0, np.maximum(high - low, 1e-300) / 2.0
+        self._linear: Array | None = None
+
+    def test(
+        self, use: Use, best: Experiment, refitted: Refitted, members: Sequence[StackMember] = ()
+    ) -> StressTest:
+        """Simulate a model of the search on the stress cases.
+
+        Args:
+            members: of the stack; otherwise the winner alone
+        """
+        parts = [(best, 1.0)]
+        if use == "stack":
+            parts = [(self._view.experiment(m.experiment), m.weight) for m in members]
+        mean: Array | float = 0.0
+        for experiment, weight in parts:
+            assert experiment.result is not None
+            models = [self._store.get(fold.model) for fold in experiment.result.folds]
+            if use == "refit":
+                assert refitted.model is not None
+                models = [self._store.get(refitted.model)]
+            source = self._store.text(experiment.proposed.source)
+            answers = self._evaluator.models.simulate_together(source, models, self._blocks)
+            for one in answers:
+                if isinstance(one, CandidateError):
+                    return StressTest(use, best.number, None, "", None, passed=False)
+                mean = mean + weight / len(answers) * one
+        reach = self._reach(np.asarray(mean))
+        limit = np.full_like(reach, LIMIT)
+        linear: float | None = None
+        if (reach > limit).any():
+            if self._linear is None:
+                self._linear = self._linear_reach()
+            linear = float(self._linear.max())
+            limit = np.maximum(limit, TIMES_LINEAR * self._linear)
+        worst = np.unravel_index(int(np.argmax(reach / limit)), reach.shape)
+        output = self._view.started.outputs[int(worst[1])]
+        passed = bool((reach <= limit).all())
+        return StressTest(use, parts[0][0].number, float(reach[worst]), output, linear, passed)
+
+    def _reach(self, y: Array) -> Array:
+        """Largest distance (cases, ny) from the middle of the training range, in half ranges."""
+        return np.abs((y - self._middle) / self._half).max(axis=1)
+
+    def _linear_reach(self) -> Array:
+        """Of the linear reference, fitted to all records; zeros where it gives no answer."""
+        nothing = np.zeros((len(self._blocks), len(self._half)))
+        fitted = self._evaluator.refit_again(LINEAR, 0)
+        if not isinstance(fitted, RefitModel):
+            return nothing
+        (y,) = self._evaluator.models.simulate_together(LINEAR, [fitted.model], self._blocks)
+        return nothing if isinstance(y, CandidateError) else self._reach(y)
+
+
+def bounded_model(
+    room: StressRoom, view: SearchView, best: Experiment, refitted: Refitted, named: ModelToUse
+) -> Refitted:
+    """Name the first model that stays bounded: the one that the evidence favours, the other models
+    of the winner, then the ensembles of the next best experiments. If none does, the first one
+    stays named, and its failed test says that it is not usable."""
+    assert best.score is not None
+    options: list[tuple[Use, Stack | None, str]] = [(named.model, refitted.stack, named.reason)]
+    bounded = "This one stays bounded."
+    if named.model != "refit" and refitted.model is not None:
+        options.append(("refit", refitted.stack, bounded))
+    if named.model != "ensemble":
+        options.append(("ensemble", refitted.stack, bounded))
+    others = [
+        (other.score, other.number)
+        for other in view.finished
+        if other.score is not None
+        and other.number != best.number
+        and other.score.value <= _NEAR * best.score.value
+        and (other.result is None or other.result.duplicate_of is None)
+    ]
+    for score, number in sorted(others, key=lambda other: other[0].value)[:_OTHERS]:
+        values = tuple(fold.value for fold in score.folds)
+        single = Stack((StackMember(number, 1.0),), score.value, values)
+        text = f"The ensemble of #{number:02d} (V {error_value(score.value)}) stays bounded."
+        options.append(("stack", single, text))
+    tests: list[StressTest] = []
+    for use, stack, reason in options:
+        tests.append(room.test(use, best, refitted, () if stack is None else stack.members))
+        if tests[-1].passed:
+            text = reason if len(tests) == 1 else f"{stress_text(tests[0])} {reason}"
+            return replace(refitted, use=use, reason=text, stack=stack, stress=tuple(tests))
+    return replace(refitted, use=named.model, reason=named.reason, stress=tuple(tests))
