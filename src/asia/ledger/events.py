@@ -303,7 +303,8 @@ class StressTest:
     """Name of that output."""
     linear: float | None
     """Largest distance for the best linear model; None where it was not asked."""
-    passed: bool
+    outcome: Literal["bounded", "drifts", "diverges"]
+    """drifts: far away, but no faster than the measured outputs move, as an integrator does."""
 
 
 # The course of a search: its start, its experiments, its end.

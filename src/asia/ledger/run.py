@@ -194,11 +194,12 @@ def usability(view: SearchView) -> Usability | None:
         )
         remark = view.experiments[-1].proposed.remark
         wrong.append(remark or "Record longer, with larger and more varied inputs.")
-    if view.refitted is not None and view.refitted.stress and not view.refitted.stress[-1].passed:
-        wrong.append(
-            f"{stress_text(view.refitted.stress[0])} Record the inputs in more combinations, each "
-            "with its own steps."
-        )
+    test = view.refitted.stress[-1] if view.refitted is not None and view.refitted.stress else None
+    if test is not None and test.outcome != "bounded":
+        advice = "Record each input with steps of its own." if test.outcome == "diverges" else (
+            "Is the plant an integrator? If not, record each input with steps of its own."
+        )  # fmt: skip
+        (wrong if test.outcome == "diverges" else doubts).append(f"{stress_text(test)} {advice}")
     for validation in view.validated:
         for check in validation.checks:
             if check.weight > 1.0 and check.verdict in (Verdict.DOUBT, Verdict.FAIL):

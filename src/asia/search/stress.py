@@ -3,9 +3,10 @@ combinations.
 
 Each case is ten horizons long, or twice the longest record. The inputs are training inputs: each
 input from another record or time, all moved in time and level, or all stretched or shrunk; they
-never leave their training ranges. The initial states are perturbed. An output must stay within
-`LIMIT` half ranges of the middle of its training range. An integrator or inputs that always
-balanced each other may lead further: then the best linear model on the same inputs gives the limit.
+never leave their training ranges. The initial states are perturbed. A model is bounded if its
+outputs stay within `LIMIT` half ranges of the middle of their training range, or do not go much
+further than those of the best linear model on the same inputs. An integrator drifts: it goes
+further, but no faster than the measured outputs moved. Anything else diverges.
 """
 
 from __future__ import annotations
@@ -91,6 +92,9 @@ class StressRoom:
         measured = np.concatenate([record.measured_y for record in data.records])
         low, high = np.nanmin(measured, axis=0), np.nanmax(measured, axis=0)
         self._middle, self._half = (low + high) / 2.0, np.maximum(high - low, 1e-300) / 2.0
+        # Way at the largest measured speed: a controller may have kept an integrator slow.
+        steps = [np.abs(np.diff(record.y, axis=0)).max(axis=0) for record in data.records]
+        self._drift = np.max(steps, axis=0) * len(self._blocks[0].y) / self._half
         self._linear: Array | None = None
 
     def test(
@@ -115,7 +119,7 @@ class StressRoom:
             answers = self._evaluator.models.simulate_together(source, models, self._blocks)
             for one in answers:
                 if isinstance(one, CandidateError):
-                    return StressTest(use, best.number, None, "", None, passed=False)
+                    return StressTest(use, best.number, None, "", None, "diverges")
                 mean = mean + weight / len(answers) * one
         reach = self._reach(np.asarray(mean))
         limit = np.full_like(reach, LIMIT)
@@ -127,8 +131,9 @@ class StressRoom:
             limit = np.maximum(limit, TIMES_LINEAR * self._linear)
         worst = np.unravel_index(int(np.argmax(reach / limit)), reach.shape)
         output = self._view.started.outputs[int(worst[1])]
-        passed = bool((reach <= limit).all())
-        return StressTest(use, parts[0][0].number, float(reach[worst]), output, linear, passed)
+        slow = (reach <= limit + self._drift).all()
+        outcome = "bounded" if (reach <= limit).all() else "drifts" if slow else "diverges"
+        return StressTest(use, parts[0][0].number, float(reach[worst]), output, linear, outcome)
 
     def _reach(self, y: Array) -> Array:
         """Largest distance (cases, ny) from the middle of the training range, in half ranges."""
@@ -148,8 +153,8 @@ def bounded_model(
     room: StressRoom, view: SearchView, best: Experiment, refitted: Refitted, named: ModelToUse
 ) -> Refitted:
     """Name the first model that stays bounded: the one that the evidence favours, the other models
-    of the winner, then the ensembles of the next best experiments. If none does, the first one
-    stays named, and its failed test says that it is not usable."""
+    of the winner, and where all of these diverge the ensembles of the next best experiments. If
+    none does, the first that drifts is named, or the first of all. Its test is the last one."""
     assert best.score is not None
     options: list[tuple[Use, Stack | None, str]] = [(named.model, refitted.stack, named.reason)]
     bounded = "This one stays bounded."
@@ -157,6 +162,7 @@ def bounded_model(
         options.append(("refit", refitted.stack, bounded))
     if named.model != "ensemble":
         options.append(("ensemble", refitted.stack, bounded))
+    own = len(options)
     others = [
         (other.score, other.number)
         for other in view.finished
@@ -173,7 +179,13 @@ def bounded_model(
     tests: list[StressTest] = []
     for use, stack, reason in options:
         tests.append(room.test(use, best, refitted, () if stack is None else stack.members))
-        if tests[-1].passed:
+        if tests[-1].outcome == "bounded":
             text = reason if len(tests) == 1 else f"{stress_text(tests[0])} {reason}"
             return replace(refitted, use=use, reason=text, stack=stack, stress=tuple(tests))
-    return replace(refitted, use=named.model, reason=named.reason, stress=tuple(tests))
+        if len(tests) == own and any(test.outcome == "drifts" for test in tests):
+            break
+    first = next((k for k, test in enumerate(tests) if test.outcome == "drifts"), 0)
+    use, stack, _ = options[first]
+    # The test of the named model comes last.
+    tests.append(tests.pop(first))
+    return replace(refitted, use=use, reason=named.reason, stack=stack, stress=tuple(tests))
