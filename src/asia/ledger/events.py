@@ -455,6 +455,8 @@ class FoldEvidence:
     """The machine that fitted it; "" for the search's own."""
     isolation: Annotated[str, _omitted("")] = ""
     """The level in force on that machine; "" for the search's own, see `Evaluated`."""
+    attempt: Annotated[int, _omitted(0)] = 0
+    """Seed of the fit, where the first one fitted the fold's own data badly."""
 
 
 @dataclass(frozen=True)

@@ -241,7 +241,18 @@ def damped_step(gram: Array, gradient: Array, damping: float) -> Array:
     scale = np.sqrt(np.diagonal(gram))
     scale = np.where(scale > 0, scale, 1.0)
     damped = gram / (scale[:, None] * scale) + damping * np.eye(len(gram))
-    return -np.linalg.solve(damped, gradient / scale) / scale
+    return -solve_or_fit(damped, gradient / scale) / scale
+
+
+def solve_or_fit(matrix: Array, right: Array) -> Array:
+    """Solve matrix (n, n) x = right (n,) or (n, m); the least-squares solution where it is
+    singular, so that a fit goes on."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), np.float64)
+    except np.linalg.LinAlgError:
+        if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+            return np.full_like(right, np.nan)
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], np.float64)
 
 
 def solve(matrix: AnyArray, right: AnyArray) -> AnyArray:

@@ -236,6 +236,12 @@ def _print_folds(console: Terminal, run: Run, experiment: Experiment) -> None:
     console.print()
     console.print(table)
     console.print(_COLUMNS, style="dim")
+    for k, kept in enumerate(result.folds, 1):
+        if kept.attempt:
+            console.print(
+                f"fold {k}: the training error of the first fit was far above those of the other "
+                f"folds; the fit from seed {kept.attempt + 1} fits the fold's own data best"
+            )
     if wide:
         for head, values in zip(heads, (errors, fits), strict=True):
             table = Table(title=f"{head} by output", title_justify="left", box=None)

@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
+from statistics import median
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -61,6 +62,9 @@ _Ask: TypeAlias = Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[
 _STRANGERS_ASKED = 4
 # Training samples of a fold.
 _LONG = 100_000
+# Training error of a fold, relative to the median of the other folds, above which its fit is
+# repeated; number of repetitions; distance of their seeds from those of other starts.
+_POOR, _ATTEMPTS, _ATTEMPT = 2.0, 2, 1_000
 
 
 @dataclass(frozen=True)
@@ -329,7 +333,39 @@ class Evaluator:
             if isinstance(end.result, Failure):
                 return Evaluation(end.result, output=end.output, validation_scores=calls)
         results = tuple(end.result for end in ends if isinstance(end.result, FoldResult))
+        try:
+            results = self._fitted_again(source, results, start)
+        except CandidateError as error:
+            return Evaluation(Failure(error.reason, error.detail))
         return Evaluation(combine([r.score for r in results]), results, ends[0].output, calls)
+
+    def _fitted_again(
+        self, source: str, results: tuple[FoldResult, ...], start: int
+    ) -> tuple[FoldResult, ...]:
+        """Fit a fold from other seeds where its training error is far above those of the other
+        folds: its optimisation ended in a poor minimum. The lowest training error decides."""
+        if self.data.rule.early_stopping != "inner" or len(results) < 2:
+            return results
+
+        def best(place: int) -> FoldResult:
+            result = results[place]
+            others = [one.diagnostics.train_error for one in results if one is not result]
+            failed = _POOR * median(others)
+            models = {result.model}
+            for attempt in range(1, _ATTEMPTS + 1):
+                if result.diagnostics.train_error <= failed:
+                    break
+                seed = start + _ATTEMPT * attempt
+                again = self._fold_or_failure(source, self.data.folds[place], seed).result
+                if isinstance(again, Failure) or again.model in models:
+                    break  # the fit does not depend on the seed
+                models.add(again.model)
+                if again.diagnostics.train_error < result.diagnostics.train_error:
+                    seconds = result.seconds + again.seconds
+                    result = replace(again, attempt=attempt, seconds=seconds)
+            return result
+
+        return tuple(self.workers.run([partial(best, place) for place in range(len(results))]))
 
     def objection(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """Load every fold's model in a fresh worker; a Failure unless each simulates bitwise the
@@ -370,7 +406,8 @@ class Evaluator:
             return None
 
         def fit_sequentially(place: int) -> FoldResult | Failure:
-            job = partial(self._fold_or_failure, source, self.data.folds[place])
+            seed = _ATTEMPT * folds[place].attempt
+            job = partial(self._fold_or_failure, source, self.data.folds[place], seed)
             return self.workers.run([job])[0].result
 
         random = np.random.default_rng(self.models.check_seed(source, "consistency"))
@@ -393,17 +430,22 @@ class Evaluator:
         found = self._run_checks([job])
         return found if isinstance(found, Failure) else objection_to(found[0], None)
 
-    def refit(self, source: str) -> Refit:
-        """Fit on all training records, and on one of the folds a second time."""
+    def refit(self, source: str, attempts: Sequence[int] = ()) -> Refit:
+        """Fit on all training records, and on one of the folds a second time.
+
+        Args:
+            attempts: `FoldResult.attempt` of each fold; () for the first ones
+        """
         source = executed_source(source)
         folds = self.data.folds
         fold = folds[derive_seed(self.data.context.seed, self._options.salt) % len(folds)]
+        seed = _ATTEMPT * attempts[fold.index] if attempts else 0
         models: list[RefitModel | CandidateError] = []
         results: list[FoldResult | Failure] = []
         self.workers.run(
             [
                 lambda: models.append(self._fit_all(source, 0)),
-                lambda: results.append(self._fold_or_failure(source, fold).result),
+                lambda: results.append(self._fold_or_failure(source, fold, seed).result),
             ]
         )
         return Refit(models[0], fold.index + 1, results[0])

@@ -81,6 +81,9 @@ class FoldResult:
     """The machine that fitted it; "" for the search's own."""
     isolation: str = ""
     """The level that was in force there; "" for the search's own."""
+    attempt: int = 0
+    """Seed of the fit: 0 the first one; another one where the first one failed to fit the fold's
+    own data as well as those of the other folds fit theirs."""
 
 
 @dataclass(frozen=True)

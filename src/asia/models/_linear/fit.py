@@ -20,6 +20,7 @@ from asia.models._least_squares import (
     NormalEquations,
     damped_step,
     minimise,
+    solve_or_fit,
 )
 from asia.models._linear.response import DrivenRecords, LongResponse, Response
 from asia.models._linear.system import LinearSystem, unpacked
@@ -653,7 +654,7 @@ def drift_shift(records: ScaledData, order: int, integrators: int) -> Array:
     refinement = Refinement(iterations=20, integrators=integrators)
     s = fit(known, max(order, integrators + 1), refinement).system
     m = s.order - integrators
-    steady = np.linalg.solve(np.eye(m) - s.a[:m, :m], s.b[:m])
+    steady = solve_or_fit(np.eye(m) - s.a[:m, :m], s.b[:m])
     rates = s.a[m:, :m] @ steady + s.b[m:]
     # Only the first state of a chain drifts; the others integrate it.
     return np.asarray(np.linalg.lstsq(rates[:, :-1], rates[:, -1], rcond=1e-3)[0], np.float64)

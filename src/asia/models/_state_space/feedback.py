@@ -12,7 +12,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models._arrays import tree_size
-from asia.models._least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt, solve_or_fit
 from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.scaling import Scaling
@@ -233,7 +233,7 @@ class RegressorSearch:
                     scaled = directions / size
                     part.append((scaled, observed, self.layer(scaled, observed)))
             for (d, o, _), (gram, rhs, power) in zip(part, self.normal(part), strict=True):
-                weights = np.linalg.solve(gram, rhs)
+                weights = solve_or_fit(gram, rhs)
                 found.append(Reading(d, o, power - float(rhs @ weights)))
         return [r for r in found if np.isfinite(r.error)]
 
@@ -399,7 +399,7 @@ class _Starts:
         """Last layer (h, m) and effects of the functions (m, n + ny), by alternating least
         squares."""
         h, n_act, m = self.structure.hidden, self.structure.order + self.structure.ny, self.search.m
-        theta = np.linalg.solve(gram, rhs).reshape(h, n_act)
+        theta = solve_or_fit(gram, rhs).reshape(h, n_act)
         left, sizes, right = np.linalg.svd(theta, full_matrices=False)
         m = min(m, len(sizes))
         act, g4 = right[:m], gram.reshape(h, n_act, h, n_act)

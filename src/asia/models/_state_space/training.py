@@ -11,7 +11,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models._config import Progress
-from asia.models._least_squares import LevenbergMarquardt
+from asia.models._least_squares import LevenbergMarquardt, solve_or_fit
 from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import Encoder
@@ -137,7 +137,7 @@ def _guess(
     seen = np.concatenate(rows)
     gram = seen.T @ seen
     held = gram + _GUESS_RIDGE * max(float(np.trace(gram)) / n, 1e-12) * np.eye(n)
-    state = np.linalg.solve(held, seen.T @ (y - forced[0]).ravel())
+    state = solve_or_fit(held, seen.T @ (y - forced[0]).ravel())
     return np.pad(state, (0, structure.size - n))
 
 
