@@ -47,6 +47,7 @@ class Facts:
         ladder: the share of V by which a new best must be better to be reported, None where
             every V is reported
         symmetry: changes of the signals that leave the system's laws as they are
+        linear: order and delay of the best linear model, where all folds have the same
     """
 
     description: str
@@ -67,6 +68,7 @@ class Facts:
     strategies: str = ""
     ladder: float | None = None
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
+    linear: tuple[int, int] | None = None
 
     @property
     def past(self) -> int:

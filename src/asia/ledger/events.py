@@ -406,6 +406,8 @@ class ReferenceScored:
     name: str
     outcome: Outcome
     failed_checks: _FailedChecks = field(default=(), compare=False)
+    structure: Annotated[tuple[int, int] | None, _omitted(None)] = None
+    """Order and delay of a linear model, where all folds have the same."""
     event: Literal["rung"] = "rung"
 
 

@@ -81,6 +81,9 @@ def agent_view(
     shown = {e.number for e in (view.best, *view.finished[-1:]) if e is not None}
     settings = RunSettings(facts.inputs, facts.outputs, facts.budget.fit_seconds, 0)
     tried = {e.proposed.digest for e in view.experiments}
+    if view.started.ladder is None:
+        structures = [r.structure for r in view.references if r.name == LINEAR_REFERENCE]
+        facts = replace(facts, linear=next(iter(structures), None))
     trials: list[Trial] = []
     for e in view.finished:
         trial = known.trial(e)

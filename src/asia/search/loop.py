@@ -145,7 +145,12 @@ class Loop:
         with self.watch.activity(Activity.REFERENCES, swallows=True):
             for reference in score_references(self.evaluator, metric, self.problem.truth, names):
                 self.record(
-                    ReferenceScored(reference.name, reference.outcome, reference.failed_checks)
+                    ReferenceScored(
+                        reference.name,
+                        reference.outcome,
+                        reference.failed_checks,
+                        reference.structure,
+                    )
                 )
         while self.view.stopped is None:
             stopped = self._advance()

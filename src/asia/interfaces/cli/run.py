@@ -345,7 +345,12 @@ class JsonDisplay:
                     "handed_over", agent=event.agent, after=event.after, reason=event.reason
                 )
             case ReferenceScored():
-                self._print("reference", name=event.name, V=_value(event.outcome))
+                self._print(
+                    "reference",
+                    name=event.name,
+                    V=_value(event.outcome),
+                    structure=event.structure,
+                )
             case GuardLooked():
                 scores = {str(s.experiment): _value(s.outcome) for s in event.scores}
                 self._print("guard", look=event.look, pick=event.pick, V=scores)
@@ -568,6 +573,8 @@ class TextDisplay:
         from asia.judge.evaluation.references import TRUTH
 
         note = "   the true system: the noise floor" if reference.name == TRUTH else ""
+        if reference.structure is not None:
+            note = "   order {}, delay {} samples".format(*reference.structure)
         value = value_words(reference.outcome)
         self._print(f"reference {reference.name:<18} V={value}{note}", style="cyan")
         if isinstance(reference.outcome, Failure):

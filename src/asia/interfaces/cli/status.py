@@ -187,7 +187,10 @@ def _print_status(directory: Path, found: Brief) -> None:
     if compared is not None:
         say(f"control {control_text(compared, start)}")
     for reference in view.references:
-        say(f"reference {reference.name:<18} V={value_words(reference.outcome)}")
+        chosen = "" if reference.structure is None else (
+            "   order {}, delay {} samples".format(*reference.structure)
+        )  # fmt: skip
+        say(f"reference {reference.name:<18} V={value_words(reference.outcome)}{chosen}")
     shown = view.finished[-_EXPERIMENTS_SHOWN:]
     if shown:
         say(

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass
+from statistics import median_high, median_low
 
 import numpy as np
 
 from asia.data.relations import LARGEST_GAIN, LEAST_CORRELATION, motion
 from asia.data.trajectory import Array
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.results import score_outputs
-from asia.judge.scoring.outcome import Outcome
+from asia.judge.evaluation.results import Evaluation, score_outputs
+from asia.judge.scoring.outcome import Outcome, Score
 from asia.problem.folds import Block, Fold
 
 Rates = tuple[int | None, ...]
@@ -78,6 +79,8 @@ class Reference:
     outcome: Outcome
     failed_checks: tuple[str, ...] = ()
     """Diagnostics that raised an exception, a line each."""
+    structure: tuple[int, int] | None = None
+    """Order and delay of a linear model, where all folds have the same."""
 
 
 def score_references(
@@ -119,12 +122,39 @@ def score_references(
         if name not in known:
             yield Reference(name, score(simulate))
     if LINEAR_REFERENCE not in known:
-        evaluation = evaluator.evaluate(LINEAR)
-        yield Reference(LINEAR_REFERENCE, evaluation.outcome, evaluation.failed_checks)
+        yield best_linear(evaluator)
     if truth is not None and TRUTH not in known:
         yield Reference(
             TRUTH, score(lambda _, block: truth[block.record][block.start : block.stop])
         )
+
+
+def best_linear(evaluator: Evaluator) -> Reference:
+    """Score the linear model with order and delay chosen in each fold and, where the folds differ,
+    with the median choice in all of them. The better one is the reference."""
+
+    def scored(structure: tuple[int, int] | None) -> Evaluation:
+        source = LINEAR
+        for name, value in zip(("order", "delay"), structure or (), strict=False):
+            source = source.replace(f"{name}=None", f"{name}={value}")
+        return evaluator.evaluate(source)
+
+    found = scored(None)
+    chosen = [dict(fold.findings.parameters) for fold in found.folds if fold.findings is not None]
+    names = "order [states]", "delay [samples]"
+    if not chosen or not all(name in one for one in chosen for name in names):
+        return Reference(LINEAR_REFERENCE, found.outcome, found.failed_checks)
+    orders, delays = ([round(one[name]) for one in chosen] for name in names)
+    shared = median_high(orders), median_low(delays)
+    if set(orders) == {shared[0]} and set(delays) == {shared[1]}:
+        return Reference(LINEAR_REFERENCE, found.outcome, found.failed_checks, shared)
+    options: list[tuple[float, Evaluation, tuple[int, int] | None]] = []
+    for structure in (None, *((n, shared[1]) for n in {median_low(orders), shared[0]})):
+        tried = found if structure is None else scored(structure)
+        if isinstance(tried.outcome, Score):
+            options.append((tried.outcome.value, tried, structure))
+    _, best, structure = min(options, key=lambda one: one[0], default=(0.0, found, None))
+    return Reference(LINEAR_REFERENCE, best.outcome, best.failed_checks, structure)
 
 
 def training_mean(fold: Fold, block: Block) -> Array:

@@ -25,7 +25,9 @@ _FINER = 0.005
 
 
 def _linear(facts: Facts) -> Recipe:
-    config = (("order", None), ("delay", None), ("periodic", True), *integrator_setting(facts))
+    # Each fold chooses for itself, unless one choice for all gave the better reference.
+    order, delay = facts.linear or (None, None)
+    config = (("order", order), ("delay", delay), ("periodic", True), *integrator_setting(facts))
     return Recipe("linear", config, LM, (("iterations", 30),))
 
 
