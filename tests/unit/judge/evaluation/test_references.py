@@ -8,7 +8,13 @@ import pytest
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator
-from asia.judge.evaluation.references import constant_velocity, find_rates, score_references
+from asia.judge.evaluation.references import (
+    LINEAR,
+    best_linear,
+    constant_velocity,
+    find_rates,
+    score_references,
+)
 from asia.judge.evaluation.workers import WorkerRunner
 from asia.judge.executors import LocalExecutor
 from asia.judge.sandbox.types import Isolation
@@ -108,3 +114,37 @@ def test_a_candidate_is_judged_on_windows() -> None:
     assert [len(f.y_hat) for f in evaluation.folds] == [8, 8]
     assert evaluation.folds[0].y_hat[0].shape == (10, 3)
     assert found.objection(HOLD, evaluation.folds) is None
+
+
+def test_the_linear_reference_has_one_order_for_all_folds_where_that_is_better() -> None:
+    # Two modes, and a second half that is slow and so noisy that a fit to it finds one mode.
+    rng = np.random.default_rng(4)
+    u = rng.normal(size=240)
+    u[120:] = np.repeat(rng.normal(size=12), 10)
+    one, two = np.zeros(240), np.zeros(240)
+    for k in range(2, 240):
+        one[k] = 1.8 * one[k - 1] - 0.9 * one[k - 2] + 0.1 * u[k - 1]
+        two[k] = 0.2 * two[k - 1] - 0.8 * two[k - 2] + 0.3 * u[k - 1]
+    y = (one + two)[:, None]
+    noise = rng.normal(size=y.shape)
+    noise[:120] *= 0.02
+    noise[120:] *= 0.6
+    y += y.std() * noise
+    records = [Trajectory(u[:, None], y, 1.0, "r")]
+    rule = ProtocolRule(past_inputs=5, past_outputs=5)
+    context = Context((Signal("u"),), (Signal("y"),), 1.0, 5, 5)
+    data = EvaluationData(make_folds(records, rule), tuple(records), context, rule)
+    runner = WorkerRunner(Isolation.PROCESS, Budget(fit_seconds=60.0), LocalExecutor())
+    judge = Evaluator(data, runner)
+    own = judge.evaluate(LINEAR)
+    assert isinstance(own.outcome, Score)
+    orders = {
+        round(dict(fold.findings.parameters)["order [states]"])
+        for fold in own.folds
+        if fold.findings
+    }
+    assert orders == {2, 4}
+    found = best_linear(judge)
+    assert isinstance(found.outcome, Score)
+    assert found.structure == (4, 0)
+    assert found.outcome.value < own.outcome.value
