@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from asia._api import run
     from asia.candidate import Context, Model
     from asia.data.trajectory import Signal, Trajectory
+    from asia.export.linear import linearize
     from asia.interfaces.python import SystemIdentifier, load_run
     from asia.ledger.run import open_run
     from asia.problem.load import load_problem
@@ -32,6 +33,7 @@ __all__ = [
     "Signal",
     "SystemIdentifier",
     "Trajectory",
+    "linearize",
     "load_problem",
     "load_run",
     "open_run",
@@ -48,6 +50,7 @@ _HOMES = {
     "Signal": "asia.data.trajectory",
     "SystemIdentifier": "asia.interfaces.python",
     "Trajectory": "asia.data.trajectory",
+    "linearize": "asia.export.linear",
     "load_problem": "asia.problem.load",
     "load_run": "asia.interfaces.python",
     "open_run": "asia.ledger.run",

@@ -29,6 +29,7 @@ from asia.interfaces.cli import (
     doctor,
     export,
     init,
+    linear,
     models,
     report,
     show,
@@ -127,6 +128,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "validate": validate.validate,
     "report": report.report,
     "unseal": unseal.unseal,
+    "linear": linear.linear,
     "export": export.export,
     "view": view.view,
 }

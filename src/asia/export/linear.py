@@ -1,0 +1,224 @@
+"""Linear models of a run: its model at operating points, with the fold models beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from asia.analysis.linear import (
+    LinearModel,
+    OperatingPoint,
+    joined,
+    linearised,
+    operating_points,
+    settle,
+    split,
+)
+from asia.data.trajectory import Array, Signal
+from asia.errors import UserError
+from asia.export.pipeline import measured
+from asia.judge.sandbox.types import Isolation
+from asia.ledger.events import Use
+from asia.ledger.run import Run, model_to_use, open_run
+from asia.lowering.evaluation import evaluate
+from asia.lowering.program import LoweredModel
+from asia.problem.load import load_lock
+from asia.search.run import LOCK, make_evaluator
+from asia.search.simulation import final_members, fold_models, loading_stored_models
+
+_STARTS = 4
+_WALK = 2_000
+
+
+@dataclass(frozen=True)
+class LinearPoint:
+    """Linear models at one operating point."""
+
+    name: str
+    """The point as it was asked for, such as `u=2.5`."""
+    at: OperatingPoint
+    rests: bool
+    """Whether the states rest there."""
+    model: LinearModel
+    folds: tuple[LinearModel, ...]
+    """Those of the fold models at the same inputs or outputs; fewer where one has no such point."""
+
+
+@dataclass(frozen=True)
+class LinearRun:
+    """Linear models of a run."""
+
+    name: str
+    use: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    points: tuple[LinearPoint, ...]
+    notes: tuple[str, ...]
+    """Sentences on the choice of the model and on points that do not exist."""
+    record: Array
+    """Inputs (T, nu) of the longest training record, on which a reduction is checked."""
+
+
+def linearize(
+    run: Run | Path | str,
+    at: Sequence[str] = (),
+    model: str | None = None,
+    *,
+    isolation: Isolation | None = None,
+) -> LinearRun:
+    """Linearise the model of a run at operating points.
+
+    Args:
+        run: an opened run or its folder
+        at: `u=VALUES` (inputs held, one number an input), `y=VALUES` (outputs to reach), or
+            `start` (first training sample, not at rest); default: the mean training inputs
+        model: `refit`, or the number of an experiment, whose first fold model is linearised;
+            default: the refit, without one the best experiment. The mean of several models has
+            the states of all, so it is not linearised.
+        isolation: level of the candidate; None for the strongest of this machine
+
+    Raises:
+        UserError: for a point that does not exist, and a model that has no step
+    """
+    opened = run if isinstance(run, Run) else open_run(Path(run))
+    use, notes = _chosen(opened, model)
+    problem = load_lock(opened.directory / LOCK)
+    evaluator = make_evaluator(problem, opened.view, isolation=isolation)
+    if use.isdigit():
+        member = fold_models(opened.view.experiment(int(use)))
+        names = member.models
+    else:
+        best = opened.view.best
+        assert best is not None
+        member = fold_models(best)
+        names = (*final_members(opened.view, "refit")[0].models, *member.models)
+    with loading_stored_models(opened.view):
+        models = [opened.store.get(name) for name in names]
+        found = evaluator.models.lowered(opened.store.text(member.source), models)
+    lowered: list[LoweredModel] = []
+    for one in found:
+        if isinstance(one, str):
+            raise UserError(f"run '{opened.name}': the model cannot be linearised: {one}")
+        lowered.append(measured(one, problem.preprocess, problem.inputs))
+    own, folds = lowered[0], lowered if use.isdigit() else lowered[1:]
+    records = evaluator.data.records
+    blocks = evaluator.data.training_blocks[:_STARTS]
+    windows = [(block.case.past_u, block.case.past_y, block.case.u) for block in blocks]
+    mean = np.concatenate([record.u for record in records]).mean(axis=0)
+
+    def starts(of: LoweredModel) -> list[Array]:
+        """States at the beginning of training windows; before them delayed inputs are held."""
+        made: list[Array] = []
+        for past_u, past_y, u in windows:
+            longer = of.n_past_u - len(past_u)
+            held = np.concatenate(
+                [np.repeat((past_u if len(past_u) else u)[:1], longer, 0), past_u]
+            )
+            made.append(joined(evaluate(of.initial, [held, past_y, u[0]])))
+        return made
+
+    points: list[LinearPoint] = []
+    for name in at or ("mean",):
+        if name == "start":
+            x, u = starts(own)[0], windows[0][2][0]
+            y = evaluate(own.output, [*split(own, x), u])[0]
+            point = OperatingPoint(x, u, y, float("nan"))
+            others = [(one, OperatingPoint(starts(one)[0], u, y, float("nan"))) for one in folds]
+            points.append(_point(name, point, own, others, problem.sampling_time, rests=False))
+            continue
+        u, y = _asked(name, mean, own)
+        there = operating_points(own, starts(own), u, y)
+        if not there:
+            x = settle(own, starts(own)[0], u, _WALK)
+            moved = joined(evaluate(own.update, [*split(own, x), u])) - x
+            if y is not None or not np.isfinite(moved).all():
+                raise UserError(f"--at {name}: the model has no operating point there")
+            notes.append(
+                f"{name}: the states do not come to rest there (an integrator or an oscillation): "
+                f"the matrices are those of the state after {_WALK} samples"
+            )
+            value = evaluate(own.output, [*split(own, x), u])[0]
+            there = [OperatingPoint(x, u, value, float("nan"))]
+        if len(there) > 1:
+            outputs = ", ".join(str(np.round(one.y, 6).tolist()) for one in there)
+            notes.append(f"{name}: the model rests at {len(there)} points, with outputs {outputs}")
+        for place, point in enumerate(there, 1):
+            near: list[tuple[LoweredModel, OperatingPoint]] = []
+            for one in folds:
+                others = operating_points(one, starts(one), point.u, y)
+                if others:
+                    target = point.y
+                    nearest = min(others, key=lambda p: float(np.abs(p.y - target).max()))
+                    near.append((one, nearest))
+            label = name if len(there) == 1 else f"{name} ({place})"
+            rests = bool(np.isfinite(point.residual))
+            points.append(_point(label, point, own, near, problem.sampling_time, rests=rests))
+    record = max(records, key=len).u
+    return LinearRun(
+        opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes), record
+    )
+
+
+def _chosen(run: Run, model: str | None) -> tuple[str, list[str]]:
+    """`refit` or the number of an experiment, and why."""
+    if model is not None:
+        if model.isdigit():
+            if run.view.experiment(int(model)).score is None:
+                raise UserError(f"run '{run.name}': experiment {model} has no score")
+            return model, []
+        if model != "refit":
+            raise UserError(
+                f"--model is '{model}', expected refit or the number of an experiment: the "
+                f"{'mean' if model in get_args(Use) else 'model'} of several models has the "
+                "states of all"
+            )
+        final_members(run.view, "refit")
+        return model, []
+    named, best = model_to_use(run.view), run.view.best
+    if named is None or best is None:
+        raise UserError(f"run '{run.name}' has no scored model")
+    if run.view.refitted is not None and run.view.refitted.model is not None:
+        if named.model == "refit":
+            return "refit", []
+        return "refit", [
+            f"the model to use is the {named.model}, a mean of several models; the linear model is "
+            "that of the refit"
+        ]
+    return str(best.number), [
+        f"there is no refit: the linear model is that of fold 1 of #{best.number:02d}"
+    ]
+
+
+def _asked(name: str, mean: Array, model: LoweredModel) -> tuple[Array, Array | None]:
+    """Inputs, and outputs where these are asked for."""
+    if name == "mean":
+        return mean, None
+    side, _, text = name.partition("=")
+    try:
+        values = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        values = np.zeros(0)
+    count = {"u": model.nu, "y": model.ny}.get(side)
+    if count is None or len(values) != count or not np.isfinite(values).all():
+        raise UserError(
+            f"--at is '{name}', expected start, u= with {model.nu} or y= with {model.ny} numbers "
+            "separated by commas, such as u=2.5"
+        )
+    return (values, None) if side == "u" else (mean, values)
+
+
+def _point(
+    name: str,
+    point: OperatingPoint,
+    own: LoweredModel,
+    folds: Sequence[tuple[LoweredModel, OperatingPoint]],
+    sampling_time: float,
+    *,
+    rests: bool,
+) -> LinearPoint:
+    each = tuple(linearised(one, at, sampling_time) for one, at in folds)
+    return LinearPoint(name, point, rests, linearised(own, point, sampling_time), each)

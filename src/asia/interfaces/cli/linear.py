@@ -1,0 +1,247 @@
+"""asia linear: linear models at operating points."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from asia._text import say
+from asia.errors import UserError
+from asia.interfaces.cli.options import (
+    DEFAULT_RUNS,
+    CandidateLevel,
+    Json,
+    RunName,
+    Runs,
+    candidate_level,
+    run_directory,
+)
+
+if TYPE_CHECKING:
+    from asia.analysis.linear import ProcessModel
+    from asia.data.trajectory import Signal
+    from asia.export.linear import LinearPoint, LinearRun
+
+
+def linear(
+    run: RunName = None,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Operating point, repeatable: u=2.5 (inputs held), y=9 (outputs to reach), start "
+            "(first training sample); default: the mean inputs."
+        ),
+    ] = None,
+    reduce: Annotated[
+        str | None,
+        typer.Option(help="States to keep by balanced truncation, or auto (error below 1 %)."),
+    ] = None,
+    to_tf: Annotated[
+        bool,
+        typer.Option("--to-tf", help="Print transfer functions and the nearest process models."),
+    ] = False,
+    continuous_time: Annotated[
+        bool, typer.Option("--continuous", help="Print the continuous-time model too.")
+    ] = False,
+    model: Annotated[
+        str | None,
+        typer.Option(help="refit, or the number of an experiment; default: the refit."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for linear.png and linear.json; default: linear in the run."),
+    ] = None,
+    isolation: CandidateLevel = None,
+    runs: Runs = DEFAULT_RUNS,
+    json: Json = False,
+) -> None:
+    """Print order, poles, gains and delays of a model at operating points, and draw its Bode plot
+    and step response."""
+    from asia.export.linear import linearize
+    from asia.report.files import save
+    from asia.report.pictures.linear import draw_linear
+
+    directory = run_directory(runs, run)
+    found = linearize(directory, at or (), model, isolation=candidate_level(isolation))
+    facts: dict[str, Any] = {
+        "run": found.name,
+        "model": found.use,
+        "notes": list(found.notes),
+        "points": [
+            _facts(found, one, reduce, to_tf=to_tf, rate=continuous_time) for one in found.points
+        ],
+    }
+    folder = directory / "linear" if out is None else out
+    folder.mkdir(parents=True, exist_ok=True)
+    text = jsonlib.dumps(_plain(facts), allow_nan=False)
+    (folder / "linear.json").write_text(text + "\n", "utf-8")
+    drawn = [(one.name, one.model, one.folds) for one in found.points]
+    failed: list[str] = []
+    picture = "linear", lambda: draw_linear(drawn, found.inputs, found.outputs)
+    files = [*save([picture], folder, failed), folder / "linear.json"]
+    if json:
+        say(text)
+    stream = sys.stderr if json else sys.stdout
+    say(f"run {found.name}, model {found.use}", file=stream)
+    for note in (*found.notes, *failed):
+        say(f"note      {note}", file=stream)
+    for point, values in zip(found.points, facts["points"], strict=True):
+        for line in _lines(found, point, values):
+            say(line, file=stream)
+    for path in files:
+        say(f"file      {path}", file=stream)
+
+
+def _facts(
+    run: LinearRun, point: LinearPoint, reduce: str | None, *, to_tf: bool, rate: bool
+) -> dict[str, Any]:
+    """Everything that is printed of a point, and the matrices."""
+    from asia.analysis.linear import continuous, is_integrating, process_model, reduced
+    from asia.analysis.linear import settling_samples as settling
+
+    model, folds = point.model, point.folds
+    found: dict[str, Any] = {
+        "at": point.name, "u": model.u0, "y": model.y0, "at_rest": point.rests,
+        "order": model.order, "sampling_time": model.sampling_time,
+        "A": model.a, "B": model.b, "C": model.c, "D": model.d,
+        "poles": [{"real": p.real, "imag": p.imag, "frequency_hz": f, "damping": z, "time_s": t}
+                  for p, f, z, t in model.modes()],
+        "zeros": [{"real": z.real, "imag": z.imag} for z in model.zeros],
+        "gain": model.gain, "delay_samples": model.delay,
+        "fold_gains": [one.gain for one in folds],
+        "fold_poles": [[{"real": p.real, "imag": p.imag} for p in one.poles] for one in folds],
+    }  # fmt: skip
+    if reduce is not None:
+        if reduce != "auto" and not reduce.isdigit():
+            raise UserError(f"--reduce is '{reduce}', expected auto or a number of states")
+        small = reduced(model, None if reduce == "auto" else int(reduce))
+        full, less = model.simulate(run.record), small.model.simulate(run.record)
+        spread = np.maximum(full.std(axis=0), 1e-300)
+        found["reduced"] = {
+            "order": small.model.order, "bound": small.bound,
+            "singular_values": small.singular_values,
+            "difference_on_record": float(np.sqrt((((full - less) / spread) ** 2).mean())),
+            "A": small.model.a, "B": small.model.b, "C": small.model.c, "D": small.model.d,
+        }  # fmt: skip
+    if to_tf:
+        numerators, denominator = model.numerator()
+        samples = settling(model)
+        steps, t = model.step_response(samples), model.sampling_time * np.arange(samples)
+        found["denominator"], found["numerators"] = denominator, numerators
+        found["process_models"] = [
+            [_process(t, steps[:, i, j], process_model, integrator=is_integrating(model))
+             for j in range(len(run.inputs))]
+            for i in range(len(run.outputs))
+        ]  # fmt: skip
+    if rate:
+        try:
+            same, dead = continuous(model)
+            found["continuous"] = {"A": same.a, "B": same.b, "C": same.c, "D": same.d,
+                                   "dead_time_samples": dead}  # fmt: skip
+        except UserError as error:
+            found["continuous"] = {"none": str(error)}
+    return found
+
+
+def _process(t: Any, y: Any, fit: Callable[..., ProcessModel], *, integrator: bool) -> Any:
+    try:
+        one = fit(t, y, integrator=integrator)
+    except UserError:
+        return None
+    return {**asdict(one), "text": str(one)}
+
+
+def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterator[str]:
+    """Yield what is printed of a point."""
+    model, step = point.model, point.model.sampling_time
+
+    def values(signals: Sequence[Signal], numbers: Any) -> str:
+        pairs = zip(signals, numbers, strict=True)
+        return ", ".join(f"{s.name} {v:.5g} {s.unit}".rstrip() for s, v in pairs)
+
+    rest = "" if point.rests else " (not at rest)"
+    yield ""
+    yield f"at {point.name}: {values(run.inputs, model.u0)}; {values(run.outputs, model.y0)}{rest}"
+    yield f"order     {model.order}, sampling time {step:g} s"
+    for pole, frequency, damping, time in model.modes():
+        text = f"{pole.real:.6g}" + (f" +- {pole.imag:.6g}i" if pole.imag > 1e-12 else "")
+        if np.isnan(frequency):
+            yield f"pole      {text:<24} no continuous counterpart"
+        elif abs(pole - 1.0) < 1e-6:
+            yield f"pole      {text:<24} integrator"
+        else:
+            kind = "unstable" if abs(pole) > 1.0 else f"time constant {time:.4g} s"
+            yield f"pole      {text:<24} {frequency:.4g} Hz, damping {damping:.3g}, {kind}"
+    shown = [f"{z.real:.5g}" + (f"{z.imag:+.5g}i" if abs(z.imag) > 1e-12 else "")
+             for z in model.zeros]  # fmt: skip
+    if shown:
+        yield f"zeros     {', '.join(shown)}"
+    for i, out in enumerate(run.outputs):
+        for j, into in enumerate(run.inputs):
+            unit = f" {out.unit or '1'}/{into.unit or '1'}" if out.unit or into.unit else ""
+            gains = [float(one.gain[i, j]) for one in point.folds]
+            band = f" (fold models {min(gains):.4g} to {max(gains):.4g})" if gains else ""
+            dead = int(model.delay[i, j])
+            late = (
+                "no effect" if dead < 0 else f"delay {_counted(dead, 'sample')} ({dead * step:g} s)"
+            )
+            yield f"gain      {out.name} by {into.name}: {model.gain[i, j]:.5g}{unit}{band}, {late}"
+            if "process_models" in facts and facts["process_models"][i][j]:
+                one = facts["process_models"][i][j]
+                yield f"process   {out.name} by {into.name}: {one['text']}, fit {one['fit']:.1f} %"
+    if "denominator" in facts:
+        for i, out in enumerate(run.outputs):
+            for j, into in enumerate(run.inputs):
+                above, below = facts["numerators"][i][j], facts["denominator"]
+                ratio = f"{_polynomial(above)} / {_polynomial(below)}"
+                yield f"H(z)      {out.name} by {into.name}: {ratio}"
+    if "reduced" in facts:
+        one = facts["reduced"]
+        yield (
+            f"reduced   to {_counted(one['order'], 'state')}: the frequency response differs by at "
+            f"most {one['bound']:.3g}; on the longest training record the outputs differ by "
+            f"{one['difference_on_record']:.2g} standard deviations"
+        )
+    if "none" in facts.get("continuous", ()):
+        yield f"note      {facts['continuous']['none']}"
+    elif "continuous" in facts:
+        yield "continuous-time matrices are in linear.json"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def _polynomial(coefficients: Any) -> str:
+    """Polynomial in z, such as (0.5 z + 1)."""
+    most = len(coefficients) - 1
+    size = max(float(np.abs(coefficients).max()), 1e-300)
+    terms = [
+        ("" if value == 1.0 and most > k else f"{value:.5g} ").strip()
+        + ("" if most == k else " z" if most - k == 1 else f" z^{most - k}")
+        for k, value in enumerate(coefficients)
+        if abs(value) > 1e-12 * size
+    ]
+    return f"({' + '.join(terms) or '0'})".replace("+ -", "- ")
+
+
+def _plain(value: Any) -> Any:
+    """The same in lists and numbers, with null for what is not finite."""
+    if isinstance(value, dict):
+        entries: dict[str, Any] = value
+        return {name: _plain(one) for name, one in entries.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        items: Sequence[Any] = value
+        return [_plain(one) for one in items]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value
