@@ -368,7 +368,7 @@ def continuous(model: LinearModel) -> tuple[LinearModel, int]:
     from scipy.linalg import logm
 
     delays = model.delay[model.delay >= 0]
-    dead = max(int(delays.min(initial=0)) - 1, 0) if delays.size else 0
+    dead = max(int(delays.min()) - 1, 0) if delays.size else 0
     if dead:
         power = np.linalg.matrix_power(model.a, dead)
         model = minimal(replace(model, b=power @ model.b))

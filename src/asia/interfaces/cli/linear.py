@@ -229,7 +229,7 @@ def _polynomial(coefficients: Any) -> str:
         for k, value in enumerate(coefficients)
         if abs(value) > 1e-12 * size
     ]
-    return f"({' + '.join(terms) or '0'})".replace("+ -", "- ")
+    return f"({' + '.join(term.strip() for term in terms) or '0'})".replace("+ -", "- ")
 
 
 def _plain(value: Any) -> Any:
