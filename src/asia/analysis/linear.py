@@ -143,7 +143,7 @@ class LinearModel:
         try:
             control = import_module("control")
         except ImportError:
-            raise UserError("python-control is missing: pip install 'asia-sysid[export]'") from None
+            raise UserError("python-control is missing: pip install control") from None
         return control.ss(
             self.a, self.b, self.c, self.d, self.sampling_time or 0,
             inputs=[name.replace(".", "_") for name in inputs],
