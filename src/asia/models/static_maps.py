@@ -281,7 +281,12 @@ def _fitted(maps: FittedMaps, records: Sequence[Trajectory], context: Context) -
     order = max(2, found.system.order)
 
     nu, ny, kind = context.nu, context.ny, config.input_map
-    rows = {"saturation": 2, "dead_zone": 2, "odd": len(_REACHES) + 1, "monotone": len(_QUANTILES) + 1}
+    rows = {
+        "saturation": 2,
+        "dead_zone": 2,
+        "odd": len(_REACHES) + 1,
+        "monotone": len(_QUANTILES) + 1,
+    }
     inputs = rows[kind] if kind else 0
     outputs = rows["monotone"] if bent else 0
 
@@ -370,7 +375,7 @@ def _signed(
             signs: list[Array] = []
             for r in trajectories:
                 v = (r.u - inputs.mean(axis=0)) / spread @ weights
-                filtered = lfilter([1.0 - pole], [1.0, -pole], v)
+                filtered = np.asarray(lfilter([1.0 - pole], [1.0, -pole], v))
                 signs.append(np.where(filtered < 0, -1.0, 1.0)[:, None] * np.ones(context.ny))
             for _ in range(_SIGN_ROUNDS):
                 records = _with_outputs(trajectories, signs, sizes)

@@ -130,6 +130,7 @@ def test_a_mapped_recipe_conforms(name: str) -> None:
     source = recipe.mapped(input_map="saturation").source("Saturated input.")
     assert library_only(source)
     found = read_recipe(source)
+    assert found is not None
     assert found == recipe.mapped(input_map="saturation")
     assert found.key != recipe.key
     check_candidate(source, [record], context)
