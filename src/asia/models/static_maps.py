@@ -52,7 +52,7 @@ _SLOPES = (0.02, 20.0)
 # First guesses of the two levels: quantiles of the input on each side.
 _LEVELS = (0.02, 0.08, 0.16, 0.25, 0.35)
 # Alternations of functions and poles, and of signs and linear model.
-_ROUNDS, _SIGN_ROUNDS = 3, 12
+_ROUNDS, _SIGN_ROUNDS, _PAST_ROUNDS = 3, 12, 6
 # Time constants, as shares of the longest record, of the low-pass filters whose signs start the
 # search for the signs of an output.
 _FILTERS = (0.002, 0.01, 0.05)
@@ -102,18 +102,42 @@ class PiecewiseLinear:
 
 @dataclass(frozen=True)
 class Signs:
-    """Linear model that gives the signs of past outputs from past inputs."""
+    """Linear model that gives the signs of past outputs, of n = n_past_y ny samples.
+
+    The initial state is fitted to outputs with assumed signs, which are then those of the fit, in
+    turn, from several first guesses; the fit with the least error of the size counts.
+    """
 
     response: Array
-    """Response (n_past_u nu, n_past_y ny) of the outputs to the past inputs, physical units."""
+    """Response (n_past_u nu, n) of the outputs to the past inputs from rest, physical units."""
     offset: Array
-    """Output (n_past_y ny,) for zero inputs."""
+    """Output (n,) for zero inputs."""
+    free: Array
+    """Projection (n, n) on the responses to initial states."""
+    guesses: Array
+    """First signs (G, n), besides those of the response from rest."""
 
     def __call__(self, past_u: AnyArray, past_y: AnyArray) -> AnyArray:
         """Past outputs (B, n_past_y, ny) with signs."""
-        flat = past_u.reshape(past_u.shape[0], past_u.shape[1] * past_u.shape[2])
-        z = (flat @ self.response + self.offset).reshape(past_y.shape)
-        return namespace(past_y, z).where(z < 0, -past_y, past_y)
+        xp, batch = namespace(past_u, past_y), past_y.shape[0]
+        size = past_y.reshape(batch, past_y.shape[1] * past_y.shape[2])
+        flat = past_u.reshape(batch, past_u.shape[1] * past_u.shape[2])
+        driven = flat @ self.response + self.offset
+        best = error = None
+        for guess in (None, *self.guesses):
+            z = driven if guess is None else guess * size
+            for _ in range(_PAST_ROUNDS):
+                signed = xp.where(z < 0, -size, size)
+                z = driven + (signed - driven) @ self.free
+            signed = xp.where(z < 0, -size, size)
+            left = ((signed - z) ** 2).sum(axis=1)[:, None]
+            if best is None or error is None:
+                best, error = signed, left
+            else:
+                # A later guess has to be better by more than rounding.
+                better = left < 0.99 * error
+                best, error = xp.where(better, signed, best), xp.where(better, left, error)
+        return xp.zeros_like(past_y) if best is None else best.reshape(past_y.shape)
 
 
 @dataclass(frozen=True)
@@ -434,4 +458,16 @@ def _past_signs(found: LinearFit, scaling: Scaling, context: Context) -> Signs:
     matrix = response.reshape(rows, context.n_past_y * context.ny)
     offset = np.tile(scaling.physical(s.offset), context.n_past_y)
     means = np.tile(scaling.u_mean, context.n_past_u)
-    return Signs(matrix, offset - means @ matrix)
+    states, seen = np.eye(s.order), list[Array]()
+    for _ in range(context.n_past_y):
+        seen.append((s.c @ states) * scaling.y_std[:, None])
+        states = s.a @ states
+    observed = np.concatenate(seen)
+    # Signs that change once, or not at all.
+    ahead = np.arange(context.n_past_y)[None, :] < np.linspace(0, context.n_past_y, 5)[:, None]
+    guesses = np.repeat(np.where(ahead, 1.0, -1.0), context.ny, axis=1)
+    return Signs(
+        matrix, offset - means @ matrix,
+        (observed @ np.linalg.pinv(observed, rcond=1e-6)).T,
+        np.concatenate([guesses, -guesses[1:-1]]),
+    )  # fmt: skip

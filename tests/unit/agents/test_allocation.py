@@ -83,7 +83,7 @@ def test_no_family_takes_the_budget(known: Facts, outcome: Outcome, experiments:
             assert len(set(before)) >= 3, f"experiment {place + 1}: {names}"
         if before.count(name) >= 3:
             best = best_values(trials[:place])
-            close = [n for n in sorted(best, key=lambda n: best[n])][:3]
+            close = sorted(best, key=lambda n: best[n])[:3]
             close = [n for n in close if best[n] <= 1.5 * min(best.values()) and n != name]
             assert all(before.count(n) >= 2 for n in close), f"experiment {place + 1}: {names}"
         if names[1:place].count(name) >= half:

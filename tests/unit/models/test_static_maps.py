@@ -85,6 +85,21 @@ def test_a_static_function_is_found(
     check_steps(model, [case], PAST, 1, 1)
 
 
+def test_the_sign_of_a_simulation_in_mid_motion_comes_from_its_past_outputs() -> None:
+    """A slow mode remembers far more than the past window shows."""
+    rng = np.random.default_rng(8)
+    u = np.repeat(12.0 * rng.normal(size=80), 30)
+    z = np.zeros(len(u))
+    for k in range(2, len(u)):
+        z[k] = 1.97 * z[k - 1] - 0.975 * z[k - 2] + 0.01 * u[k - 2]
+    y = abs(z + 0.01 * z.std() * rng.normal(size=len(z)))
+    record = Trajectory(u[:, None], y[:, None], 0.1)
+    model = fitted(static_maps.Config(output_map="magnitude"), [record[:1600]])
+    errors = [error(model, record[k : k + 300]) for k in range(1600, 2100, 50)]
+    assert np.median(errors) < 0.05
+    assert max(errors) < 0.3
+
+
 def test_levels_are_reported_in_units_of_the_input() -> None:
     training = [record(900, seed, lambda u: np.clip(u, -6, 9)) for seed in (2, 3)]
     found = fitted(static_maps.Config(input_map="saturation"), training).parameters()

@@ -314,7 +314,9 @@ def _share(at: Situation) -> float:
 def _is_close(at: Situation) -> bool:
     """Return whether V of the family is within 1.5 times the best one."""
     best, value = at.view.best, at.trial.value
-    return best is not None and None not in (best.value, value) and value <= CLOSE * best.value
+    if best is None or best.value is None or value is None:
+        return False
+    return value <= CLOSE * best.value
 
 
 def _sentence(text: str) -> str:
