@@ -155,6 +155,8 @@ def test_a_sensor_without_sign_is_tried_where_the_description_says_so() -> None:
     assert proposal.title.endswith("sensor without sign")
     better = replace(trial(proposal, 2, 0.1), status="keep")
     assert 'output_map="magnitude"' in following(says, (first, better), "explore").source
+    slightly = replace(better, value=0.25)
+    assert "output_map" not in following(says, (first, slightly), "explore").source
     signed = replace(says, records=known.records)
     other = following(signed, (trial(following(signed, (), "explore"), 1, 0.3),), "explore")
     assert "output_map" not in other.source

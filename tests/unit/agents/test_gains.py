@@ -27,11 +27,13 @@ def test_every_row_of_the_table_is_a_move_of_the_library() -> None:
 
 
 def test_gains_are_shrunk_towards_the_weight_on_the_card(monkeypatch: pytest.MonkeyPatch) -> None:
-    table = {("a", "plain"): (40, 0.02), ("b", "plain"): (40, 0.1), ("c", "plain"): (1, 0.3)}
+    table = {("a", "plain"): (40, 0.02), ("b", "plain"): (40, 0.1), ("c", "plain"): (6, 0.3)}
+    table |= {("d", "plain"): (5, 0.3)}
     monkeypatch.setattr(gains, "_table", lambda: table)
     assert gain_factor("a", PLAIN) < 0.6 + 1e-12
     assert 1.0 < gain_factor("b", PLAIN) < 0.1 / 0.06
-    assert 1.0 < gain_factor("c", PLAIN) < 1.5
+    assert 1.0 < gain_factor("c", PLAIN) <= 1.5
+    assert gain_factor("d", PLAIN) == 1.0
     assert gain_factor("unknown", PLAIN) == 1.0
     assert gain_factor("b", replace(PLAIN, value=1.0)) == 1.0
 

@@ -18,6 +18,7 @@ from asia.agents.expert.diagnosis import (
     beats_nothing,
     diagnoses,
     keeps_course,
+    leading_maps,
     reason_to_end,
     why_nothing_helps,
 )
@@ -171,8 +172,7 @@ def _untried(view: AgentView) -> Iterator[_Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
     used, lost = {t.family for t in view.proposed}, beats_nothing(view)
     static = any(name == "amplitude" for name, _ in diagnoses(view))
-    best = read_recipe(view.best.source) if view.best is not None else None
-    maps = {} if best is None else dict(best.maps)
+    maps = dict(leading_maps(view))
     for row in families(view.facts):
         if row.name in used:
             continue

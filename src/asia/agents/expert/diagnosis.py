@@ -7,6 +7,7 @@ from statistics import NormalDist
 
 from asia.agents.library.methods import by_multiple_shooting
 from asia.agents.library.move import Move, Situation, plain_title
+from asia.agents.library.recipe import Arguments, read_recipe
 from asia.agents.library.record_facts import (
     Relation,
     integrating,
@@ -255,6 +256,18 @@ def answers(view: AgentView) -> dict[str, float]:
             weight = low + (high - low) * min(1.0, share)
             return {move: weight * _NEXT**place for place, move in enumerate(left)}
     return {}
+
+
+def leading_maps(view: AgentView) -> Arguments:
+    """Static functions of the best trial, where its V is at most half of every V without any: those
+    that gain less may make up for what a richer family has."""
+    best = view.best
+    recipe = read_recipe(best.source) if best is not None else None
+    if best is None or best.value is None or recipe is None or not recipe.maps:
+        return ()
+    known = ((t.value, read_recipe(t.source)) for t in view.ranked)
+    plain = [value for value, r in known if value is not None and (r is None or not r.maps)]
+    return recipe.maps if best.value <= 0.5 * min(plain, default=1e300) else ()
 
 
 # Stop criterion: the noise floor is reached.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
-from asia.agents.expert.diagnosis import COURSE_MOVES
+from asia.agents.expert.diagnosis import COURSE_MOVES, leading_maps
 from asia.agents.expert.tune import TUNED, may_tune, tuned
 from asia.agents.library.methods import (
     LARGE_BATCH,
@@ -19,7 +19,7 @@ from asia.agents.library.methods import (
     slow_noise,
 )
 from asia.agents.library.move import Move, Situation
-from asia.agents.library.recipe import GRADIENT, Arguments, Recipe, read_recipe
+from asia.agents.library.recipe import GRADIENT, Recipe
 from asia.agents.library.registry import all_cards
 from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured, input_left, overfit
@@ -134,13 +134,6 @@ def _map_move(name: str, setting: str, kind: str, weight: float, hypothesis: str
     )
 
 
-def _leading_maps(at: Situation) -> Arguments:
-    """Static functions of the best trial that improved by them."""
-    best = at.view.best
-    recipe = read_recipe(best.source) if best is not None else None
-    return () if recipe is None else recipe.maps
-
-
 MAP_MOVES: tuple[Move, ...] = (
     _map_move(
         "saturated inputs", "input_map", "saturation", 0.2,
@@ -168,8 +161,8 @@ MAP_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="static functions of the leader",
-        weight=lambda c: 0.75 * bool(_leading_maps(c) and not c.recipe.maps),
-        change=lambda c: c.recipe.mapped(**dict(_leading_maps(c))),
+        weight=lambda c: 0.75 * bool(leading_maps(c.view) and not c.recipe.maps),
+        change=lambda c: c.recipe.mapped(**dict(leading_maps(c.view))),
         hypothesis="Static functions of inputs or outputs lead in another family.",
         expected="A far lower V.",
         behind_counts=False,

@@ -14,7 +14,8 @@ from asia.agents.view import Trial
 
 PRIOR_TRIALS = 10.0
 """Trials that the weight on the card counts as; few measured ones change it little."""
-# Limits of the factor on a weight.
+# Fewer measured trials change no weight. Limits of the factor.
+_FEWEST = 6
 _LEAST, _MOST = 0.6, 1.5
 
 
@@ -39,7 +40,7 @@ def gain_factor(move: str, trial: Trial) -> float:
     count, gain = table.get((move, evidence_of(trial)), (0, 0.0))
     total = sum(n for n, _ in table.values())
     mean = sum(n * g for n, g in table.values()) / total if total else 0.0
-    if not count or mean <= 0:
+    if count < _FEWEST or mean <= 0:
         return 1.0
     factor = (PRIOR_TRIALS + count * gain / mean) / (PRIOR_TRIALS + count)
     return min(max(factor, _LEAST), _MOST)
