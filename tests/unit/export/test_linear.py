@@ -12,7 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from asia.analysis.linear import (
+from asia.errors import UserError
+from asia.lowering.evaluation import derivatives
+from asia.lowering.linear import (
     LinearModel,
     ProcessModel,
     continuous,
@@ -23,8 +25,6 @@ from asia.analysis.linear import (
     process_model,
     reduced,
 )
-from asia.errors import UserError
-from asia.lowering.evaluation import derivatives
 from asia.lowering.program import Builder, LoweredModel
 from tests.unit.interfaces.cli.conftest import command_line
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from asia.analysis.linear import LinearModel, corner_frequencies, settling_samples
 from asia.data.trajectory import Array, Signal
+from asia.lowering.linear import LinearModel, corner_frequencies, settling_samples
 from asia.report.drawing.style import (
     BLUE,
     GREEN,
