@@ -258,7 +258,7 @@ class Design:
 
 
 def design(
-    plants: Sequence[Transfer], wanted: Specification, *, seed: int = 0, effort: int = 60
+    plants: Sequence[Transfer], wanted: Specification, *, seed: int = 0, effort: int = 200
 ) -> Design:
     """Design a controller that meets the specifications for every plant; the first one that does,
     from simple to complex structures.
@@ -297,7 +297,7 @@ def design(
     for structure in STRUCTURES:
         bounds = [(-9.0, 9.0)] + [(-7.0, 9.0)] * (structure.parameters - 1)
         sought = differential_evolution(
-            loss, bounds, args=(structure, _RESERVE), maxiter=effort, popsize=12, tol=0,
+            loss, bounds, args=(structure, _RESERVE), maxiter=effort, popsize=12, tol=1e-4,
             rng=np.random.default_rng(seed), polish=False, init="sobol",
             callback=lambda intermediate_result: intermediate_result.fun <= 0,
         )  # fmt: skip
