@@ -117,6 +117,8 @@ def _library_only(tree: ast.Module) -> bool:
                 return True
             case ast.Name(id=name):
                 return name in given | assigned
+            case ast.Attribute(value=ast.Name(id=name), attr="train"):
+                return name in families
             case ast.UnaryOp(op=ast.USub(), operand=value):
                 return harmless(value)
             case ast.Tuple(elts=values) | ast.List(elts=values):

@@ -102,6 +102,8 @@ class Trial:
         error: message of the candidate itself: data, not to be trusted
         evidence: further findings as lines of text, for the best and the last trial; () for the
             others
+        diagnoses: checks that do not pass on the training records, by name, with the share of the
+            residual that each explains, the largest first; with `evidence`
         agent: the proposing agent, "" where the asked agent proposed all
         lowest: with retests, whether its own fit was the best so far
     """
@@ -122,6 +124,7 @@ class Trial:
     curves: tuple[tuple[tuple[float, float], ...], ...] = field(default=(), repr=False)
     error: str = field(default="", repr=False)
     evidence: tuple[str, ...] = field(default=(), repr=False)
+    diagnoses: tuple[tuple[str, float], ...] = ()
     agent: str = ""
     lowest: bool = False
 

@@ -9,7 +9,14 @@ from typing import get_args
 
 import numpy as np
 
-from asia.analysis.linear import (
+from asia.data.trajectory import Array, Signal
+from asia.errors import UserError
+from asia.export.pipeline import measured
+from asia.judge.sandbox.types import Isolation
+from asia.ledger.events import Use
+from asia.ledger.run import Run, model_to_use, open_run
+from asia.lowering.evaluation import evaluate
+from asia.lowering.linear import (
     LinearModel,
     OperatingPoint,
     joined,
@@ -18,13 +25,6 @@ from asia.analysis.linear import (
     settle,
     split,
 )
-from asia.data.trajectory import Array, Signal
-from asia.errors import UserError
-from asia.export.pipeline import measured
-from asia.judge.sandbox.types import Isolation
-from asia.ledger.events import Use
-from asia.ledger.run import Run, model_to_use, open_run
-from asia.lowering.evaluation import evaluate
 from asia.lowering.program import LoweredModel
 from asia.problem.load import load_lock
 from asia.search.run import LOCK, make_evaluator

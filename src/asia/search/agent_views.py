@@ -94,7 +94,12 @@ def agent_view(
             found = evidence_of(e, view, store, settings, bounded=bounded)
             # Without measured seconds and memory. Prompts of older ledgers must not change.
             lines = evidence_lines(found, measured=False) if found.recorded else ()
-            trial = replace(trial, evidence=tuple(lines))
+            shares = dict[str, float]()
+            for one in (c for fold in found.findings for c in fold.checks or ()):
+                shares[one.name] = max(one.weight, shares.get(one.name, 0.0))
+            ranked = sorted(shares.items(), key=lambda item: -item[1])
+            diagnoses = tuple(ranked) if found.recorded else ()
+            trial = replace(trial, evidence=tuple(lines), diagnoses=diagnoses)
         trials.append(trial)
     return AgentView(
         facts=facts,

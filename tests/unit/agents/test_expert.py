@@ -74,7 +74,7 @@ def test_the_ladder_follows_the_kind_of_problem() -> None:
 
 
 def test_a_near_certain_move_interrupts_the_ladder() -> None:
-    known = simulation(physics=True)
+    known = replace(simulation(physics=True), description="Two tanks in series.")
     first = trial(following(known, (), "explore"), 1, 0.3)
     assert following(known, (first,), "explore").family == "nl_lfr"
     sure = replace(first, diagnostics=(replace(CLEAN, top_error=2.0),))
@@ -82,7 +82,7 @@ def test_a_near_certain_move_interrupts_the_ladder() -> None:
 
 
 def test_a_grey_box_that_fails_on_top_gets_an_overflow_then_only_a_limit() -> None:
-    known = simulation(physics=True)
+    known = replace(simulation(physics=True), description="Two tanks in series.")
     trials = climb(known, {"greybox": 0.3})
     first = replace(trials[0], diagnostics=(replace(CLEAN, top_error=2.0),))
     trials = (first, *trials[1:])
@@ -93,6 +93,84 @@ def test_a_grey_box_that_fails_on_top_gets_an_overflow_then_only_a_limit() -> No
     assert "spill=True" in proposal.source
     worse = trial(proposal, len(trials) + 1, 0.35)
     assert following(known, (*trials, worse)).title == "grey-box: x1 saturates"
+
+
+def test_a_motor_gets_no_overflow() -> None:
+    known = replace(simulation(physics=True), description="Voltage of a motor in, speed out.")
+    first = trial(following(known, (), "explore"), 1, 0.3)
+    sure = replace(first, diagnostics=(replace(CLEAN, top_error=2.0),))
+    assert following(known, (sure,), "explore").title == "grey-box: x1 saturates"
+
+
+def best_linear(known: Facts) -> tuple[Trial, ...]:
+    """First trials of families, of which the linear model is the best."""
+    trials = climb(known, {"linear": 0.3})
+    assert min(trials, key=lambda t: t.value or 9.0).family == "linear"
+    return trials
+
+
+def with_diagnosis(trials: tuple[Trial, ...], *diagnoses: tuple[str, float]) -> tuple[Trial, ...]:
+    return tuple(replace(t, diagnoses=diagnoses) if t.family == "linear" else t for t in trials)
+
+
+def test_the_strongest_open_diagnosis_is_answered_next() -> None:
+    known = simulation(physics=False)
+    trials = best_linear(known)
+    usual = following(known, trials)
+    assert "input_map" not in usual.source
+    found = with_diagnosis(trials, ("amplitude", 0.44), ("time", 0.2))
+    made: list[str] = []
+    for _ in range(3):
+        proposal = following(known, found)
+        made.append(proposal.title)
+        found = (*found, trial(proposal, len(found) + 1, 0.35))
+    assert made[0] == "linear state-space: saturated inputs"
+    assert made[1] == "linear state-space: rising function of the inputs"
+    drift = with_diagnosis(trials, ("amplitude", 0.2), ("time", 0.5))
+    assert following(known, drift).title == "linear state-space: slow disturbance in the noise"
+
+
+def test_a_small_share_is_no_diagnosis() -> None:
+    known = simulation(physics=False)
+    trials = best_linear(known)
+    assert following(known, with_diagnosis(trials, ("amplitude", 0.05))).title == (
+        following(known, trials).title
+    )
+
+
+def test_block_oriented_models_come_early_where_the_residual_depends_on_the_amplitude() -> None:
+    known = simulation(physics=False)
+    first = trial(following(known, (), "explore"), 1, 0.3)
+    assert following(known, (first,), "explore").family != "block_oriented"
+    static = replace(first, diagnoses=(("amplitude", 0.15),))
+    assert following(known, (static,), "explore").family == "block_oriented"
+
+
+def test_a_sensor_without_sign_is_tried_where_the_description_says_so() -> None:
+    known = simulation(physics=False)
+    positive = Trajectory(known.records[0].u, abs(known.records[0].y), 1.0)
+    says = replace(known, records=(positive,), description="The sensor gives the magnitude.")
+    first = trial(following(says, (), "explore"), 1, 0.3)
+    proposal = following(says, (first,), "explore")
+    assert proposal.title.endswith("sensor without sign")
+    better = replace(trial(proposal, 2, 0.1), status="keep")
+    assert 'output_map="magnitude"' in following(says, (first, better), "explore").source
+    slightly = replace(better, value=0.25)
+    assert "output_map" not in following(says, (first, slightly), "explore").source
+    signed = replace(says, records=known.records)
+    other = following(signed, (trial(following(signed, (), "explore"), 1, 0.3),), "explore")
+    assert "output_map" not in other.source
+
+
+def test_first_fits_that_take_far_longer_come_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = simulation(physics=False)
+    first = following(known, (), "explore")
+    row = family(first.family)
+    assert row is not None
+    dear = replace(row, timing=Timing(start=1e4, unit=0.0))
+    rows = [dear if one.name == row.name else one for one in families(known)]
+    monkeypatch.setattr(agent, "families", lambda facts: rows)
+    assert following(known, (), "explore").family != first.family
 
 
 def test_a_biased_grey_box_gets_an_offset_before_other_things() -> None:

@@ -29,6 +29,7 @@ recipes = st.builds(
     method=st.sampled_from(METHODS),
     options=settings,
     package=st.sampled_from(["asia.models", "other_package", "other.package"]),
+    maps=settings,
 )
 
 

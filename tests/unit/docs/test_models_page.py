@@ -5,14 +5,14 @@ import re
 from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 import asia.models
 from asia.candidate import Context, check_source
 from asia.data import Signal, Trajectory
-from asia.models import methods
+from asia.models import methods, static_maps
 
 PAGE = (Path(__file__).parents[3] / "docs" / "models.md").read_text()
 
@@ -29,15 +29,23 @@ def first_cells(text: str) -> list[str]:
 
 
 def example() -> str:
-    return re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)[0]
+    blocks = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    return next(block for block in blocks if "def fit(" in block)
 
 
 def test_every_family_has_one_row() -> None:
     names = [m.name for m in pkgutil.iter_modules(asia.models.__path__) if m.name[0] != "_"]
     families = [n for n in names if hasattr(import_module(f"asia.models.{n}"), "Config")]
+    families.remove("static_maps")  # functions around a family
     titles = ("Families with your equations", "Classical families", "Networks")
     listed = [name for title in titles for name in first_cells(section(title).split("\nWhat ")[0])]
     assert sorted(listed) == sorted(families)
+
+
+def test_every_static_function_has_a_row() -> None:
+    listed = re.findall(r'"(\w+)"', section("Static functions around every family"))
+    kinds = {*get_args(static_maps.InputMap), *get_args(static_maps.OutputMap)}
+    assert set(listed) == kinds
 
 
 def test_every_training_method_has_one_row() -> None:

@@ -10,17 +10,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from statistics import median
 
-from asia.agents.expert.allocation import Allocation
+from asia.agents.expert.allocation import CLOSE, Allocation
 from asia.agents.expert.diagnosis import (
+    answers,
     beats_nothing,
+    diagnoses,
     keeps_course,
+    leading_maps,
     reason_to_end,
     why_nothing_helps,
 )
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import Wish, avoided, read_notes, wished_moves, wished_start
 from asia.agents.library.family import Family, is_new, under_protocol
+from asia.agents.library.gains import gain_factor
 from asia.agents.library.move import Move, Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families, family
@@ -36,6 +41,11 @@ NEAR = 0.25
 NEAR_EQUATIONS = 0.6
 PROMISING = 0.75
 PATIENCE = 0.85
+# Weight of block-oriented models, over that of other untried families, where the residual depends
+# on the amplitude.
+STATIC = 1.5
+# A first fit that takes so many times the median of the others, and seconds, waits for cheap ones.
+SLOW, SLOW_SECONDS = 4.0, 30.0
 _CHOSEN_BY_FIT = frozenset({"order", "delay", "na", "nb"})
 
 
@@ -123,15 +133,16 @@ class ExpertAgent:
         proposal = None
         if view.phase == "explore":
             sure = [option for option in moves if option.sure]
-            proposal = _heaviest([*sure, *(option for option in ladder if option.apt)])
+            apt = [option for option in ladder if option.apt]
+            proposal = _heaviest([*sure, *_cheap_first(apt)])
         proposal = proposal or _heaviest(paced([*moves, *ladder]))
         allocation = Allocation.of(view)
         objection = allocation.objection(proposal.family) if proposal is not None else ""
         if proposal is None or not objection:
             return proposal
-        if allocation.chances_are_due(proposal.family):
-            # New families in the order of their aptness, whatever a fit takes.
-            options, place = [*paced(moves), *ladder], allocation.chance
+        if allocation.waits(proposal.family):
+            # New families in the order of their aptness, those that take far longer last.
+            options, place = [*paced(moves), *_cheap_first(ladder)], allocation.chance
         else:
             options, place = paced([*moves, *ladder]), None
         other = _heaviest([o for o in options if not allocation.objection(o.family)], place)
@@ -150,16 +161,28 @@ def _heaviest(options: list[_Option], place: Callable[[str], int] | None = None)
     return next((p for option in ordered if (p := option.make()) is not None), None)
 
 
+def _cheap_first(ladder: list[_Option]) -> list[_Option]:
+    """Reduce the weights of families whose first fits take far longer than those of the others."""
+    usual = median([option.seconds for option in ladder]) if ladder else 0.0
+    limit = max(SLOW_SECONDS, SLOW * usual)
+    return [replace(o, weight=0.5 * o.weight) if o.seconds > limit else o for o in ladder]
+
+
 def _untried(view: AgentView) -> Iterator[_Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
     used, lost = {t.family for t in view.proposed}, beats_nothing(view)
-    weight = UNTRIED_LOST if lost else UNTRIED
+    static = any(name == "amplitude" for name, _ in diagnoses(view))
+    maps = dict(leading_maps(view))
     for row in families(view.facts):
         if row.name in used:
             continue
+        weight = UNTRIED_LOST if lost else UNTRIED
+        if static and row.name == "block_oriented" and not maps:
+            weight *= STATIC
         apt = row.aptness(view.facts) > 0
-        seconds = row.seconds(view.facts, row.trial(view.facts))
-        yield _Option(row.name, weight, partial(_first, view, row), seconds, apt)
+        recipe = row.trial(view.facts).mapped(**maps)
+        seconds = row.seconds(view.facts, recipe)
+        yield _Option(row.name, weight, partial(_first, view, row, recipe), seconds, apt)
 
 
 def _first(
@@ -204,7 +227,7 @@ def _refinements(view: AgentView) -> Iterator[_Option]:
     only failed. A move that was made before and did not help counts less. A family that the
     records speak against is refined only while it leads; while nothing beats the mean, moves that
     vary a model are not made."""
-    lost = beats_nothing(view)
+    lost, answer = beats_nothing(view), answers(view)
     for at in _situations(view):
         if at.place > 0 and at.row.doubtful(view.facts):
             continue
@@ -213,6 +236,10 @@ def _refinements(view: AgentView) -> Iterator[_Option]:
             if not move.applies(at) or (lost and not keeps_course(move)):
                 continue
             weight = move.weight(at) * (share if move.behind_counts else 1.0)
+            if weight < SURE:
+                weight = min(weight * gain_factor(move.name, at.trial), SURE - 0.01)
+            if weight > 0 and _is_close(at):
+                weight = max(weight, answer.get(move.name, 0.0) * (1.0 if at.place == 0 else share))
             if weight > 0:
                 title = move.title(at)
                 made = [t for t in view.proposed if plain_title(t.title) == title]
@@ -229,7 +256,7 @@ def _moved(at: Situation, move: Move) -> Proposal | None:
     if not is_new(at.view, at.row, recipe):
         return None
     # None leaves an order or a delay to the fit, and is the default of other settings.
-    settings = [f"{k} {v}" for k, v in recipe.config if v is not None]
+    settings = [f"{k} {v}" for k, v in (*recipe.maps, *recipe.config) if v is not None]
     chosen = [k for k, v in recipe.config if v is None and k in _CHOSEN_BY_FIT]
     if chosen:
         settings.append(f"{' and '.join(chosen)} chosen by the fit")
@@ -282,6 +309,14 @@ def _share(at: Situation) -> float:
     near = NEAR if black_box else NEAR_EQUATIONS
     held_back = ratio > near and train < best.value and overfit(trial) > 2.0
     return patience * (max(share, PROMISING) if held_back else share)
+
+
+def _is_close(at: Situation) -> bool:
+    """Return whether V of the family is within 1.5 times the best one."""
+    best, value = at.view.best, at.trial.value
+    if best is None or best.value is None or value is None:
+        return False
+    return value <= CLOSE * best.value
 
 
 def _sentence(text: str) -> str:

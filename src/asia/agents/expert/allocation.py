@@ -1,4 +1,4 @@
-"""Allocation of experiments to families: none takes the budget before others had their chance."""
+"""Allocation of experiments to families: the close ones take turns, and one that stalls waits."""
 
 from __future__ import annotations
 
@@ -10,11 +10,17 @@ from asia.agents.library.registry import family
 from asia.agents.view import AgentView, Trial
 
 FAMILIES = 3
-"""Families that get a trial and a refinement before any family gets more."""
+"""Families that are tried before any family gets a second refinement, and that are refined before
+any gets a third one."""
+CLOSE = 1.5
+"""Ratio to the best V up to which a family competes for refinements."""
 LEAD = 0.2
 """Share by which the best V of a family must be below that of every other family, so that it may
 have more than half of the experiments."""
-_BOTH = 2
+_REFINEMENTS = 2
+# Refinements in a row without a gain after which a family waits.
+_STALLED = 2
+_GAIN = 0.01
 
 
 @dataclass(frozen=True)
@@ -28,6 +34,8 @@ class Allocation:
     best: dict[str, float]
     """The lowest V of each family that has a score. The linear reference counts as one of the
     family `linear`."""
+    idle: Counter[str]
+    """Experiments of each family since its V last fell by 1 %."""
     budget: int
     """Experiments of the whole search after the baseline."""
 
@@ -35,22 +43,27 @@ class Allocation:
     def of(view: AgentView) -> Allocation:
         """Count the proposals so far."""
         tried, spent, best = Counter[str](), Counter[str](), dict[str, float]()
+        idle = Counter[str]()
         for one in view.proposed:
             recipe = read_recipe(one.source)
             name = one.family if recipe is None else recipe.family
             tried[name] += 1
             spent[name] += one.family != "baseline"
-            if isinstance(one, Trial) and one.value is not None:
-                best[name] = min(one.value, best.get(name, one.value))
+            value = one.value if isinstance(one, Trial) else None
+            gained = value is not None and value < (1.0 - _GAIN) * best.get(name, 1e300)
+            idle[name] = 0 if gained else idle[name] + 1
+            if value is not None:
+                best[name] = min(value, best.get(name, value))
         if view.linear is not None:
             best["linear"] = min(view.linear, best.get("linear", view.linear))
         baselines = tried.total() - spent.total()
-        return Allocation(tried, spent, best, view.experiments - baselines)
+        return Allocation(tried, spent, best, idle, view.experiments - baselines)
 
     @property
     def known(self) -> int:
-        """Families of the library that were tried."""
-        return sum(family(name) is not None for name in self.tried)
+        """Families of the library that were tried, the linear reference included."""
+        names = {*self.tried, *self.best}
+        return sum(family(name) is not None for name in names)
 
     def leads(self, name: str) -> bool:
         """Return whether V of the family is 20 % below that of every other one that was tried."""
@@ -58,31 +71,41 @@ class Allocation:
         beaten = all(self.best.get(name, 1e300) <= (1.0 - LEAD) * value for value in others)
         return name in self.best and len(self.tried.keys() | self.best.keys()) > 1 and beaten
 
-    def chances_are_due(self, name: str) -> bool:
-        """Return whether other families come before a third experiment with this one. A family with
-        equations continues while it leads at least two others."""
-        served = sum(count >= _BOTH for count in self.tried.values())
-        if self.tried[name] < _BOTH or served >= FAMILIES:
-            return False
-        row = family(name)
-        equations = row is not None and row.kind == "equations"
-        reference = "linear" in self.best and not self.tried["linear"]
-        return not (equations and self.known + reference >= FAMILIES and self.leads(name))
+    @property
+    def close(self) -> list[str]:
+        """The best three families within 1.5 times of the best V, the best first."""
+        ranked = sorted(self.best, key=lambda name: (self.best[name], name))
+        return [n for n in ranked if self.best[n] <= CLOSE * self.best[ranked[0]]][:FAMILIES]
+
+    def waits(self, name: str) -> bool:
+        """Return whether other families come before one more experiment with this one: new ones
+        before its second refinement until three are tried, then close ones without a refinement
+        before its third one, and close ones that still gain where it gained nothing twice."""
+        refinements = self.tried[name] - 1
+        if self.known < FAMILIES:
+            return refinements >= 1
+        rivals = [other for other in self.close if other != name and self.tried[other] > 0]
+        if refinements >= _REFINEMENTS and any(self.tried[other] == 1 for other in rivals):
+            return True
+        stalled = refinements >= _STALLED and self.idle[name] >= _STALLED
+        return stalled and any(self.idle[other] < _STALLED for other in rivals)
 
     def chance(self, name: str) -> int:
-        """Place of a family in the order in which chances are given: new families until three are
-        tried, then those that wait for their refinement."""
-        wanted = 0 if self.known < FAMILIES else 1
-        return abs(min(self.tried[name], _BOTH) - wanted)
+        """Place of a family in the order in which chances are given while another one waits."""
+        if self.known < FAMILIES:
+            return min(self.tried[name], 2)
+        return 0 if name in self.close else 1
 
     def objection(self, name: str) -> str:
         """Reason why other families come before one more experiment with this one; "" for none."""
         row = family(name)
         label = name if row is None else row.label
-        if self.chances_are_due(name):
+        if self.waits(name):
+            if self.known < FAMILIES:
+                return f"{FAMILIES} families are tried before one is refined twice: {label} waits."
             return (
-                f"{FAMILIES} families get a trial and one refinement each before any family gets a "
-                f"third experiment: {label} waits."
+                f"{label} waits for families within {CLOSE:g} times of the best V that had fewer "
+                "refinements or still gain."
             )
         if self.spent[name] >= max(1, self.budget // 2) and not self.leads(name):
             return (

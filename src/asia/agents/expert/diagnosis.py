@@ -6,9 +6,16 @@ from math import ceil, log
 from statistics import NormalDist
 
 from asia.agents.library.methods import by_multiple_shooting
-from asia.agents.library.move import Move, Situation
-from asia.agents.library.record_facts import Relation, integrating, noise_of_periods, relation
-from asia.agents.library.trial_evidence import overfit, worst
+from asia.agents.library.move import Move, Situation, plain_title
+from asia.agents.library.recipe import Arguments, read_recipe
+from asia.agents.library.record_facts import (
+    Relation,
+    integrating,
+    noise_of_periods,
+    relation,
+    sign_lost,
+)
+from asia.agents.library.trial_evidence import coloured, overfit, worst
 from asia.agents.view import AgentView, Facts, Trial
 
 # Strategy while no candidate beats the mean of the output: a likely cause with advice, and moves
@@ -176,6 +183,91 @@ def keeps_course(move: Move) -> bool:
     """Return whether the move is worth making while nothing beats the mean: it looks for another
     kind of model, or mends a fit that failed."""
     return move in COURSE_MOVES or move.after == "failure"
+
+
+# Diagnoses: what a check of the evidence says, and the moves that answer it, the likeliest first.
+
+
+ANSWERS: dict[str, tuple[str, ...]] = {
+    "sign": ("sensor without sign", "sensor of squares"),
+    "amplitude": (
+        "saturated inputs",
+        "rising function of the inputs",
+        "dead zone of the inputs",
+        "static function before the system",
+        "static function at the input",
+        "rising function of the outputs",
+        "bent sensor",
+        "smooth correction of {state}, an input",
+    ),
+    "motion": (
+        "dry friction",
+        "friction or hysteresis",
+        "dry friction on {state}",
+        "hysteresis on {state}",
+        "a trace of friction",
+        "a trace of play",
+    ),
+    "inputs": (
+        "inputs that act after {state} samples",
+        "one state more",
+        "{state} acts late",
+        "{state} follows its command late",
+        "one storage more",
+    ),
+    "time": ("slow disturbance", "slow disturbance in the noise", "a free integrator"),
+    "closed loop": ("slow disturbance", "slow disturbance in the noise"),
+}
+"""Names of the moves that answer a diagnosis."""
+# Share of the residual below which a diagnosis waits for the usual weights, and the weights of an
+# answer without and with the whole residual.
+_LEAST_SHARE = 0.1
+_ANSWER = (0.85, 1.0)
+_NEXT = 0.97
+
+
+def diagnoses(view: AgentView) -> tuple[tuple[str, float], ...]:
+    """Diagnoses of the best trial with the share of its residual that each explains, the largest
+    first."""
+    best = view.best
+    if best is None:
+        return ()
+    found = dict(best.diagnoses)
+    found["sign"] = sign_lost(view.facts) if "output_map" not in best.source else 0.0
+    if coloured(best) and view.facts.horizon is None:
+        found["closed loop"] = 0.5 * relation(view.facts).feedback
+    large = [(k, v) for k, v in found.items() if v >= _LEAST_SHARE and k in ANSWERS]
+    return tuple(sorted(large, key=lambda item: -item[1]))
+
+
+def answers(view: AgentView) -> dict[str, float]:
+    """Weights of the moves that answer the strongest diagnosis that has an answer left; moves made
+    on the best trial, or a trial like it, count as answers that did not help."""
+    best = view.best
+    for name, share in diagnoses(view):
+        made = {
+            plain_title(t.title).partition(": ")[2]
+            for t in view.proposed
+            if best is not None and t.number > best.number
+        }
+        left = [move for move in ANSWERS[name] if move not in made]
+        if left:
+            low, high = _ANSWER
+            weight = low + (high - low) * min(1.0, share)
+            return {move: weight * _NEXT**place for place, move in enumerate(left)}
+    return {}
+
+
+def leading_maps(view: AgentView) -> Arguments:
+    """Static functions of the best trial, where its V is at most half of every V without any: those
+    that gain less may make up for what a richer family has."""
+    best = view.best
+    recipe = read_recipe(best.source) if best is not None else None
+    if best is None or best.value is None or recipe is None or not recipe.maps:
+        return ()
+    known = ((t.value, read_recipe(t.source)) for t in view.ranked)
+    plain = [value for value, r in known if value is not None and (r is None or not r.maps)]
+    return recipe.maps if best.value <= 0.5 * min(plain, default=1e300) else ()
 
 
 # Stop criterion: the noise floor is reached.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
-from asia.agents.expert.diagnosis import COURSE_MOVES
+from asia.agents.expert.diagnosis import COURSE_MOVES, leading_maps
 from asia.agents.expert.tune import TUNED, may_tune, tuned
 from asia.agents.library.methods import (
     LARGE_BATCH,
@@ -115,6 +115,59 @@ GENERAL_MOVES: tuple[Move, ...] = (
         behind_counts=False,
     ),
 )
+
+# Static functions around any family.
+
+
+def _map_move(name: str, setting: str, kind: str, weight: float, hypothesis: str) -> Move:
+    """Make the move that puts a static function before or after the model.
+
+    Args:
+        weight: weight without a diagnosis; `expert.diagnosis.ANSWERS` says what raises it
+    """
+    return Move(
+        name=name,
+        weight=lambda c: weight * (c.recipe.get(setting) != kind),
+        change=lambda c: c.recipe.mapped(**{setting: kind}),
+        hypothesis=hypothesis,
+        expected="A far lower V; the residual no longer depends on the amplitude.",
+    )
+
+
+MAP_MOVES: tuple[Move, ...] = (
+    _map_move(
+        "saturated inputs", "input_map", "saturation", 0.2,
+        "The residual depends on the amplitude: the actuator has a lower and an upper limit.",
+    ),
+    _map_move(
+        "rising function of the inputs", "input_map", "monotone", 0.15,
+        "The residual depends on the amplitude: the actuator follows a curve.",
+    ),
+    _map_move(
+        "dead zone of the inputs", "input_map", "dead_zone", 0.1,
+        "The residual depends on the amplitude: small inputs do nothing.",
+    ),
+    _map_move(
+        "rising function of the outputs", "output_map", "monotone", 0.1,
+        "The residual depends on the amplitude: the sensor follows a curve.",
+    ),
+    _map_move(
+        "sensor without sign", "output_map", "magnitude", 0.01,
+        "The outputs are never negative and touch zero: the sensor gives the magnitude.",
+    ),
+    _map_move(
+        "sensor of squares", "output_map", "square", 0.01,
+        "The outputs are never negative and touch zero: the sensor gives the square.",
+    ),
+    Move(
+        name="static functions of the leader",
+        weight=lambda c: 0.75 * bool(leading_maps(c.view) and not c.recipe.maps),
+        change=lambda c: c.recipe.mapped(**dict(leading_maps(c.view))),
+        hypothesis="Static functions of inputs or outputs lead in another family.",
+        expected="A far lower V.",
+        behind_counts=False,
+    ),
+)  # fmt: skip
 
 SETTING_MOVES: tuple[Move, ...] = (
     Move(
@@ -412,4 +465,4 @@ def all_moves() -> tuple[Move, ...]:
     """The moves on any family, those of the cards, and those that a family's settings allow. Of
     two with the same weight the first is made."""
     of_cards = (move for card in all_cards() for move in card.own_moves())
-    return (*GENERAL_MOVES, *of_cards, *SETTING_MOVES, *NETWORK_MOVES, *COURSE_MOVES)
+    return (*GENERAL_MOVES, *of_cards, *MAP_MOVES, *SETTING_MOVES, *NETWORK_MOVES, *COURSE_MOVES)

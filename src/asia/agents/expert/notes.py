@@ -24,6 +24,7 @@ EFFECT_MOVES: dict[Effect, tuple[str, ...]] = {
         "{state} runs over",
         "{state} saturates",
         "storages run over",
+        "saturated inputs",
         "static function at the output",
         "static function at the input",
     ),

@@ -87,7 +87,8 @@ def title_of(at: Situation, move: Move, recipe: Recipe) -> str:
     if plain not in used:
         return plain
     before, after = at.recipe, recipe
-    names = dict((*before.config, *before.options, *after.config, *after.options))
+    both = (*before.config, *before.options, *before.maps)
+    names = dict((*both, *after.config, *after.options, *after.maps))
     pairs = [(name, before.get(name), after.get(name)) for name in names]
     changes = [f"{name} {_value(a)} to {_value(b)}" for name, a, b in pairs if a != b]
     if before.method != after.method:

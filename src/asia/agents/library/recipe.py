@@ -17,6 +17,7 @@ MODELS = "asia.models"
 GRADIENT = ("Adam", "LBFGS", "MultipleShooting")
 """Methods that follow the gradient and can stop early."""
 _METHODS = "asia.models.methods"
+_MAPS = "static_maps"
 _TEMPLATE = '''"""{summary}"""
 
 from {package} import {family}
@@ -38,6 +39,30 @@ def fit(trajectories, context):
 '''
 
 
+# With static functions around the model.
+_MAPPED = '''"""{summary}"""
+
+from {package} import {family}
+from asia.models import static_maps
+from asia.models.methods import {method}
+
+
+def build_model(context):
+    maps = {maps}
+    config = {config}
+    return static_maps.build(maps, {family}.build(config, context))
+
+
+def train(model, trajectories, context):
+    method = {options}
+    return static_maps.train({family}.train, model, trajectories, context, method)
+
+
+def fit(trajectories, context):
+    return train(build_model(context), trajectories, context)
+'''
+
+
 @dataclass(frozen=True)
 class Recipe:
     """A model family with its settings, and a training method with its own."""
@@ -50,16 +75,18 @@ class Recipe:
     """Training method, one of `asia.models.methods`."""
     options: Arguments
     package: str = MODELS
+    maps: Arguments = ()
+    """Static functions around the model: keyword arguments of `static_maps.Config`."""
 
     @property
     def key(self) -> Hashable:
         """Identity of the recipe, regardless of the order of settings."""
-        settings = frozenset(self.config), frozenset(self.options)
+        settings = frozenset(self.config), frozenset(self.options), frozenset(self.maps)
         return self.package, self.family, self.method, *settings
 
     def get(self, name: str, default: Value = None) -> Value:
-        """A setting of the model or of the method."""
-        return dict((*self.config, *self.options)).get(name, default)
+        """A setting of the model, of the method or of the static functions."""
+        return dict((*self.config, *self.options, *self.maps)).get(name, default)
 
     def number(self, name: str, default: float) -> float:
         """A numeric setting; `default` when it is absent or not a number."""
@@ -79,6 +106,11 @@ class Recipe:
     def without(self, *names: str) -> Recipe:
         """Return the recipe with the defaults of some settings of the model."""
         return replace(self, config=tuple(s for s in self.config if s[0] not in names))
+
+    def mapped(self, **changes: Value) -> Recipe:
+        """Return the recipe with static functions around the model changed; None removes one."""
+        maps = {**dict(self.maps), **changes}
+        return replace(self, maps=tuple((k, v) for k, v in maps.items() if v is not None))
 
     def trained(self, **changes: Value) -> Recipe:
         """Return the recipe with settings of the method changed."""
@@ -117,7 +149,8 @@ class Recipe:
 
     def source(self, summary: str) -> str:
         """The candidate.py."""
-        return _TEMPLATE.format(
+        return (_MAPPED if self.maps else _TEMPLATE).format(
+            maps=_call(f"{_MAPS}.Config", self.maps),
             summary=summary.replace('"""', "'''"),
             package=self.package,
             family=self.family,
@@ -140,9 +173,13 @@ def read_recipe(source: str) -> Recipe | None:
             for alias in node.names
         ]
         (method,) = (name for module, name in imported if module == _METHODS)
-        ((package, family),) = (pair for pair in imported if pair[0] != _METHODS)
+        has_maps = (MODELS, _MAPS) in imported
+        ((package, family),) = (
+            pair for pair in imported if pair[0] != _METHODS and pair != (MODELS, _MAPS)
+        )
         config, options = _settings(tree, f"{family}.Config"), _settings(tree, method)
-        found = Recipe(family, config, method, options, package)
+        maps = _settings(tree, f"{_MAPS}.Config") if has_maps else ()
+        found = Recipe(family, config, method, options, package, maps)
         same = source_digest(found.source("")) == source_digest(source)
     except (SyntaxError, ValueError, CandidateError):
         return None

@@ -4,6 +4,7 @@ switching, transport.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, wraps
@@ -433,6 +434,37 @@ def transport(records: tuple[Trajectory, ...]) -> FoundTransport | None:
     each = [find_transport(records, j) for j in paces[:_MOST_INPUTS]]
     likely = [f for f in each if f.ratio < _LARGEST_RATIO and f.delay > _LEAST_DELAY]
     return min(likely, key=lambda f: f.ratio, default=None)
+
+
+_STORAGE = re.compile(
+    r"tanks?|vessels?|reservoirs?|basins?|storages?|levels?|volumes?|overflows?|spills?|fill(s|ed)?"
+)
+_UNSIGNED = re.compile(
+    r"magnitude|absolute (value|speed)|unsigned|rectifie[ds]|(without|no|loses its|lost its) sign"
+)
+
+
+def _described(facts: Facts, pattern: re.Pattern[str]) -> bool:
+    """Return whether description, notes, strategies or names of signals and states match."""
+    states = facts.physics.states if facts.physics else ()
+    names = " ".join((*(s.name for s in (*facts.inputs, *facts.outputs)), *states))
+    text = f"{facts.description} {facts.notes} {facts.strategies} {names}".lower()
+    return re.search(rf"(?<![a-z])({pattern.pattern})(?![a-z])", text) is not None
+
+
+def has_storage(facts: Facts) -> bool:
+    """Return whether the user's words tell of something that fills and can overflow."""
+    return _described(facts, _STORAGE)
+
+
+def sign_lost(facts: Facts) -> float:
+    """Return how likely the outputs lack their sign: 1 where the user's words say so, 0.5 where
+    every output only touches zero, 0 where one is negative."""
+    y = np.concatenate([r.y for r in facts.records])
+    low, high = np.quantile(y, (0.05, 0.95), axis=0)
+    if (y.min(axis=0) < -0.05 * high).any() or (high <= 0).any():
+        return 0.0
+    return 1.0 if _described(facts, _UNSIGNED) else 0.5 * bool((low < 0.05 * high).all())
 
 
 def plateau_share(facts: Facts) -> float:

@@ -24,6 +24,7 @@ from asia.errors import CandidateError, SandboxError, UserError
 from asia.interfaces.cli import agent as _agent
 from asia.interfaces.cli import bench as _bench
 from asia.interfaces.cli import check as _check
+from asia.interfaces.cli import control as _control
 from asia.interfaces.cli import (
     demo,
     doctor,
@@ -129,6 +130,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "report": report.report,
     "unseal": unseal.unseal,
     "linear": linear.linear,
+    "control": _control.control,
     "export": export.export,
     "view": view.view,
 }

@@ -25,9 +25,9 @@ from asia.interfaces.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from asia.analysis.linear import ProcessModel
     from asia.data.trajectory import Signal
     from asia.export.linear import LinearPoint, LinearRun
+    from asia.lowering.linear import ProcessModel
 
 
 def linear(
@@ -103,8 +103,8 @@ def _facts(
     run: LinearRun, point: LinearPoint, reduce: str | None, *, to_tf: bool, rate: bool
 ) -> dict[str, Any]:
     """Everything that is printed of a point, and the matrices."""
-    from asia.analysis.linear import continuous, is_integrating, process_model, reduced
-    from asia.analysis.linear import settling_samples as settling
+    from asia.lowering.linear import continuous, is_integrating, process_model, reduced
+    from asia.lowering.linear import settling_samples as settling
 
     model, folds = point.model, point.folds
     found: dict[str, Any] = {
@@ -229,7 +229,7 @@ def _polynomial(coefficients: Any) -> str:
         for k, value in enumerate(coefficients)
         if abs(value) > 1e-12 * size
     ]
-    return f"({' + '.join(terms) or '0'})".replace("+ -", "- ")
+    return f"({' + '.join(term.strip() for term in terms) or '0'})".replace("+ -", "- ")
 
 
 def _plain(value: Any) -> Any:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from asia.analysis.linear import LinearModel, corner_frequencies, settling_samples
 from asia.data.trajectory import Array, Signal
+from asia.lowering.linear import LinearModel, corner_frequencies, settling_samples
 from asia.report.drawing.style import (
     BLUE,
     GREEN,
@@ -41,7 +41,7 @@ def draw_linear(
     low = min(float(corner_frequencies(model)[0]) for _, model, _ in points)
     for colour, (name, model, folds) in zip(_COLOURS, points, strict=False):
         high = 0.5 / model.sampling_time
-        frequencies = np.geomspace(low, 0.999 * high, 300)
+        frequencies = np.geomspace(low, 0.98 * high, 300)
         samples = settling_samples(model)
         response, steps = model.response(frequencies), model.step_response(samples)
         others = [one.response(frequencies) for one in folds]
@@ -86,6 +86,9 @@ def draw_linear(
         step.set_xlabel("time [s]")
         for axis in axes[row]:
             quiet_grid(axis)
+        gain.yaxis.set_major_formatter("{x:g}")
+        for axis in (gain, phase):
+            axis.xaxis.set_major_formatter("{x:g}")
     plane = axes[-1][0]
     turn = np.linspace(0, 2 * np.pi, 200)
     plane.plot(np.cos(turn), np.sin(turn), color=QUIET, lw=0.7)

@@ -8,7 +8,7 @@ from asia.agents.library.family import Family
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
-from asia.agents.library.record_facts import plateau_share
+from asia.agents.library.record_facts import has_storage, plateau_share
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.trial_evidence import coloured, curved, fails_on_top
 from asia.agents.view import Facts
@@ -66,7 +66,7 @@ CARD = Card(
             name="storages run over",
             weight=lambda c: (
                 (0.95 if fails_on_top(c.trial) or _saturates(c.facts) else 0.5)
-                * (not c.recipe.get("full"))
+                * (has_storage(c.facts) and not c.recipe.get("full"))
             ),
             change=lambda c: c.recipe.configured(full=True, spill=True),
             hypothesis="Each storage can be full, and part of its overflow enters the next.",

@@ -15,7 +15,7 @@ from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Recipe
-from asia.agents.library.record_facts import plateau_share
+from asia.agents.library.record_facts import has_storage, plateau_share
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.trial_evidence import biased, coloured, fails_on_top, input_left, overfit
 from asia.agents.view import Facts
@@ -92,7 +92,10 @@ def _saturation_weight(at: Situation) -> float:
 
 
 def _overflow_weight(at: Situation) -> float:
-    """A little above saturation alone while a next state exists to take the spill."""
+    """A little above saturation alone while a next state exists to take the spill, of something
+    that can overflow."""
+    if not has_storage(at.facts):
+        return 0.0
     chain = len(at.states) > len(_next_state(at))
     fresh = not names_of(at, "saturation")
     return 1.02 * _saturation_weight(at) if chain and fresh else 0.0

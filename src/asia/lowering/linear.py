@@ -143,7 +143,7 @@ class LinearModel:
         try:
             control = import_module("control")
         except ImportError:
-            raise UserError("python-control is missing: pip install 'asia-sysid[export]'") from None
+            raise UserError("python-control is missing: pip install control") from None
         return control.ss(
             self.a, self.b, self.c, self.d, self.sampling_time or 0,
             inputs=[name.replace(".", "_") for name in inputs],
@@ -368,7 +368,7 @@ def continuous(model: LinearModel) -> tuple[LinearModel, int]:
     from scipy.linalg import logm
 
     delays = model.delay[model.delay >= 0]
-    dead = max(int(delays.min(initial=0)) - 1, 0) if delays.size else 0
+    dead = max(int(delays.min()) - 1, 0) if delays.size else 0
     if dead:
         power = np.linalg.matrix_power(model.a, dead)
         model = minimal(replace(model, b=power @ model.b))

@@ -1,0 +1,189 @@
+"""Linear models at operating points: against python-control, against a known system, and from the
+command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from asia.errors import UserError
+from asia.lowering.evaluation import derivatives
+from asia.lowering.linear import (
+    LinearModel,
+    ProcessModel,
+    continuous,
+    joined,
+    linearised,
+    minimal,
+    operating_points,
+    process_model,
+    reduced,
+)
+from asia.lowering.program import Builder, LoweredModel
+from tests.unit.interfaces.cli.conftest import command_line
+
+
+def random_system(seed: int) -> LinearModel:
+    rng = np.random.default_rng(seed)
+    n, m, p = rng.integers(1, 7), rng.integers(1, 3), rng.integers(1, 3)
+    a = rng.normal(size=(n, n))
+    a *= rng.uniform(0.3, 0.95) / np.abs(np.linalg.eigvals(a)).max()
+    b, c, d = rng.normal(size=(n, m)), rng.normal(size=(p, n)), rng.normal(size=(p, m))
+    return LinearModel(a, b, c, d, 0.1, np.zeros(m), np.zeros(p))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_poles_responses_and_the_bound_of_a_reduction_agree_with_python_control(seed: int) -> None:
+    own = random_system(seed)
+    other = control.ss(own.a, own.b, own.c, own.d, 0.1)
+    difference = np.sort_complex(own.poles) - np.sort_complex(other.poles())
+    assert np.abs(difference).max() < 1e-8
+    frequencies = np.geomspace(0.01, 4.9, 40)
+    held = other(np.exp(2j * np.pi * frequencies * 0.1), squeeze=False)
+    assert np.abs(own.response(frequencies) - np.moveaxis(held, -1, 0)).max() < 1e-8
+    _, steps = control.step_response(other, T=0.1 * np.arange(50), squeeze=False)
+    assert np.abs(own.step_response(50) - np.moveaxis(steps, -1, 0)).max() < 1e-8
+    assert np.allclose(own.gain, other.dcgain().reshape(own.gain.shape), atol=1e-8)
+    grid = np.linspace(0.0, 5.0, 300)
+    for order in range(own.order + 1):
+        small = reduced(own, order)
+        apart = small.model.response(grid) - own.response(grid)
+        assert max(np.linalg.norm(one, 2) for one in apart) <= small.bound * (1 + 1e-6) + 1e-8
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_states_without_effect_are_left_out(seed: int) -> None:
+    own = random_system(seed)
+    rng = np.random.default_rng(seed)
+    extra = np.diag(rng.uniform(-0.9, 0.9, 2))
+    n = own.order
+    turn = np.linalg.qr(rng.normal(size=(n + 2, n + 2)))[0]
+    a = turn @ np.block([[own.a, np.zeros((n, 2))], [np.zeros((2, n)), extra]]) @ turn.T
+    b = turn @ np.vstack([own.b, [[1.0] * own.b.shape[1], [0.0] * own.b.shape[1]]])
+    c = np.hstack([own.c, np.zeros((len(own.c), 1)), np.ones((len(own.c), 1))]) @ turn.T
+    found = minimal(LinearModel(a, b, c, own.d, 0.1, own.u0, own.y0))
+    assert found.order == n
+    assert np.abs(np.sort_complex(found.poles) - np.sort_complex(own.poles)).max() < 1e-8
+
+
+def test_continuous_time_inverts_the_hold_and_names_the_dead_time() -> None:
+    plant = control.ss([[-0.5, 1.0], [-1.0, -0.2]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    held = control.c2d(plant, 0.1)
+    # Two samples of dead time as states.
+    late = control.ss([[0, 0], [1, 0]], [[1], [0]], [[0, 1]], [[0]], 0.1)
+    for extra, dead in ((held, 0), (held * late, 2)):
+        one = LinearModel(extra.A, extra.B, extra.C, extra.D, 0.1, np.zeros(1), np.zeros(1))
+        found, samples = continuous(minimal(one))
+        assert samples == dead
+        assert np.abs(np.sort_complex(found.poles) - np.sort_complex(plant.poles())).max() < 1e-8
+        assert found.gain == pytest.approx(plant.dcgain())
+    swinging = LinearModel(
+        np.array([[-0.5]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.1,
+        np.zeros(1), np.zeros(1),
+    )  # fmt: skip
+    with pytest.raises(UserError, match="there is no continuous-time model"):
+        continuous(swinging)
+
+
+@given(
+    st.sampled_from([(30.0,), (30.0, 8.0), (20.0, 20.0)]),
+    st.sampled_from([0.0, 3.0]),
+    st.booleans(),
+)
+def test_a_process_model_is_found_again(
+    lags: tuple[float, ...], delay: float, integrator: bool
+) -> None:
+    true = ProcessModel(1.7, lags, 0.0, delay, integrator, 0.0)
+    t = np.arange(0.0, 250.0, 0.5)
+    found = process_model(t, true.step(t), integrator=integrator)
+    assert found.fit > 99.5
+    assert found.gain == pytest.approx(1.7, rel=0.02)
+    assert len(found.lags) == len(lags)
+
+
+def tank() -> LoweredModel:
+    """x' = x + 0.1 (u - sqrt(x)), y = x: at rest x = u^2, dy/du = 2 u."""
+    build = Builder(((1,), (1,)))
+    outflow = build.add("sqrt", (0,))
+    flow = build.add("sub", (1, outflow))
+    after = build.add("add", (0, build.add("mul", (flow, build.constant(0.1)))))
+    step = build.program([0, after])
+    first = Builder(((1, 1), (1, 1), (1,)))
+    initial = first.program([first.add("reshape", (1,), (1,))])
+    return LoweredModel(1, 1, 1, 1, False, initial, step)
+
+
+@pytest.mark.parametrize("u", [0.5, 1.0, 2.0])
+def test_the_operating_point_of_a_tank_and_its_exact_slopes(u: float) -> None:
+    model = tank()
+    (point,) = operating_points(model, [np.array([3.0])], np.array([u]))
+    assert point.y == pytest.approx([u * u], rel=1e-9)
+    found = linearised(model, point, 1.0)
+    assert found.gain[0, 0] == pytest.approx(2 * u, rel=1e-9)
+    assert found.poles[0] == pytest.approx(1 - 0.05 / u, rel=1e-9)
+    (asked,) = operating_points(model, [np.array([3.0])], np.ones(1), np.array([u * u]))
+    assert asked.u == pytest.approx([u], rel=1e-6)
+
+
+def test_an_integrator_has_no_operating_point_but_at_zero_flow() -> None:
+    build = Builder(((1,), (1,)))
+    model = LoweredModel(1, 1, 1, 1, False, tank().initial,
+                         build.program([0, build.add("add", (0, 1))]))  # fmt: skip
+    assert operating_points(model, [np.zeros(1)], np.ones(1)) == []
+    assert len(operating_points(model, [np.zeros(1)], np.zeros(1))) == 1
+
+
+_UNARY = tuple(
+    "neg abs sqrt exp log log1p expm1 tanh sin cos tan asin acos atan sinh cosh sign floor".split()  # noqa: SIM905
+)
+
+
+@pytest.mark.parametrize("op", [*_UNARY, "pow", "atan2", "max", "min", "div", "rmax", "rprod"])
+def test_derivatives_agree_with_differences(op: str) -> None:
+    x, y = np.array([0.3, 0.7]), np.array([0.4, 0.2])
+    build = Builder(((2,), (2,)))
+    if op.startswith("r"):
+        program = build.program([build.add(op, (0,), (0,))])
+    elif op in _UNARY:
+        program = build.program([build.add(op, (0,))])
+    else:
+        program = build.program([build.add(op, (0, 1))])
+    value, slopes = derivatives(program, [x, y])
+    for k in range(4):
+        step = 1e-6 * np.eye(4)[k]
+        high, low = (
+            derivatives(program, [x + s * step[:2], y + s * step[2:]])[0] for s in (1.0, -1.0)
+        )
+        assert slopes[:, k] == pytest.approx((high - low) / 2e-6, abs=1e-6)
+    assert value.shape == slopes.shape[:1]
+
+
+def test_joined_states_keep_their_order() -> None:
+    assert joined([np.ones((1, 2)), np.zeros(1)]).tolist() == [1.0, 1.0, 0.0]
+
+
+@pytest.mark.slow
+def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
+    done = command_line("run", "two_tanks_sim", "--experiments", "2", "--runs", tmp_path)
+    assert done.code == 0
+    shown = command_line("linear", "--runs", tmp_path, "--at", "u=2", "--at", "start", "--to-tf",
+                         "--reduce", "auto", "--continuous")  # fmt: skip
+    assert shown.code == 0, shown.err
+    assert "at u=2: pump_voltage 2 V; tank2_level" in shown.out
+    assert "(not at rest)" in shown.out
+    (folder,) = tmp_path.glob("*/linear")
+    found = json.loads((folder / "linear.json").read_text("utf-8"))
+    first = found["points"][0]
+    assert first["gain"][0][0] == pytest.approx(
+        first["C"][0] @ np.linalg.solve(np.eye(first["order"]) - first["A"], first["B"]), rel=1e-6
+    )
+    assert (folder / "linear.png").stat().st_size > 10_000
+    wrong = command_line("linear", "--runs", tmp_path, "--at", "u=2,3")
+    assert wrong.code == 2
+    assert "expected start, u= with 1 or y= with 1 numbers" in wrong.err
