@@ -195,7 +195,12 @@ def usability(view: SearchView) -> Usability | None:
             f"(V {value:.3g}, mean {mean.value:.3g})."
         )
         remark = view.experiments[-1].proposed.remark
-        wrong.append(remark or "Record longer, with larger and more varied inputs.")
+        wrong.append(
+            remark
+            or "Do the inputs act on the outputs? Was the plant in closed loop? Is it unstable? "
+            "Read the output of asia check. For an unstable plant use short windows: "
+            'kind = "windows" in [protocol].'
+        )
     test = refitted.stress[-1] if refitted is not None and refitted.stress else None
     failed = refitted.failed_checks if refitted is not None else ()
     if any("stress simulation" in line for line in failed):
