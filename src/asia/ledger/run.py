@@ -144,7 +144,7 @@ def stress_text(test: StressTest) -> str:
     """Describe what a model did on training inputs in other combinations, in a sentence."""
     start = f"On training inputs in other combinations the {test.model}"
     if test.reach is None:
-        return f"{start} diverges."
+        return f"{start} gives no finite outputs within the time limit."
     return (
         f"{start} takes {test.output} {test.reach:.3g} times as far from the middle of its "
         "training range as any measured output."
@@ -177,14 +177,16 @@ def usability(view: SearchView) -> Usability | None:
     best = view.best
     if best is None or best.score is None:
         return None
-    value, folds = best.score.value, best.score.folds
+    value, values = best.score.value, [fold.value for fold in best.score.folds]
+    refitted = view.refitted
+    is_stack = refitted is not None and refitted.use == "stack" and refitted.stack is not None
+    if refitted is not None and refitted.stack is not None and is_stack:
+        value, values = refitted.stack.value, list(refitted.stack.folds)
     wrong, doubts = [f"{text[:1].upper()}{text[1:]}." for text in alarms(view)], list[str]()
     references = {r.name: r.outcome for r in view.references if isinstance(r.outcome, Score)}
     mean, linear = references.get("training mean"), references.get("linear model")
     worse = [
-        k + 1
-        for k, fold in enumerate(folds)
-        if mean is not None and fold.value >= mean.folds[k].value
+        k + 1 for k, own in enumerate(values) if mean is not None and own >= mean.folds[k].value
     ]
     if mean is not None and (worse or value >= _NO_BETTER * mean.value):
         where = f" in fold {', '.join(map(str, worse))}" if worse else ""
@@ -193,8 +195,16 @@ def usability(view: SearchView) -> Usability | None:
             f"(V {value:.3g}, mean {mean.value:.3g})."
         )
         remark = view.experiments[-1].proposed.remark
-        wrong.append(remark or "Record longer, with larger and more varied inputs.")
-    test = view.refitted.stress[-1] if view.refitted is not None and view.refitted.stress else None
+        wrong.append(
+            remark
+            or "Do the inputs act on the outputs? Was the plant in closed loop? Is it unstable? "
+            "Read the output of asia check. For an unstable plant use short windows: "
+            'kind = "windows" in [protocol].'
+        )
+    test = refitted.stress[-1] if refitted is not None and refitted.stress else None
+    failed = refitted.failed_checks if refitted is not None else ()
+    if any("stress simulation" in line for line in failed):
+        doubts.append("The stress simulation failed, so nothing is known of other inputs.")
     if test is not None and test.outcome != "bounded":
         advice = "Record each input with steps of its own." if test.outcome == "diverges" else (
             "Is the plant an integrator? If not, record each input with steps of its own."
@@ -212,16 +222,15 @@ def usability(view: SearchView) -> Usability | None:
         "linear", "arx",
     ):  # fmt: skip
         doubts.append(f"It is hardly better than a linear model (V {linear.value:.3g}).")
-    values = [fold.value for fold in folds]
     if max(values) > _FOLDS_APART * min(values):
         doubts.append(
             f"V of the folds is {min(values):.3g} to {max(values):.3g}: record more of what only "
             "one part of the records shows."
         )
-    seeds = best.seed_values
+    seeds = () if is_stack else best.seed_values
     if seeds and max(seeds) > _SEEDS_APART * min(seeds):
         doubts.append(f"Other seeds give V from {min(seeds):.3g} to {max(seeds):.3g}.")
-    check = view.refitted.check if view.refitted is not None else None
+    check = None if refitted is None or is_stack else refitted.check
     apart = check.fold_disagreement if check is not None else None
     if apart is not None and apart > _MODELS_APART:
         doubts.append(

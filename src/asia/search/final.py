@@ -547,7 +547,12 @@ def refit_winner(
     refitted = replace(refitted, use=chosen.model, reason=chosen.reason)
     with diagnostic("stress simulation", failed):
         room = StressRoom(evaluator, store, view)
-        refitted = bounded_model(room, view, best, refitted, chosen)
+
+        def is_sound(e: Experiment) -> bool:
+            known = e.kept or e.lowest or view.started.ladder is not None
+            return known or _passes(evaluator, e, store, view, check_literals)
+
+        refitted = bounded_model(room, view, best, refitted, chosen, is_sound)
     return replace(refitted, failed_checks=tuple(failed))
 
 

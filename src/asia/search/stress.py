@@ -11,7 +11,7 @@ further, but no faster than the measured outputs moved. Anything else diverges.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -108,25 +108,26 @@ class StressRoom:
         parts = [(best, 1.0)]
         if use == "stack":
             parts = [(self._view.experiment(m.experiment), m.weight) for m in members]
-        mean: Array | float = 0.0
-        for experiment, weight in parts:
+        reach = np.zeros((len(self._blocks), len(self._half)))
+        for experiment, _ in parts:
             assert experiment.result is not None
             models = [self._store.get(fold.model) for fold in experiment.result.folds]
             if use == "refit":
                 assert refitted.model is not None
                 models = [self._store.get(refitted.model)]
             source = self._store.text(experiment.proposed.source)
-            answers = self._evaluator.models.simulate_together(source, models, self._blocks)
-            for one in answers:
-                if isinstance(one, CandidateError):
+            # A mean would hide one model that diverges.
+            for y in self._evaluator.models.simulate_together(source, models, self._blocks):
+                if isinstance(y, CandidateError):
                     return StressTest(use, best.number, None, "", None, "diverges")
-                mean = mean + weight / len(answers) * one
-        reach = self._reach(np.asarray(mean))
+                reach = np.maximum(reach, self._reach(y))
         limit = np.full_like(reach, LIMIT)
         linear: float | None = None
         if (reach > limit).any():
             if self._linear is None:
                 self._linear = self._linear_reach()
+                # A linear model that diverges itself says nothing of other ones.
+                self._linear[~(self._linear <= LIMIT + self._drift)] = 0.0
             linear = float(self._linear.max())
             limit = np.maximum(limit, TIMES_LINEAR * self._linear)
         worst = np.unravel_index(int(np.argmax(reach / limit)), reach.shape)
@@ -150,11 +151,20 @@ class StressRoom:
 
 
 def bounded_model(
-    room: StressRoom, view: SearchView, best: Experiment, refitted: Refitted, named: ModelToUse
+    room: StressRoom,
+    view: SearchView,
+    best: Experiment,
+    refitted: Refitted,
+    named: ModelToUse,
+    is_sound: Callable[[Experiment], bool],
 ) -> Refitted:
     """Name the first model that stays bounded: the one that the evidence favours, the other models
     of the winner, and where all of these diverge the ensembles of the next best experiments. If
-    none does, the first that drifts is named, or the first of all. Its test is the last one."""
+    none does, the first that drifts is named, or the first of all. Its test is the last one.
+
+    Args:
+        is_sound: whether an experiment passes the checks of a new best
+    """
     assert best.score is not None
     options: list[tuple[Use, Stack | None, str]] = [(named.model, refitted.stack, named.reason)]
     bounded = "This one stays bounded."
@@ -164,28 +174,33 @@ def bounded_model(
         options.append(("ensemble", refitted.stack, bounded))
     own = len(options)
     others = [
-        (other.score, other.number)
+        (other.score, other)
         for other in view.finished
         if other.score is not None
         and other.number != best.number
         and other.score.value <= _NEAR * best.score.value
         and (other.result is None or other.result.duplicate_of is None)
     ]
-    for score, number in sorted(others, key=lambda other: other[0].value)[:_OTHERS]:
-        values = tuple(fold.value for fold in score.folds)
+    checked: dict[int, Experiment] = {}
+    for score, other in sorted(others, key=lambda pair: pair[0].value)[:_OTHERS]:
+        number, values = other.number, tuple(fold.value for fold in score.folds)
         single = Stack((StackMember(number, 1.0),), score.value, values)
         text = f"The ensemble of #{number:02d} (V {error_value(score.value)}) stays bounded."
+        checked[len(options)] = other
         options.append(("stack", single, text))
     tests: list[StressTest] = []
-    for use, stack, reason in options:
+    for place, (use, stack, reason) in enumerate(options):
+        if place in checked and not is_sound(checked[place]):
+            continue
         tests.append(room.test(use, best, refitted, () if stack is None else stack.members))
         if tests[-1].outcome == "bounded":
             text = reason if len(tests) == 1 else f"{stress_text(tests[0])} {reason}"
             return replace(refitted, use=use, reason=text, stack=stack, stress=tuple(tests))
         if len(tests) == own and any(test.outcome == "drifts" for test in tests):
             break
-    first = next((k for k, test in enumerate(tests) if test.outcome == "drifts"), 0)
+    first = next((k for k, test in enumerate(tests[:own]) if test.outcome == "drifts"), 0)
     use, stack, _ = options[first]
+    reason = f"{stress_text(tests[0])} This one drifts." if first else named.reason
     # The test of the named model comes last.
     tests.append(tests.pop(first))
-    return replace(refitted, use=use, reason=named.reason, stack=stack, stress=tuple(tests))
+    return replace(refitted, use=use, reason=reason, stack=stack, stress=tuple(tests))

@@ -285,7 +285,8 @@ def test_no_two_proposals_have_the_same_title(known: Facts) -> None:
     assert len(set(titles)) == len(titles)
     assert all(len(title) <= 80 for title in titles)
     repeated = [t for t in titles if plain_title(t) != t]
-    assert repeated
+    # With equations there are moves enough for forty titles.
+    assert repeated or known.physics is not None
     assert all(plain_title(t) in titles for t in repeated)
 
 

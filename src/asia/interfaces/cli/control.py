@@ -107,8 +107,8 @@ def control(
         )
     if found.violated:
         say(
-            f"missed    {', '.join(found.violated)}: no structure meets all specifications; relax "
-            "one of them"
+            f"missed    {', '.join(found.violated)}: no controller was found that meets all "
+            "specifications; relax one of them or try another --seed"
         )
         raise typer.Exit(1)
 

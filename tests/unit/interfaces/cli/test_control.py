@@ -89,6 +89,21 @@ def test_the_worst_of_several_plants_counts() -> None:
     assert all(not loop_figures(one, found.controller).violations(wanted) for one in plants)
 
 
+def test_a_plant_that_falls_with_its_input_gets_a_negative_controller() -> None:
+    num, den = rational("-5/(s+1)")
+    found = design([Transfer(num, den)], Specification(2.0, 45.0, None, 2.0, 10.0, 1e-3))
+    assert found.violated == ()
+    assert found.controller.num[0] < 0
+
+
+def test_a_narrow_resonance_is_seen() -> None:
+    # Two crossings within 1 % of the frequency, and a phase margin near 0 after them.
+    plant = Transfer(np.array([0.05]), np.array([1.0, 0.002, 1.0]))
+    found = loop_figures(plant, Transfer(np.ones(1), np.ones(1)))
+    _, phase, _, _ = control.margin(control.tf([0.05], [1.0, 0.002, 1.0]))
+    assert found.phase_margin == pytest.approx(phase, abs=1.0)
+
+
 def test_an_impossible_specification_is_named() -> None:
     # A right half plane zero at 1 rad/s forbids a settling time of 0.1 s without overshoot.
     num, den = rational("(1-s)/(s^2+2*s+1)")

@@ -1,4 +1,4 @@
-"""Messages about a search whose model is no better than the training mean."""
+"""Verdict on a search whose model is no better than the training mean."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import asia
-from asia.interfaces.cli.output import use_lines
+from asia.interfaces.cli.output import verdict_lines
 from tests.unit.search.toy import Scripted, arx, write_problem
 
 
@@ -19,6 +19,6 @@ def test_a_model_that_says_nothing_is_doubted(tmp_path: Path, driven: bool) -> N
         table = np.column_stack([rng.normal(size=240), rng.normal(size=240)])
         np.savetxt(problem / "train.csv", table, delimiter=",", header="u,y", comments="")
     run = asia.run(problem, agent=Scripted((arx(2),)), runs=tmp_path / "runs", experiments=2)
-    doubts = [line for line in use_lines(run.view) if line.startswith("doubt")]
-    assert len(doubts) == (not driven)
-    assert all('kind = "windows"' in line for line in doubts)
+    lines = verdict_lines(run.view)
+    assert lines[0].startswith("verdict not usable: It is") == (not driven)
+    assert ('kind = "windows"' in " ".join(lines)) == (not driven)
