@@ -16,6 +16,7 @@ from asia.data.relations import ALONE, PAIR, FoundDelay, find_delay, find_feedba
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.problem.folds import splits, windows
+from asia.problem.identifiability import Unidentifiable, unidentifiable
 from asia.problem.lock import protocol_digest
 from asia.problem.metrics import find_metric
 from asia.problem.problem import (
@@ -98,6 +99,8 @@ class CheckReport:
     signals: tuple[SignalCheck, ...]
     folds: tuple[FoldCheck, ...]
     warnings: tuple[str, ...]
+    unidentifiable: tuple[Unidentifiable, ...] | None = ()
+    """Parameters of the equations that no record can determine; None where that is unknown."""
     in_workspace: bool = False
 
     def lines(self) -> list[str]:
@@ -147,6 +150,11 @@ class CheckReport:
             lines.append(f"physics: {states}, {free}")
             lines += [f"prior {line}" for line in prior_lines(physics)]
             lines += [f"correction {line}" for line in correction_lines(physics)]
+            if self.unidentifiable is None:
+                lines.append("identifiability: not tested, the equations could not be simulated")
+            elif physics.parameters and not self.unidentifiable:
+                lines.append("identifiability: records can determine every parameter in principle")
+            lines += [f"identifiability: {one}" for one in self.unidentifiable or ()]
         lines += [f"symmetry {line}" for line in symmetry_lines(problem.symmetry)]
         own = "baseline.py" if problem.baseline else "ASIA's own, as there is no baseline.py"
         lines.append(f"baseline: {own}")
@@ -177,12 +185,18 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
     if problem.protocol.past_outputs == 0:
         doubts.append("past_outputs is 0: a model cannot know the state it starts from")
     doubts += _sealed_doubts(problem, seal, in_workspace=in_workspace)
+    unknown: tuple[Unidentifiable, ...] | None = ()
+    if problem.physics is not None:
+        names = ([one.name for one in side] for side in (problem.inputs, problem.outputs))
+        found = unidentifiable(problem.physics, *names, problem.train)
+        unknown = None if found is None else tuple(found)
     return CheckReport(
         problem=problem,
         seal=seal,
         signals=signals,
         folds=_folds(problem),
         warnings=(*problem.warnings, *doubts),
+        unidentifiable=unknown,
         in_workspace=in_workspace,
     )
 
