@@ -36,6 +36,20 @@ _MISSING_CODE = re.compile(r"-?999+(\.9+)?")
 
 
 @dataclass(frozen=True)
+class Doubt:
+    """A finding that limits what can be learned from the records."""
+
+    text: str
+    weight: float
+    """1 or more: not enough for a model; 0.3 or more: limits its use."""
+    experiment: str = ""
+    """What to measure instead."""
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
 class SignalCheck:
     """One channel over all training samples, in its unit.
 
@@ -98,10 +112,15 @@ class CheckReport:
     seal: Seal
     signals: tuple[SignalCheck, ...]
     folds: tuple[FoldCheck, ...]
-    warnings: tuple[str, ...]
+    doubts: tuple[Doubt, ...]
     unidentifiable: tuple[Unidentifiable, ...] | None = ()
     """Parameters of the equations that no record can determine; None where that is unknown."""
     in_workspace: bool = False
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences on everything doubtful."""
+        return (*self.problem.warnings, *map(str, self.doubts))
 
     def lines(self) -> list[str]:
         """The report as plain text."""
@@ -181,21 +200,23 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
     doubts += _collinear_inputs(problem)
     doubts += data_doubts(problem)
     if not is_described(problem.description):
-        doubts.append("there is no description: agents that read know nothing of the system")
+        text = "there is no description: agents that read know nothing of the system"
+        doubts.append(Doubt(text, 0.05))
     if problem.protocol.past_outputs == 0:
-        doubts.append("past_outputs is 0: a model cannot know the state it starts from")
+        text = "past_outputs is 0: a model cannot know the state it starts from"
+        doubts.append(Doubt(text, 0.2))
     doubts += _sealed_doubts(problem, seal, in_workspace=in_workspace)
     unknown: tuple[Unidentifiable, ...] | None = ()
     if problem.physics is not None:
-        names = ([one.name for one in side] for side in (problem.inputs, problem.outputs))
-        found = unidentifiable(problem.physics, *names, problem.train)
+        inputs, outputs = ([one.name for one in s] for s in (problem.inputs, problem.outputs))
+        found = unidentifiable(problem.physics, inputs, outputs, problem.train)
         unknown = None if found is None else tuple(found)
     return CheckReport(
         problem=problem,
         seal=seal,
         signals=signals,
         folds=_folds(problem),
-        warnings=(*problem.warnings, *doubts),
+        doubts=tuple(doubts),
         unidentifiable=unknown,
         in_workspace=in_workspace,
     )
@@ -247,39 +268,51 @@ def _signal_line(s: SignalCheck) -> str:
     )
 
 
-def _signal_doubts(check: SignalCheck) -> list[str]:
+def _signal_doubts(check: SignalCheck) -> list[Doubt]:
     name = f"{check.role} {check.signal.name}"
     if check.constant:
-        return [f"{name} is constant: nothing can be learned from it"]
+        text = f"{name} is constant: nothing can be learned from it"
+        output = check.role == "output"
+        return [Doubt(text, 2.0 if output else 0.8, "" if output else f"move {name}")]
     if check.role == "input":
         if check.excitation_order >= 4:
             return []
-        return [
+        text = (
             f"{name} excites at most {check.excitation_order} modes: use an input with more "
             "frequencies"
-        ]
+        )
+        return [Doubt(text, 0.9, "a random binary or multisine input on " + name)]
     limits = ((check.at_minimum, check.minimum), (check.at_maximum, check.maximum))
     doubts = [
-        f"{name} is at its limit {value:g} {check.signal.unit}".rstrip()
-        + f" in {share:.1%} of the samples: it may saturate there"
+        Doubt(
+            f"{name} is at its limit {value:g} {check.signal.unit}".rstrip()
+            + f" in {share:.1%} of the samples: it may saturate there",
+            0.25 + share,
+            f"smaller inputs, so that {name} stays away from {value:g}",
+        )
         for share, value in limits
         if share > 0.01
     ]
     if check.bandwidth_share < 0.005:
-        doubts.append(
+        text = (
             f"{name} is sampled much faster than it changes (99 % of its power below "
             f"{check.bandwidth_share:.2%} of the Nyquist frequency): every tenth sample may suffice"
         )
+        doubts.append(Doubt(text, 0.2))
     return doubts
 
 
-def _collinear_inputs(problem: Problem) -> list[str]:
+def _collinear_inputs(problem: Problem) -> list[Doubt]:
     u = np.concatenate([t.u for t in problem.train])
     centred = u - u.mean(axis=0)
     norms = np.sqrt((centred**2).sum(axis=0))
     names = [signal.name for signal in problem.inputs]
     return [
-        f"inputs {names[i]} and {names[j]} are collinear: their effects cannot be separated"
+        Doubt(
+            f"inputs {names[i]} and {names[j]} are collinear: their effects cannot be separated",
+            0.9,
+            f"move {names[i]} and {names[j]} independently",
+        )
         for i, j in combinations(range(len(names)), 2)
         if norms[i] * norms[j] > 0
         and abs(centred[:, i] @ centred[:, j]) > 0.999 * norms[i] * norms[j]
@@ -410,13 +443,17 @@ def _missing_line(problem: Problem) -> str:
     return f"missing outputs, in samples, left out of fit and V: {', '.join(found)}"
 
 
-def data_doubts(problem: Problem) -> list[str]:
+def data_doubts(problem: Problem) -> list[Doubt]:
     """Sentences on feedback, and on drift, steps, outliers and missing-value codes."""
     records = _first_samples(problem)
     doubts = [
-        f"input {given.name} follows earlier values of output {output.name}: it may come from a "
-        "controller, and a model fitted in closed loop may describe the controller instead of "
-        "the system"
+        Doubt(
+            f"input {given.name} follows earlier values of output {output.name}: it may come from "
+            "a controller, and a model fitted in closed loop may describe the controller instead "
+            "of the system",
+            0.6,
+            f"open the loop, or add a known random signal to {given.name}",
+        )
         for i, given in enumerate(problem.inputs)
         for j, output in enumerate(problem.outputs)
         if _both_move(records, i, j) and find_feedback(records, i, j)
@@ -438,7 +475,7 @@ def data_doubts(problem: Problem) -> list[str]:
 
 def _drift(
     records: Sequence[Trajectory], parts: Sequence[Array], name: str, unit: str
-) -> list[str]:
+) -> list[Doubt]:
     """Describe a linear drift that explains most of the variance of the longest record."""
     k = int(np.argmax([len(p) for p in parts]))
     y = parts[k] - parts[k].mean()
@@ -449,14 +486,15 @@ def _drift(
     slope = float(time @ y / (time @ time))
     if slope**2 * float(time @ time) <= 0.5 * total:
         return []
-    return [
+    text = (
         f"{name} {'rises' if slope > 0 else 'falls'} by {abs(slope) * (len(y) - 1):.3g}{unit} over "
         f"record '{records[k].name}', more than its other variation: the sensor may drift, or the "
         "record starts far from steady state"
-    ]
+    )
+    return [Doubt(text, 0.4, "a longer record that starts at rest")]
 
 
-def _quantization(values: Array, name: str, unit: str) -> list[str]:
+def _quantization(values: Array, name: str, unit: str) -> list[Doubt]:
     """Describe a quantization step that is large relative to the signal."""
     levels = np.unique(values)
     gaps = np.diff(levels)
@@ -465,13 +503,15 @@ def _quantization(values: Array, name: str, unit: str) -> list[str]:
     multiples = (levels - levels[0]) / step
     if len(gaps) < 2 or step <= 0.05 * std or np.abs(multiples - np.round(multiples)).max() > 1e-3:
         return []
-    return [
+    share = step / np.sqrt(12.0) / std
+    text = (
         f"{name} is quantized in steps of {step:.3g}{unit}: this alone causes an error of about "
-        f"{step / np.sqrt(12.0) / std:.1%} of its standard deviation"
-    ]
+        f"{share:.1%} of its standard deviation"
+    )
+    return [Doubt(text, 0.2 + 2.0 * share, f"larger inputs, or a finer sensor for {name}")]
 
 
-def _outliers(records: Sequence[Trajectory], parts: Sequence[Array], name: str) -> list[str]:
+def _outliers(records: Sequence[Trajectory], parts: Sequence[Array], name: str) -> list[Doubt]:
     """Single samples that jump away from both neighbours, far beyond a usual change."""
     usual = float(np.median(np.abs(np.concatenate([np.diff(p) for p in parts]))))
     limit = max(10.0 * 1.4826 * usual, float(np.concatenate(parts).std()))
@@ -487,13 +527,14 @@ def _outliers(records: Sequence[Trajectory], parts: Sequence[Array], name: str) 
         return []
     many = "1 sample jumps" if len(found) == 1 else f"{len(found)} samples jump"
     where = f"sample {found[0][1]} of record '{found[0][0]}'"
-    return [
+    text = (
         f"{name}: {many} away from both neighbours, the first at {where}: check for outliers, and "
         "cut the record there"
-    ]
+    )
+    return [Doubt(text, 0.3)]
 
 
-def _missing_codes(values: Array, name: str, repeated: bool) -> list[str]:
+def _missing_codes(values: Array, name: str, repeated: bool) -> list[Doubt]:
     """Values far from all others that a logger writes where it has none: nines, such as -9999, and
     with `repeated` any that stay the same to the last digit."""
     low, high = (float(v) for v in np.quantile(values, (0.025, 0.975)))
@@ -509,11 +550,12 @@ def _missing_codes(values: Array, name: str, repeated: bool) -> list[str]:
     if not found.size:
         return []
     shown = ", ".join(f"{v:g}" for v in np.unique(found)[:3])
-    return [
+    text = (
         f"{name} has {shown} in {len(found)} sample{'s' if len(found) > 1 else ''}, the others lie "
         f"from {others.min():.3g} to {others.max():.3g}: if these mark missing values, leave the "
         "cells empty"
-    ]
+    )
+    return [Doubt(text, 0.7)]
 
 
 # The sealed test, from its public header.
@@ -545,32 +587,45 @@ def _seal_line(seal: Seal, rule: ProtocolRule, *, in_workspace: bool) -> str:
     return f"test: {records}; {sum(counts)} windows{table}; {digest}"
 
 
-def _sealed_doubts(problem: Problem, seal: Seal, *, in_workspace: bool) -> list[str]:
+def _sealed_doubts(problem: Problem, seal: Seal, *, in_workspace: bool) -> list[Doubt]:
     """Sentences on a test that is missing, short, not unseen, or beyond the training inputs."""
-    doubts: list[str] = []
+    doubts: list[Doubt] = []
     if seal.sha256 is None and not in_workspace:
-        doubts.append("there is no test data: the winner cannot be judged on unseen records")
+        text = "there is no test data: the winner cannot be judged on unseen records"
+        doubts.append(Doubt(text, 0.3, "one more record, kept as the test"))
     least = 50
     doubts += [
-        f"test record '{name}' has {scored} samples to score, after the past window and "
-        f"protocol.test.skip: fewer than {least} say little about a model"
+        Doubt(
+            f"test record '{name}' has {scored} samples to score, after the past window and "
+            f"protocol.test.skip: fewer than {least} say little about a model",
+            0.3,
+            "a longer record as the test",
+        )
         for name, scored in zip(seal.names, _scored_samples(seal, problem.protocol), strict=True)
         if scored < least
     ]
     doubts += [
-        f"[protocol.test.figures] {figure.name} names no test record (they are "
-        f"{', '.join(seal.names)}): there will be no official figures"
+        Doubt(
+            f"[protocol.test.figures] {figure.name} names no test record (they are "
+            f"{', '.join(seal.names)}): there will be no official figures",
+            0.1,
+        )
         for figure in problem.protocol.test.figures
         if seal.names and not any(fnmatchcase(n, p) for n in seal.names for p in figure.records)
     ]
     if seal.shared_samples:
-        doubts.append(
+        text = (
             f"{seal.shared_samples} test samples also occur, in runs of ten or more, in the "
             "training records: the test is not unseen"
         )
+        doubts.append(Doubt(text, 0.4, "a new record as the test"))
     doubts += [
-        f"{count} of {sum(seal.lengths)} test samples of input {given.name} are outside its "
-        "range in the training records: a model must extrapolate there"
+        Doubt(
+            f"{count} of {sum(seal.lengths)} test samples of input {given.name} are outside its "
+            "range in the training records: a model must extrapolate there",
+            0.35,
+            f"a training record with input {given.name} over its whole range",
+        )
         for given, count in zip(problem.inputs, seal.outside_inputs, strict=False)
         if count > 0.01 * sum(seal.lengths)
     ]

@@ -111,12 +111,9 @@ def unidentifiable(
         count = int(np.linalg.matrix_rank(points[0][1][group], rtol=1e-4))
         own = tuple(names[i] for i in group)
         parts = [(theta[group], null[group]) for theta, null in points]
-        groups.append(
-            Unidentifiable(
-                own, count, _combinations(own, parts, count),
-                _priors_decide(physics, names, points[0], group, count),
-            )  # fmt: skip
-        )
+        combinations = _combinations(own, parts, count)
+        decided = _priors_decide(physics, names, points[0], group, count)
+        groups.append(Unidentifiable(own, count, combinations, decided))
     return groups
 
 
@@ -196,7 +193,7 @@ class _Equations:
         return np.stack([np.broadcast_to(row, x.shape[1:]) for row in rows]).astype(np.complex128)
 
 
-class _Stopped(Exception):
+class _StoppedError(Exception):
     """The states diverge, or the simulation takes more evaluations than a check may."""
 
 
@@ -264,7 +261,7 @@ def _sensitivities(
         nonlocal used
         used += 1
         if used > _MOST_EVALUATIONS or not np.abs(flat).max() < 1e6 * (1.0 + size):
-            raise _Stopped
+            raise _StoppedError
         return model.values(model.dynamics, flat.reshape(count, -1), u, parameters).ravel()
 
     with np.errstate(all="ignore"):
@@ -275,7 +272,7 @@ def _sensitivities(
                     rate, (0.0, step), x_now.ravel(), "DOP853", args=(u,), rtol=1e-12,
                     atol=1e-13 * size, t_eval=[step],
                 )  # fmt: skip
-            except (_Stopped, FloatingPointError):
+            except (_StoppedError, FloatingPointError):
                 break
             if not done.success or not np.isfinite(done.y).all():
                 break

@@ -53,7 +53,7 @@ def test_each_fault_is_said_once(tanks: Problem) -> None:
         "2 samples jump away from both neighbours, the first at sample 201 of record 'r'": spiked,
     }
     for said, values in faults.items():
-        (doubt,) = data_doubts(of(tanks, u, values))
+        (doubt,) = map(str, data_doubts(of(tanks, u, values)))
         assert said in doubt
 
 
@@ -65,7 +65,7 @@ def test_logger_codes_of_missing_values_are_reported(tanks: Problem) -> None:
     stuck[300:303] = 32767.0
     faults = {"input u has -9999 in 1 sample,": (coded, y), "output y has -999.9 in 5": (u, held)}
     for said, signals in {**faults, "output y has 32767 in 3": (u, stuck)}.items():
-        doubts = data_doubts(of(tanks, *signals))
+        doubts = [str(one) for one in data_doubts(of(tanks, *signals))]
         assert [said in doubt for doubt in doubts] == [True]
     kicked = u * 1e-3
     kicked[[200, 600]] = 50.0
@@ -91,7 +91,7 @@ def test_feedback_is_distinguished_from_an_open_loop(tanks: Problem) -> None:
         x = 0.9 * x + 0.1 * (u[k - 1] if k else 0.0)
         y[k] = x + disturbance
         u[k] = -0.3 * (y[k - 1] if k else 0.0) + 0.05 * rng.normal()
-    (doubt,) = data_doubts(of(tanks, u, y))
+    (doubt,) = map(str, data_doubts(of(tanks, u, y)))
     assert "input u follows earlier values of output y" in doubt
 
 
@@ -99,4 +99,4 @@ def test_feedback_to_a_sine_is_not_judged(tanks: Problem) -> None:
     u = np.sin(2 * np.pi * np.arange(SAMPLES) / 37)
     problem = of(tanks, u, np.roll(u, 3))
     assert any(line.startswith("feedback: not tested for input u") for line in delay_lines(problem))
-    assert not any("follows earlier" in doubt for doubt in data_doubts(problem))
+    assert not any("follows earlier" in str(doubt) for doubt in data_doubts(problem))

@@ -23,7 +23,7 @@ def tanks() -> Problem:
 
 def with_signals(problem: Problem, u: np.ndarray, y: np.ndarray) -> Problem:
     inputs = tuple(Signal(f"u{i}") for i in range(u.shape[1]))
-    return replace(problem, train=(Trajectory(u, y, 4.0, "r"),), inputs=inputs)
+    return replace(problem, train=(Trajectory(u, y, 4.0, "r"),), inputs=inputs, physics=None)
 
 
 def test_folds_match_the_papers_ranges(tanks: Problem) -> None:
