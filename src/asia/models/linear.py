@@ -21,7 +21,6 @@ from asia.models._linear import fit as levels
 from asia.models._linear.fit import (
     LinearFit,
     Refinement,
-    choose_order,
     delayed_records,
     drift_shift,
     encoder_of,
@@ -29,6 +28,7 @@ from asia.models._linear.fit import (
     invariants,
     refined_under_noise,
     system_estimates,
+    unseen_errors,
 )
 from asia.models._linear.periodic import PeriodicChoice, fit_periodic
 from asia.models._linear.system import LinearSystem
@@ -341,6 +341,49 @@ def windowed(
     return predictor
 
 
+@dataclass(frozen=True)
+class Selection:
+    """Order and delay of a linear model, with the errors that decide."""
+
+    order: int
+    delay: int
+    """Samples by which the inputs are delayed beyond what the states express."""
+    order_errors: dict[int, float]
+    """Simulation error on held-out segments, in z-scores, by order; empty for a given order."""
+    delay_errors: dict[int, float]
+    """Simulation error of a model of modest order, in z-scores, by delay; empty for a given one."""
+
+
+def select(
+    records: ScaledData, context: Context, config: Config, refinement: Refinement
+) -> Selection:
+    """Choose delay and order on part of the records: the smallest delay within 1 % of the least
+    error, and the smallest order whose error is within the tolerance of the least."""
+    part = _selection(records, context, config)
+    delay, order, held = config.delay, config.order, config.integrators
+    delay_errors: dict[int, float] = {}
+    order_errors: dict[int, float] = {}
+    if delay is None:
+        modest = max(min(order or 2 + held, _affordable(part, config.max_order)), held)
+        quick = Refinement(iterations=5, integrators=held)
+        for d in range(config.max_delay + 1):
+            error = fit([r.with_delay(d) for r in part], modest, quick).error
+            delay_errors[d] = float(np.sqrt(error))
+        limit = np.sqrt(1.02) * min(delay_errors.values())
+        delay = next(d for d, error in delay_errors.items() if error <= limit)
+    if order is None:
+        quick = replace(refinement, iterations=min(refinement.iterations, 15))
+        late = [r.with_delay(delay) for r in part]
+        highest = max(_affordable(late, config.max_order), held)
+        least = min(max(1, held), highest)
+        tried = range(least, highest + 1)
+        errors = unseen_errors(late, context, tried, quick)
+        order_errors = dict(zip(tried, errors, strict=True))
+        limit = min(errors) * (1 + config.tolerance)
+        order = next((n for n, error in order_errors.items() if error <= limit), least)
+    return Selection(order, delay, order_errors, delay_errors)
+
+
 def fit_records(
     records: ScaledData, context: Context, config: Config, refinement: Refinement
 ) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
@@ -351,24 +394,8 @@ def fit_records(
             segments where they are too long for memory.
     """
     refinement = replace(refinement, integrators=config.integrators)
-    part = _selection(records, context, config)
-    delay, order = config.delay, config.order
-    if delay is None:
-        # The least simulation error of a model of modest order, preferring the smallest delay
-        # within 1 %.
-        held = config.integrators
-        modest = max(min(order or 2 + held, _affordable(part, config.max_order)), held)
-        quick = Refinement(iterations=5, integrators=held)
-        tried = range(config.max_delay + 1)
-        errors = [fit([r.with_delay(d) for r in part], modest, quick).error for d in tried]
-        delay = next(
-            d for d, error in zip(tried, errors, strict=True) if error <= 1.02 * min(errors)
-        )
-    if order is None:
-        quick = replace(refinement, iterations=min(refinement.iterations, 15))
-        late_part = [r.with_delay(delay) for r in part]
-        highest = max(_affordable(late_part, config.max_order), config.integrators)
-        order = choose_order(late_part, context, highest, config.tolerance, quick)
+    chosen = select(records, context, config, refinement)
+    delay, order = chosen.delay, chosen.order
     # Number of samples whose Jacobian fits in memory, with the transforms it is made by.
     signals = order + context.nu
     numbers = context.ny * (5 * order * signals + context.ny * signals)

@@ -452,7 +452,7 @@ def data_doubts(problem: Problem) -> list[Doubt]:
             "a controller, and a model fitted in closed loop may describe the controller instead "
             "of the system",
             0.6,
-            f"open the loop, or add a known random signal to {given.name}",
+            "an open loop, or known random signals added to the inputs",
         )
         for i, given in enumerate(problem.inputs)
         for j, output in enumerate(problem.outputs)

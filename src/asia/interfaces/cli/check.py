@@ -18,7 +18,8 @@ def check(
     runs: Runs = DEFAULT_RUNS,
     draw: Annotated[bool, typer.Option(help="Draw the training data.")] = True,
 ) -> None:
-    """Print the data and the protocol of a problem, and draw the data."""
+    """Print the data and the protocol of a problem, judge the data, and draw them."""
+    from asia.analysis.data_verdict import judge_data
     from asia.interfaces.workspace.workspace import is_workspace
     from asia.problem.check import check_problem
     from asia.problem.load import load_problem
@@ -30,7 +31,8 @@ def check(
     check_baseline(loaded)
     make_folds(loaded.train, loaded.protocol)
     in_workspace = is_workspace(Path(problem))
-    for line in check_problem(loaded, seal(loaded), in_workspace=in_workspace).lines():
+    report = check_problem(loaded, seal(loaded), in_workspace=in_workspace)
+    for line in (*report.lines(), *judge_data(loaded, report).lines()):
         say(line)
     if not draw:
         return

@@ -312,32 +312,31 @@ def fit(
     return best
 
 
-def choose_order(
-    records: ScaledData, context: Context, max_order: int, tolerance: float, refinement: Refinement
-) -> int:
-    """Smallest order whose simulation error on held-out segments is within `tolerance` of the best.
+def unseen_errors(
+    records: ScaledData, context: Context, orders: Sequence[int], refinement: Refinement
+) -> list[float]:
+    """Root mean squared simulation error, in z-scores, of each order on held-out segments.
 
-    The segments start from their own past windows, as the model will be used; the tolerance is
-    relative, of the root.
+    The segments start from their own past windows, as the model will be used.
     """
     past = past_length(context)
     splits: list[tuple[ScaledData, ScaledData, BlockedRidge]] = []
-    for kept, left in contiguous_splits(records, 3, 2 * past + 4 * max_order):
+    for kept, left in contiguous_splits(records, 3, 2 * past + 4 * max(orders)):
         long = [r for r in kept if len(r) > past]
         rows = window_rows(long, context)
         shown = [past_windows(r, context)[at] for r, at in zip(long, rows, strict=True)]
         splits.append((kept, left, BlockedRidge(np.concatenate(shown))))
     errors: list[float] = []
-    least = min(max(1, refinement.integrators), max_order)
-    for order in range(least, max_order + 1):
+    for order in orders:
         logs: list[float] = []
         for kept, left, regression in splits:
             candidate = fit(kept, order, refinement)
             encoder = encoder_of(kept, candidate, context, regression)
-            logs.append(np.log(unseen_error(left, candidate, encoder, context) + 1e-300))
-        errors.append(float(np.exp(np.mean(logs))))
-    limit = min(errors) * (1 + tolerance) ** 2
-    return next((i for i, error in enumerate(errors, start=least) if error <= limit), least)
+            count = context.ny * sum(float(r.counts[past:].sum()) for r in left)
+            error = unseen_error(left, candidate, encoder, context) / max(count, 1.0)
+            logs.append(np.log(error + 1e-300))
+        errors.append(float(np.exp(0.5 * np.mean(logs))))
+    return errors
 
 
 def encoder_of(
