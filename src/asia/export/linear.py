@@ -9,7 +9,7 @@ from typing import get_args
 
 import numpy as np
 
-from asia.data.trajectory import Array, Signal
+from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.export.pipeline import measured
 from asia.judge.sandbox.types import Isolation
@@ -59,8 +59,8 @@ class LinearRun:
     points: tuple[LinearPoint, ...]
     notes: tuple[str, ...]
     """Sentences on the choice of the model and on points that do not exist."""
-    record: Array
-    """Inputs (T, nu) of the longest training record, on which a reduction is checked."""
+    records: tuple[Trajectory, ...]
+    """Training records, on which a reduction is checked and process models are fitted."""
 
 
 def linearize(
@@ -157,10 +157,10 @@ def linearize(
             label = name if len(there) == 1 else f"{name} ({place})"
             rests = bool(np.isfinite(point.residual))
             points.append(_point(label, point, own, near, problem.sampling_time, rests=rests))
-    record = max(records, key=len).u
     return LinearRun(
-        opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes), record
-    )
+        opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
+        tuple(records),
+    )  # fmt: skip
 
 
 def _chosen(run: Run, model: str | None) -> tuple[str, list[str]]:

@@ -24,10 +24,14 @@ from asia.interfaces.cli.options import (
     run_directory,
 )
 
+# Greatest number of inputs for which process models are fitted to records.
+_MOST_INPUTS = 3
+
 if TYPE_CHECKING:
     from asia.data.trajectory import Signal
     from asia.export.linear import LinearPoint, LinearRun
     from asia.lowering.linear import ProcessModel
+    from asia.models.process import ProcessFit
 
 
 def linear(
@@ -70,6 +74,7 @@ def linear(
 
     directory = run_directory(runs, run)
     found = linearize(directory, at or (), model, isolation=candidate_level(isolation))
+    fitted = _fitted(found) if to_tf else []
     facts: dict[str, Any] = {
         "run": found.name,
         "model": found.use,
@@ -77,6 +82,7 @@ def linear(
         "points": [
             _facts(found, one, reduce, to_tf=to_tf, rate=continuous_time) for one in found.points
         ],
+        "process_models_of_records": [None if one is None else asdict(one) for one in fitted],
     }
     folder = directory / "linear" if out is None else out
     folder.mkdir(parents=True, exist_ok=True)
@@ -95,6 +101,8 @@ def linear(
     for point, values in zip(found.points, facts["points"], strict=True):
         for line in _lines(found, point, values):
             say(line, file=stream)
+    for line in _fitted_lines(found, fitted):
+        say(line, file=stream)
     for path in files:
         say(f"file      {path}", file=stream)
 
@@ -122,7 +130,8 @@ def _facts(
         if reduce != "auto" and not reduce.isdigit():
             raise UserError(f"--reduce is '{reduce}', expected auto or a number of states")
         small = reduced(model, None if reduce == "auto" else int(reduce))
-        full, less = model.simulate(run.record), small.model.simulate(run.record)
+        inputs = max(run.records, key=len).u
+        full, less = model.simulate(inputs), small.model.simulate(inputs)
         spread = np.maximum(full.std(axis=0), 1e-300)
         found["reduced"] = {
             "order": small.model.order, "bound": small.bound,
@@ -148,6 +157,37 @@ def _facts(
         except UserError as error:
             found["continuous"] = {"none": str(error)}
     return found
+
+
+def _fitted(run: LinearRun) -> list[ProcessFit | None]:
+    """Process models of the training records, one for each output; None where there is none."""
+    from asia.models.process import fit_process
+
+    found: list[ProcessFit | None] = []
+    for i in range(len(run.outputs)):
+        try:
+            found.append(fit_process(run.records, i) if len(run.inputs) <= _MOST_INPUTS else None)
+        except (UserError, ValueError):
+            found.append(None)
+    return found
+
+
+def _fitted_lines(run: LinearRun, fitted: Sequence[ProcessFit | None]) -> Iterator[str]:
+    """Yield the process models of the records with their intervals."""
+    if fitted:
+        yield ""
+        yield "process models fitted to the training records, with 95 % intervals"
+    for out, one in zip(run.outputs, fitted, strict=False):
+        if one is None:
+            yield f"process   {out.name}: none (no change, or more than {_MOST_INPUTS} inputs)"
+            continue
+        for into, model, values in zip(run.inputs, one.models, one.parameters, strict=True):
+            yield f"process   {out.name} by {into.name}: {model}, fit {model.fit:.1f} %"
+            rate = "/s" if one.structure.integrator else ""
+            gain = f"{out.unit or '1'}/{into.unit or '1'}{rate}"
+            for p in values:
+                unit = gain if p.name == "gain" else p.unit
+                yield f"            {p.name} {p.value:.4g} {unit} ({p.low:.4g} to {p.high:.4g})"
 
 
 def _process(t: Any, y: Any, fit: Callable[..., ProcessModel], *, integrator: bool) -> Any:
