@@ -14,6 +14,7 @@ from asia.errors import UserError
 from asia.export.pipeline import measured
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Use
+from asia.ledger.evidence import FOLD_QUANTILE
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.lowering.evaluation import evaluate
 from asia.lowering.linear import (
@@ -46,6 +47,39 @@ class LinearPoint:
     model: LinearModel
     folds: tuple[LinearModel, ...]
     """Those of the fold models at the same inputs or outputs; fewer where one has no such point."""
+
+    @property
+    def gain_band(self) -> tuple[Array, Array] | None:
+        """95 % band of the static gain, ends (ny, nu), by the fold models; None without them."""
+        folds = [one.gain for one in self.folds]
+        return _band(self.model.gain, folds) if len(folds) > 1 else None
+
+    @property
+    def mode_bands(self) -> list[tuple[Array, Array] | None]:
+        """95 % band of frequency [Hz] and damping ratio of each mode of the model, ends (2,), by
+        the fold models; None where fewer than two of them have as many modes."""
+        from scipy.optimize import linear_sum_assignment
+
+        own = self.model.modes()
+        matched: list[list[Array]] = [[] for _ in own]
+        for fold in self.folds:
+            modes = fold.modes()
+            distance = np.array([[abs(a[0] - b[0]) for b in modes] for a in own])
+            if len(modes) == len(own) and own:
+                for i, j in zip(*linear_sum_assignment(distance), strict=True):
+                    matched[i].append(np.array(modes[j][1:3]))
+        return [
+            _band(np.array(mode[1:3]), others) if len(others) > 1 else None
+            for mode, others in zip(own, matched, strict=True)
+        ]
+
+
+def _band(value: Array, folds: Sequence[Array]) -> tuple[Array, Array]:
+    """Value and fold models, and 1.96 standard errors by the jackknife around the value."""
+    apart = np.sum([(one - value) ** 2 for one in folds], axis=0)
+    wide = FOLD_QUANTILE * np.sqrt((len(folds) - 1) / len(folds) * apart)
+    every = np.stack([value - wide, value + wide, *folds])
+    return every.min(axis=0), every.max(axis=0)
 
 
 @dataclass(frozen=True)

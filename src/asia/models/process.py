@@ -76,25 +76,28 @@ def fit_process(
         UserError: for an output that does not change, and records that are too short
     """
     data = _Records(records, output)
-    best: _Fit | None = None
-    for one in STRUCTURES if structure is None else (structure,):
+    tried = list(STRUCTURES) if structure is None else [structure]
+    best: tuple[_Fit, ProcessFit] | None = None
+    for one in tried:
         # A third lag follows a second one, an integrator a lag that is as long as the records.
         if best is not None and (
-            (one.lags == 3 and best.structure.lags == 1)
-            or (one.integrator and not best.structure.integrator and not data.drifts(best))
+            (one.lags == 3 and best[0].structure.lags == 1)
+            or (one.integrator and not best[0].structure.integrator and not data.drifts(best[0]))
         ):
             continue
-        found = data.fit(one, best)
-        if found is None:
+        found = data.fit(one, None if best is None else best[0])
+        if found is None or (best is not None and found.evidence_over(best[0]) < _EVIDENCE):
             continue
-        if best is None or found.criterion < best.criterion - _EVIDENCE:
-            best = found
+        # A gain that may be zero belongs to a structure that the records do not determine.
+        described = data.described(found)
+        if best is None or all(p[0].low * p[0].high > 0 for p in described.parameters):
+            best = found, described
     if best is None:
         raise UserError(
             f"process model: {data.samples} samples are too few for {data.nu} "
             f"input{'s' if data.nu > 1 else ''}"
         )
-    return data.described(best)
+    return best[1]
 
 
 @dataclass(frozen=True)
@@ -110,11 +113,16 @@ class _Fit:
     """Samples at the start of each record that inputs before it may reach; None for records that
     begin at rest."""
 
-    @property
-    def criterion(self) -> float:
-        """Bayesian information criterion."""
-        n = len(self.error)
-        return n * math.log(float(self.error @ self.error) / n + 1e-300) + self.count * math.log(n)
+    def evidence_over(self, other: _Fit) -> float:
+        """Decrease of the Bayesian information criterion against another fit, where correlated
+        residuals count as fewer independent ones."""
+        squares, others = (float(one.error @ one.error) + 1e-300 for one in (self, other))
+        correlation = float(self.error[1:] @ self.error[:-1]) / squares
+        share = (1.0 - max(correlation, 0.0)) / (1.0 + max(correlation, 0.0))
+        independent = max(len(self.error) * share, 2.0)
+        return independent * math.log(others / squares) - (self.count - other.count) * math.log(
+            independent
+        )
 
 
 class _Records:
@@ -230,7 +238,7 @@ class _Records:
                     x_scale="jac", max_nfev=60,
                 )  # fmt: skip
                 found = _Fit(structure, done.x, done.fun, count + own, skipped)
-                if best is None or found.criterion < best.criterion:
+                if best is None or found.evidence_over(best) > 0.0:
                     best = found
         return best
 

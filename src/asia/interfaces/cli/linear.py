@@ -123,6 +123,7 @@ def _facts(
                   for p, f, z, t in model.modes()],
         "zeros": [{"real": z.real, "imag": z.imag} for z in model.zeros],
         "gain": model.gain, "delay_samples": model.delay,
+        "gain_band": point.gain_band, "mode_bands": point.mode_bands,
         "fold_gains": [one.gain for one in folds],
         "fold_poles": [[{"real": p.real, "imag": p.imag} for p in one.poles] for one in folds],
     }  # fmt: skip
@@ -210,7 +211,7 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
     yield ""
     yield f"at {point.name}: {values(run.inputs, model.u0)}; {values(run.outputs, model.y0)}{rest}"
     yield f"order     {model.order}, sampling time {step:g} s"
-    for pole, frequency, damping, time in model.modes():
+    for (pole, frequency, damping, time), mode in zip(model.modes(), point.mode_bands, strict=True):
         text = f"{pole.real:.6g}" + (f" +- {pole.imag:.6g}i" if pole.imag > 1e-12 else "")
         if np.isnan(frequency):
             yield f"pole      {text:<24} no continuous counterpart"
@@ -218,7 +219,13 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
             yield f"pole      {text:<24} integrator"
         else:
             kind = "unstable" if abs(pole) > 1.0 else f"time constant {time:.4g} s"
-            yield f"pole      {text:<24} {frequency:.4g} Hz, damping {damping:.3g}, {kind}"
+            sure = ["", ""]
+            if mode is not None:
+                sure = [f" ({low:.4g} to {high:.4g})" for low, high in zip(*mode, strict=True)]
+            yield (
+                f"pole      {text:<24} {frequency:.4g} Hz{sure[0]}, damping {damping:.3g}"
+                f"{sure[1] if pole.imag > 1e-12 else ''}, {kind}"
+            )
     shown = [f"{z.real:.5g}" + (f"{z.imag:+.5g}i" if abs(z.imag) > 1e-12 else "")
              for z in model.zeros]  # fmt: skip
     if shown:
@@ -226,8 +233,8 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
     for i, out in enumerate(run.outputs):
         for j, into in enumerate(run.inputs):
             unit = f" {out.unit or '1'}/{into.unit or '1'}" if out.unit or into.unit else ""
-            gains = [float(one.gain[i, j]) for one in point.folds]
-            band = f" (fold models {min(gains):.4g} to {max(gains):.4g})" if gains else ""
+            ends = point.gain_band
+            band = "" if ends is None else f" ({ends[0][i, j]:.4g} to {ends[1][i, j]:.4g})"
             dead = int(model.delay[i, j])
             late = (
                 "no effect" if dead < 0 else f"delay {_counted(dead, 'sample')} ({dead * step:g} s)"
