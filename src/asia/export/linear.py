@@ -14,7 +14,6 @@ from asia.errors import UserError
 from asia.export.pipeline import measured
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Use
-from asia.ledger.evidence import FOLD_QUANTILE
 from asia.ledger.run import Run, model_to_use, open_run
 from asia.lowering.evaluation import evaluate
 from asia.lowering.linear import (
@@ -50,13 +49,13 @@ class LinearPoint:
 
     @property
     def gain_band(self) -> tuple[Array, Array] | None:
-        """95 % band of the static gain, ends (ny, nu), by the fold models; None without them."""
+        """90 % band of the static gain, ends (ny, nu), by the fold models; None without them."""
         folds = [one.gain for one in self.folds]
         return _band(self.model.gain, folds) if len(folds) > 1 else None
 
     @property
     def mode_bands(self) -> list[tuple[Array, Array] | None]:
-        """95 % band of frequency [Hz] and damping ratio of each mode of the model, ends (2,), by
+        """90 % band of frequency [Hz] and damping ratio of each mode of the model, ends (2,), by
         the fold models; None where fewer than two of them have as many modes."""
         from scipy.optimize import linear_sum_assignment
 
@@ -75,9 +74,13 @@ class LinearPoint:
 
 
 def _band(value: Array, folds: Sequence[Array]) -> tuple[Array, Array]:
-    """Value and fold models, and 1.96 standard errors by the jackknife around the value."""
+    """90 % band: jackknife error times Student's t, whose degrees of freedom are few; all fold
+    models lie inside."""
+    from scipy.special import stdtrit
+
     apart = np.sum([(one - value) ** 2 for one in folds], axis=0)
-    wide = FOLD_QUANTILE * np.sqrt((len(folds) - 1) / len(folds) * apart)
+    rest = len(folds) - 1
+    wide = float(stdtrit(rest, 0.95)) * np.sqrt(rest / len(folds) * apart)
     every = np.stack([value - wide, value + wide, *folds])
     return every.min(axis=0), every.max(axis=0)
 

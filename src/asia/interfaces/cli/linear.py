@@ -26,10 +26,12 @@ from asia.interfaces.cli.options import (
 
 # Greatest number of inputs for which process models are fitted to records.
 _MOST_INPUTS = 3
+_MOST_CURVES, _MOST_SAMPLES = 6, 5_000
 
 if TYPE_CHECKING:
     from asia.data.trajectory import Signal
     from asia.export.linear import LinearPoint, LinearRun
+    from asia.ledger.evidence import DrawnCheck
     from asia.lowering.linear import ProcessModel
     from asia.models.process import ProcessFit
 
@@ -70,6 +72,7 @@ def linear(
     and step response."""
     from asia.export.linear import linearize
     from asia.report.files import save
+    from asia.report.page.sections.evidence import LINEAR_FILE
     from asia.report.pictures.linear import draw_linear
 
     directory = run_directory(runs, run)
@@ -84,27 +87,53 @@ def linear(
         ],
         "process_models_of_records": [None if one is None else asdict(one) for one in fitted],
     }
-    folder = directory / "linear" if out is None else out
+    lines = [f"run {found.name}, model {found.use}", *(f"note      {n}" for n in found.notes)]
+    for point, values in zip(found.points, facts["points"], strict=True):
+        lines += _lines(found, point, values)
+    lines += _fitted_lines(found, fitted)
+    facts["text"], facts["drawn"] = lines, [asdict(one) for one in _drawn(found)]
+    folder = directory / LINEAR_FILE.parent if out is None else out
     folder.mkdir(parents=True, exist_ok=True)
     text = jsonlib.dumps(_plain(facts), allow_nan=False)
-    (folder / "linear.json").write_text(text + "\n", "utf-8")
+    (folder / LINEAR_FILE.name).write_text(text + "\n", "utf-8")
     drawn = [(one.name, one.model, one.folds) for one in found.points]
     failed: list[str] = []
     picture = "linear", lambda: draw_linear(drawn, found.inputs, found.outputs)
-    files = [*save([picture], folder, failed), folder / "linear.json"]
+    files = [*save([picture], folder, failed), folder / LINEAR_FILE.name]
     if json:
         say(text)
     stream = sys.stderr if json else sys.stdout
-    say(f"run {found.name}, model {found.use}", file=stream)
-    for note in (*found.notes, *failed):
-        say(f"note      {note}", file=stream)
-    for point, values in zip(found.points, facts["points"], strict=True):
-        for line in _lines(found, point, values):
-            say(line, file=stream)
-    for line in _fitted_lines(found, fitted):
+    for line in (*lines, *(f"note      {one}" for one in failed)):
         say(line, file=stream)
     for path in files:
         say(f"file      {path}", file=stream)
+
+
+def _drawn(run: LinearRun) -> list[DrawnCheck]:
+    """Gain over frequency and step response of all points, for the report and the live page."""
+    from asia.ledger.evidence import DrawnCheck, DrawnCurve
+    from asia.lowering.linear import corner_frequencies, settling_samples
+
+    gains: list[DrawnCurve] = []
+    steps: list[DrawnCurve] = []
+    samples = min(max(settling_samples(one.model) for one in run.points), _MOST_SAMPLES)
+    for point in run.points:
+        frequencies = corner_frequencies(point.model, 120)
+        response = np.abs(point.model.response(frequencies))
+        reaction = point.model.step_response(samples)
+        time = point.model.sampling_time * np.arange(samples)
+        every = max(samples // 120, 1)
+        for i, out in enumerate(run.outputs):
+            for j, into in enumerate(run.inputs):
+                name = f"{out.name} by {into.name}, {point.name}"
+                gains.append(DrawnCurve(name, frequencies.tolist(), response[:, i, j].tolist()))
+                shown = reaction[::every, i, j].tolist()
+                steps.append(DrawnCurve(name, time[::every].tolist(), shown))
+    kept = [gains[:_MOST_CURVES], steps[:_MOST_CURVES]]
+    return [
+        DrawnCheck("frequency response", ("frequency [Hz]", "gain"), tuple(kept[0])),
+        DrawnCheck("step response", ("time [s]", "output for a unit step"), tuple(kept[1])),
+    ]
 
 
 def _facts(
