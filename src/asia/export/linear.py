@@ -56,7 +56,7 @@ class LinearPoint:
     @property
     def mode_bands(self) -> list[tuple[Array, Array] | None]:
         """90 % band of frequency [Hz] and damping ratio of each mode of the model, ends (2,), by
-        the fold models; None where fewer than two of them have as many modes."""
+        the nearest modes of the fold models; None where fewer than two of them have one."""
         from scipy.optimize import linear_sum_assignment
 
         own = self.model.modes()
@@ -64,7 +64,7 @@ class LinearPoint:
         for fold in self.folds:
             modes = fold.modes()
             distance = np.array([[abs(a[0] - b[0]) for b in modes] for a in own])
-            if len(modes) == len(own) and own:
+            if distance.size:
                 for i, j in zip(*linear_sum_assignment(distance), strict=True):
                     matched[i].append(np.array(modes[j][1:3]))
         return [

@@ -11,7 +11,6 @@ from pydantic import TypeAdapter
 
 from asia._files import read_file
 from asia._text import one_line
-from asia.errors import UserError
 from asia.judge.scoring.checks.check import Verdict
 from asia.ledger.events import Confirmed, Validated
 from asia.ledger.evidence import (
@@ -386,7 +385,7 @@ def _write_linear(subject: Subject) -> Html | None:
         found = json.loads(content)
         lines, drawn = "\n".join(found["text"]), _DRAWN.validate_python(found["drawn"])
     except (ValueError, TypeError, LookupError):
-        raise UserError(f"{LINEAR_FILE} is no file of this version: {remedy}") from None
+        return tag("p", f"{LINEAR_FILE} is no file of this version: {remedy}.")
     note = tag("p", "Written by ", tag("code", "asia linear"), ". The ledger does not record it.")
     text = tag("pre", lines, tabindex="0", role="region", aria_label="Linear models")
     return join((note, text, tag("div", *map(draw_check, drawn), class_="grid")))
