@@ -9,7 +9,7 @@ from typing import get_args
 
 import numpy as np
 
-from asia.data.trajectory import Array, Signal
+from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.export.pipeline import measured
 from asia.judge.sandbox.types import Isolation
@@ -47,6 +47,43 @@ class LinearPoint:
     folds: tuple[LinearModel, ...]
     """Those of the fold models at the same inputs or outputs; fewer where one has no such point."""
 
+    @property
+    def gain_band(self) -> tuple[Array, Array] | None:
+        """90 % band of the static gain, ends (ny, nu), by the fold models; None without them."""
+        folds = [one.gain for one in self.folds]
+        return _band(self.model.gain, folds) if len(folds) > 1 else None
+
+    @property
+    def mode_bands(self) -> list[tuple[Array, Array] | None]:
+        """90 % band of frequency [Hz] and damping ratio of each mode of the model, ends (2,), by
+        the nearest modes of the fold models; None where fewer than two of them have one."""
+        from scipy.optimize import linear_sum_assignment
+
+        own = self.model.modes()
+        matched: list[list[Array]] = [[] for _ in own]
+        for fold in self.folds:
+            modes = fold.modes()
+            distance = np.array([[abs(a[0] - b[0]) for b in modes] for a in own])
+            if distance.size:
+                for i, j in zip(*linear_sum_assignment(distance), strict=True):
+                    matched[i].append(np.array(modes[j][1:3]))
+        return [
+            _band(np.array(mode[1:3]), others) if len(others) > 1 else None
+            for mode, others in zip(own, matched, strict=True)
+        ]
+
+
+def _band(value: Array, folds: Sequence[Array]) -> tuple[Array, Array]:
+    """90 % band: jackknife error times Student's t, whose degrees of freedom are few; all fold
+    models lie inside."""
+    from scipy.special import stdtrit
+
+    apart = np.sum([(one - value) ** 2 for one in folds], axis=0)
+    rest = len(folds) - 1
+    wide = float(stdtrit(rest, 0.95)) * np.sqrt(rest / len(folds) * apart)
+    every = np.stack([value - wide, value + wide, *folds])
+    return every.min(axis=0), every.max(axis=0)
+
 
 @dataclass(frozen=True)
 class LinearRun:
@@ -59,8 +96,8 @@ class LinearRun:
     points: tuple[LinearPoint, ...]
     notes: tuple[str, ...]
     """Sentences on the choice of the model and on points that do not exist."""
-    record: Array
-    """Inputs (T, nu) of the longest training record, on which a reduction is checked."""
+    records: tuple[Trajectory, ...]
+    """Training records, on which a reduction is checked and process models are fitted."""
 
 
 def linearize(
@@ -157,10 +194,10 @@ def linearize(
             label = name if len(there) == 1 else f"{name} ({place})"
             rests = bool(np.isfinite(point.residual))
             points.append(_point(label, point, own, near, problem.sampling_time, rests=rests))
-    record = max(records, key=len).u
     return LinearRun(
-        opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes), record
-    )
+        opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
+        tuple(records),
+    )  # fmt: skip
 
 
 def _chosen(run: Run, model: str | None) -> tuple[str, list[str]]:

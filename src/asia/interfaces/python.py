@@ -17,6 +17,7 @@ from asia.agents.view import Agent
 from asia.data.arrays import name_signals, one_a_record, read_arrays
 from asia.data.trajectory import Array, Signal, filled
 from asia.errors import UserError
+from asia.export.linear import linearize
 from asia.export.pipeline import Exported
 from asia.export.pipeline import export as export_model
 from asia.judge.scoring.outcome import fit_index
@@ -287,6 +288,20 @@ class SystemIdentifier:
         targets = [to] if isinstance(to, str) else list(to)
         folder = None if out is None else Path(out)
         return export_model(self._opened.directory, targets, self.model, folder)
+
+    def linearize(self, at: str | None = None) -> Any:
+        """Linear model at an operating point as `control.StateSpace`, with the names of the
+        signals.
+
+        at: `u=2.5` (inputs held), `y=9` (outputs to reach) or `start`; default: the mean inputs.
+        Raises UserError where there is no such point, several, or no python-control.
+        """
+        found = linearize(self._opened, [] if at is None else [at])
+        if len(found.points) > 1:
+            rests = ", ".join(str(one.at.y.tolist()) for one in found.points)
+            raise UserError(f"the model rests at several outputs, {rests}: give one as at='y=...'")
+        names = [one.name for one in found.inputs], [one.name for one in found.outputs]
+        return found.points[0].model.control(*names)
 
     def report(self) -> tuple[Path, ...]:
         """Write pictures and the page of the run; their paths."""

@@ -455,7 +455,7 @@ def process_model(t: Array, y: Array, *, integrator: bool = False) -> ProcessMod
                     times = tuple(float(one) for one in np.exp(np.clip(z[1 : lags + 1], -30, 30)))
                     lead = float(z[lags + 2]) if zero else 0.0
                     late = float(abs(z[lags + 1]))
-                    late = 0.0 if late < 1e-9 * span else late
+                    late = 0.0 if late < 1e-3 * every else late
                     ordered = tuple(sorted(times, reverse=True))
                     return ProcessModel(float(z[0]), ordered, lead, late, integrator, 0.0)
 

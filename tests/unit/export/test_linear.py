@@ -13,9 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asia.errors import UserError
+from asia.export.linear import LinearPoint
 from asia.lowering.evaluation import derivatives
 from asia.lowering.linear import (
     LinearModel,
+    OperatingPoint,
     ProcessModel,
     continuous,
     joined,
@@ -131,6 +133,27 @@ def test_the_operating_point_of_a_tank_and_its_exact_slopes(u: float) -> None:
     assert asked.u == pytest.approx([u], rel=1e-6)
 
 
+def test_bands_hold_all_fold_models_and_need_two_of_the_same_order() -> None:
+    def lag(pole: float, gain: float) -> LinearModel:
+        one = np.ones((1, 1))
+        return LinearModel(pole * one, one, gain * (1 - pole) * one, 0 * one, 1.0, one[0], one[0])
+
+    point = OperatingPoint(np.zeros(1), np.ones(1), np.ones(1), 0.0)
+    found = LinearPoint("u=1", point, True, lag(0.9, 2.0), (lag(0.88, 1.9), lag(0.91, 2.1)))
+    assert found.gain_band is not None
+    low, high = found.gain_band
+    # Jackknife error 0.1 over two folds, Student's t of one degree of freedom 6.31.
+    assert (low[0, 0], high[0, 0]) == pytest.approx((2.0 - 0.631, 2.0 + 0.631), abs=1e-3)
+    (band,) = found.mode_bands
+    assert band is not None
+    frequencies = [one.modes()[0][1] for one in found.folds]
+    assert band[0][0] <= min(frequencies)
+    assert band[1][0] >= max(frequencies)
+    alone = LinearPoint("u=1", point, True, lag(0.9, 2.0), (lag(0.88, 1.9),))
+    assert alone.gain_band is None
+    assert alone.mode_bands == [None]
+
+
 def test_an_integrator_has_no_operating_point_but_at_zero_flow() -> None:
     build = Builder(((1,), (1,)))
     model = LoweredModel(1, 1, 1, 1, False, tank().initial,
@@ -184,6 +207,10 @@ def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
         first["C"][0] @ np.linalg.solve(np.eye(first["order"]) - first["A"], first["B"]), rel=1e-6
     )
     assert (folder / "linear.png").stat().st_size > 10_000
+    assert "process models fitted to the training records, with 95 % intervals" in shown.out
+    assert command_line("report", "--runs", tmp_path).code == 0
+    (page,) = tmp_path.glob("*/report/report.html")
+    assert "at u=2: pump_voltage 2 V; tank2_level" in page.read_text("utf-8")
     wrong = command_line("linear", "--runs", tmp_path, "--at", "u=2,3")
     assert wrong.code == 2
     assert "expected start, u= with 1 or y= with 1 numbers" in wrong.err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
 import shutil
 from collections.abc import Callable
@@ -41,6 +42,7 @@ from asia.report import write_bundle, write_page
 from asia.report.page.code import python
 from asia.report.page.html import Html, fixed, join, said, table, tag
 from asia.report.page.page import LIMIT, audit, page_of
+from asia.report.page.sections.evidence import LINEAR_FILE
 from asia.report.page.subject import Section, Subject
 from asia.report.pictures.evidence import draw_ablation
 
@@ -392,6 +394,27 @@ def test_a_confirmation_has_its_section(make_run: Callable[..., Run]) -> None:
     with Chain(directory / "ledger.jsonl") as chain:
         chain.append(replace(found, candidates=(), pairs=(), noise=None, expected=None))
     assert "None of them has a score with another seed" in page_of(open_run(directory))
+
+
+def test_linear_models_have_their_section_and_a_foreign_file_does_no_harm(
+    make_run: Callable[..., Run],
+) -> None:
+    directory = make_run().directory
+    assert 'id="linear"' not in page_of(open_run(directory))
+    file = directory / LINEAR_FILE
+    file.parent.mkdir()
+    curve = {"name": ATTACK, "x": [0.1, 1.0], "y": [2.0, 0.5]}
+    drawn = [{"name": "frequency response", "axes": ["frequency [Hz]", "gain"], "curves": [curve]}]
+    file.write_text(json.dumps({"text": ["order     2", ATTACK], "drawn": drawn}))
+    page = page_of(open_run(directory))
+    section = page[page.index('id="linear"') :].split("</section>")[0]
+    assert "order     2" in section
+    assert "&lt;script&gt;" in section
+    assert "<script" not in page
+    assert 'class="line series0"' in section
+    for content in ("[]", "{", '{"text": 3, "drawn": []}', " " * 5_000_000):
+        file.write_text(content)
+        assert "is no file of this version: run asia linear again" in page_of(open_run(directory))
 
 
 def test_an_ablation_has_its_section_and_its_picture(make_run: Callable[..., Run]) -> None:

@@ -24,10 +24,16 @@ from asia.interfaces.cli.options import (
     run_directory,
 )
 
+# Greatest number of inputs for which process models are fitted to records.
+_MOST_INPUTS = 3
+_MOST_CURVES, _MOST_SAMPLES = 6, 5_000
+
 if TYPE_CHECKING:
     from asia.data.trajectory import Signal
     from asia.export.linear import LinearPoint, LinearRun
+    from asia.ledger.evidence import DrawnCheck
     from asia.lowering.linear import ProcessModel
+    from asia.models.process import ProcessFit
 
 
 def linear(
@@ -66,10 +72,12 @@ def linear(
     and step response."""
     from asia.export.linear import linearize
     from asia.report.files import save
+    from asia.report.page.sections.evidence import LINEAR_FILE
     from asia.report.pictures.linear import draw_linear
 
     directory = run_directory(runs, run)
     found = linearize(directory, at or (), model, isolation=candidate_level(isolation))
+    fitted = _fitted(found) if to_tf else []
     facts: dict[str, Any] = {
         "run": found.name,
         "model": found.use,
@@ -77,26 +85,55 @@ def linear(
         "points": [
             _facts(found, one, reduce, to_tf=to_tf, rate=continuous_time) for one in found.points
         ],
+        "process_models_of_records": [None if one is None else asdict(one) for one in fitted],
     }
-    folder = directory / "linear" if out is None else out
+    lines = [f"run {found.name}, model {found.use}", *(f"note      {n}" for n in found.notes)]
+    for point, values in zip(found.points, facts["points"], strict=True):
+        lines += _lines(found, point, values)
+    lines += _fitted_lines(found, fitted)
+    facts["text"], facts["drawn"] = lines, [asdict(one) for one in _drawn(found)]
+    folder = directory / LINEAR_FILE.parent if out is None else out
     folder.mkdir(parents=True, exist_ok=True)
     text = jsonlib.dumps(_plain(facts), allow_nan=False)
-    (folder / "linear.json").write_text(text + "\n", "utf-8")
+    (folder / LINEAR_FILE.name).write_text(text + "\n", "utf-8")
     drawn = [(one.name, one.model, one.folds) for one in found.points]
     failed: list[str] = []
     picture = "linear", lambda: draw_linear(drawn, found.inputs, found.outputs)
-    files = [*save([picture], folder, failed), folder / "linear.json"]
+    files = [*save([picture], folder, failed), folder / LINEAR_FILE.name]
     if json:
         say(text)
     stream = sys.stderr if json else sys.stdout
-    say(f"run {found.name}, model {found.use}", file=stream)
-    for note in (*found.notes, *failed):
-        say(f"note      {note}", file=stream)
-    for point, values in zip(found.points, facts["points"], strict=True):
-        for line in _lines(found, point, values):
-            say(line, file=stream)
+    for line in (*lines, *(f"note      {one}" for one in failed)):
+        say(line, file=stream)
     for path in files:
         say(f"file      {path}", file=stream)
+
+
+def _drawn(run: LinearRun) -> list[DrawnCheck]:
+    """Gain over frequency and step response of all points, for the report and the live page."""
+    from asia.ledger.evidence import DrawnCheck, DrawnCurve
+    from asia.lowering.linear import corner_frequencies, settling_samples
+
+    gains: list[DrawnCurve] = []
+    steps: list[DrawnCurve] = []
+    samples = min(max(settling_samples(one.model) for one in run.points), _MOST_SAMPLES)
+    for point in run.points:
+        frequencies = corner_frequencies(point.model, 120)
+        response = np.abs(point.model.response(frequencies))
+        reaction = point.model.step_response(samples)
+        time = point.model.sampling_time * np.arange(samples)
+        every = max(samples // 120, 1)
+        for i, out in enumerate(run.outputs):
+            for j, into in enumerate(run.inputs):
+                name = f"{out.name} by {into.name}, {point.name}"
+                gains.append(DrawnCurve(name, frequencies.tolist(), response[:, i, j].tolist()))
+                shown = reaction[::every, i, j].tolist()
+                steps.append(DrawnCurve(name, time[::every].tolist(), shown))
+    kept = [gains[:_MOST_CURVES], steps[:_MOST_CURVES]]
+    return [
+        DrawnCheck("frequency response", ("frequency [Hz]", "gain"), tuple(kept[0])),
+        DrawnCheck("step response", ("time [s]", "output for a unit step"), tuple(kept[1])),
+    ]
 
 
 def _facts(
@@ -115,6 +152,7 @@ def _facts(
                   for p, f, z, t in model.modes()],
         "zeros": [{"real": z.real, "imag": z.imag} for z in model.zeros],
         "gain": model.gain, "delay_samples": model.delay,
+        "gain_band": point.gain_band, "mode_bands": point.mode_bands,
         "fold_gains": [one.gain for one in folds],
         "fold_poles": [[{"real": p.real, "imag": p.imag} for p in one.poles] for one in folds],
     }  # fmt: skip
@@ -122,7 +160,8 @@ def _facts(
         if reduce != "auto" and not reduce.isdigit():
             raise UserError(f"--reduce is '{reduce}', expected auto or a number of states")
         small = reduced(model, None if reduce == "auto" else int(reduce))
-        full, less = model.simulate(run.record), small.model.simulate(run.record)
+        inputs = max(run.records, key=len).u
+        full, less = model.simulate(inputs), small.model.simulate(inputs)
         spread = np.maximum(full.std(axis=0), 1e-300)
         found["reduced"] = {
             "order": small.model.order, "bound": small.bound,
@@ -150,6 +189,37 @@ def _facts(
     return found
 
 
+def _fitted(run: LinearRun) -> list[ProcessFit | None]:
+    """Process models of the training records, one for each output; None where there is none."""
+    from asia.models.process import fit_process
+
+    found: list[ProcessFit | None] = []
+    for i in range(len(run.outputs)):
+        try:
+            found.append(fit_process(run.records, i) if len(run.inputs) <= _MOST_INPUTS else None)
+        except (UserError, ValueError):
+            found.append(None)
+    return found
+
+
+def _fitted_lines(run: LinearRun, fitted: Sequence[ProcessFit | None]) -> Iterator[str]:
+    """Yield the process models of the records with their intervals."""
+    if fitted:
+        yield ""
+        yield "process models fitted to the training records, with 95 % intervals"
+    for out, one in zip(run.outputs, fitted, strict=False):
+        if one is None:
+            yield f"process   {out.name}: none (no change, or more than {_MOST_INPUTS} inputs)"
+            continue
+        for into, model, values in zip(run.inputs, one.models, one.parameters, strict=True):
+            yield f"process   {out.name} by {into.name}: {model}, fit {model.fit:.1f} %"
+            rate = "/s" if one.structure.integrator else ""
+            gain = f"{out.unit or '1'}/{into.unit or '1'}{rate}"
+            for p in values:
+                unit = gain if p.name == "gain" else p.unit
+                yield f"            {p.name} {p.value:.4g} {unit} ({p.low:.4g} to {p.high:.4g})"
+
+
 def _process(t: Any, y: Any, fit: Callable[..., ProcessModel], *, integrator: bool) -> Any:
     try:
         one = fit(t, y, integrator=integrator)
@@ -170,7 +240,7 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
     yield ""
     yield f"at {point.name}: {values(run.inputs, model.u0)}; {values(run.outputs, model.y0)}{rest}"
     yield f"order     {model.order}, sampling time {step:g} s"
-    for pole, frequency, damping, time in model.modes():
+    for (pole, frequency, damping, time), mode in zip(model.modes(), point.mode_bands, strict=True):
         text = f"{pole.real:.6g}" + (f" +- {pole.imag:.6g}i" if pole.imag > 1e-12 else "")
         if np.isnan(frequency):
             yield f"pole      {text:<24} no continuous counterpart"
@@ -178,7 +248,13 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
             yield f"pole      {text:<24} integrator"
         else:
             kind = "unstable" if abs(pole) > 1.0 else f"time constant {time:.4g} s"
-            yield f"pole      {text:<24} {frequency:.4g} Hz, damping {damping:.3g}, {kind}"
+            sure = ["", ""]
+            if mode is not None:
+                sure = [f" ({low:.4g} to {high:.4g})" for low, high in zip(*mode, strict=True)]
+            yield (
+                f"pole      {text:<24} {frequency:.4g} Hz{sure[0]}, damping {damping:.3g}"
+                f"{sure[1] if pole.imag > 1e-12 else ''}, {kind}"
+            )
     shown = [f"{z.real:.5g}" + (f"{z.imag:+.5g}i" if abs(z.imag) > 1e-12 else "")
              for z in model.zeros]  # fmt: skip
     if shown:
@@ -186,8 +262,8 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
     for i, out in enumerate(run.outputs):
         for j, into in enumerate(run.inputs):
             unit = f" {out.unit or '1'}/{into.unit or '1'}" if out.unit or into.unit else ""
-            gains = [float(one.gain[i, j]) for one in point.folds]
-            band = f" (fold models {min(gains):.4g} to {max(gains):.4g})" if gains else ""
+            ends = point.gain_band
+            band = "" if ends is None else f" ({ends[0][i, j]:.4g} to {ends[1][i, j]:.4g})"
             dead = int(model.delay[i, j])
             late = (
                 "no effect" if dead < 0 else f"delay {_counted(dead, 'sample')} ({dead * step:g} s)"

@@ -38,11 +38,11 @@ def draw_linear(
     rows = len(pairs) + 1
     figure = Figure(figsize=(1.35 * picture_width(), 1.0 + 2.0 * rows), layout="constrained")
     axes = figure.subplots(rows, 3, squeeze=False)
+    samples = max(settling_samples(model) for _, model, _ in points)
     low = min(float(corner_frequencies(model)[0]) for _, model, _ in points)
     for colour, (name, model, folds) in zip(_COLOURS, points, strict=False):
         high = 0.5 / model.sampling_time
         frequencies = np.geomspace(low, 0.98 * high, 300)
-        samples = settling_samples(model)
         response, steps = model.response(frequencies), model.step_response(samples)
         others = [one.response(frequencies) for one in folds]
         other_steps = [one.step_response(samples) for one in folds]

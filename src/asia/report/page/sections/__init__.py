@@ -15,6 +15,7 @@ SECTIONS: Final[tuple[Section, ...]] = (
     experiments.PROBLEM,
     experiments.MODEL,
     evidence.IDENTIFIED,
+    evidence.LINEAR,
     verdict.ACCURACY,
     evidence.VALIDATION,
     evidence.CONFIRMATION,

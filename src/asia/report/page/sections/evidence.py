@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
+from pydantic import TypeAdapter
+
+from asia._files import read_file
 from asia._text import one_line
 from asia.judge.scoring.checks.check import Verdict
 from asia.ledger.events import Confirmed, Validated
 from asia.ledger.evidence import (
+    DrawnCheck,
     IdentifiedModel,
     IdentifiedParameter,
     get_curves,
@@ -358,3 +364,31 @@ def _validation(subject: Subject, found: Validated) -> Html:
 
 
 VALIDATION = Section("validation", "Validation", _write_validation)
+
+
+# The linear models: what `asia linear` wrote next to the ledger.
+
+
+LINEAR_FILE: Final = Path("linear", "linear.json")
+"""File of `asia linear` in the folder of a run."""
+_MOST_BYTES = 4_000_000
+_DRAWN: TypeAdapter[tuple[DrawnCheck, ...]] = TypeAdapter(tuple[DrawnCheck, ...])
+
+
+def _write_linear(subject: Subject) -> Html | None:
+    path = subject.run.directory / LINEAR_FILE
+    if not path.exists():
+        return None
+    remedy = "run asia linear again"
+    content = read_file(path, remedy) if path.stat().st_size <= _MOST_BYTES else b""
+    try:
+        found = json.loads(content)
+        lines, drawn = "\n".join(found["text"]), _DRAWN.validate_python(found["drawn"])
+    except (ValueError, TypeError, LookupError):
+        return tag("p", f"{LINEAR_FILE} is no file of this version: {remedy}.")
+    note = tag("p", "Written by ", tag("code", "asia linear"), ". The ledger does not record it.")
+    text = tag("pre", lines, tabindex="0", role="region", aria_label="Linear models")
+    return join((note, text, tag("div", *map(draw_check, drawn), class_="grid")))
+
+
+LINEAR = Section("linear", "Linear models", _write_linear)

@@ -1,0 +1,89 @@
+"""Process models of records: truth found again, intervals that hold it, and the choice of lags."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from asia.data import Trajectory
+from asia.errors import UserError
+from asia.lowering.linear import ProcessModel
+from asia.models.process import ProcessFit, ProcessStructure, fit_process
+
+
+def response(model: ProcessModel, u: np.ndarray) -> np.ndarray:
+    """Output of a process model for held inputs (T,) from rest, by sums of step responses."""
+    y, t = np.zeros(len(u)), np.arange(float(len(u)))
+    for k in np.flatnonzero(np.diff(u, prepend=0.0)):
+        y[k:] += (u[k] - (u[k - 1] if k else 0.0)) * model.step(t[: len(u) - k])
+    return y
+
+
+def binary(samples: int, seed: int) -> np.ndarray:
+    signs = np.repeat(np.random.default_rng(seed).choice([-1.0, 1.0], samples // 8 + 1), 8)
+    signs[:15] = 0.0
+    return signs[:samples]
+
+
+def holds(found: ProcessFit, values: dict[str, float]) -> list[bool]:
+    return [one.low <= values[one.name] <= one.high for one in found.parameters[0]]
+
+
+@pytest.mark.parametrize(
+    ("true", "structure"),
+    [
+        (ProcessModel(2.0, (9.0,), 0.0, 3.4, False, 0.0), ProcessStructure(1)),
+        (ProcessModel(-1.5, (12.0, 4.0), 0.0, 0.6, False, 0.0), ProcessStructure(2)),
+        (ProcessModel(1.0, (12.0, 4.0), -9.0, 2.2, False, 0.0), ProcessStructure(2, True)),
+        (ProcessModel(0.04, (7.0,), 0.0, 5.5, True, 0.0), ProcessStructure(1, False, True)),
+        (ProcessModel(1.0, (15.0, 7.0, 2.5), 0.0, 0.0, False, 0.0), ProcessStructure(3)),
+    ],
+)
+def test_the_intervals_hold_the_truth_and_noise_free_records_give_it_exactly(
+    true: ProcessModel, structure: ProcessStructure
+) -> None:
+    u = binary(500, 1)
+    y = response(true, u) + 0.7
+    noisy = y + 0.03 * y.std() * np.random.default_rng(2).normal(size=500)
+    found = fit_process([Trajectory(u[:, None], noisy[:, None], 1.0, "r")], structure=structure)
+    assert found.at_rest
+    values = {"gain": true.gain, "delay": true.delay, "zero": true.zero}
+    values |= {f"time constant {k}": lag for k, lag in enumerate(true.lags, 1)}
+    assert sum(holds(found, values)) >= len(found.parameters[0]) - 1
+    exact = fit_process([Trajectory(u[:, None], y[:, None], 1.0, "r")], structure=structure)
+    assert [p.value for p in exact.parameters[0]] == pytest.approx(
+        [values[p.name] for p in exact.parameters[0]], rel=5e-3, abs=5e-3
+    )
+
+
+def test_the_structure_is_chosen_and_records_may_begin_in_motion() -> None:
+    true = ProcessModel(2.0, (9.0, 3.0), 0.0, 2.4, False, 0.0)
+    u = binary(700, 3)
+    y = response(true, u)
+    y += 0.02 * y.std() * np.random.default_rng(4).normal(size=700)
+    moving = [Trajectory(u[k : k + 300, None], y[k : k + 300, None], 1.0, "r") for k in (60, 380)]
+    found = fit_process(moving)
+    assert found.structure == ProcessStructure(2)
+    assert not found.at_rest
+    values = {"gain": 2.0, "delay": 2.4, "time constant 1": 9.0, "time constant 2": 3.0}
+    assert all(p.value == pytest.approx(values[p.name], rel=0.1) for p in found.parameters[0])
+
+
+def test_two_inputs_and_missing_outputs() -> None:
+    first, second = (ProcessModel(2.0, (9.0,), 0.0, 1.0, False, 0.0),
+                     ProcessModel(-1.0, (4.0,), 0.0, 3.0, False, 0.0))  # fmt: skip
+    u = np.stack([binary(600, 5), binary(600, 6)], axis=1)
+    y = response(first, u[:, 0]) + response(second, u[:, 1])
+    y += 0.02 * np.random.default_rng(7).normal(size=600)
+    y[100:140] = np.nan
+    found = fit_process([Trajectory(u, y[:, None], 1.0, "r")])
+    assert [m.gain for m in found.models] == pytest.approx([2.0, -1.0], rel=0.03)
+    assert [m.delay for m in found.models] == pytest.approx([1.0, 3.0], abs=0.15)
+
+
+def test_records_without_a_change_are_refused() -> None:
+    u = binary(100, 8)[:, None]
+    with pytest.raises(UserError, match="the output does not change"):
+        fit_process([Trajectory(u, np.ones((100, 1)), 1.0, "r")])
+    with pytest.raises(UserError, match="too few"):
+        fit_process([Trajectory(u[:12], u[:12] + np.arange(12.0)[:, None], 1.0, "r")])
