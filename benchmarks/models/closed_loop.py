@@ -24,6 +24,7 @@ from scipy.linalg import solve_discrete_are
 
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
+from asia.errors import UserError
 from asia.models import linear
 from asia.models._linear.closed_loop import LoopMethod
 from asia.problem.feedback import Controller, Loop
@@ -177,7 +178,7 @@ def main() -> None:
             for seed in options.seeds:
                 try:
                     found = fitted(plant, options.samples, seed, method)
-                except Exception as error:
+                except UserError as error:
                     print(f"{plant.name}, {method}, seed {seed}: {error}")
                     errors.append(float("inf"))
                     continue

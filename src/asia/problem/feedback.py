@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from asia._plugins import load_target
-from asia.data.trajectory import Array, Signal
+from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -70,9 +70,8 @@ class Controller:
         return Controller(a=_rows(a), b=_rows(b), c=_rows(c), d=_rows(d))
 
 
-def _named(value: Any) -> Any:
-    values = [value] if isinstance(value, str) else value
-    return [{"name": v} if isinstance(v, str) else v for v in values]
+def _signal(value: Any) -> Any:
+    return {"name": value} if isinstance(value, str) else value
 
 
 def _filled(signals: tuple[Signal, ...]) -> tuple[Signal, ...]:
@@ -85,7 +84,11 @@ def _filled(signals: tuple[Signal, ...]) -> tuple[Signal, ...]:
 class Loop:
     """Feedback loop in which the records were taken."""
 
-    reference: Annotated[tuple[Signal, ...], BeforeValidator(_named), AfterValidator(_filled)]
+    reference: Annotated[
+        tuple[Annotated[Signal, BeforeValidator(_signal)], ...],
+        BeforeValidator(lambda value: (value,) if isinstance(value, str) else value),
+        AfterValidator(_filled),
+    ]
     """Measured references; columns of the records that are no inputs."""
     enters: Literal["controller", "plant"] = "controller"
     """"controller": u = C (r - y). "plant": u = r - C y, an excitation added to the input."""
@@ -166,3 +169,69 @@ def loop_table(loop: Loop | None) -> dict[str, Any] | None:
     if isinstance(loop.controller, Controller):
         found["controller"] = {k: v for k, v in asdict(loop.controller).items() if v}
     return found
+
+
+def loop_lines(loop: Loop, records: Sequence[Trajectory], *, whole: bool) -> list[str]:
+    """Describe the loop, and the method that applies with its reason.
+
+    Args:
+        loop: loop of the records.
+        records: records with their references.
+        whole: whole records are simulated for the score.
+    """
+    names = ", ".join(signal.name for signal in loop.reference)
+    where = "the controller" if loop.enters == "controller" else "the input of the plant"
+    share = _explained_share(records)
+    known = "known" if loop.controller else "unknown"
+    lines = [
+        f"loop: reference {names} enters at {where}; controller {known}; the reference explains "
+        f"{share:.0%} of the variance of the inputs, feedback of noise and disturbances the rest"
+    ]
+    if loop.controller is not None:
+        method, reason = (
+            "controller",
+            "the controller is known, so that the loop can be simulated from the reference: noise "
+            "of any colour leaves the plant without bias. The controller must be linear and never "
+            "saturate",
+        )
+    else:
+        method, reason = (
+            "direct",
+            "a predictor with a noise model needs no controller. Compare with loop='two_stage', "
+            + (
+                "which needs no right noise model"
+                if share >= _USEFUL_SHARE
+                else "with care: the reference moves the input little"
+            ),
+        )
+    lines.append(f"loop: take linear with loop='{method}': {reason}")
+    if whole:
+        lines.append(
+            "loop: V simulates whole records from the measured input. For a plant that integrates "
+            "or is unstable score windows instead: kind = 'windows' in [protocol]"
+        )
+    return lines
+
+
+# Lags of the reference whose sum explains the inputs, and the least useful share of variance.
+_LAGS, _USEFUL_SHARE = 40, 0.3
+
+
+def _explained_share(records: Sequence[Trajectory]) -> float:
+    """Share of the variance of the inputs that lags of the references explain, from 0 to 1."""
+    rows, targets = list[Array](), list[Array]()
+    for record in records:
+        r = record.reference
+        if r is not None and len(r) > _LAGS:
+            views = [r[_LAGS - k : len(r) - k] for k in range(_LAGS + 1)]
+            rows.append(np.hstack(views))
+            targets.append(record.u[_LAGS:])
+    if not rows:
+        return 0.0
+    x, u = np.concatenate(rows), np.concatenate(targets)
+    x, u = x - x.mean(axis=0), u - u.mean(axis=0)
+    left = u - x @ np.linalg.lstsq(x, u, rcond=1e-8)[0]
+    # Regressors explain some noise by chance.
+    freedom = max(len(x) - x.shape[1], 1)
+    share = 1.0 - (left**2).sum() / freedom / max((u**2).sum() / len(u), 1e-300)
+    return float(np.clip(share, 0.0, 1.0))

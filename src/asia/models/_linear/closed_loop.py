@@ -491,7 +491,7 @@ def _encoder(
         after = s.a @ p @ s.a.T + driving - gain @ cross.T
         return gain, 0.5 * (after + after.T)
 
-    p = np.eye(s.order)
+    gain, p = update(np.eye(s.order))
     for _ in range(200):
         gain, p = update(p)
     steady = Innovations(s, plant.drift, gain, plant.error).predictor
