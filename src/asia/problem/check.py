@@ -407,6 +407,7 @@ def data_doubts(problem: Problem) -> list[str]:
         "controller, and a model fitted in closed loop may describe the controller instead of "
         "the system" + ("" if problem.loop else ": name the measured reference in [loop]")
         for i, given in enumerate(problem.inputs)
+        if problem.loop is None or problem.loop.inputs == "measured"
         for j, output in enumerate(problem.outputs)
         if _both_move(records, i, j) and find_feedback(records, i, j)
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -86,7 +86,7 @@ class Loop:
 
     reference: Annotated[
         tuple[Annotated[Signal, BeforeValidator(_signal)], ...],
-        BeforeValidator(lambda value: (value,) if isinstance(value, str) else value),
+        BeforeValidator(lambda value: (value,) if isinstance(value, str) else tuple(value)),
         AfterValidator(_filled),
     ]
     """Measured references; columns of the records that are no inputs."""
@@ -94,6 +94,9 @@ class Loop:
     """"controller": u = C (r - y). "plant": u = r - C y, an excitation added to the input."""
     controller: Annotated[Controller | str | None, Field(union_mode="left_to_right")] = None
     """Controller, or `module:function` that returns it; None where it is unknown."""
+    inputs: Literal["measured", "explained"] = "measured"
+    """"explained" replaces the inputs of the training records by the part that the reference
+    explains, which is free of noise: the two-stage method for every family, and for V."""
 
     def resolved(self, inputs: int, outputs: int, sampling_time: float) -> Loop:
         """The loop with a controller of numbers.
@@ -125,7 +128,7 @@ class Loop:
                     f"{where}: has {shape[1]} errors and {shape[0]} outputs, expected {outputs} "
                     f"and {inputs}: those of the plant"
                 )
-        return Loop(reference=self.reference, enters=self.enters, controller=controller)
+        return replace(self, controller=controller)
 
 
 def _controller(made: Any, where: str, sampling_time: float) -> Controller:
@@ -165,6 +168,7 @@ def loop_table(loop: Loop | None) -> dict[str, Any] | None:
     found: dict[str, Any] = {
         "reference": [asdict(signal) for signal in loop.reference],
         "enters": loop.enters,
+        "inputs": loop.inputs,
     }
     if isinstance(loop.controller, Controller):
         found["controller"] = {k: v for k, v in asdict(loop.controller).items() if v}
@@ -181,30 +185,30 @@ def loop_lines(loop: Loop, records: Sequence[Trajectory], *, whole: bool) -> lis
     """
     names = ", ".join(signal.name for signal in loop.reference)
     where = "the controller" if loop.enters == "controller" else "the input of the plant"
-    share = _explained_share(records)
     known = "known" if loop.controller else "unknown"
-    lines = [
-        f"loop: reference {names} enters at {where}; controller {known}; the reference explains "
-        f"{share:.0%} of the variance of the inputs, feedback of noise and disturbances the rest"
-    ]
+    lines = [f"loop: reference {names} enters at {where}; controller {known}"]
+    if loop.inputs == "explained":
+        return [
+            *lines,
+            "loop: inputs = 'explained': every family is fitted and scored with the part of the "
+            "inputs that the reference explains, which is free of noise. For a plant that "
+            "integrates or is unstable take inputs = 'measured' and linear with loop='direct'",
+        ]
+    method, reason = "direct", "a predictor with a noise model needs no controller"
     if loop.controller is not None:
-        method, reason = (
-            "controller",
-            "the controller is known, so that the loop can be simulated from the reference: noise "
-            "of any colour leaves the plant without bias. The controller must be linear and never "
-            "saturate",
+        method = "controller"
+        reason = (
+            "the loop can be simulated from the reference, and noise of any colour leaves the "
+            "plant without bias. The controller must be linear and never saturate"
         )
-    else:
-        method, reason = (
-            "direct",
-            "a predictor with a noise model needs no controller. Compare with loop='two_stage', "
-            + (
-                "which needs no right noise model"
-                if share >= _USEFUL_SHARE
-                else "with care: the reference moves the input little"
-            ),
-        )
-    lines.append(f"loop: take linear with loop='{method}': {reason}")
+    lines += [
+        f"loop: the reference explains {_explained_share(records):.0%} of the variance of the "
+        "inputs, feedback of noise and disturbances the rest",
+        f"loop: take linear with loop='{method}': {reason}",
+        "loop: V simulates from the measured input, and noise that the controller feeds back "
+        "favours biased plants. inputs = 'explained' in [loop] removes this for plants that are "
+        "stable by themselves",
+    ]
     if whole:
         lines.append(
             "loop: V simulates whole records from the measured input. For a plant that integrates "
@@ -213,25 +217,24 @@ def loop_lines(loop: Loop, records: Sequence[Trajectory], *, whole: bool) -> lis
     return lines
 
 
-# Lags of the reference whose sum explains the inputs, and the least useful share of variance.
-_LAGS, _USEFUL_SHARE = 40, 0.3
+def explained_inputs(records: Sequence[Trajectory]) -> list[Array]:
+    """Return the part (T, nu) of the inputs of each record that lags of the references explain,
+    by one regression over all records; before a record the reference is held."""
+    lags, columns = max(20, min(200, min(len(r) for r in records) // 12)), list[Array]()
+    for record in records:
+        assert record.reference is not None
+        held = np.repeat(record.reference[:1], lags, axis=0)
+        r = np.concatenate([held, record.reference])
+        columns.append(np.hstack([r[lags - k : len(r) - k] for k in range(lags + 1)]))
+    x, u = np.concatenate(columns), np.concatenate([r.u for r in records])
+    gains = np.linalg.lstsq(x - x.mean(axis=0), u - u.mean(axis=0), rcond=1e-8)[0]
+    return [(one - x.mean(axis=0)) @ gains + u.mean(axis=0) for one in columns]
 
 
 def _explained_share(records: Sequence[Trajectory]) -> float:
-    """Share of the variance of the inputs that lags of the references explain, from 0 to 1."""
-    rows, targets = list[Array](), list[Array]()
-    for record in records:
-        r = record.reference
-        if r is not None and len(r) > _LAGS:
-            views = [r[_LAGS - k : len(r) - k] for k in range(_LAGS + 1)]
-            rows.append(np.hstack(views))
-            targets.append(record.u[_LAGS:])
-    if not rows:
-        return 0.0
-    x, u = np.concatenate(rows), np.concatenate(targets)
-    x, u = x - x.mean(axis=0), u - u.mean(axis=0)
-    left = u - x @ np.linalg.lstsq(x, u, rcond=1e-8)[0]
-    # Regressors explain some noise by chance.
-    freedom = max(len(x) - x.shape[1], 1)
-    share = 1.0 - (left**2).sum() / freedom / max((u**2).sum() / len(u), 1e-300)
-    return float(np.clip(share, 0.0, 1.0))
+    """Share of the variance of the inputs that the references explain, from 0 to 1."""
+    u, explained = (
+        np.concatenate(parts) for parts in ([r.u for r in records], explained_inputs(records))
+    )
+    total = ((u - u.mean(axis=0)) ** 2).sum()
+    return float(1.0 - ((u - explained) ** 2).sum() / max(total, 1e-300))

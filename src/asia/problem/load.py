@@ -17,6 +17,7 @@ from asia.data.sources.source import Channels
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
 from asia.problem.check import check_period
+from asia.problem.feedback import explained_inputs
 from asia.problem.folds import least_samples, require_length
 from asia.problem.held_back import divided
 from asia.problem.lock import check_digests
@@ -175,6 +176,10 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
     if reference:
         nu = len(inputs)
         measured = tuple(replace(t, u=t.u[:, :nu], reference=t.u[:, nu:]) for t in measured)
+    if loop is not None and loop.inputs == "explained":
+        # Kept as they were measured: test and guard records, which have no reference.
+        explained = explained_inputs(measured)
+        measured = tuple(replace(t, u=u) for t, u in zip(measured, explained, strict=True))
     guard_share = file.data.guard_share
     if guard_share is not None:
         division = divided(measured, guard_share, rule, done)

@@ -96,6 +96,11 @@ def fit_in_loop(
         UserError: where the method needs a reference or a controller that the problem lacks, and
             where no start is stable in the loop.
     """
+    if context.loop is not None and context.loop.inputs == "explained":
+        raise UserError(
+            f"linear: loop='{method}' needs measured inputs, but [loop] has inputs = 'explained': "
+            "leave one of them out"
+        )
     records = scaled(trajectories, scaling)
     delay = _delay(records, choices) if choices.delay is None else choices.delay
     late = [r.with_delay(delay) for r in records]

@@ -27,10 +27,9 @@ _FINER = 0.005
 def _linear(facts: Facts) -> Recipe:
     # Each fold chooses for itself, unless one choice for all gave the better reference.
     order, delay = facts.linear or (None, None)
-    if facts.loop is not None:
+    if _loop_methods(facts):
         # The best linear model of a fold treats the records as open loop: another order may fit.
-        method = "direct" if facts.loop.controller is None else "controller"
-        config = (("order", None), ("delay", None), ("loop", method))
+        config = (("order", None), ("delay", None), ("loop", _loop_methods(facts)[0]))
         return Recipe("linear", config, LM, (("iterations", 30),))
     config = (("order", order), ("delay", delay), ("periodic", True), *integrator_setting(facts))
     return Recipe("linear", config, LM, (("iterations", 30),))
@@ -51,20 +50,28 @@ def _by_lines(at: Situation) -> bool:
 
 def _loop_methods(facts: Facts) -> tuple[str, ...]:
     """Return the closed-loop methods that the problem allows, the most accurate first."""
-    if facts.loop is None:
+    if facts.loop is None or facts.loop.inputs == "explained":
         return ()
     known = facts.loop.controller is not None
     return ("controller", "direct", "two_stage") if known else ("direct", "two_stage")
 
 
-def _other_loop_method(at: Situation) -> Recipe:
-    methods = _loop_methods(at.facts)
-    place = methods.index(str(at.recipe.get("loop")))
-    return at.recipe.configured(loop=methods[(place + 1) % len(methods)])
+def _next_loop_method(at: Situation) -> Recipe:
+    methods, now = _loop_methods(at.facts), at.recipe.get("loop")
+    if now is None:
+        return replace(_linear(at.facts), family=at.recipe.family, package=at.recipe.package)
+    return at.recipe.configured(loop=methods[(methods.index(str(now)) + 1) % len(methods)])
+
+
+def _loop_weight(at: Situation) -> float:
+    """Near certain for the first method: every other linear fit is biased by feedback."""
+    if not _loop_methods(at.facts):
+        return 0.0
+    return 0.5 if at.recipe.get("loop") else 0.95
 
 
 def _space(facts: Facts) -> Space:
-    if facts.loop is not None:
+    if _loop_methods(facts):
         return Space(
             config=(
                 OneOf("order", (None, 1, 2, 3, 4, 5, 6)),
@@ -126,10 +133,10 @@ CARD = Card((
         weight=lambda c: 0.0 if c.recipe.get("loop") else slow_noise().weight(c),
     ),
     Move(
-        name="another closed-loop method",
+        name="closed-loop method",
         families=("linear",),
-        weight=lambda c: 0.5 * bool(c.recipe.get("loop")),
-        change=_other_loop_method,
+        weight=_loop_weight,
+        change=_next_loop_method,
         hypothesis="The controller carries noise into the input. The methods for closed loops "
         "differ in what they need: a noise model, the reference, or the controller.",
         expected="A similar V where the first method was sound; another plant where it was not.",
