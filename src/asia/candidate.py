@@ -19,6 +19,7 @@ from asia._source import Imports, SourceFacts, imports_of
 from asia._syntax import syntax_tree
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import CandidateError, Reason
+from asia.problem.feedback import Loop
 from asia.problem.physics import Physics
 from asia.problem.symmetry import Symmetry
 
@@ -74,6 +75,8 @@ class Context:
     scale: bool = False
     """Whether every signal was divided by its standard deviation over the training records of this
     fit; the units are then `std`."""
+    loop: Loop | None = None
+    """Feedback loop of the records, whose `reference` it names; None for open loop."""
 
     @property
     def nu(self) -> int:

@@ -11,6 +11,7 @@ from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import Event, Exchanged, Phase, Status, StopReason
+from asia.problem.feedback import Loop
 from asia.problem.metrics import TrainingLoss, find_metric
 from asia.problem.physics import Physics
 from asia.problem.protocol import EarlyStopping
@@ -48,6 +49,7 @@ class Facts:
             every V is reported
         symmetry: changes of the signals that leave the system's laws as they are
         linear: order and delay of the best linear model, where all folds have the same
+        loop: feedback loop in which the records were taken
     """
 
     description: str
@@ -69,6 +71,7 @@ class Facts:
     ladder: float | None = None
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
     linear: tuple[int, int] | None = None
+    loop: Loop | None = None
 
     @property
     def past(self) -> int:

@@ -85,6 +85,8 @@ class Trajectory:
     name: str = ""
     missing: Mask | None = field(default=None)
     """(T, ny), True where an output was not measured; None where all were."""
+    reference: Array | None = None
+    """(T, nr), references of the feedback loop in which the record was taken; None without one."""
 
     def __post_init__(self) -> None:
         what = f"outputs of record '{self.name}'"
@@ -105,6 +107,9 @@ class Trajectory:
             missing = np.array(self.missing, dtype=np.bool_)
             missing.flags.writeable = False
             object.__setattr__(self, "missing", missing if missing.any() else None)
+        if self.reference is not None:
+            what = f"references of record '{self.name}'"
+            object.__setattr__(self, "reference", _frozen(self.reference, what))
         if len(self.u) != len(self.y):
             raise UserError(
                 f"record '{self.name}': {len(self.u)} input samples but {len(self.y)} output "
@@ -116,7 +121,9 @@ class Trajectory:
 
     def __getitem__(self, part: slice) -> Trajectory:
         missing = None if self.missing is None else self.missing[part]
-        return Trajectory(self.u[part], self.y[part], self.sampling_time, self.name, missing)
+        reference = None if self.reference is None else self.reference[part]
+        u, y = self.u[part], self.y[part]
+        return Trajectory(u, y, self.sampling_time, self.name, missing, reference)
 
     @property
     def measured(self) -> Mask:
@@ -134,8 +141,9 @@ class Trajectory:
         """The samples from `start` to before `stop`, filled from these alone."""
         if self.missing is None:
             return self[start:stop]
-        y = self.measured_y[start:stop]
-        return Trajectory(self.u[start:stop], y, self.sampling_time, self.name)
+        y, reference = self.measured_y[start:stop], self[start:stop].reference
+        step, name = self.sampling_time, self.name
+        return Trajectory(self.u[start:stop], y, step, name, reference=reference)
 
 
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -175,7 +183,7 @@ def data_digest(trajectories: Sequence[Trajectory]) -> str:
     digest = hashlib.sha256()
     for t in trajectories:
         digest.update(json.dumps([t.sampling_time, t.u.shape, t.y.shape]).encode())
-        for values in (t.u, t.measured_y):
+        for values in (t.u, t.measured_y, *(() if t.reference is None else (t.reference,))):
             digest.update(np.ascontiguousarray(values, "<f8").data)
     return digest.hexdigest()
 

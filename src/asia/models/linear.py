@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, get_args
 
 import numpy as np
 
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
 from asia.data.trajectory import Array, Trajectory
 from asia.models._arrays import AnyArray, namespace
-from asia.models._config import check_at_least, demand
+from asia.models._config import check_at_least, check_choice, demand
+from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear import fit as levels
+from asia.models._linear.closed_loop import Choices, LoopMethod, fit_in_loop
 from asia.models._linear.fit import (
     LinearFit,
     Refinement,
@@ -40,6 +42,7 @@ from asia.models._linear.window_predictor import (
     held_out,
     window_error,
 )
+from asia.models._noise.model import refuse_noise
 from asia.models._numerics.encoder import Encoder
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import (
@@ -55,9 +58,6 @@ from asia.models._numerics.training_records import (
     stretches,
 )
 from asia.models._steps import TrainableModel, first_of_line, through_line
-
-if TYPE_CHECKING:
-    from asia.models._least_squares import LevenbergMarquardt
 
 # Samples for the choice of order and delay, which takes dozens of fits; this many distinguish
 # candidates.
@@ -97,8 +97,15 @@ class Config:
     levels: bool = False
     """Fit separate systems to records whose inputs differ in size; a simulation interpolates
     between their outputs by the root mean square of its inputs so far."""
+    loop: LoopMethod | None = None
+    """Method for records taken under feedback: "direct" models the noise, "two_stage" uses the
+    measured reference, "controller" simulates the loop with the known controller. None treats the
+    records as open loop. Plants may be unstable."""
 
     def __post_init__(self) -> None:
+        check_choice(self, "loop", (None, *get_args(LoopMethod)))
+        alone = self.loop is None or not (self.integrators or self.periodic or self.levels)
+        demand(self, "loop", alone, "None beside integrators, periodic and levels")
         check_at_least(1, self, "order", "max_order", "periodic_order")
         check_at_least(0, self, "delay", "max_delay", "integrators")
         enough = self.integrators <= (self.order or self.max_order)
@@ -271,7 +278,12 @@ def train(
     check(trajectories, context)
     scaling = scaling_of(trajectories, context, model.config)
     records = scaled(trajectories, scaling)
-    refinement = Refinement.of(method)
+    refinement, c = Refinement.of(method), model.config
+    if c.loop is not None:
+        refuse_noise(method or LevenbergMarquardt(), f"linear, loop={c.loop!r}")
+        choices = Choices(c.order, c.max_order, c.delay, c.max_delay)
+        parts = fit_in_loop(trajectories, context, c.loop, choices, refinement, scaling)
+        return replace(model, fitted=FittedLinear(*parts))
     groups = levels.groups_by_level([r.u for r in records]) if model.config.levels else []
     if len(groups) < 2:
         fitted = _fitted(records, context, model.config, refinement, scaling)

@@ -247,7 +247,7 @@ def train(
         Trajectory(
             maps.driven(r.u),
             r.y if maps.outputs is None else maps.outputs(r.y),
-            r.sampling_time, r.name, r.missing,
+            r.sampling_time, r.name, r.missing, r.reference,
         )
         for r in z
     ]  # fmt: skip
@@ -434,7 +434,7 @@ def _with_outputs(
     trajectories: Sequence[Trajectory], signs: Sequence[Array], sizes: Sequence[Array]
 ) -> list[Trajectory]:
     return [
-        Trajectory(r.u, sign * size, r.sampling_time, r.name, r.missing)
+        Trajectory(r.u, sign * size, r.sampling_time, r.name, r.missing, r.reference)
         for r, sign, size in zip(trajectories, signs, sizes, strict=True)
     ]
 

@@ -15,6 +15,7 @@ from asia.data.frequency import FrequencyResponse, find_period, frequency_respon
 from asia.data.relations import ALONE, PAIR, FoundDelay, find_delay, find_feedback
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
+from asia.problem.feedback import loop_lines
 from asia.problem.folds import splits, windows
 from asia.problem.identifiability import Unidentifiable, unidentifiable
 from asia.problem.lock import protocol_digest
@@ -175,6 +176,8 @@ class CheckReport:
                 lines.append("identifiability: records can determine every parameter in principle")
             lines += [f"identifiability: {one}" for one in self.unidentifiable or ()]
         lines += [f"symmetry {line}" for line in symmetry_lines(problem.symmetry)]
+        if problem.loop is not None:
+            lines += loop_lines(problem.loop, problem.train, whole=rule.horizon is None)
         own = "baseline.py" if problem.baseline else "ASIA's own, as there is no baseline.py"
         lines.append(f"baseline: {own}")
         return lines + [f"warning: {w}" for w in self.warnings]
@@ -450,11 +453,12 @@ def data_doubts(problem: Problem) -> list[Doubt]:
         Doubt(
             f"input {given.name} follows earlier values of output {output.name}: it may come from "
             "a controller, and a model fitted in closed loop may describe the controller instead "
-            "of the system",
+            "of the system" + ("" if problem.loop else ": name the measured reference in [loop]"),
             0.6,
             "an open loop, or known random signals added to the inputs",
         )
         for i, given in enumerate(problem.inputs)
+        if problem.loop is None or problem.loop.inputs == "measured"
         for j, output in enumerate(problem.outputs)
         if _both_move(records, i, j) and find_feedback(records, i, j)
     ]

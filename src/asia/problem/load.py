@@ -14,9 +14,10 @@ from asia.data.intake.sheet import Wanted
 from asia.data.sources.files import RecordFiles
 from asia.data.sources.registry import data_source, test_source
 from asia.data.sources.source import Channels
-from asia.data.trajectory import Trajectory
+from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
 from asia.problem.check import check_period
+from asia.problem.feedback import explained_inputs
 from asia.problem.folds import least_samples, require_length
 from asia.problem.held_back import divided
 from asia.problem.lock import check_digests
@@ -138,10 +139,18 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
     """
     channels = Channels(file.inputs, file.outputs, file.sampling_time)
     inputs, outputs = channels.names
-    for name, count in Counter((*inputs, *outputs)).items():
+    loop, reference = file.loop, tuple[Signal, ...]()
+    if loop is not None:
+        loop = loop.resolved(len(inputs), len(outputs), file.sampling_time)
+        reference = loop.reference
+    for name, count in Counter((*inputs, *outputs, *(s.name for s in reference))).items():
         if count > 1:
-            raise UserError(f"signal '{name}' is named {count} times among inputs and outputs")
+            raise UserError(
+                f"signal '{name}' is named {count} times among inputs, outputs and references"
+            )
     physics, done, rule = file.physics, file.preprocess, file.protocol.rule()
+    if loop is not None and done:
+        raise UserError("[preprocess] changes the signals of the [loop]: leave one of them out")
     if physics is not None:
         check_physics(physics, inputs, outputs)
     check_symmetry(file.symmetry, inputs, outputs, physics)
@@ -155,13 +164,22 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         raise UserError("[preprocess] is for measured records: leave it out for a simulated source")
     check_protocol(file.protocol, file.data.groups, outputs)
     data = data_source(file.data, root)
-    records = data.records("train", replace(channels, least=least_samples(rule) * done.decimate))
+    least = least_samples(rule) * done.decimate
+    columns = replace(channels, inputs=(*file.inputs, *reference), least=least)
+    records = data.records("train", columns)
     if not records.trajectories:
         raise UserError(
             f"data.source '{file.data.source}' has no training records: name a folder that has them"
         )
     rule = with_groups(rule, file.data.groups, [t.name for t in records.trajectories])
     measured, truth = records.trajectories, records.truth
+    if reference:
+        nu = len(inputs)
+        measured = tuple(replace(t, u=t.u[:, :nu], reference=t.u[:, nu:]) for t in measured)
+    if loop is not None and loop.inputs == "explained":
+        # Kept as they were measured: test and guard records, which have no reference.
+        explained = explained_inputs(measured)
+        measured = tuple(replace(t, u=u) for t, u in zip(measured, explained, strict=True))
     guard_share = file.data.guard_share
     if guard_share is not None:
         division = divided(measured, guard_share, rule, done)
@@ -196,5 +214,6 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         warnings=records.warnings,
         symmetry=file.symmetry,
         period=file.data.period,
+        loop=loop,
         guard_share=guard_share,
     )

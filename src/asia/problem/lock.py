@@ -12,6 +12,7 @@ from typing import Any
 
 from asia.data.trajectory import data_digest
 from asia.errors import UserError
+from asia.problem.feedback import loop_table
 from asia.problem.physics import Physics
 from asia.problem.problem import Problem, Seal
 from asia.problem.protocol import ProtocolRule
@@ -114,6 +115,7 @@ def lock_text(problem: Problem, seal: Seal) -> str:
         "physics": None if problem.physics is None else asdict(problem.physics),
         "preprocess": asdict(problem.preprocess) if problem.preprocess else None,
         "symmetry": {k: dict(v) for k, v in problem.symmetry.items()} or None,
+        "loop": loop_table(problem.loop),
         "digests": {**_digests(problem, seal.sha256), "guard": seal.guard},
     }
     return _HEADER + toml_text(tables)

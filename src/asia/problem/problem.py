@@ -16,6 +16,7 @@ from asia.data.preprocess import Preprocess
 from asia.data.sources.source import Channels, Source
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.problem.budget import Budget
+from asia.problem.feedback import Loop, loop_table
 from asia.problem.folds import least_samples
 from asia.problem.physics import Physics
 from asia.problem.protocol import ProtocolRule
@@ -107,6 +108,8 @@ class Problem:
     """Changes of the signals that leave the system's laws as they are."""
     period: int | None = None
     """Samples after which the inputs repeat, as declared."""
+    loop: Loop | None = None
+    """Feedback loop in which the training records were taken."""
 
     @classmethod
     def from_arrays(
@@ -282,6 +285,7 @@ def training_text(problem: Problem, names: Sequence[str]) -> str:
             name: True for name in ("detrend", "scale") if getattr(problem.preprocess, name)
         },
         "symmetry": {k: dict(v) for k, v in problem.symmetry.items()} or None,
+        "loop": loop_table(problem.loop),
     }
     return _HEADER + toml_text(tables)
 

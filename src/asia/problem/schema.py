@@ -16,6 +16,7 @@ from asia.data.preprocess import Preprocess, without_numbers
 from asia.data.sources.source import DataTable, FileName
 from asia.data.trajectory import Signal
 from asia.problem.budget import Budget
+from asia.problem.feedback import Loop
 from asia.problem.physics import Physics
 from asia.problem.protocol_table import ProtocolTable
 
@@ -54,6 +55,7 @@ class ProblemTables:
     symmetry: Mapping[str, Mapping[str, str]] = field(
         default_factory=dict[str, "Mapping[str, str]"]
     )
+    loop: Loop | None = None
 
 
 @with_config(_STRICT)

@@ -48,6 +48,7 @@ def problem_facts(problem: Problem) -> Facts:
         notes=problem.notes,
         strategies=problem.strategies,
         symmetry=problem.symmetry,
+        loop=problem.loop,
     )
 
 

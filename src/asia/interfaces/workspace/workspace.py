@@ -226,16 +226,19 @@ def write_folder(
     write_file(folder, "models.md", models_page(problem))
     write_file(folder, "plot.py", PLOT)
     names = trajectory_names(problem.train)
+    references = problem.loop.reference if problem.loop else ()
+    signals = (*problem.inputs, *problem.outputs, *references)
     write_file(folder, "problem.toml", training_text(problem, names))
     write_file(folder, "tools.py", TOOLS.replace("{seed}", str(seed)))
     for name, trajectory in zip(names, problem.train, strict=True):
         # Time first; empty where an output was not measured.
         stream = io.StringIO()
         table = csv.writer(stream, lineterminator="\n")
-        table.writerow(["time", *(s.name for s in (*problem.inputs, *problem.outputs))])
-        measured = trajectory.measured_y
+        table.writerow(["time", *(s.name for s in signals)])
+        columns = [trajectory.u, trajectory.measured_y]
+        columns += [] if trajectory.reference is None else [trajectory.reference]
         for k in range(len(trajectory)):
-            values = [*trajectory.u[k].tolist(), *measured[k].tolist()]
+            values = [value for part in columns for value in part[k].tolist()]
             row = ("" if math.isnan(value) else repr(value) for value in values)
             table.writerow([repr(k * trajectory.sampling_time), *row])
         write_file(folder, f"data/{name}.csv", stream.getvalue())

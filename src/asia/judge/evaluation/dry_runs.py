@@ -129,7 +129,8 @@ def _made_up(
     y = (y - y.mean(axis=0)) / np.maximum(y.std(axis=0), 1e-12)
     y += 0.05 * random.normal(size=y.shape)
     u, y = inputs.fitted(u), outputs.fitted(y)
-    return Trajectory(u, y, like.sampling_time, like.name, like.missing)
+    reference = None if like.reference is None else random.normal(size=like.reference.shape)
+    return Trajectory(u, y, like.sampling_time, like.name, like.missing, reference)
 
 
 def allowed_seconds(limit_seconds: float) -> float:

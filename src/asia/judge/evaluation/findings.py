@@ -149,5 +149,6 @@ def search_context(problem: Problem, seed: int) -> Context:
         symmetry=problem.symmetry,
         detrend=problem.preprocess.detrend,
         scale=problem.preprocess.scale,
+        loop=problem.loop,
         seed=seed,
     )

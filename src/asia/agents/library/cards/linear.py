@@ -27,13 +27,19 @@ _FINER = 0.005
 def _linear(facts: Facts) -> Recipe:
     # Each fold chooses for itself, unless one choice for all gave the better reference.
     order, delay = facts.linear or (None, None)
+    if _loop_methods(facts):
+        # The best linear model of a fold treats the records as open loop: another order may fit.
+        config = (("order", None), ("delay", None), ("loop", _loop_methods(facts)[0]))
+        return Recipe("linear", config, LM, (("iterations", 30),))
     config = (("order", order), ("delay", delay), ("periodic", True), *integrator_setting(facts))
     return Recipe("linear", config, LM, (("iterations", 30),))
 
 
 def _level_weight(at: Situation) -> float:
     """Near certain where a fit takes seconds; the gain differs from level to level of most."""
-    if at.facts.horizon is not None or at.recipe.get("levels") or not several_levels(at.facts):
+    if at.facts.horizon is not None or at.recipe.get("levels") or at.recipe.get("loop"):
+        return 0.0
+    if not several_levels(at.facts):
         return 0.0
     return 0.92 if _by_lines(at) else 0.5
 
@@ -42,7 +48,38 @@ def _by_lines(at: Situation) -> bool:
     return bool(at.recipe.get("periodic")) and periodic(at.facts)
 
 
+def _loop_methods(facts: Facts) -> tuple[str, ...]:
+    """Return the closed-loop methods that the problem allows, the most accurate first."""
+    if facts.loop is None or facts.loop.inputs == "explained":
+        return ()
+    known = facts.loop.controller is not None
+    return ("controller", "direct", "two_stage") if known else ("direct", "two_stage")
+
+
+def _next_loop_method(at: Situation) -> Recipe:
+    methods, now = _loop_methods(at.facts), at.recipe.get("loop")
+    if now is None:
+        return replace(_linear(at.facts), family=at.recipe.family, package=at.recipe.package)
+    return at.recipe.configured(loop=methods[(methods.index(str(now)) + 1) % len(methods)])
+
+
+def _loop_weight(at: Situation) -> float:
+    """Near certain for the first method: every other linear fit is biased by feedback."""
+    if not _loop_methods(at.facts):
+        return 0.0
+    return 0.5 if at.recipe.get("loop") else 0.95
+
+
 def _space(facts: Facts) -> Space:
+    if _loop_methods(facts):
+        return Space(
+            config=(
+                OneOf("order", (None, 1, 2, 3, 4, 5, 6)),
+                OneOf("delay", (0, None)),
+                OneOf("loop", _loop_methods(facts)),
+            ),
+            options=(OneOf("iterations", (15, 30, 60)),),
+        )
     known = (("periodic", periodic(facts)), ("levels", several_levels(facts)))
     switches = [name for name, holds in known if holds and facts.horizon is None]
     return Space(
@@ -90,7 +127,20 @@ CARD = Card((
         timing=Timing(start=0.0, unit=1.4e-06),
     ),
 ), (
-    replace(slow_noise(), families=("linear",)),
+    replace(
+        slow_noise(),
+        families=("linear",),
+        weight=lambda c: 0.0 if c.recipe.get("loop") else slow_noise().weight(c),
+    ),
+    Move(
+        name="closed-loop method",
+        families=("linear",),
+        weight=_loop_weight,
+        change=_next_loop_method,
+        hypothesis="The controller carries noise into the input. The methods for closed loops "
+        "differ in what they need: a noise model, the reference, or the controller.",
+        expected="A similar V where the first method was sound; another plant where it was not.",
+    ),
     *(replace(move, families=("linear",)) for move in integrator_moves()),
     Move(
         name="systems by level of excitation",

@@ -232,7 +232,7 @@ class _Session:
     def _fit(
         self,
         source: str,
-        records: list[tuple[Array, Array, float, str, Mask | None]],
+        records: list[tuple[Array, Array, float, str, Mask | None, Array | None]],
         known: dict[str, Any],
         scored: bool,
     ) -> bytes:
@@ -244,14 +244,14 @@ class _Session:
 
         trajectories: list[Trajectory] = []
         while records:  # each is let go once it is taken over
-            u, y, sampling_time, name, missing = records.pop(0)
+            u, y, sampling_time, name, missing, reference = records.pop(0)
             # A record may not be written to, so that it takes the array that came, without a copy.
             for values in (u, y):
                 place: object = values
                 while isinstance(place, np.ndarray):
                     place.setflags(write=False)
                     place = place.base
-            trajectories.append(Trajectory(u, y, sampling_time, name, missing))
+            trajectories.append(Trajectory(u, y, sampling_time, name, missing, reference))
         module = _execute(source)
         fit = getattr(module, "fit", None)
         if not callable(fit):

@@ -161,7 +161,9 @@ class Worker:
         self._start()
         deadline = time.monotonic() + self._limits.fit_seconds
         context = replace(context, deadline=min(context.deadline, deadline))
-        records = [(t.u, t.y, t.sampling_time, t.name, t.missing) for t in trajectories]
+        records = [
+            (t.u, t.y, t.sampling_time, t.name, t.missing, t.reference) for t in trajectories
+        ]
         # The worker has these functions of its own.
         own = ("log", "validation_score")
         plain = {f.name: getattr(context, f.name) for f in fields(context) if f.name not in own}
