@@ -186,6 +186,12 @@ class ChatClient:
                 f"{s.shown_url} does not know the model '{s.model}' or the path: check --model and "
                 f"--base-url, which ends in /v1 for most servers; it said: {said}"
             )
+        if "context" in f"{error.type} {error.code}":
+            raise UserError(
+                f"the request is longer than the context of the model: give its server a longer "
+                f"one, or use --proposals menu, whose requests are short; {s.shown_url} said: "
+                f"{said}"
+            )
         known = {
             "temperature": "--temperature", "top_p": "--top-p", "seed": "--llm-seed",
             "max_tokens": "--max-reply-tokens", "max_completion_tokens": "--max-reply-tokens",

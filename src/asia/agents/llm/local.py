@@ -86,7 +86,9 @@ class LocalServer:
     def close(self) -> None:
         """End the server."""
         assert self._process.stdin is not None
+        assert self._process.stdout is not None
         self._process.stdin.close()
+        self._process.stdout.close()
         try:
             self._process.wait(10.0)
         except subprocess.TimeoutExpired:

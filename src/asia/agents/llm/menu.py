@@ -12,6 +12,7 @@ import numpy as np
 from asia._text import one_line
 from asia.agents.expert.agent import Option, refinements, untried
 from asia.agents.library.gains import measured_gain
+from asia.agents.library.move import plain_title
 from asia.agents.library.recipe import Recipe, Value, read_recipe
 from asia.agents.library.registry import family
 from asia.agents.library.space import Span, applies
@@ -37,11 +38,11 @@ the normalised {metric}: lower is better, 1 is what the mean of the outputs give
 the menu is ready to run. Choose the one that is most likely to lower V: read the evidence on the
 best experiment, do not repeat what did not help, and try new families as well as refinements."""
 
+# Without an example: small models copy its number.
 CHOICE = """\
-Answer with a JSON object and nothing else:
-{"reason": "why, in one sentence", "choice": {"number": 2, "settings": {}}}
-`number` is a candidate of the menu. `settings` changes settings that the candidate lists; leave it
-empty to keep all."""
+Answer with a JSON object and nothing else. `reason` says in one sentence what in the evidence
+speaks for the candidate. `choice` has its `number` on the menu and `settings`, an object with the
+settings that you change; it may be empty."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +98,11 @@ class Offer:
         p = replace(p, hypothesis=f"{p.hypothesis} Reason of the language model: {reason}")
         if not changes:
             return p
-        words = ", ".join(f"{name} {value}" for name, value in changes.items())
-        source = self.recipe.changed(**changes).source(f"{p.title}, {words}.")
-        return replace(p, source=source, title=f"{p.title} ({words})"[:80])
+        words = [f"{name} {value}" for name, value in changes.items()]
+        source = self.recipe.changed(**changes).source(f"{p.title}, {', '.join(words)}.")
+        while len(title := f"{plain_title(p.title)} ({', '.join(words)})") > 80:
+            words.pop()
+        return replace(p, source=source, title=title.removesuffix(" ()"))
 
 
 def menu(view: AgentView) -> tuple[Offer, ...]:
@@ -145,7 +148,8 @@ def _settings(recipe: Recipe, facts: Facts) -> dict[str, tuple[Value, ...]]:
             values = (v for v in parameter.values if not isinstance(v, tuple) and v is not None)
         others = {repr(value): value for value in values}
         others.pop(repr(present), None)
-        found[parameter.name] = (present, *others.values())
+        if others:
+            found[parameter.name] = (present, *others.values())
     return found
 
 
