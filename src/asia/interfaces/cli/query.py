@@ -69,7 +69,7 @@ def query(
 def _fill(database: sqlite3.Connection, runs: Path) -> None:
     """Copy the runs of a folder; name on stderr those that cannot be read."""
     from asia.ledger.run import Run, open_run
-    from asia.ledger.text import describe_result
+    from asia.ledger.text import decision_text
 
     opened: dict[str, Run] = {}
     database.executescript(_TABLES)
@@ -94,7 +94,7 @@ def _fill(database: sqlite3.Connection, runs: Path) -> None:
             row = (
                 name, e.number, p.parent, p.phase, p.agent or start.agent, p.family, p.title,
                 p.hypothesis, p.expected, r.status if r else "running",
-                e.score.value if e.score else None, describe_result(e, view),
+                e.score.value if e.score else None, decision_text(e, view),
                 r.seconds if r else None,
             )  # fmt: skip
             marks = ", ".join("?" * len(row))

@@ -19,7 +19,7 @@ from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.ledger.events import TestedModel
 from asia.ledger.evidence import evidence_of, settings_of_run
 from asia.ledger.run import alarms, model_to_use, tested_model
-from asia.ledger.text import describe_result, error_value, evidence_lines
+from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
 from asia.report.page.html import Html, join, said, table, tag
@@ -478,7 +478,7 @@ def _kind(e: Experiment) -> str:
 def experiment_row(subject: Subject, e: Experiment) -> Html:
     """Write one experiment on one line."""
     status = e.result.status if e.result else "running"
-    reason = tag("span", said(describe_result(e, subject.view), 300), class_="why")
+    reason = tag("span", said(decision_text(e, subject.view), 300), class_="why")
     link = tag(
         "a",
         tag("span", subject.name(e), class_="id"),
