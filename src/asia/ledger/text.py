@@ -197,6 +197,22 @@ def describe_result(e: Experiment, view: SearchView) -> str:
     return text
 
 
+def decision_text(e: Experiment, view: SearchView) -> str:
+    """Say in one line why an experiment was kept or not: its V against that of the best one before,
+    or the failure."""
+    if e.result is None or e.score is None:
+        return "being evaluated" if e.failure is None else e.failure.advice
+    earlier = reversed(view.experiments[: e.number - 1])
+    best = next((o for o in earlier if (o.kept or o.lowest) and o.score), None)
+    if best is None or best.score is None or not best.score.value:
+        return "the first with a score"
+    change = e.score.value / best.score.value - 1.0
+    text = f"V {abs(change):.1%} {'below' if change < 0 else 'above'} #{best.number:02d}"
+    if e.result.threshold:
+        text += f"; to be kept its mean must be {e.result.threshold:.2g} lower"
+    return text.replace("%", " %")
+
+
 # Identified parameters.
 
 _MOST_PAIRS = 5

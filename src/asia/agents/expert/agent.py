@@ -50,7 +50,7 @@ _CHOSEN_BY_FIT = frozenset({"order", "delay", "na", "nb"})
 
 
 @dataclass(frozen=True)
-class _Option:
+class Option:
     """Something to try."""
 
     family: str
@@ -114,7 +114,7 @@ class ExpertAgent:
     def _best_of(self, view: AgentView, unwanted: set[str]) -> Proposal | None:
         moves, ladder = (
             [option for option in found if not {option.family, option.move} & unwanted]
-            for found in (_refinements(view), _untried(view))
+            for found in (refinements(view), untried(view))
         )
         # Expected seconds of a fit, mean of the trials so far; not measured.
         recipes = (read_recipe(trial.source) for trial in view.trials)
@@ -122,7 +122,7 @@ class ExpertAgent:
         seconds = [row.seconds(view.facts, recipe) for recipe, row in known if row is not None]
         usual = max(sum(seconds) / len(seconds), 1e-3) if seconds else 1.0
 
-        def paced(options: list[_Option]) -> list[_Option]:
+        def paced(options: list[Option]) -> list[Option]:
             """Reduce the weights by the square root of the excess over the usual fit time;
             experiments are limited too."""
             return [
@@ -151,7 +151,7 @@ class ExpertAgent:
         return replace(other, hypothesis=f"{other.hypothesis} {objection}")
 
 
-def _heaviest(options: list[_Option], place: Callable[[str], int] | None = None) -> Proposal | None:
+def _heaviest(options: list[Option], place: Callable[[str], int] | None = None) -> Proposal | None:
     """The first in order of weight that was not tried before.
 
     Args:
@@ -161,14 +161,14 @@ def _heaviest(options: list[_Option], place: Callable[[str], int] | None = None)
     return next((p for option in ordered if (p := option.make()) is not None), None)
 
 
-def _cheap_first(ladder: list[_Option]) -> list[_Option]:
+def _cheap_first(ladder: list[Option]) -> list[Option]:
     """Reduce the weights of families whose first fits take far longer than those of the others."""
     usual = median([option.seconds for option in ladder]) if ladder else 0.0
     limit = max(SLOW_SECONDS, SLOW * usual)
     return [replace(o, weight=0.5 * o.weight) if o.seconds > limit else o for o in ladder]
 
 
-def _untried(view: AgentView) -> Iterator[_Option]:
+def untried(view: AgentView) -> Iterator[Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
     used, lost = {t.family for t in view.proposed}, beats_nothing(view)
     static = any(name == "amplitude" for name, _ in diagnoses(view))
@@ -182,7 +182,7 @@ def _untried(view: AgentView) -> Iterator[_Option]:
         apt = row.aptness(view.facts) > 0
         recipe = row.trial(view.facts).mapped(**maps)
         seconds = row.seconds(view.facts, recipe)
-        yield _Option(row.name, weight, partial(_first, view, row, recipe), seconds, apt)
+        yield Option(row.name, weight, partial(_first, view, row, recipe), seconds, apt)
 
 
 def _first(
@@ -205,7 +205,7 @@ def _wished(view: AgentView, wish: Wish, unwanted: set[str]) -> Proposal | None:
     """A candidate that a note asks for: a family's first or its best move, or the effect on the
     best trial that can have it, then in a new family."""
     if wish.effect == "family":
-        found = [*_refinements(view), *_untried(view)]
+        found = [*refinements(view), *untried(view)]
         return _heaviest([option for option in found if option.family == wish.name])
     for at in _situations(view):
         if at.row.name not in unwanted:
@@ -222,7 +222,7 @@ def _wished(view: AgentView, wish: Wish, unwanted: set[str]) -> Proposal | None:
     return None
 
 
-def _refinements(view: AgentView) -> Iterator[_Option]:
+def refinements(view: AgentView) -> Iterator[Option]:
     """Every applicable move on the best trial of each family, on the last one of a family that
     only failed. A move that was made before and did not help counts less. A family that the
     records speak against is refined only while it leads; while nothing beats the mean, moves that
@@ -248,7 +248,7 @@ def _refinements(view: AgentView) -> Iterator[_Option]:
                 recipe = at.recipe if move.same_effort else move.change(at)
                 seconds = at.row.seconds(at.facts, recipe)
                 make = partial(_moved, at, move)
-                yield _Option(at.row.name, weight, make, seconds, sure=sure, move=move.name)
+                yield Option(at.row.name, weight, make, seconds, sure=sure, move=move.name)
 
 
 def _moved(at: Situation, move: Move) -> Proposal | None:

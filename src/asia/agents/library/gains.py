@@ -33,11 +33,17 @@ def name_of(title: str, names: Collection[str]) -> str:
     return next((name for name, pattern in patterns if re.fullmatch(pattern, text)), "")
 
 
+def measured_gain(move: str, trial: Trial) -> tuple[int, float]:
+    """Return the number of recorded trials of a move on trials with such evidence, and the mean
+    share of V that they gained."""
+    return _table().get((move, evidence_of(trial)), (0, 0.0))
+
+
 def gain_factor(move: str, trial: Trial) -> float:
     """Return the factor of a move's weight: its measured gain on trials with such evidence over the
     mean gain of all moves, shrunk towards 1 for few trials."""
+    count, gain = measured_gain(move, trial)
     table = _table()
-    count, gain = table.get((move, evidence_of(trial)), (0, 0.0))
     total = sum(n for n, _ in table.values())
     mean = sum(n * g for n, g in table.values()) / total if total else 0.0
     if count < _FEWEST or mean <= 0:

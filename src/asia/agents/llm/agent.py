@@ -5,8 +5,18 @@ from __future__ import annotations
 import importlib.util
 from typing import TYPE_CHECKING
 
+from asia.agents.llm.menu import (
+    CHOICE,
+    Offer,
+    menu,
+    menu_lines,
+    menu_problem,
+    menu_schema,
+    menu_search,
+)
 from asia.agents.llm.prompt import (
     NO_CANDIDATE,
+    Task,
     anonymous,
     bounded,
     problem_text,
@@ -14,13 +24,21 @@ from asia.agents.llm.prompt import (
     search_text,
     task_of,
 )
-from asia.agents.llm.reply import MalformedReplyError, Reply, read_reply
+from asia.agents.llm.reply import (
+    NO_CHOICE,
+    Answer,
+    MalformedReplyError,
+    read_choice,
+    read_reply,
+)
 from asia.agents.llm.settings import LlmSettings
 from asia.agents.view import AgentView, Journal, Proposal
 from asia.errors import InternalError, UserError
 
 if TYPE_CHECKING:
     from asia.agents.llm.client import ChatClient, Message
+    from asia.agents.llm.local import LocalServer
+    from asia.ledger.events import StopReason
 
 
 class LlmAgent:
@@ -33,6 +51,7 @@ class LlmAgent:
     Args:
         network: False answers from the journal only, and raises DivergedError where it has no
             answer
+        server: the model's server, to be closed with the agent; None for one that others run
 
     Raises:
         UserError: without the extra `llm` or without a key
@@ -41,7 +60,9 @@ class LlmAgent:
     name = "llm"
     proposes_ahead = True
 
-    def __init__(self, settings: LlmSettings, *, network: bool = True) -> None:
+    def __init__(
+        self, settings: LlmSettings, *, network: bool = True, server: LocalServer | None = None
+    ) -> None:
         if importlib.util.find_spec("openai") is None:
             raise UserError(
                 "the agent llm needs the package openai: pip install '.[llm]' in a clone of ASIA"
@@ -50,6 +71,7 @@ class LlmAgent:
         self._network = network
         self._key = settings.api_key() if network else "none"
         self._client: ChatClient | None = None
+        self._server = server
 
     def recorded(self) -> dict[str, str]:
         """Return the settings that shape the search: no key, no caps."""
@@ -61,57 +83,95 @@ class LlmAgent:
 
         self._client = ChatClient(self.settings, journal, self._key, network=self._network)
 
-    def propose(self, view: AgentView) -> Proposal:
-        """The model's candidate. One whose form cannot be mended in `repairs` turns is proposed as
-        it is, and fails as an experiment."""
+    def stopped(self, reason: StopReason) -> None:
+        """Nothing ends before `leaving`."""
+
+    def leaving(self) -> None:
+        """Close the model's server, if it is ours."""
+        if self._server is not None:
+            self._server.close()
+
+    def propose(self, view: AgentView) -> Proposal | None:
+        """The model's candidate; None when the menu is empty and nothing else is allowed.
+
+        An answer that cannot be used after `repairs` corrections is proposed as it is, and fails as
+        an experiment.
+        """
         if self._client is None:
             raise InternalError("the agent llm was asked before it had a journal")
-        hidden = self.settings.anonymous
+        hidden, proposals = self.settings.anonymous, self.settings.proposals
         seen = anonymous(view) if hidden else view
+        offers = menu(seen) if proposals != "free" else ()
+        if proposals == "menu" and not offers:
+            return None
         task = task_of(seen, self.settings.repairs)
-        messages: list[Message] = [
-            {"role": "system", "content": problem_text(seen.facts)},
-            {"role": "user", "content": search_text(seen, task, hide_baseline=hidden)},
-        ]
-        reply, wrong = self._last_reply(self._client, messages, seen)
-        if reply is None:
-            return Proposal(
-                source="# The answer held no candidate.py.\n",
-                family=NO_CANDIDATE,
-                title="answer without a candidate",
-                hypothesis="None: the model's answers could not be used.",
-                expected=f"A failure: {wrong}",
+        if proposals == "menu":
+            texts, schema = (
+                (menu_problem(seen.facts), menu_search(seen, offers)),
+                menu_schema(offers),
             )
-        parent = task.parent
-        if task.kind != "repair" and reply.parent in {trial.number for trial in seen.trials}:
-            parent = reply.parent
-        family = reply.family if reply.family != NO_CANDIDATE else "custom"
-        return Proposal(reply.source, family, reply.title, reply.hypothesis, reply.expected, parent)
-
-    def _last_reply(
-        self, client: ChatClient, messages: list[Message], view: AgentView
-    ) -> tuple[Reply | None, str]:
-        """Return the last answer with a source, and the error of the last answer of all."""
-        client.begin()
-        reply: Reply | None = None
-        wrong = ""
+        else:
+            texts = problem_text(seen.facts), search_text(seen, task, hide_baseline=hidden)
+            schema = None
+        if proposals == "both" and offers:
+            listed = (
+                f"# Menu\nInstead of a candidate of your own you may choose one of these. {CHOICE}"
+            )
+            texts = texts[0], f"{texts[1]}\n\n{listed}\n{menu_lines(offers)}"
+        messages: list[Message] = [
+            {"role": "system", "content": texts[0]},
+            {"role": "user", "content": texts[1]},
+        ]
+        self._client.begin()
+        proposal, wrong = None, ""
         for _ in range(self.settings.repairs + 1):
-            answer = client.ask(messages)
+            answer = self._client.ask(messages, schema)
             try:
-                reply = read_reply(answer.text, answer.cut)
-                wrong = reply.problem
-                if not wrong and view.is_known(reply.source):
+                proposal, wrong = self._read(answer, seen, task, offers)
+                if not wrong and view.is_known(proposal.source):
                     wrong = "this candidate was evaluated before (comments and layout do not count)"
             except MalformedReplyError as error:
                 wrong = str(error)
             if not wrong:
                 break
+            form = "with a choice from the menu" if schema else "with the complete candidate.py"
             request = (
                 f"Your answer cannot be used, and no experiment was spent: {quoted(wrong, 300)}. "
-                "Answer again in the form asked for, with the complete candidate.py."
+                f"Answer again in the form asked for, {form}."
             )
             messages += [
                 {"role": "assistant", "content": bounded(answer.text, 40_000) or "(nothing)"},
                 {"role": "user", "content": request},
             ]
-        return reply, wrong
+        if proposal is not None:
+            return proposal
+        return Proposal(
+            source="# The answer held no candidate.py.\n",
+            family=NO_CANDIDATE,
+            title="answer without a candidate",
+            hypothesis="None: the model's answers could not be used.",
+            expected=f"A failure: {wrong}",
+        )
+
+    def _read(
+        self, answer: Answer, view: AgentView, task: Task, offers: tuple[Offer, ...]
+    ) -> tuple[Proposal, str]:
+        """Return the proposal of an answer, and the error of its source, "" for none.
+
+        Raises:
+            MalformedReplyError: for an answer without a candidate
+        """
+        choice = read_choice(answer.text) if offers else None
+        if choice is not None:
+            if not 1 <= choice.number <= len(offers):
+                raise MalformedReplyError(f"the menu has no candidate {choice.number}")
+            return offers[choice.number - 1].chosen(choice), ""
+        if self.settings.proposals == "menu":
+            raise MalformedReplyError(NO_CHOICE)
+        reply = read_reply(answer.text, answer.cut)
+        parent = task.parent
+        if task.kind != "repair" and reply.parent in {trial.number for trial in view.trials}:
+            parent = reply.parent
+        family = reply.family if reply.family != NO_CANDIDATE else "custom"
+        said = reply.title, reply.hypothesis, reply.expected
+        return Proposal(reply.source, family, *said, parent), reply.problem

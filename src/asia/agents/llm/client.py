@@ -5,6 +5,7 @@ from __future__ import annotations
 import email.utils
 import time
 import urllib.request
+from collections.abc import Mapping
 from typing import Any, NoReturn, TypeGuard
 from urllib.parse import urlsplit
 
@@ -54,10 +55,13 @@ class ChatClient:
         """Start a new proposal: paid answers come first."""
         self._cassette.rewind()
 
-    def ask(self, messages: list[Message]) -> Answer:
+    def ask(self, messages: list[Message], schema: Mapping[str, Any] | None = None) -> Answer:
         """Ask the model.
 
         A busy server is asked again after the time it requests, within bounds.
+
+        Args:
+            schema: JSON schema of the answer; None for text
 
         Raises:
             AgentStoppedError: when a cap would be exceeded or the server stays unavailable
@@ -65,11 +69,14 @@ class ChatClient:
             InterruptedWaitError: when the user has a note or a request meanwhile
         """
         waited, attempt = 0.0, 0
+        fields = dict(self._settings.parameters)
+        if schema is not None:
+            form = {"name": "choice", "schema": schema}
+            fields["response_format"] = {"type": "json_schema", "json_schema": form}
         while True:
             try:
                 create: Any = self._client.chat.completions.with_raw_response.create
-                s = self._settings
-                raw = create(model=s.model, messages=messages, extra_body=s.parameters)
+                raw = create(model=self._settings.model, messages=messages, extra_body=fields)
                 return read_answer(raw.http_response.content)
             except openai.APIStatusError as error:
                 what = f"status {error.status_code}: {self._said(error)}"
@@ -179,9 +186,16 @@ class ChatClient:
                 f"{s.shown_url} does not know the model '{s.model}' or the path: check --model and "
                 f"--base-url, which ends in /v1 for most servers; it said: {said}"
             )
+        if "context" in f"{error.type} {error.code}":
+            raise UserError(
+                f"the request is longer than the context of the model: give its server a longer "
+                f"one, or use --proposals menu, whose requests are short; {s.shown_url} said: "
+                f"{said}"
+            )
         known = {
             "temperature": "--temperature", "top_p": "--top-p", "seed": "--llm-seed",
             "max_tokens": "--max-reply-tokens", "max_completion_tokens": "--max-reply-tokens",
+            "response_format": "--proposals",
         }  # fmt: skip
         advice = "Change the options of the language model, and choose another --name"
         if error.param in known:
@@ -216,7 +230,9 @@ def _network(url: str) -> httpx2.BaseTransport:
     parts = urlsplit(url)
     proxies = urllib.request.getproxies()
     proxy = proxies.get(parts.scheme) or proxies.get("all")
-    direct = not proxy or bool(urllib.request.proxy_bypass(parts.hostname or ""))
+    host = parts.hostname or ""
+    here = host in ("127.0.0.1", "::1", "localhost")
+    direct = not proxy or here or bool(urllib.request.proxy_bypass(host))
     limits = httpx2.Limits(max_keepalive_connections=0)
     return httpx2.HTTPTransport(proxy=None if direct else proxy, limits=limits)
 

@@ -163,7 +163,7 @@ def briefing(facts: Facts) -> str:
     )
     sections = {
         "Description": bounded(facts.description, _TEXT),
-        "Signals": "\n".join(_signals(facts)),
+        "Signals": "\n".join(signal_lines(facts)),
         "Judgement": "\n".join(_judgement(facts)),
         "Equations": "" if facts.physics is None else "\n".join(equations(facts.physics)),
         "Symmetry": "\n".join(symmetries(facts.symmetry)),
@@ -179,7 +179,8 @@ def briefing(facts: Facts) -> str:
     return "\n\n".join(parts)
 
 
-def _signals(facts: Facts) -> Iterator[str]:
+def signal_lines(facts: Facts) -> Iterator[str]:
+    """Yield the sampling time and the names of the signals."""
     yield f"sampling time {facts.sampling_time:g} s"
     for kind, signals in (("u", facts.inputs), ("y", facts.outputs)):
         labels = ", ".join(f"[{i}] {one_line(s.label, 60)}" for i, s in enumerate(signals))
@@ -363,15 +364,21 @@ def search_text(view: AgentView, task: Task, hide_baseline: bool = False) -> str
     parts.append("# Families tried\n" + "\n".join(_families(view)))
     best = view.best
     if best is not None:
-        lines = [_line(best), *_training(best), _MEANING, *best.evidence[:_EVIDENCE], source(best)]
+        lines = [
+            trial_line(best),
+            *_training(best),
+            _MEANING,
+            *best.evidence[:_EVIDENCE],
+            source(best),
+        ]
         parts.append("# Best so far\n" + "\n".join(lines))
     last = view.trials[-1] if view.trials else None
     if last is not None and last is not best and last.evidence:
-        lines = [_line(last), *last.evidence[:_EVIDENCE]]
+        lines = [trial_line(last), *last.evidence[:_EVIDENCE]]
         parts.append("# The last experiment\n" + "\n".join(lines))
     if task.kind == "repair" and task.parent is not None:
         failed = [trial for trial in view.trials if trial.number == task.parent]
-        lines = [line for trial in failed for line in (_line(trial), source(trial))]
+        lines = [line for trial in failed for line in (trial_line(trial), source(trial))]
         parts.append("# To mend\n" + "\n".join(lines))
     if view.notes:
         notes = "\n".join(f"- {bounded(note, 1000)}" for note in view.notes[-10:])
@@ -389,7 +396,7 @@ def _experiments(view: AgentView) -> Iterator[str]:
         yield f"({len(view.trials) - len(kept)} older ones are left out)"
     last = {trial.number for trial in view.trials[-5:]}
     for trial in kept:
-        yield _line(trial)
+        yield trial_line(trial)
         if trial.number in last:
             yield (
                 f"    hypothesis {quoted(trial.hypothesis, _SAID)}, expected "
@@ -403,7 +410,8 @@ def _title(trial: Trial | Running, status: str = "") -> str:
     return f"#{trial.number}{status}{origin} {title}"
 
 
-def _line(trial: Trial) -> str:
+def trial_line(trial: Trial) -> str:
+    """Number, status, title and V of an experiment, or its failure."""
     head = _title(trial, f" {trial.status}")
     if trial.value is not None:
         folds = ", ".join(f"{v:.5g}" for v in trial.folds)

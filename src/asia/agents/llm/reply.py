@@ -49,6 +49,26 @@ def json_object(value: Any) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
+@dataclass(frozen=True)
+class Choice:
+    """Choice from a menu: the number of a candidate, changed settings and the reason."""
+
+    number: int
+    settings: dict[str, Any]
+    reason: str
+
+
+def read_choice(text: str) -> Choice | None:
+    """The choice from a menu in an answer, after any thoughts; None where there is none."""
+    text = text.rpartition("</think>")[2]
+    found = json_object(text[text.find("{") : text.rfind("}") + 1].encode("utf-8", "replace"))
+    choice = json_object(found.get("choice"))
+    number = choice.get("number")
+    if not isinstance(number, int) or isinstance(number, bool):
+        return None
+    return Choice(number, json_object(choice.get("settings")), str(found.get("reason", "")))
+
+
 # Parser of a language model's answer into a candidate with its rationale; tolerant of the form.
 
 
@@ -74,6 +94,9 @@ class Reply:
     title: str
     parent: int | None
     problem: str = ""
+
+
+NO_CHOICE = "the answer is no JSON object with a choice from the menu"
 
 
 class MalformedReplyError(Exception):
@@ -221,9 +244,15 @@ def llm_report(run: Run) -> LlmReport:
     answered = [e for e in view.exchanges if 200 <= e.status < 300]
     count = Counter(exchange.experiment for exchange in answered)
     wrong: Counter[str] = Counter()
+    settings = view.started.agent_settings
+    proposals = json.loads(settings.get("proposals", '"free"'))
     for exchange in answered:
         answer = read_answer(run.store.get(exchange.response))
         try:
+            if proposals != "free" and read_choice(answer.text) is not None:
+                continue
+            if proposals == "menu":
+                raise MalformedReplyError(NO_CHOICE)
             error = one_line(read_reply(answer.text, answer.cut).problem, 200)
         except MalformedReplyError as malformed:
             error = str(malformed)
@@ -233,7 +262,6 @@ def llm_report(run: Run) -> LlmReport:
     lost = [s for s in steps if s.proposed.family == NO_CANDIDATE]
     failures = Counter(s.failure.reason.value for s in steps if s.failure is not None)
     used = [e.usage for e in answered if e.usage is not None]
-    settings = view.started.agent_settings
 
     def counted(found: Counter[str]) -> tuple[str, ...]:
         return tuple(f"{text} ({number} times)" for text, number in found.most_common())

@@ -7,13 +7,14 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import urlsplit
 
 from pydantic import TypeAdapter
 
 from asia.errors import UserError
 
+Proposals = Literal["free", "menu", "both"]
 DEFAULT_URL = "https://api.openai.com/v1"
 _OURS = frozenset({
     "model", "messages", "stream", "n", "max_tokens", "max_completion_tokens", "temperature",
@@ -37,6 +38,8 @@ class LlmSettings:
         retries, retry_seconds: number of attempts and total waiting time when the server is
             busy
         anonymous: hide the identity of the system
+        proposals: sources that the model writes, candidates chosen from a menu, or both
+        local: weights, sampler and version of a server that ASIA started; {} for another one
 
     Raises:
         UserError: for settings that do not fit together
@@ -59,6 +62,8 @@ class LlmSettings:
     retry_seconds: float = 300.0
     timeout_seconds: float = 600.0
     anonymous: bool = False
+    proposals: Proposals = "free"
+    local: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:
         if not self.model:
@@ -78,6 +83,8 @@ class LlmSettings:
                 raise UserError(f"a limit of {what} must be more than 0")
         if self.max_reply_tokens < 1 or self.repairs < 0:
             raise UserError("a reply needs at least 1 token, and repairs at least 0")
+        if self.anonymous and self.proposals != "free":
+            raise UserError("--anonymous needs --proposals free: a menu tells the kind of system")
         ours = sorted(_OURS & self.extra_body.keys())
         if ours:
             raise UserError(f"extra body: '{ours[0]}' has its own option, or is fixed")
@@ -97,7 +104,8 @@ class LlmSettings:
         for an invalid address."""
         try:
             parts = urlsplit(self.url)
-            port = f":{parts.port}" if parts.port else ""
+            # A server of our own has another port each time.
+            port = f":{parts.port}" if parts.port and not self.local else ""
         except ValueError:
             return ""
         host = parts.hostname or ""
@@ -146,6 +154,9 @@ class LlmSettings:
             "repairs": self.repairs,
             "anonymous": self.anonymous,
             "extra_body": dict(self.extra_body),
+            # Absent in ledgers of free proposals and of other servers.
+            "proposals": None if self.proposals == "free" else self.proposals,
+            "local": dict(self.local) or None,
         }
         return {
             "model": self.model,

@@ -32,6 +32,7 @@ from asia.interfaces.cli import (
     init,
     linear,
     models,
+    query,
     report,
     show,
     status,
@@ -137,6 +138,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
 MORE_COMMANDS: dict[str, Callable[..., None] | typer.Typer] = {
     "steer": steer.steer,
     "verify": verify.verify,
+    "query": query.query,
     "agent": agent_app,
     "bench": bench_app,
     "doctor": doctor.doctor,

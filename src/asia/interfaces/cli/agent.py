@@ -454,15 +454,16 @@ def llm_check(
     from asia.search.run import prepare, search
     from asia.search.steering import Steering
 
-    if llm.base_url is None and models.model is None:
+    if llm.base_url is None and llm.local is None and models.model is None:
         raise UserError(
-            "asia agent check needs a server or a model: give --base-url, --model or both"
+            "asia agent check needs a server or a model: give --base-url, --model or both, or "
+            "--local"
         )
-    if models.model is None:
+    if models.model is None and llm.local is None:
         models = replace(models, model=first_model(llm.base_url or "", llm.api_key_env))
     agent = llm.agent(models)
     # A new name, because the server may have changed since the last check.
-    words = re.sub(r"\W+", "-", models.model or "").strip("-") or "model"
+    words = re.sub(r"\W+", "-", agent.settings.model).strip("-") or "model"
     problem = load_problem(CHECK_PROBLEM)
     budget = replace(problem.budget, experiments=steps + 1, fit_seconds=30.0)
     ready = prepare(

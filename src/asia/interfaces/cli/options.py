@@ -12,7 +12,7 @@ from copy import copy
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 from typer.models import OptionInfo
@@ -137,6 +137,18 @@ class LlmOptions:
             help="OpenAI-compatible server, such as http://localhost:8000/v1; default OpenAI's.",
         ),
     ] = None
+    local: Annotated[
+        Path | None,
+        _own(
+            metavar="GGUF", help="Start and stop a server with this model on this machine instead."
+        ),
+    ] = None
+    proposals: Annotated[
+        Literal["free", "menu", "both"] | None,
+        _own(
+            help="The model writes candidates (free, default), chooses from a menu, or does both."
+        ),
+    ] = None
     temperature: Annotated[
         float | None, _own(min=0.0, help="Passed to the server; not sent by default.")
     ] = None
@@ -177,6 +189,7 @@ class LlmOptions:
     def agent(self, caps: ModelOptions) -> LlmAgent:
         """Make the agent. Raises UserError for invalid options."""
         from asia.agents.llm.agent import LlmAgent
+        from asia.agents.llm.local import LocalServer
         from asia.agents.llm.settings import LlmSettings
 
         price_input = price_output = None
@@ -199,13 +212,18 @@ class LlmOptions:
                     f"--extra-body {self.extra_body}: expected a JSON object, such as "
                     "'{\"top_k\": 20}'"
                 )
+        server, model, proposals = None, caps.model or "", self.proposals or "free"
+        if self.local is not None:
+            # Requests of a menu are short; a longer context costs memory.
+            server = LocalServer(self.local, context=8192 if proposals == "menu" else 0)
+            model = model or self.local.stem
         return LlmAgent(
             LlmSettings(
-                model=caps.model or "",
-                base_url=self.base_url,
+                model=model,
+                base_url=self.base_url if server is None else server.url,
                 temperature=self.temperature,
                 top_p=self.top_p,
-                seed=self.llm_seed,
+                seed=0 if self.llm_seed is None and server is not None else self.llm_seed,
                 extra_body=extra_body,
                 api_key_env=self.api_key_env,
                 max_tokens_total=caps.max_tokens,
@@ -214,7 +232,10 @@ class LlmOptions:
                 price_output=price_output,
                 max_reply_tokens=self.max_reply_tokens or LlmSettings.max_reply_tokens,
                 anonymous=self.anonymous,
-            )
+                proposals=proposals,
+                local={} if server is None else server.facts,
+            ),
+            server=server,
         )
 
 

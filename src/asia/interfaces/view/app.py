@@ -31,6 +31,7 @@ from asia.errors import UserError
 from asia.interfaces.view.followed import RunFolder, Snapshot
 from asia.interfaces.view.pages import (
     FIRST,
+    Chosen,
     comparison_page,
     comparison_part,
     digest_of,
@@ -97,15 +98,15 @@ class _Pages:
         return HTMLResponse(runs_page(self.folder.folder, listed, digest, self.token))
 
     def run(self, request: Request) -> Response:
-        return HTMLResponse(run_page(self._snapshot(request), self.token))
+        return HTMLResponse(run_page(self._snapshot(request), self.token, _chosen(request)))
 
     def curve(self, request: Request) -> Response:
         return HTMLResponse(progress_part(self._snapshot(request).subject))
 
     def rows(self, request: Request) -> Response:
-        before, most = (_number(request, key) for key in ("before", "most"))
+        after, most = (_number(request, key) for key in ("after", "most"))
         subject = self._snapshot(request).subject
-        return HTMLResponse(experiment_rows(subject, before, most or FIRST))
+        return HTMLResponse(experiment_rows(subject, _chosen(request), after, most or FIRST))
 
     def section(self, request: Request) -> Response:
         found = section_part(self._snapshot(request, with_records=True), request.path_params["key"])
@@ -173,6 +174,11 @@ class _Pages:
         main = (tag("h1", "This cannot be shown"), tag("p", said(words, 1000)))
         page = whole_page("Not shown", (("Searches", "/"),), main, self.token)
         return HTMLResponse(page, 404)
+
+
+def _chosen(request: Request) -> Chosen:
+    found = (request.query_params.get(key, "")[:200] for key in ("kind", "words", "order"))
+    return Chosen(*found)
 
 
 def _number(request: Request, key: str) -> int | None:

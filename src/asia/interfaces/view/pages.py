@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
@@ -19,7 +19,7 @@ from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.ledger.events import TestedModel
 from asia.ledger.evidence import evidence_of, settings_of_run
 from asia.ledger.run import alarms, model_to_use, tested_model
-from asia.ledger.text import error_value, evidence_lines
+from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
 from asia.report.page.html import Html, join, said, table, tag
@@ -417,26 +417,87 @@ MOST = 3000
 """Rows of one answer."""
 
 
+ORDERS: Final = {
+    "": "the last first",
+    "oldest": "the oldest first",
+    "v": "the lowest V first",
+    "seconds": "the longest evaluation first",
+    "family": "by family",
+}
+KINDS: Final = {"": "all", "kept": "kept", "other": "not kept", "failed": "without a score"}
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Experiments that a list shows, as the address of the page has it.
+
+    Attributes:
+        kind, order: keys of `KINDS` and `ORDERS`; others count as ""
+        words: each is in the title, rationale, family, source or printed output
+    """
+
+    kind: str = ""
+    words: str = ""
+    order: str = ""
+
+    def of(self, subject: Subject) -> list[Experiment]:
+        """Return these experiments in their order."""
+        words = self.words.lower().split()
+        found = [
+            e
+            for e in reversed(subject.view.experiments)
+            if (self.kind not in KINDS or self.kind in ("", _kind(e)))
+            and (not words or self._holds(words, e, subject))
+        ]
+        if self.order == "oldest":
+            found.reverse()
+        elif self.order == "v":
+            found.sort(key=lambda e: e.score.value if e.score else float("inf"))
+        elif self.order == "seconds":
+            found.sort(key=lambda e: -(e.result.seconds if e.result else 0.0))
+        elif self.order == "family":
+            found.sort(key=lambda e: e.proposed.family)
+        return found
+
+    def _holds(self, words: list[str], e: Experiment, subject: Subject) -> bool:
+        p, store = e.proposed, subject.run.store
+        parts = [f"#{e.number:02d}", p.title, p.family, p.hypothesis, p.expected]
+        parts.append(describe_result(e, subject.view))
+        if store.kept:
+            parts.append(store.text(p.source))
+            if e.result is not None and e.result.output:
+                parts.append(store.text(e.result.output))
+        text = "\n".join(parts).lower()
+        return all(word in text for word in words)
+
+
+def _kind(e: Experiment) -> str:
+    return "kept" if e.kept else "failed" if e.failure is not None else "other"
+
+
 def experiment_row(subject: Subject, e: Experiment) -> Html:
     """Write one experiment on one line."""
     status = e.result.status if e.result else "running"
+    reason = tag("span", said(decision_text(e, subject.view), 300), class_="why")
     link = tag(
         "a",
         tag("span", subject.name(e), class_="id"),
-        tag("span", said(e.proposed.title, 120), class_="what"),
+        tag("span", said(e.proposed.title, 120), " ", reason, class_="what"),
         tag("span", status, class_=f"status {status}"),
         tag("span", subject.v(e) if e.score else "", class_="value"),
         href=f"{run_address(subject.run.name)}/experiments/{e.number}",
     )
-    kind = "kept" if e.kept else "failed" if e.failure is not None else "other"
-    return tag("li", link, id=f"e{e.number}", class_=kind)
+    return tag("li", link, id=f"e{e.number}", class_=_kind(e))
 
 
-def experiment_rows(subject: Subject, before: int | None = None, most: int = FIRST) -> Html:
-    """The last `most` experiments, or those before a number, in parts; with a button for the
-    earlier ones."""
-    every = [e for e in subject.view.experiments if before is None or e.number < before]
-    shown = every[: -min(most, MOST) - 1 : -1]
+def experiment_rows(
+    subject: Subject, chosen: Chosen, after: int | None = None, most: int = FIRST
+) -> Html:
+    """At most `most` of the chosen experiments, those after a number in their order, in parts; with
+    a button for the others."""
+    every = chosen.of(subject)
+    place = next((k for k, e in enumerate(every, 1) if e.number == after), 0)
+    shown = every[place : place + min(most, MOST)]
     parts = [shown[k : k + CHUNK] for k in range(0, len(shown), CHUNK)]
     lists = [
         tag(
@@ -444,15 +505,16 @@ def experiment_rows(subject: Subject, before: int | None = None, most: int = FIR
             *(experiment_row(subject, e) for e in part),
             class_="part",
             style=f"--rows:{len(part)}",
-            data_first=part[-1].number,
         )
         for part in parts
     ]
-    earlier = None
-    if len(every) > len(shown):
-        text = f"Show those before #{shown[-1].number}"
-        earlier = tag("button", text, type="button", class_="earlier", data_before=shown[-1].number)
-    return join((*lists, earlier))
+    if not every and chosen != Chosen():
+        return tag("p", "No experiment fits.", class_="none")
+    more = None
+    if len(every) > place + len(shown):
+        text = f"Show those after #{shown[-1].number}"
+        more = tag("button", text, type="button", class_="more", data_after=shown[-1].number)
+    return join((*lists, more))
 
 
 # The page of one run: what is known now, the curve, the list, and the report's sections.
@@ -462,8 +524,8 @@ def experiment_rows(subject: Subject, before: int | None = None, most: int = FIR
 _OWN: Final = ("progress", "experiments")
 
 
-def run_page(snapshot: Snapshot, token: str) -> str:
-    """The page of a run."""
+def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
+    """The page of a run, with the chosen experiments."""
     subject = snapshot.subject
     start, name = subject.view.started, snapshot.run.name
     text = (
@@ -480,22 +542,31 @@ def run_page(snapshot: Snapshot, token: str) -> str:
         id="curve",
         data_curve=f"{run_address(name)}/curve",
     )
-    kinds = (("", "all"), ("kept", "kept"), ("other", "not kept"), ("failed", "without a score"))
-    options = [tag("option", words, value=kind) for kind, words in kinds]
+    selects = [
+        tag("label", label, " ", tag("select", *_options(values, now), name=key))
+        for label, key, values, now in (
+            ("Show", "kind", KINDS, chosen.kind),
+            ("in order:", "order", ORDERS, chosen.order),
+        )
+    ]
+    where = "searches titles, rationale, sources and printed output"
+    words = tag("input", name="words", type="search", value=chosen.words, title=where)
     choose = tag(
-        "p",
-        tag("label", "Show ", tag("select", *options, id="kind")),
-        tag("label", " with the words ", tag("input", id="words", type="search")),
+        "form",
+        *selects,
+        tag("label", "with the words ", words),
+        id="choose",
         class_="choose",
+        role="search",
     )
     listed = tag(
         "div",
-        experiment_rows(subject),
+        experiment_rows(subject, chosen),
         id="rows",
         class_="rows",
         tabindex="0",
         role="region",
-        aria_label="Experiments, the last one first",
+        aria_label="Experiments",
     )
     # The page asks for the other sections when it is there.
     later = [
@@ -527,6 +598,10 @@ def run_page(snapshot: Snapshot, token: str) -> str:
         data_run=run_address(name),
     )
     return whole_page(name, (("Searches", "/"),), (holder,), token)
+
+
+def _options(values: Mapping[str, str], now: str) -> list[Html]:
+    return [tag("option", text, value=key, selected=key == now) for key, text in values.items()]
 
 
 def now_panel(snapshot: Snapshot) -> Html:

@@ -132,6 +132,28 @@ def test_a_new_experiment_appears_and_a_title_stays_text(
     assert (watched.complaints, watched.hosts) == ([], {f"127.0.0.1:{server.port}"})
 
 
+def test_the_address_keeps_the_chosen_experiments(
+    server: Server, watched: Watched, problem: Problem
+) -> None:
+    page = watched.page
+    page.goto(server.at("/runs/made"))
+    expect(page.locator("#connection")).to_have_text("live")
+    page.get_by_label("in order").select_option("v")
+    expect(page.locator("#rows li").first).to_have_id("e2")
+    page.get_by_label("Show").select_option("kept")
+    expect(page.locator("#rows li")).to_have_count(2)
+    page.get_by_label("with the words").fill("first")
+    expect(page.locator("#rows li")).to_have_count(1)
+    assert page.url == server.at("/runs/made?kind=kept&order=v&words=first")
+    page.reload()
+    expect(page.locator("#rows li")).to_have_count(1)
+    expect(page.get_by_label("with the words")).to_have_value("first")
+    page.get_by_label("with the words").fill("")
+    grow(server.runs, problem, 5, "fresh")
+    expect(page.locator("#rows li").first).to_have_id("e5")
+    assert watched.complaints == []
+
+
 def test_a_page_outlives_its_server(server: Server, watched: Watched, problem: Problem) -> None:
     page = watched.page
     page.goto(server.at("/runs/made"))

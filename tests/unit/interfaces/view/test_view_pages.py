@@ -10,11 +10,13 @@ import pytest
 from starlette.testclient import TestClient
 
 from asia.agents import reads_notes
-from asia.errors import UserError
+from asia.errors import Reason, UserError
 from asia.interfaces.view.followed import RunFolder
 from asia.interfaces.view.pages import steering_panel
+from asia.judge.scoring.outcome import Failure
+from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
-from asia.ledger.events import Leg
+from asia.ledger.events import Evaluated, Leg, Proposed
 from asia.ledger.run import open_run
 from asia.problem.problem import Problem
 from asia.report.page.page import audit
@@ -196,11 +198,48 @@ def test_a_run_without_its_records_says_so(client: TestClient, runs: Path) -> No
     assert "No simulations, because the records are missing" in client.get("/runs/made").text
 
 
+@pytest.mark.parametrize(
+    ("query", "numbers"),
+    [
+        ("", "4321"),
+        ("order=oldest", "1234"),
+        ("order=v", "2413"),
+        ("order=v&after=2&most=2", "41"),
+        ("order=made+up&kind=made+up", "4321"),
+        ("kind=failed", "3"),
+        ("kind=kept&order=oldest", "12"),
+        ("words=LAST", "4"),
+        ("words=script+title", "2"),
+        ("words=%23+first", "1"),
+        ("words=nowhere+to+be+found", ""),
+    ],
+)
+def test_experiments_are_chosen_and_sorted(client: TestClient, query: str, numbers: str) -> None:
+    found = re.findall(r'<li id="e(\d)"', client.get(f"/runs/made/rows?{query}").text)
+    assert found == list(numbers)
+    if "after" not in query:
+        assert re.findall(r'<li id="e(\d)"', client.get(f"/runs/made?{query}").text) == found
+    assert ("No experiment fits." in client.get(f"/runs/made/rows?{query}").text) == (not numbers)
+
+
+def test_the_text_search_reads_sources_and_output(client: TestClient, runs: Path) -> None:
+    store = Store(runs / "made" / "artifacts")
+    source, output = store.put(b"order = 47\n"), store.put(b"the pump saturates\n")
+    failure = Failure(Reason.CRASH, "", 1)
+    with Chain(runs / "made" / "ledger.jsonl") as chain:
+        chain.append(Proposed(5, None, "refine", "arx", "plain", "why", "lower", source, "5"))
+        chain.append(Evaluated(5, "crash", failure, (), output, 1.0))
+    for words in ("ORDER 47", "saturates", "arx why", Reason.CRASH.advice):
+        row = client.get("/runs/made/rows", params={"words": words}).text
+        assert re.findall(r'<li id="e(\d)"', row) == ["5"], words
+    assert Reason.CRASH.advice[:20] in row
+
+
 def test_a_long_list_comes_in_pieces(client: TestClient) -> None:
     first = client.get("/runs/made/rows?most=3").text
     assert re.findall(r'<li id="e(\d)"', first) == ["4", "3", "2"]
-    assert 'data-before="2"' in first
-    rest = client.get("/runs/made/rows?before=2&most=99999999").text
+    assert 'data-after="2"' in first
+    rest = client.get("/runs/made/rows?after=2&most=99999999").text
     assert re.findall(r'<li id="e(\d)"', rest) == ["1"]
     assert "<button" not in rest
 

@@ -33,24 +33,28 @@ function atMost(pause, call) {
 
 const rows = one("#rows");
 
-function fits(row) {
-  const words = one("#words").value.trim().toLowerCase();
-  return !words || row.textContent.toLowerCase().includes(words);
+const form = one("#choose");
+
+// What the user chose, without what is empty: the address of the page and of its rows.
+function chosen() {
+  return new URLSearchParams([...new FormData(form)].filter(([, value]) => value.trim()));
 }
 
-function choose() {
-  const narrowed = Boolean(one("#kind").value || one("#words").value.trim());
-  rows.dataset.kind = one("#kind").value;
-  rows.toggleAttribute("data-few", narrowed);
-  for (const row of all("li", rows)) row.classList.toggle("out", !fits(row));
-  if (narrowed) earlier(3000);
+let asked = 0;
+
+async function choose() {
+  const query = chosen(), mine = ++asked;
+  history.replaceState(null, "", `${query.size ? `?${query}` : location.pathname}${location.hash}`);
+  const found = await ask(`${one("[data-run]").dataset.run}/rows?${query}`).then(elements, () => null);
+  if (found && mine === asked) rows.replaceChildren(found);
 }
+
+const chooseAgain = atMost(1000, choose);
 
 function put(row) {
   const fresh = elements(row.html).firstElementChild;
   const old = document.getElementById(fresh.id);
   fresh.classList.add("new");
-  fresh.classList.toggle("out", !fits(fresh));
   if (old) {
     const focused = old.contains(document.activeElement);
     old.replaceWith(fresh);
@@ -70,23 +74,23 @@ function put(row) {
   if (below > 0) rows.scrollTop = below + fresh.offsetHeight;
 }
 
-// The experiments before those in the list, whose end is a button.
-async function earlier(most) {
-  const button = one(".earlier", rows);
+// The experiments after those in the list, whose end is a button.
+async function further() {
+  const button = one(".more", rows);
   if (!button || button.disabled) return;
   button.disabled = true;
-  const address = `${one("[data-run]").dataset.run}/rows?before=${button.dataset.before}&most=${most}`;
-  const found = await ask(address).then(elements, () => null);
+  const query = chosen();
+  query.set("after", button.dataset.after);
+  const found = await ask(`${one("[data-run]").dataset.run}/rows?${query}`).then(elements, () => null);
   if (!found) return void (button.disabled = false);
   const first = document.activeElement === button ? one("a", found) : null;
   button.replaceWith(found);
-  choose();
   first?.focus();
   nearEnd();
 }
 
 function nearEnd() {
-  if (rows.scrollHeight - rows.scrollTop - rows.clientHeight < 3000) earlier(300);
+  if (rows.scrollHeight - rows.scrollTop - rows.clientHeight < 3000) further();
 }
 
 // ---- sections of the report, and the curve
@@ -125,7 +129,8 @@ function connected(words, lost) {
 }
 
 function news(data) {
-  if (rows) for (const row of [...data.rows].reverse()) put(row);
+  if (rows && chosen().size) data.rows.length && chooseAgain();
+  else if (rows) for (const row of [...data.rows].reverse()) put(row);
   for (const [name, html] of Object.entries(data.parts)) {
     const place = document.getElementById(name);
     if (place) swap(place, html);
@@ -216,7 +221,7 @@ document.addEventListener("submit", async (event) => {
 document.addEventListener("click", (event) => {
   const button = event.target.closest("button");
   if (!button) return;
-  if (button.classList.contains("earlier")) earlier(300);
+  if (button.classList.contains("more")) further();
   const what = button.dataset.post;
   if (!what) return;
   if (what === "stop" && !confirm("Stop the search after this experiment?")) return;
@@ -235,8 +240,8 @@ if (two) {
 }
 
 if (rows) {
-  one("#kind").addEventListener("change", choose);
-  one("#words").addEventListener("input", choose);
+  form.addEventListener("input", atMost(150, choose));
+  form.addEventListener("submit", (event) => { event.preventDefault(); choose(); });
   rows.addEventListener("scroll", nearEnd, { passive: true });
 }
 for (const place of all("[data-stream]")) follow(place);

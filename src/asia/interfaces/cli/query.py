@@ -1,0 +1,114 @@
+"""asia query: read-only SQL over the runs of a folder."""
+
+from __future__ import annotations
+
+import contextlib
+import json as jsonlib
+import sqlite3
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asia._text import one_line, say
+from asia.errors import UserError
+from asia.interfaces.cli.options import DEFAULT_RUNS, Json, Runs
+
+_TABLES = """
+CREATE TABLE runs (run TEXT, problem TEXT, agent TEXT, seed INTEGER, state TEXT, finished INTEGER,
+    budget INTEGER, best INTEGER, V REAL, tokens INTEGER);
+CREATE TABLE experiments (run TEXT, number INTEGER, parent INTEGER, phase TEXT, agent TEXT,
+    family TEXT, title TEXT, hypothesis TEXT, expected TEXT, status TEXT, V REAL, reason TEXT,
+    seconds REAL);
+"""
+_COLUMNS = " ".join(_TABLES.replace("CREATE TABLE ", "").split())
+_READS = (
+    sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE,
+)  # fmt: skip
+_WIDEST = 60
+
+
+def query(
+    sql: Annotated[str, typer.Argument(metavar="SQL", help="One SELECT statement.")],
+    runs: Runs = DEFAULT_RUNS,
+    json: Json = False,
+) -> None:
+    """Answer an SQL query over the runs and their experiments, as a table or as JSON lines.
+
+    Tables: runs (run, problem, agent, seed, state, finished, budget, best, V, tokens) and
+    experiments (run, number, parent, phase, agent, family, title, hypothesis, expected, status, V,
+    reason, seconds). The function source(run, number) returns candidate.py. The tables are copies:
+    a query changes nothing.
+    """
+    with contextlib.closing(sqlite3.connect(":memory:")) as database:
+        _fill(database, runs)
+        database.set_authorizer(
+            lambda action, *_: sqlite3.SQLITE_OK if action in _READS else sqlite3.SQLITE_DENY
+        )
+        try:
+            cursor = database.execute(sql)
+            rows = cursor.fetchall()
+            if cursor.description is None:
+                raise sqlite3.Warning("no statement")
+        except (sqlite3.Error, sqlite3.Warning) as error:
+            raise UserError(
+                f"the query failed: {error}; expected one SELECT over {_COLUMNS}"
+            ) from None
+        names = [column[0] for column in cursor.description]
+    if json:
+        for row in rows:
+            say(jsonlib.dumps(dict(zip(names, row, strict=True)), ensure_ascii=False))
+        return
+    texts = [[_cell(value) for value in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(names, *texts, strict=True)]
+    for line in (names, *texts):
+        say("  ".join(f"{text:<{w}}" for text, w in zip(line, widths, strict=True)).rstrip())
+
+
+def _fill(database: sqlite3.Connection, runs: Path) -> None:
+    """Copy the runs of a folder; name on stderr those that cannot be read."""
+    from asia.ledger.run import Run, open_run
+    from asia.ledger.text import decision_text
+
+    opened: dict[str, Run] = {}
+    database.executescript(_TABLES)
+    for ledger in sorted(runs.glob("*/ledger.jsonl")):
+        name = ledger.parent.name
+        try:
+            run = open_run(ledger.parent)
+        except UserError as error:
+            say(f"left out: {error}", file=sys.stderr)
+            continue
+        opened[name] = run
+        view, best = run.view, run.view.best
+        start, usage = view.started, view.usage
+        value = best.score.value if best is not None and best.score is not None else None
+        row = (
+            name, start.problem, start.agent, start.seed, run.state, len(view.finished),
+            view.budget, best and best.number, value, usage and usage.tokens,
+        )  # fmt: skip
+        database.execute(f"INSERT INTO runs VALUES ({', '.join('?' * len(row))})", row)
+        for e in view.experiments:
+            p, r = e.proposed, e.result
+            row = (
+                name, e.number, p.parent, p.phase, p.agent or start.agent, p.family, p.title,
+                p.hypothesis, p.expected, r.status if r else "running",
+                e.score.value if e.score else None, decision_text(e, view),
+                r.seconds if r else None,
+            )  # fmt: skip
+            marks = ", ".join("?" * len(row))
+            database.execute(f"INSERT INTO experiments VALUES ({marks})", row)
+
+    def source(name: str, number: int) -> str | None:
+        run = opened.get(name)
+        found = [e for e in run.view.experiments if e.number == number] if run else []
+        return run.store.text(found[0].proposed.source) if run and found else None
+
+    database.create_function("source", 2, source)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.5g}"
+    return "" if value is None else one_line(str(value), _WIDEST)

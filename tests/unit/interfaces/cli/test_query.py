@@ -1,0 +1,62 @@
+"""asia query: SQL over runs, which changes nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from asia.ledger.run import open_run
+
+from .conftest import Searched, command_line
+
+
+def test_rows_are_those_of_the_ledger(searched: Searched) -> None:
+    run = open_run(searched.directory)
+    best = run.view.best
+    assert best is not None
+    assert best.score is not None
+    sql = (
+        "select r.run, e.number, e.V, e.status, source(e.run, e.number) "
+        "from runs r join experiments e using (run) where r.best = e.number"
+    )
+    done = command_line("query", sql, "--runs", searched.runs, "--json")
+    assert done.code == 0, done.err
+    assert list(json.loads(done.out).values()) == [
+        searched.name, best.number, best.score.value, "keep", run.store.text(best.proposed.source),
+    ]  # fmt: skip
+    table = command_line("query", "select title, V from experiments", "--runs", searched.runs).out
+    heads, row = table.splitlines()
+    assert heads.split() == ["title", "V"]
+    assert row.startswith(best.proposed.title)
+    assert row.endswith(f"{best.score.value:.5g}")
+
+
+def test_a_folder_without_runs_and_an_unreadable_run(tmp_path: Path) -> None:
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "ledger.jsonl").write_text("made up\n")
+    done = command_line("query", "select count(*) as n from runs", "--runs", tmp_path)
+    assert done.out == "n\n0\n"
+    assert "left out: " in done.err
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "delete from runs",
+        "create table t (x)",
+        "attach database '{folder}/made.sqlite' as made",
+        "pragma query_only = 0",
+        "select load_extension('made up')",
+        "vacuum into '{folder}/made.sqlite'",
+        "select 1; delete from runs",
+        "select made_up from runs",
+        "",
+    ],
+)
+def test_only_reading_is_allowed(sql: str, tmp_path: Path) -> None:
+    done = command_line("query", sql.format(folder=tmp_path), "--runs", tmp_path)
+    assert done.code == 2
+    assert "expected one SELECT over runs (run TEXT" in done.err
+    assert list(tmp_path.iterdir()) == []
