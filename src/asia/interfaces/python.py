@@ -297,11 +297,12 @@ class SystemIdentifier:
         Raises UserError where there is no such point, several, or no python-control.
         """
         found = linearize(self._opened, [] if at is None else [at])
-        if len(found.points) > 1:
+        point, *others = found.points
+        if others:
             rests = ", ".join(str(one.at.y.tolist()) for one in found.points)
             raise UserError(f"the model rests at several outputs, {rests}: give one as at='y=...'")
         names = [one.name for one in found.inputs], [one.name for one in found.outputs]
-        return found.points[0].model.control(*names)
+        return point.model.control(*names)
 
     def report(self) -> tuple[Path, ...]:
         """Write pictures and the page of the run; their paths."""

@@ -69,7 +69,7 @@ def test_records_spoilt_in_one_way_name_that_way_and_what_would_help() -> None:
         fed_back[k] -= 1.5 * response[k]
     slow = lfilter([0, 1 - 0.997], [1, -0.997], u[:, 0])[:, None]
     slow += 0.002 * rng.normal(size=slow.shape)
-    binary, noisy = np.sign(u), second_order(u, noise=0.35)
+    binary = np.sign(u)
     cases = [
         ((u, np.ones_like(y)), "not enough", "is constant", ""),
         ((u, rng.normal(size=y.shape)), "not enough", "no effect of an input", "larger and faster"),
