@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from statistics import median
@@ -230,8 +230,14 @@ class _Comparison:
 # it is as it is.
 
 
-# Maximum nested V of a stack, relative to the winner's V.
-STACK_GAIN = 0.8
+# Nested V of a stack, relative to the winner's V: below the first it is named whatever the refit is
+# worth, up to the second where one model of all data is no better than a mean of models.
+STACK_GAIN, STACK_WORTH = 0.8, 1.2
+# Error of a refit on the training records, relative to the ensemble's, up to which the other third
+# of the data made it better. Above, the error is that of the structure or of the noise.
+BETTER = 0.95
+# Disagreement of fold models, relative to the ensemble's error, up to which a mean gains nothing.
+AGREE = 0.2
 
 
 @dataclass(frozen=True)
@@ -272,22 +278,41 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
             "clearly below the "
             f"winner's, {error_value(value)}.",
         )
-    if evidence.detail or check is None:
+    if check is None or evidence.detail:
         why = evidence.detail or "there is no refit"
-        return ModelToUse("ensemble", f"{why[:1].upper()}{why[1:]}.")
-    kept = check.starts[(check.kept or 0) - 1]
-    errors = f"{number(kept.error)}, the ensemble's {number(check.ensemble_error)}"
-    if is_worthy(check):
-        text = f"It fits the training records at least as well as the ensemble (error {errors})."
-        return ModelToUse("refit", text)
-    if is_as_good(check):
-        text = f"{number(kept.disagreement)} against {number(check.fold_disagreement)}"
+        why = f"{why[:1].upper()}{why[1:]}."
+    else:
+        kept = check.starts[(check.kept or 0) - 1]
+        errors = f"{number(kept.error)}, the ensemble's {number(check.ensemble_error)}"
+        apart, usual, ensemble = kept.disagreement, check.fold_disagreement, check.ensemble_error
+        if is_worthy(check):
+            if ensemble is None or len(check.fold_errors) < 3:
+                # With two folds a fold model has seen half of the data only.
+                text = "It fits the training records at least as well as the ensemble"
+                return ModelToUse("refit", f"{text} (error {errors}).")
+            if (kept.error or 0.0) <= BETTER * ensemble + NEGLIGIBLE:
+                text = "It fits the training records better than the ensemble"
+                return ModelToUse("refit", f"{text} (error {errors}).")
+            if (usual or 0.0) <= AGREE * ensemble + NEGLIGIBLE:
+                text = (
+                    "The fold models agree, so a mean of models gains nothing, and one is simpler"
+                )
+                return ModelToUse("refit", f"{text} (training error {errors}).")
+            why = f"The refit fits the training records no better than the ensemble ({errors})."
+        elif is_as_good(check):
+            why = (
+                "The refit differs from the fold models by more than they differ from each other: "
+                f"{number(apart)} against {number(usual)} standard deviations."
+            )
+        else:
+            why = f"The refit's error on its own training records is {errors}."
+    if stack is not None and stack.value <= STACK_WORTH * value and len(stack.folds) > 2:
         return ModelToUse(
-            "ensemble",
-            "The refit differs from the fold models by more than they differ from each other: "
-            f"{text} standard deviations.",
+            "stack",
+            f"{why} The V of the stack by nested cross-validation, {error_value(stack.value)}, is "
+            f"near the winner's, {error_value(value)}, and it depends less on one candidate.",
         )
-    return ModelToUse("ensemble", f"The refit's error on its own training records is {errors}.")
+    return ModelToUse("ensemble", why)
 
 
 # Greedy selection of weighted ensembles (Caruana et al., ICML 2004): members are added with
@@ -381,38 +406,23 @@ def _greedy(
 
 
 def make_stack(
-    evaluator: Evaluator,
-    view: SearchView,
-    store: Store,
-    metric: str,
-    check_literals: LiteralCheckFunction | None = None,
+    evaluator: Evaluator, view: SearchView, store: Store, metric: str, refused: Collection[int] = ()
 ) -> Stack | None:
-    """The stack of all scored candidates; None where it would be one candidate alone. A member that
-    was never checked, because it was no new best, is asked what new bests are asked, and left out
-    where it objects."""
-    left: list[Experiment] = []
+    """The stack of all scored candidates; None where it would be one candidate alone.
+
+    Args:
+        refused: numbers of experiments that may not be members
+    """
+    scored: list[Experiment] = []
     for e in view.finished:
-        if e.score is None or e.result is None or e.result.duplicate_of is not None:
+        copied = e.result is None or e.result.duplicate_of is not None
+        if e.score is None or e.result is None or copied or e.number in refused:
             continue
         errors = [fold.diagnostics.train_error for fold in e.result.folds]
         # Those that were never checked must not be much better where they were not fitted.
         if e.kept or e.lowest or consistency(e.score.value, errors) >= SUSPICIOUS_RATIO:
-            left.append(e)
-    for _ in range(3):
-        found = _stack_of(left, evaluator, store, metric)
-        if found is None or view.best is None or view.best.score is None:
-            return None
-        if view.started.ladder is not None or found.value >= view.best.score.value:
-            return found  # with the Ladder all were checked; otherwise this stack is not named
-        members = [view.experiment(m.experiment) for m in found.members]
-        unchecked = [e for e in members if not (e.kept or e.lowest)]
-        refused = {
-            e.number for e in unchecked if not _passes(evaluator, e, store, view, check_literals)
-        }
-        if not refused:
-            return found
-        left = [e for e in left if e.number not in refused]
-    return None
+            scored.append(e)
+    return _stack_of(scored, evaluator, store, metric)
 
 
 def _stack_of(
@@ -501,10 +511,15 @@ def refit_winner(
     assert best.result is not None
     failed: list[str] = []
 
-    def stacked() -> Stack | None:
+    def stacked(refused: Collection[int] = ()) -> Stack | None:
         with diagnostic("stack", failed):
-            return make_stack(evaluator, view, store, metric, check_literals)
+            return make_stack(evaluator, view, store, metric, refused)
         return None
+
+    def is_sound(e: Experiment) -> bool:
+        """Whether it passes the checks of a new best; with the Ladder all were checked."""
+        known = e.kept or e.lowest or view.started.ladder is not None
+        return known or _passes(evaluator, e, store, view, check_literals)
 
     with ExitStack() as opened:
         make = stacked
@@ -544,14 +559,20 @@ def refit_winner(
         estimates=estimates,
     )
     chosen = choose_model(FinalEvidence.of(best, refitted))
+    refused: set[int] = set()
+    while refitted.stack is not None and (
+        chosen.model == "stack" or refitted.stack.value < best.score.value
+    ):
+        members = [view.experiment(m.experiment) for m in refitted.stack.members]
+        wrong = {e.number for e in members if not is_sound(e)}
+        if not wrong:
+            break
+        refused |= wrong
+        refitted = replace(refitted, stack=stacked(refused))
+        chosen = choose_model(FinalEvidence.of(best, refitted))
     refitted = replace(refitted, use=chosen.model, reason=chosen.reason)
     with diagnostic("stress simulation", failed):
         room = StressRoom(evaluator, store, view)
-
-        def is_sound(e: Experiment) -> bool:
-            known = e.kept or e.lowest or view.started.ladder is not None
-            return known or _passes(evaluator, e, store, view, check_literals)
-
         refitted = bounded_model(room, view, best, refitted, chosen, is_sound)
     return replace(refitted, failed_checks=tuple(failed))
 

@@ -1,4 +1,4 @@
-"""Laws of the weights of a stack."""
+"""Laws of the weights of a stack, and the rule for the model to use."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asia.data import Array
+from asia.ledger.events import RefitCheck, RefitStart, Stack, StackMember
 from asia.search.final import (
     MOST_CANDIDATES,
     MOST_MEMBERS,
+    FinalEvidence,
     HeldOutPart,
     candidates,
+    choose_model,
     nested_weights,
     select_weights,
 )
@@ -98,3 +101,42 @@ def test_the_best_alone_where_the_others_are_far_worse() -> None:
 def test_no_more_than_so_many_candidates_are_tried() -> None:
     values = np.linspace(1.0, 1.1, 2 * MOST_CANDIDATES)
     assert candidates([values.tolist()]) == list(range(MOST_CANDIDATES))
+
+
+# The model to use.
+
+
+def evidence(
+    refit: float, ensemble: float, disagreement: float, stack: float | None = None, folds: int = 3
+) -> FinalEvidence:
+    start = RefitStart(refit, disagreement, "")
+    check = RefitCheck((ensemble,) * folds, ensemble, disagreement, (start,), 1)
+    members = StackMember(2, 0.6), StackMember(3, 0.4)
+    made = None if stack is None else Stack(members, stack, (stack,) * folds)
+    return FinalEvidence(value=1.0, check=check, detail="", stack=made)
+
+
+@pytest.mark.parametrize(
+    ("found", "model"),
+    [
+        # The last third of the data made the refit better.
+        (evidence(refit=0.6, ensemble=1.0, disagreement=0.5, stack=1.1), "refit"),
+        # It did not: the error is that of the structure, which means reduce.
+        (evidence(refit=1.0, ensemble=1.0, disagreement=0.5, stack=1.1), "stack"),
+        (evidence(refit=1.0, ensemble=1.0, disagreement=0.5, stack=1.3), "ensemble"),
+        (evidence(refit=1.0, ensemble=1.0, disagreement=0.5), "ensemble"),
+        # Nothing to gain from a mean.
+        (evidence(refit=1.0, ensemble=1.0, disagreement=0.1, stack=1.0), "refit"),
+        # With two folds a fold model has seen half of the data.
+        (evidence(refit=1.0, ensemble=1.0, disagreement=0.5, stack=1.1, folds=2), "refit"),
+        (evidence(refit=1.2, ensemble=1.0, disagreement=0.5, stack=1.1), "stack"),
+        (evidence(refit=1.2, ensemble=1.0, disagreement=0.5, stack=1.1, folds=2), "ensemble"),
+        (evidence(refit=0.6, ensemble=1.0, disagreement=0.5, stack=0.7), "stack"),
+    ],
+)
+def test_the_model_to_use_follows_what_data_and_means_are_worth(
+    found: FinalEvidence, model: str
+) -> None:
+    chosen = choose_model(found)
+    assert chosen.model == model
+    assert chosen.reason.endswith(".")
