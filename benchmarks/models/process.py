@@ -17,7 +17,7 @@ import numpy as np
 
 from asia.data import Trajectory
 from asia.lowering.linear import ProcessModel
-from asia.models.process import ProcessStructure, fit_process
+from asia.analysis.process import ProcessStructure, fit_process
 
 
 def record(rng: np.random.Generator, kind: str) -> tuple[Trajectory, ProcessModel]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -19,9 +19,11 @@ from asia._source import Imports, SourceFacts, imports_of
 from asia._syntax import syntax_tree
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import CandidateError, Reason
-from asia.problem.feedback import Loop
 from asia.problem.physics import Physics
 from asia.problem.symmetry import Symmetry
+
+if TYPE_CHECKING:
+    from asia.problem.feedback import Loop
 
 # Contract of a candidate: the context of a fit and the interface of a fitted model.
 

@@ -42,7 +42,7 @@ def record_with_reference(samples: int = 400) -> str:
     for k in range(samples):
         y = x + 0.1 * rng.standard_normal()
         u = 2.0 * (r[k] - y)
-        rows.append(f"{k / 10:.1f},{u!r},{y!r},{r[k]!r}")
+        rows.append(f"{k / 10:.1f},{float(u)!r},{float(y)!r},{float(r[k])!r}")
         x = 0.8 * x + 0.2 * u
     return "\n".join(["t,u,y,r", *rows, ""])
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from asia.export.linear import LinearPoint, LinearRun
     from asia.ledger.evidence import DrawnCheck
     from asia.lowering.linear import ProcessModel
-    from asia.models.process import ProcessFit
+    from asia.analysis.process import ProcessFit
 
 
 def linear(
@@ -191,7 +191,7 @@ def _facts(
 
 def _fitted(run: LinearRun) -> list[ProcessFit | None]:
     """Process models of the training records, one for each output; None where there is none."""
-    from asia.models.process import fit_process
+    from asia.analysis.process import fit_process
 
     found: list[ProcessFit | None] = []
     for i in range(len(run.outputs)):

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 
@@ -37,7 +37,9 @@ from asia.models._linear.system import LinearSystem, unpacked
 from asia.models._numerics.encoder import Encoder, affine
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import ScaledTrajectory, delayed, scaled
-from asia.problem.feedback import Controller, Loop
+
+if TYPE_CHECKING:
+    from asia.problem.feedback import Loop
 
 LoopMethod: TypeAlias = Literal["direct", "two_stage", "controller"]
 
@@ -102,7 +104,10 @@ def fit_in_loop(
             "leave one of them out"
         )
     records = scaled(trajectories, scaling)
+    # A controller answers in the same sample: a predictor could not tell a plant that does so too
+    # from it.
     delay = _delay(records, choices) if choices.delay is None else choices.delay
+    delay = max(delay, 1) if method == "direct" else delay
     late = [r.with_delay(delay) for r in records]
     plant = _direct(late, choices, refinement, context)
     if method != "direct":
@@ -217,14 +222,15 @@ def _regression(x: Array, y: Array) -> Array:
 
 
 def _delay(records: Sequence[ScaledTrajectory], choices: Choices) -> int:
-    """Smallest delay whose difference equation of few lags predicts within 1 % of the best."""
+    """Smallest delay, 1 or more, whose difference equation of few lags predicts within 1 % of the
+    best."""
     lags, errors = choices.order or 3, list[float]()
-    for delay in range(choices.max_delay + 1):
+    for delay in range(1, max(choices.max_delay, 1) + 1):
         past, u, y = _lagged([r.with_delay(delay) for r in records], lags)
         rows = np.hstack([past, u, np.ones((len(u), 1))])[choices.max_delay :]
         y = y[choices.max_delay :]
         errors.append(float(((y - rows @ _regression(rows, y)) ** 2).mean()))
-    return next(d for d, error in enumerate(errors) if error <= 1.01 * min(errors))
+    return next(d for d, error in enumerate(errors, 1) if error <= 1.01 * min(errors))
 
 
 def _padded(d: Array, ny: int) -> Array:
@@ -302,7 +308,7 @@ def _through_controller(
     The errors are whitened by an autoregressive filter, since the loop colours the noise of the
     output.
     """
-    if not isinstance(loop.controller, Controller):
+    if loop.controller is None or isinstance(loop.controller, str):
         raise UserError(
             "linear: loop='controller' needs [loop] controller in problem.toml: give it, or take "
             "loop='two_stage' or loop='direct'"

@@ -8,7 +8,7 @@ import pytest
 from asia.data import Trajectory
 from asia.errors import UserError
 from asia.lowering.linear import ProcessModel
-from asia.models.process import ProcessFit, ProcessStructure, fit_process
+from asia.analysis.process import ProcessFit, ProcessStructure, fit_process
 
 
 def response(model: ProcessModel, u: np.ndarray) -> np.ndarray:
