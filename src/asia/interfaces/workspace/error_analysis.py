@@ -1,4 +1,4 @@
-"""Analysis of the error of a fitted candidate: what it consists of, and which term would explain it.
+"""Analysis of the error of a fitted candidate: its parts, and the terms that would explain it.
 
 A model with `initial` and `step` is simulated with changed states, all changes as one batch. So the
 response of the outputs to a force on a state is exact at the current fit, whatever the model is.
@@ -50,12 +50,14 @@ class Windows:
     """(B, H, nu)."""
     y: Array
     """Measured outputs (B, H, ny), on straight lines where none was measured."""
+    y_hat: Array
+    """Simulated outputs (B, H, ny) of the blocks that they are cut from."""
     early_u: Array
     """Inputs (B, 16, nu) before the first sample, the first one held where the record begins."""
 
     def repeated(self, times: int) -> Windows:
         """The whole batch several times, one after the other."""
-        parts = (self.past_u, self.past_y, self.u, self.y, self.early_u)
+        parts = (self.past_u, self.past_y, self.u, self.y, self.y_hat, self.early_u)
         return Windows(*(np.concatenate([x] * times) for x in parts))
 
 
@@ -73,7 +75,9 @@ def windows(
         for k in range(0, 1 if first else len(y) - length + 1, length):
             before = early[k + nu : k + nu + _DELAYS[-1]]
             own = slice(k, k + length)
-            cut.append((u[k : k + nu], all_y[k : k + ny], case.u[own], y[own], before))
+            cut.append(
+                (u[k : k + nu], all_y[k : k + ny], case.u[own], y[own], simulated[own], before)
+            )
     chosen = spread(cut, max(1, _MOST_SAMPLES // length))
     return Windows(*(np.stack(parts) for parts in zip(*chosen, strict=True)))
 
@@ -294,7 +298,7 @@ class MissingTerm:
 
     output: int
     term: str
-    """Such as `position^3` or `sign(rate of position)`."""
+    """Such as `position^3` or `sign(rate(position))`."""
     where: str
     """`in the dynamics` or `at the output`."""
     share: float
@@ -331,8 +335,8 @@ def _terms(signals: dict[str, Array], inputs: dict[str, Array]) -> dict[str, Arr
         elif low > 0:
             found[f"sqrt({name})"] = np.sqrt(np.maximum(s, 0.0))
         edges = np.quantile(s, (0.15, 0.85))
-        found[f"{name} below {edges[0]:.3g}"] = np.minimum(s - edges[0], 0.0)
-        found[f"{name} above {edges[1]:.3g}"] = np.maximum(s - edges[1], 0.0)
+        found[f"{name} below its 15 % quantile"] = np.minimum(s - edges[0], 0.0)
+        found[f"{name} above its 85 % quantile"] = np.maximum(s - edges[1], 0.0)
     names = list(signals)
     for i, one in enumerate(names):
         for other in names[i + 1 :]:
@@ -418,7 +422,6 @@ def _responses(
     scale = np.where(scale > 0, scale, 1.0)
     length = min(_MOST_SAMPLES, *(len(b.y) for b in blocks))
     of, started = windows(blocks, y_hat, length, first=True), None
-    y = np.stack([found[:length] for found in y_hat])
     if isinstance(model, StepModel):
         while True:
             of = windows(blocks, y_hat, length)
@@ -426,15 +429,14 @@ def _responses(
             if started is None:
                 of = windows(blocks, y_hat, length, first=True)
                 break
-            y = started.best.y.transpose(1, 0, 2)
-            far = float(np.sqrt(np.mean(((of.y - y) / scale) ** 2)))
+            e = (of.y - started.best.y.transpose(1, 0, 2)) / scale
+            far = float(np.sqrt(np.mean(e**2)))
             if far <= _LOCAL or length < 50:
                 break
             length //= 2
+    y = of.y_hat if started is None else started.best.y.transpose(1, 0, 2)
     signals = {name: y[:, :, k] for k, name in enumerate(outputs)}
-    signals |= {
-        f"rate of {name}": np.gradient(y[:, :, k], axis=1) for k, name in enumerate(outputs)
-    }
+    signals |= {f"rate({name})": np.gradient(y[:, :, k], axis=1) for k, name in enumerate(outputs)}
     signals |= {name: of.u[:, :, k] for k, name in enumerate(inputs)}
     if started is not None and len(started.size) <= 8:
         for k in range(len(started.size)):
