@@ -161,7 +161,7 @@ def _best_starts(model: StepModel, of: Windows, scale: Array) -> _Started | None
     if not 0 < n <= _MOST_STATES or not size.any() or not np.isfinite(free.y).all():
         return None
     changed = of.repeated(n)
-    steps = 0.5 ** np.arange(4)
+    slopes, steps = np.zeros((batch, of.y[0].size, n)), 0.5 ** np.arange(4)
     tried_windows = of.repeated(len(steps))
     squares = _squares(best, of, scale)
     for more in range(_ITERATIONS + 1):
@@ -240,10 +240,8 @@ def error_parts(
     """
     whole = [filled(b.y - y) / scale for b, y in zip(blocks, y_hat, strict=True)]
     length = min(_MOST_SAMPLES, *(len(e) for e in whole))
-    started = None
-    if isinstance(model, StepModel):
-        of = windows(blocks, y_hat, length, first=True)
-        started = _best_starts(model, of, scale)
+    of = windows(blocks, y_hat, length, first=True)
+    started = _best_starts(model, of, scale) if isinstance(model, StepModel) else None
     if started is None:
         before = after = np.stack([e[:length] for e in whole])
         fitted = np.zeros(len(after))
@@ -302,9 +300,12 @@ class MissingTerm:
     where: str
     """`in the dynamics` or `at the output`."""
     share: float
-    """Share of the squared residual that it explains beyond linear terms, mean over the folds."""
+    """Share of the squared residual that it explains beyond linear terms, mean over the folds. A
+    linear term counts beyond a constant, an earlier input beyond the input itself."""
     folds: int
     """Number of folds in which it explains more than chance, of all terms together."""
+    linear: bool
+    """Whether it is a signal, now or earlier: the order, the delay or the fit is at fault."""
 
 
 _CHANCE = 1e-3
@@ -372,28 +373,36 @@ def missing_terms(
         states: names of the states that have one; others are called x1, x2, ...
 
     Returns:
-        the terms that explain more than chance in at least half of the folds, the largest share
-        first
+        the terms that explain more than chance in at least half of the folds, the nonlinear ones
+        of each output first, the largest share first
     """
-    found: dict[tuple[int, str, str], list[tuple[float, bool]]] = {}
+    found: dict[tuple[int, str, str, bool], list[tuple[float, bool]]] = {}
     for model, own, simulated in zip(models, blocks, y_hat, strict=True):
         responses = _responses(model, own, simulated, inputs, outputs, states)
         for k in range(len(outputs)):
             e = list(responses.residual[:, :, k])
-            base = list(responses.linear[:, :, k])
-            jobs = [(n, "in the dynamics", c[:, :, k]) for n, c in responses.dynamic.items()]
-            jobs += [(n, "at the output", c[:, :, k, None]) for n, c in responses.static.items()]
-            for name, where, columns in jobs:
-                one = explained(e, base, list(columns))
+            linear = {n: c[:, :, k] for n, c in responses.linear.items()}
+            every, constant = np.concatenate([*linear.values()], axis=2), linear.pop("constant")
+            jobs = [(n, "in the dynamics", c, constant) for n, c in linear.items()]
+            for n, c in responses.dynamic.items():
+                late, _, delay = n.partition(", ")
+                base = np.concatenate([constant, linear[late]], axis=2) if delay else every
+                jobs.append((n, "in the dynamics", c[:, :, k], base))
+            jobs += [
+                (n, "at the output", c[:, :, k, None], every) for n, c in responses.static.items()
+            ]
+            for name, where, columns, base in jobs:
+                one = explained(e, list(base), list(columns))
                 sure = one.chance * len(jobs) < _CHANCE and one.share > 0
-                found.setdefault((k, name, where), []).append((one.share, sure))
+                is_linear = name in linear or ", " in name
+                found.setdefault((k, name, where, is_linear), []).append((one.share, sure))
     ranked: list[MissingTerm] = []
-    for (output, term, where), each in found.items():
+    for (output, term, where, linear), each in found.items():
         sure = sum(sure for _, sure in each)
         if 2 * sure >= len(models):
             share = float(np.mean([share for share, _ in each]))
-            ranked.append(MissingTerm(output, term, where, share, sure))
-    return tuple(sorted(ranked, key=lambda t: (t.output, -t.share)))
+            ranked.append(MissingTerm(output, term, where, share, sure, linear))
+    return tuple(sorted(ranked, key=lambda t: (t.output, t.linear, -t.share)))
 
 
 @dataclass(frozen=True)
@@ -402,8 +411,8 @@ class _Responses:
 
     residual: Array
     """(B, H, ny)."""
-    linear: Array
-    """Slopes of the constant and of the linear terms, (B, H, ny, columns)."""
+    linear: dict[str, Array]
+    """`constant`, signal -> (B, H, ny, directions)."""
     dynamic: dict[str, Array]
     """Term in the dynamics -> (B, H, ny, directions)."""
     static: dict[str, Array]
@@ -461,10 +470,9 @@ def _responses(
         every = {
             n: _lagged(v)[:, :, None].repeat(len(outputs), 2) for n, v in (linear | terms).items()
         }
-        base = np.concatenate([every[n] for n in linear], axis=3)
+        base = {n: every[n] for n in linear}
         return _Responses(of.y - y, base, {n: every[n] for n in terms}, at_output)
     every = _forced(model, of, started, linear | terms)
-    base = np.concatenate([every[n] for n in linear if n in every], axis=3)
     starts = np.stack([np.pad(b, ((0, 0), (0, len(started.size) - b.shape[1])))
                        for b in (_kept(slopes)[0] for slopes in started.slopes)])  # fmt: skip
 
@@ -476,7 +484,7 @@ def _responses(
         return (left.reshape(*x.shape[:2], len(outputs), -1) * scale[:, None]).reshape(x.shape)
 
     return _Responses(
-        beyond(of.y - y), beyond(base), {n: beyond(every[n]) for n in terms if n in every},
+        beyond(of.y - y), {n: beyond(every[n]) for n in linear if n in every}, {n: beyond(every[n]) for n in terms if n in every},
         {n: beyond(v) for n, v in at_output.items()},
     )  # fmt: skip
 
@@ -498,8 +506,8 @@ def _forced(
     best, size, batch = started.best, started.size, len(of.u)
     # The directions of the state with the most different effects on the outputs.
     flat = started.slopes.reshape(-1, len(size))
-    _, r, order = qr(np.linalg.qr(flat, mode="r"), mode="economic", pivoting=True)
-    diagonal = np.abs(np.diagonal(r))
+    found: Any = qr(np.linalg.qr(flat, mode="r"), mode="economic", pivoting=True)
+    order, diagonal = found[2], np.abs(np.diagonal(found[1]))
     many = min(_DIRECTIONS, int(np.sum(diagonal > 1e-3 * max(float(diagonal[0]), 1e-300))))
     directions = np.repeat(np.diag(size)[order[:many]], batch, axis=0)
     # Each term with the RMS value 1, as a force of a small part of the size of the state.

@@ -353,11 +353,12 @@ def analysis(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) ->
     ranked = missing_terms([one.model for one in folds], blocks, y_hat, inputs, outputs, states)
     for k, output in enumerate(outputs):
         own = [term for term in ranked if term.output == k]
-        for term in own[:6]:
-            yield (
-                f"  {output}: {term.term} {term.where} {term.share:.0%}, in {term.folds} of "
-                f"{len(folds)} folds"
-            )
+        for linear, most in ((False, 5), (True, 2)):
+            for term in [term for term in own if term.linear is linear][:most]:
+                yield (
+                    f"  {output}: {term.term} {term.where} {term.share:.0%}, in {term.folds} of "
+                    f"{len(folds)} folds{' (linear: order, delay or fit)' * linear}"
+                )
         if not own:
             yield f"  {output}: no term explains more than chance"
 
