@@ -484,9 +484,11 @@ def _responses(
         return (left.reshape(*x.shape[:2], len(outputs), -1) * scale[:, None]).reshape(x.shape)
 
     return _Responses(
-        beyond(of.y - y), {n: beyond(every[n]) for n in linear if n in every}, {n: beyond(every[n]) for n in terms if n in every},
+        beyond(of.y - y),
+        {n: beyond(every[n]) for n in linear if n in every},
+        {n: beyond(every[n]) for n in terms if n in every},
         {n: beyond(v) for n, v in at_output.items()},
-    )  # fmt: skip
+    )
 
 
 def _lagged(z: Array) -> Array:

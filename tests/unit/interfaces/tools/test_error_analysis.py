@@ -35,6 +35,9 @@ class Oscillator:
             x = x + STEP / 5 * v
         return (x, v), y
 
+    def simulate(self, past_u: Any, past_y: Any, u: Any) -> Any:
+        return simulate_steps(self, past_u, past_y, u)
+
 
 class Blind:
     """The same without steps."""
@@ -43,7 +46,7 @@ class Blind:
         self.inner = inner
 
     def simulate(self, past_u: Any, past_y: Any, u: Any) -> Any:
-        return simulate_steps(self.inner, past_u, past_y, u)
+        return self.inner.simulate(past_u, past_y, u)
 
 
 def records(system: Oscillator, model: Oscillator, bend: float = 0.0) -> tuple[Any, Any]:
@@ -69,7 +72,7 @@ def first(system: Oscillator, bend: float = 0.0, model: Any = None) -> tuple[str
     ("system", "bend", "term", "where"),
     [
         (Oscillator(cubic=0.1), 0.0, {"y^3", "y * |y|"}, "in the dynamics"),
-        (Oscillator(coulomb=0.15), 0.0, {"sign(rate(y))"}, "in the dynamics"),
+        (Oscillator(damping=0.25, coulomb=0.2), 0.0, {"sign(rate(y))"}, "in the dynamics"),
         (Oscillator(), 0.05, {"y^3", "y * |y|"}, "at the output"),
     ],
 )
