@@ -265,10 +265,12 @@ def tables(
         heads = "".join(f"{_name(one):>14}" for one in folds)
         yield f"{'parameters':<{wide + 2}}{heads}   spread"
     for name in names:
-        values = [one.get(name, np.nan) for one in found]
+        # A fold whose model has other modes lacks some names.
+        values = [one[name] for one in found if name in one]
         size = float(np.mean(np.abs(values)))
         spread = f"{np.ptp(values) / size:9.0%}" if size > 0 and len(values) > 1 else "        -"
-        yield f"  {name:<{wide}}" + "".join(f"{v:14.6g}" for v in values) + spread
+        texts = (f"{one[name]:14.6g}" if name in one else f"{'-':>14}" for one in found)
+        yield f"  {name:<{wide}}" + "".join(texts) + spread
 
     # The most significant signed residuals.
     for part in (False, True) if held_out else (False,):
@@ -453,6 +455,10 @@ def main(tools: WorkspaceTools) -> NoReturn:
         os.execve(sys.executable, sys.orig_argv, {**os.environ, **REPEATABLE})
     try:
         _run(tools, options)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader, such as `head`, has ended: nothing more is written.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (UserError, CandidateError) as error:
         text = str(error)
         if isinstance(error, CandidateError):
