@@ -80,7 +80,7 @@ def test_long_curve_is_thinned_evenly(worker, case):
 
 def test_many_lines_of_the_sandbox_are_no_output_of_a_candidate(worker, case):
     lines = "import os;os.write(2, b'[mutex.cc : 1] RAW: Lock blocking 0x0\\n' * 4000)"
-    source = GAIN.replace("print(", f"{lines};_ = ("))
+    source = GAIN.replace("print(", f"{lines};_ = (")
     with worker() as one:
         assert one.fit(source, case.trajectories, case.context).output == ""
 
