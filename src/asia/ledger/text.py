@@ -178,7 +178,7 @@ def describe_result(e: Experiment, view: SearchView) -> str:
             asked = "" if inner else f", {validation_score_words(result)}"
             text += f" (folds {folds}{asked})"
         if any(r.same for r in result.retests):
-            text += "; equal with another seed"
+            text += "; the fit is the same for every seed"
         else:
             values = [r.failed if r.value is None else error_value(r.value) for r in result.retests]
             text += f"; other seeds {', '.join(values)}" if values else ""
@@ -412,7 +412,7 @@ def _output_lines(evidence: ExperimentEvidence) -> Iterator[str]:
 def parameter_lines(parameters: Sequence[ParameterSpread]) -> Iterator[str]:
     """Yield the named parameters, those on which the folds disagree in lines of their own."""
     apart = [one for one in parameters if one.disagrees]
-    alike = [one for one in parameters if not one.disagrees]
+    alike = [one for one in parameters if not one.disagrees and any(one.values)]
     if apart:
         yield "parameters that differ between the folds:"
     for one in apart[:_MOST_PARAMETERS]:

@@ -192,7 +192,7 @@ class Block:
         return self.start + len(self.y)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fold:
     """Training records and held-out blocks of one fold."""
 
@@ -208,6 +208,13 @@ class Fold:
     offsets: tuple[int, ...] = ()
     """For each training record, its first sample in the record that it was cut from; () where each
     is a whole record."""
+
+    def __repr__(self) -> str:
+        train, held_out = sum(map(len, self.train)), sum(len(b.y) for b in self.held_out)
+        return (
+            f"<fold {self.index + 1}: {train} training samples in {len(self.train)} records, "
+            f"{held_out} held out in {len(self.held_out)} blocks>"
+        )
 
 
 def cut(record: Trajectory, start: int, stop: int, rule: ProtocolRule, index: int = 0) -> Block:

@@ -93,7 +93,8 @@ def store(tmp_path: Path) -> Store:
 
 
 def test_a_small_spread_is_not_printed_as_zero() -> None:
-    (line,) = parameter_lines((ParameterSpread("inflow", (0.05007, 0.05012)),))
+    zero = ParameterSpread("delay", (0.0, 0.0))
+    (line,) = parameter_lines((ParameterSpread("inflow", (0.05007, 0.05012)), zero))
     assert line == "parameters that agree within 1 %: inflow 0.0501"
 
 

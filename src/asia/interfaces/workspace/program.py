@@ -222,7 +222,8 @@ def _procedure(problem: Problem, experiments: int) -> str:
     ]
     if problem.physics is None:
         signs += [
-            "| sign of the error changes with the output | nonlinear output: `block_oriented` |",
+            "| sign of the error changes with the output | a static nonlinearity: `python tools.py "
+            "--why` says whether of an input, the output or the dynamics |",
             "| model leads the record | a delay or a lag of the input |",
         ]
     else:
@@ -239,7 +240,7 @@ def _procedure(problem: Problem, experiments: int) -> str:
 
 ```sh
 asia try --dry-run                # free: contract and shapes, on made-up records, no score
-python tools.py                   # free: your own run of the folds, with residuals
+python tools.py --why             # free: your own run of the folds; residuals, modes, missing terms
 asia try -m "what you changed, and why it should help" --expect "V, words or a number" --parent N
 ```
 

@@ -30,6 +30,7 @@ from asia.candidate import (
 from asia.data.standardise import standardised
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason, UserError
+from asia.interfaces.workspace.error_analysis import error_parts, missing_terms, modes
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.requests import simulate_held_out, simulate_training
 from asia.judge.evaluation.results import derive_seed
@@ -264,10 +265,12 @@ def tables(
         heads = "".join(f"{_name(one):>14}" for one in folds)
         yield f"{'parameters':<{wide + 2}}{heads}   spread"
     for name in names:
-        values = [one.get(name, np.nan) for one in found]
+        # A fold whose model has other modes lacks some names.
+        values = [one[name] for one in found if name in one]
         size = float(np.mean(np.abs(values)))
         spread = f"{np.ptp(values) / size:9.0%}" if size > 0 and len(values) > 1 else "        -"
-        yield f"  {name:<{wide}}" + "".join(f"{v:14.6g}" for v in values) + spread
+        texts = (f"{one[name]:14.6g}" if name in one else f"{'-':>14}" for one in found)
+        yield f"  {name:<{wide}}" + "".join(texts) + spread
 
     # The most significant signed residuals.
     for part in (False, True) if held_out else (False,):
@@ -314,6 +317,52 @@ def _correlations(problem: Problem, blocks: Sequence[Block], e: Sequence[Array])
 
 def _name(one: LocalFold) -> str:
     return f"fold {one.fold.index + 1}"
+
+
+def analysis(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) -> Iterator[str]:
+    """Lines about the parts of the held-out error, the modes, and the terms that a model may lack;
+    held_out: whether the terms are looked for in the residuals of the held-out part."""
+    step = problem.sampling_time
+    yield "parts of the held-out error (shares of the squared error)"
+    for one in folds:
+        found = error_parts(one.model, one.fold.held_out, one.y_hat, one.fold.scale, step)
+        first = "not known (no states)"
+        if found.initial_state is not None:
+            first = f"{found.initial_state:.0%}"
+        yield (
+            f"  {_name(one)}: initial state {first}, offset and drift {found.slow:.0%}, dynamics "
+            f"and noise {found.dynamics:.0%}"
+        )
+        course = " ".join(f"{e:.2g}" for e in found.over_time)
+        yield f"    over the block, tenths, in s.d. of the output: {course}"
+        bands = zip(found.frequencies, found.frequencies[1:], found.bands, strict=False)
+        yield "    by frequency: " + ", ".join(
+            f"{low:.3g} to {high:.3g} Hz {share:.0%}" for low, high, share in bands
+        )
+        if isinstance(one.model, StepModel):
+            texts = list(modes(one.model, one.training[0], one.training_y_hat[0], step))
+            if texts:
+                yield f"    modes at the mean state: {'; '.join(texts[:8])}"
+    where = "held-out" if held_out else "training"
+    yield (
+        f"missing terms, score test on the {where} part: share of the squared residual that a term "
+        "explains beyond linear ones"
+    )
+    blocks = [one.fold.held_out if held_out else one.training for one in folds]
+    y_hat = [one.y_hat if held_out else one.training_y_hat for one in folds]
+    inputs, outputs = ([s.name for s in each] for each in (problem.inputs, problem.outputs))
+    states = [] if problem.physics is None else list(problem.physics.states)
+    ranked = missing_terms([one.model for one in folds], blocks, y_hat, inputs, outputs, states)
+    for k, output in enumerate(outputs):
+        own = [term for term in ranked if term.output == k]
+        for linear, most in ((False, 5), (True, 2)):
+            for term in [term for term in own if term.linear is linear][:most]:
+                yield (
+                    f"  {output}: {term.term} {term.where} {term.share:.0%}, in {term.folds} of "
+                    f"{len(folds)} folds{' (linear: order, delay or fit)' * linear}"
+                )
+        if not own:
+            yield f"  {output}: no term explains more than chance"
 
 
 # Workspace of `tools.py`: the problem as the evaluator reads it, and splits of its records.
@@ -398,6 +447,7 @@ def main(tools: WorkspaceTools) -> NoReturn:
     add("--gap", type=int, default=0, help="samples next to a part that are not used for training")
     add("--hold-out", metavar="NAMES", help="a fold of your own: hold these records out (A,B)")
     add("--held-out", action="store_true", help="residuals of the held-out part as well")
+    add("--why", action="store_true", help="parts of the error, modes, missing terms")
     add("--plot", action="store_true", help="draw simulation and residuals into plots/")
     options = parser.parse_args()
     if any(os.environ.get(name) != value for name, value in REPEATABLE.items()):
@@ -405,6 +455,10 @@ def main(tools: WorkspaceTools) -> NoReturn:
         os.execve(sys.executable, sys.orig_argv, {**os.environ, **REPEATABLE})
     try:
         _run(tools, options)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader, such as `head`, has ended: nothing more is written.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (UserError, CandidateError) as error:
         text = str(error)
         if isinstance(error, CandidateError):
@@ -433,6 +487,9 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
     held_out = options.held_out or tools.rule.residuals == "held_out"
     for line in tables(tools.problem, found, whole=whole, held_out=held_out):
         say(line)
+    if options.why:
+        for line in analysis(tools.problem, found, held_out=held_out):
+            say(line)
     if options.plot:
         title = str(options.candidate)
         for name in draw(tools.folder, tools.problem, title, found, held_out=held_out):

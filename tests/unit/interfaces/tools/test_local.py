@@ -145,6 +145,29 @@ def test_the_command_scores_one_fold_and_draws_it(
     assert "there is no fold 3" in capsys.readouterr().err
 
 
+@pytest.mark.slow
+def test_the_analysis_is_printed_and_a_reader_may_end_early(tools: WorkspaceTools) -> None:
+    environment = {**os.environ, **REPEATABLE}
+    words = [sys.executable, "tools.py", "--why"]
+    done = subprocess.run(
+        words, cwd=tools.folder, env=environment, capture_output=True, text=True, check=True
+    )
+    assert "parts of the held-out error" in done.stdout
+    assert "missing terms, score test on the training part" in done.stdout
+    piped = f"{sys.executable} tools.py | head -n 1"
+    done = subprocess.run(
+        ["bash", "-c", piped], cwd=tools.folder, env=environment, capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    assert done.stdout.startswith("V = ")
+    assert not done.stderr
+
+
+def test_a_fold_prints_no_samples(tools: WorkspaceTools) -> None:
+    assert repr(tools.folds[0]).startswith("<fold 1: ")
+    assert len(repr(tools.folds[0])) < 100
+
+
 def test_what_the_evaluator_refuses_is_refused(tmp_path: Path, tools: WorkspaceTools) -> None:
     candidate = tmp_path / "work" / "candidate.py"
     candidate.write_text("x = 1\n")

@@ -78,6 +78,13 @@ def test_long_curve_is_thinned_evenly(worker, case):
     assert set(np.diff(curve[:, 0])) == {8.0}
 
 
+def test_many_lines_of_the_sandbox_are_no_output_of_a_candidate(worker, case):
+    lines = "import os;os.write(2, b'[mutex.cc : 1] RAW: Lock blocking 0x0\\n' * 4000)"
+    source = GAIN.replace("print(", f"{lines};_ = (")
+    with worker() as one:
+        assert one.fit(source, case.trajectories, case.context).output == ""
+
+
 def test_output_is_kept_up_to_the_end_of_fit_and_cleaned(worker, case):
     source = GAIN.replace("print(", "print('\\x1b[31mred\\x07', 'x' * 100_000);print(").replace(
         "        return u",

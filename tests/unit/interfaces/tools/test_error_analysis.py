@@ -1,0 +1,129 @@
+"""The analysis of an error finds what was planted in a simulated oscillator."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from asia.candidate import simulate_steps
+from asia.interfaces.workspace.error_analysis import error_parts, missing_terms, modes
+from asia.problem.folds import Block, Case
+
+STEP = 0.1
+SAMPLES = 600
+
+
+@dataclass(frozen=True)
+class Oscillator:
+    """Unit mass on a spring with damping, and a force that a fit does not know."""
+
+    damping: float = 0.4
+    cubic: float = 0.0
+    coulomb: float = 0.0
+    velocity: float = 0.0
+
+    def initial(self, past_u: Any, past_y: Any, u: Any) -> Any:
+        return past_y[:, -1], np.full_like(past_y[:, -1], self.velocity)
+
+    def step(self, state: Any, u: Any) -> Any:
+        x, v = state
+        y = x
+        for _ in range(5):
+            force = u - x - self.damping * v - self.cubic * x**3
+            v = v + STEP / 5 * (force - self.coulomb * np.tanh(v / 0.02))
+            x = x + STEP / 5 * v
+        return (x, v), y
+
+    def simulate(self, past_u: Any, past_y: Any, u: Any) -> Any:
+        return simulate_steps(self, past_u, past_y, u)
+
+
+class Blind:
+    """The same without steps."""
+
+    def __init__(self, inner: Oscillator) -> None:
+        self.inner = inner
+
+    def simulate(self, past_u: Any, past_y: Any, u: Any) -> Any:
+        return self.inner.simulate(past_u, past_y, u)
+
+
+def records(system: Oscillator, model: Oscillator, bend: float = 0.0) -> tuple[Any, Any]:
+    """A block of the system, and its simulation by the model."""
+    rng = np.random.default_rng(0)
+    u = 1.5 * np.repeat(rng.normal(size=SAMPLES // 15), 15)[:, None]
+    past = np.zeros((1, 1)), np.zeros((1, 1))
+    y, y_hat = (
+        simulate_steps(m, past[0][None], past[1][None], u[None])[0] for m in (system, model)
+    )
+    y = y + bend * y**3 + 0.005 * rng.normal(size=y.shape)
+    return Block(Case("record", *past, u), y, 0, 1), y_hat
+
+
+def first(system: Oscillator, bend: float = 0.0, model: Any = None) -> tuple[str, str] | None:
+    block, y_hat = records(system, Oscillator(), bend)
+    found = missing_terms([model or Oscillator()], [[block]], [[y_hat]], ["u"], ["y"])
+    return (found[0].term, found[0].where) if found else None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("system", "bend", "term", "where"),
+    [
+        (Oscillator(cubic=0.1), 0.0, {"y^3", "y * |y|"}, "in the dynamics"),
+        (Oscillator(damping=0.25, coulomb=0.2), 0.0, {"sign(rate(y))"}, "in the dynamics"),
+        (Oscillator(), 0.05, {"y^3", "y * |y|"}, "at the output"),
+    ],
+)
+def test_the_term_that_was_planted_comes_first(
+    system: Oscillator, bend: float, term: set[str], where: str
+) -> None:
+    found = first(system, bend)
+    assert found is not None
+    assert found[0] in term
+    assert found[1] == where
+
+
+def test_noise_alone_names_no_term() -> None:
+    assert first(Oscillator()) is None
+
+
+@pytest.mark.slow
+def test_a_model_without_steps_is_analysed_as_well() -> None:
+    found = first(Oscillator(coulomb=0.15), model=Blind(Oscillator()))
+    assert found is not None
+    assert "y" in found[0]
+
+
+@pytest.mark.parametrize(
+    ("system", "part"),
+    [(Oscillator(velocity=2.0), "initial_state"), (Oscillator(damping=0.6), "dynamics")],
+)
+def test_the_error_is_split_into_its_parts(system: Oscillator, part: str) -> None:
+    block, y_hat = records(system, Oscillator())
+    scale = block.y.std(axis=0)
+    found = error_parts(Oscillator(), [block], [y_hat], scale, STEP)
+    assert found.initial_state is not None
+    assert found.initial_state + found.slow + found.dynamics == pytest.approx(1.0)
+    assert getattr(found, part) > 0.8
+    assert found.bands.sum() == pytest.approx(1.0)
+    assert found.frequencies[-1] == pytest.approx(0.5 / STEP)
+    blind = error_parts(Blind(Oscillator()), [block], [y_hat], scale, STEP)
+    assert blind.initial_state is None
+
+
+def test_a_drift_is_the_slow_part() -> None:
+    block, y_hat = records(Oscillator(), Oscillator())
+    block.y[:] += np.linspace(-0.5, 0.5, SAMPLES)[:, None]
+    found = error_parts(Oscillator(), [block], [y_hat], block.y.std(axis=0), STEP)
+    assert found.slow > 0.8
+    assert found.bands[0] > 0.8
+
+
+def test_modes_are_frequency_and_damping() -> None:
+    block, y_hat = records(Oscillator(), Oscillator())
+    (text,) = modes(Oscillator(), block, y_hat, STEP)
+    frequency, damping = text.split(" Hz, damping ")
+    assert float(frequency) == pytest.approx(1.0 / (2 * np.pi), rel=0.02)
+    assert float(damping) == pytest.approx(0.2, abs=0.03)
