@@ -26,6 +26,7 @@ from asia.interfaces.cli import bench as _bench
 from asia.interfaces.cli import check as _check
 from asia.interfaces.cli import control as _control
 from asia.interfaces.cli import (
+    certify,
     demo,
     doctor,
     export,
@@ -132,6 +133,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "unseal": unseal.unseal,
     "linear": linear.linear,
     "control": _control.control,
+    "certify": certify.certify,
     "export": export.export,
     "view": view.view,
 }
