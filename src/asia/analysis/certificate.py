@@ -21,8 +21,10 @@ from asia.lowering.program import LoweredModel
 from asia.lowering.wire import pack
 
 _SLACK = 1e-6
-_RETURNS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
-_ROUNDS = 12
+_RETURNS = (1, 4, 16, 64, 200)
+_ROUNDS = 10
+_WALK = 2_000
+_LARGEST_GROWTH = 30.0
 _MOST_STATES = 200
 
 
@@ -154,8 +156,13 @@ def _invariant_box(model: LoweredModel, u: Array, start: Array) -> dict[str, Any
     rng, bounds = np.random.default_rng(0), (u[:, 0], u[:, 1])
     x = 0.5 * (start[0] + start[1])
     low, high = start[0].copy(), start[1].copy()
-    for k in range(400):
-        share = rng.random(model.nu) if k % 40 else rng.integers(0, 2, model.nu)
+    share = np.zeros(model.nu)
+    for k in range(_WALK):
+        # Inputs at their limits for a long time, then changing fast.
+        if k < _WALK // 2 and k % (_WALK // 8) == 0:
+            share = share if k == 0 else 1.0 - share if k % (_WALK // 4) else rng.integers(0, 2, model.nu)
+        elif k >= _WALK // 2 and rng.random() < 0.2:
+            share = rng.integers(0, 2, model.nu)
         inputs = u[:, 0] + (u[:, 1] - u[:, 0]) * share
         x = joined(evaluate(model.update, [*split(model, x), inputs]))
         if not np.isfinite(x).all():
@@ -163,8 +170,10 @@ def _invariant_box(model: LoweredModel, u: Array, start: Array) -> dict[str, Any
         low, high = np.minimum(low, x), np.maximum(high, x)
     for samples in _RETURNS:
         box = np.stack([low, high])
-        for _ in range(_ROUNDS):
-            wide = 0.02 * (box[1] - box[0]) + 1e-9
+        for k in range(_ROUNDS):
+            if ((box[1] - box[0]) > _LARGEST_GROWTH * (high - low) + 1e-6).any():
+                break
+            wide = 0.01 * 1.5**k * (box[1] - box[0]) + 1e-9
             box = np.stack([box[0] - wide, box[1] + wide])
             try:
                 lower, upper, after = reach(model, interval(*box), bounds, samples)
