@@ -23,7 +23,7 @@ from asia.lowering.wire import pack
 _SLACK = 1e-6
 _RETURNS = (1, 4, 16, 64, 200)
 _ROUNDS = 10
-_WALK = 2_000
+_WALK = 1_000
 _LARGEST_GROWTH = 30.0
 _MOST_STATES = 200
 
@@ -125,7 +125,13 @@ def _linear_statements(model: LoweredModel) -> list[dict[str, Any]] | str:
             row, column = c[i : i + 1], b[:, j : j + 1]
             for margin in (1e-4, 1e-3, 1e-2, 0.1):
                 bound = lower * (1 + margin) + 1e-9
-                shift = 0.1 * margin * bound**2 * np.eye(n) / (1 + float(np.trace(p @ column @ column.T)))
+                shift = (
+                    0.1
+                    * margin
+                    * bound**2
+                    * np.eye(n)
+                    / (1 + float(np.trace(p @ column @ column.T)))
+                )
                 try:
                     riccati = -solve_discrete_are(
                         a, column, -(row.T @ row) - shift,
@@ -147,7 +153,7 @@ def _linear_statements(model: LoweredModel) -> list[dict[str, Any]] | str:
     return found
 
 
-def _symmetric(matrix: Array) -> Array:
+def _symmetric(matrix: Any) -> Array:
     return np.asarray(0.5 * (matrix + matrix.T), np.float64)
 
 
@@ -160,7 +166,13 @@ def _invariant_box(model: LoweredModel, u: Array, start: Array) -> dict[str, Any
     for k in range(_WALK):
         # Inputs at their limits for a long time, then changing fast.
         if k < _WALK // 2 and k % (_WALK // 8) == 0:
-            share = share if k == 0 else 1.0 - share if k % (_WALK // 4) else rng.integers(0, 2, model.nu)
+            share = (
+                share
+                if k == 0
+                else 1.0 - share
+                if k % (_WALK // 4)
+                else rng.integers(0, 2, model.nu)
+            )
         elif k >= _WALK // 2 and rng.random() < 0.2:
             share = rng.integers(0, 2, model.nu)
         inputs = u[:, 0] + (u[:, 1] - u[:, 0]) * share

@@ -17,7 +17,14 @@ import numpy as np
 
 from asia.data.trajectory import Array
 from asia.errors import UserError
-from asia.lowering.enclosure import Enclosure, UnboundedError, affine_matrices, interval, point, reach
+from asia.lowering.enclosure import (
+    Enclosure,
+    UnboundedError,
+    affine_matrices,
+    interval,
+    point,
+    reach,
+)
 from asia.lowering.program import LoweredModel
 from asia.lowering.wire import FormatError, unpack
 
@@ -95,7 +102,7 @@ def is_positive_definite(matrix: Enclosure) -> bool:
     except np.linalg.LinAlgError:
         return False
     v = point(np.linalg.inv(lower))
-    found = v @ matrix @ v.T
+    found = v @ matrix @ v.transposed
     off = found.size - np.diag(np.diag(found.size))
     return bool((np.diag(found.low) > off.sum(axis=1) * (1 + 1e-9)).all())
 
@@ -122,7 +129,7 @@ def _invariant(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
 def _stability(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
     a, p = affine_matrices(model)[0], point(one["P"])
     square = p.c.shape == a.c.shape and bool((p.c == p.c.T).all())
-    return square and is_positive_definite(p) and is_positive_definite(p - a.T @ p @ a)
+    return square and is_positive_definite(p) and is_positive_definite(p - a.transposed @ p @ a)
 
 
 def _peak_gain(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
@@ -132,14 +139,14 @@ def _peak_gain(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
     if not (0 < decay < 1 and (p.c == p.c.T).all() and p.c.shape == a.c.shape):
         return False
     falling = p * point(np.full(p.c.shape, decay)) * point(np.full(p.c.shape, decay))
-    if not (is_positive_definite(p) and is_positive_definite(falling - a.T @ p @ a)):
+    if not (is_positive_definite(p) and is_positive_definite(falling - a.transposed @ p @ a)):
         return False
     row, x = _cut(c, slice(i, i + 1), slice(None)), b.c[:, j : j + 1]
     total = float(_cut(d, slice(i, i + 1), slice(j, j + 1)).size[0, 0])
 
     def norm(of: Enclosure) -> float:
         """Upper bound of sqrt(x' P x)."""
-        return float(np.sqrt(max(float((of.T @ p @ of).high[0, 0]), 0.0))) * (1 + 1e-12)
+        return float(np.sqrt(max(float((of.transposed @ p @ of).high[0, 0]), 0.0))) * (1 + 1e-12)
 
     # Each state is computed in double precision; its error falls by `decay` and gets a new part.
     error = norm(_cut(b, slice(None), slice(j, j + 1)) - point(x))
@@ -170,9 +177,9 @@ def _h_infinity(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
     if p.c.shape != a.c.shape or not (p.c == p.c.T).all():
         return False
     limit = point([[one["bound"]]])
-    corner = limit * limit - through.T @ through - column.T @ p @ column
-    side = -(a.T @ p @ column + row.T @ through)
-    block = p - a.T @ p @ a - row.T @ row
+    corner = limit * limit - through.transposed @ through - column.transposed @ p @ column
+    side = -(a.transposed @ p @ column + row.transposed @ through)
+    block = p - a.transposed @ p @ a - row.transposed @ row
     whole = [
         np.block([[getattr(block, s), getattr(side, s)], [getattr(side, s).T, getattr(corner, s)]])
         for s in ("c", "r")

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asia.data.trajectory import Array
 from asia.lowering.evaluation import evaluate
@@ -20,7 +21,7 @@ from asia.lowering.program import Attributes, LoweredModel, Node, Program
 
 _EPS = 2.0**-52
 _PIECES = 8
-_MOVES = frozenset("reshape broadcast transpose slice pick concat pad".split())
+_MOVES = frozenset(["reshape", "broadcast", "transpose", "slice", "pick", "concat", "pad"])
 
 
 class UnboundedError(ArithmeticError):
@@ -89,7 +90,7 @@ class Enclosure:
         return _rounded(a.c @ b.c, g, rest, lost)
 
     @property
-    def T(self) -> Enclosure:
+    def transposed(self) -> Enclosure:
         """Transpose of a matrix."""
         return Enclosure(self.c.T, self.g.swapaxes(1, 2), self.r.T)
 
@@ -125,10 +126,8 @@ def _hull(low: Array, high: Array, like: Enclosure) -> Enclosure:
     return interval(low, high, len(like.g))
 
 
-def _where(mask: Array, a: Enclosure, b: Enclosure) -> Enclosure:
-    return Enclosure(
-        np.where(mask, a.c, b.c), np.where(mask, a.g, b.g), np.where(mask, a.r, b.r)
-    )
+def _where(mask: NDArray[np.bool_], a: Enclosure, b: Enclosure) -> Enclosure:
+    return Enclosure(np.where(mask, a.c, b.c), np.where(mask, a.g, b.g), np.where(mask, a.r, b.r))
 
 
 # Functions of one array: value, derivative. The derivative is largest and smallest at the ends of
@@ -164,13 +163,13 @@ def _smooth(name: str, x: Enclosure) -> Enclosure:
     function, slope = _SMOOTH[name]
     low, high = x.low, x.high
     if name in _CLOSED:
-        # A value at the edge of the domain is inside of it: only rounding lies beyond.
+        # What max(x, 0) encloses lies beyond the edge by the rounding of centre and radius alone.
         edge = _CLOSED[name]
         if (x.c < edge[0]).any() or (x.c > edge[1]).any():
             raise UnboundedError(f"{name} of a number outside its domain")
         if ((low < edge[0]) | (high > edge[1])).any():
             beyond = np.maximum(edge[0] - low, high - edge[1])
-            if (beyond > 1e-12 * (1.0 + np.abs(x.c))).any():
+            if (beyond > 4e-12 * (1e-6 + x.size)).any():
                 raise UnboundedError(f"{name} of an interval outside its domain")
             low, high = np.maximum(low, edge[0]), np.minimum(high, edge[1])
     least, most = _DOMAIN.get(name, (-math.inf, math.inf))
@@ -239,7 +238,10 @@ def _compare(op: str, a: Enclosure, b: Enclosure) -> Enclosure:
 def _apply(op: str, attrs: Attributes, x: list[Enclosure], shape: tuple[int, ...]) -> Enclosure:
     if op in _MOVES:
         starts = np.cumsum([0, *(one.c.size for one in x)])
-        places = [s + np.arange(one.c.size).reshape(one.c.shape) for s, one in zip(starts[:-1], x, strict=True)]
+        places = [
+            s + np.arange(one.c.size).reshape(one.c.shape)
+            for s, one in zip(starts[:-1], x, strict=True)
+        ]
         (found,) = _moved(op, attrs, [p.astype(np.float64) for p in places], shape)
         order = found.astype(int).reshape(-1)
         flat = [
@@ -452,4 +454,9 @@ def affine_matrices(model: LoweredModel) -> tuple[Enclosure, Enclosure, Enclosur
         return Enclosure(c[rows, cols], np.zeros((0, *c[rows, cols].shape)), r[rows, cols])
 
     x, y = slice(ny, None), slice(0, ny)
-    return part(x, slice(0, n)), part(x, slice(n, None)), part(y, slice(0, n)), part(y, slice(n, None))
+    return (
+        part(x, slice(0, n)),
+        part(x, slice(n, None)),
+        part(y, slice(0, n)),
+        part(y, slice(n, None)),
+    )

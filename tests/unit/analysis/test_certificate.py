@@ -30,9 +30,7 @@ def linear(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> LoweredMode
     n = len(a)
     build = Builder(((n,), (1,)))
     joint = build.add("reshape", (build.add("concat", (0, 1), (0,)),), (n + 1, 1))
-    rows = build.add(
-        "matmul", (build.constant(np.block([[a, b], [c, np.array([[d]])]])), joint)
-    )
+    rows = build.add("matmul", (build.constant(np.block([[a, b], [c, np.array([[d]])]])), joint))
     flat = build.add("reshape", (rows,), (n + 1,))
     y, after = (build.add("slice", (flat,), s) for s in ((n, n + 1, 1), (0, n, 1)))
     return model_of(build, y, after)
@@ -129,3 +127,17 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
     path.write_text(json.dumps(content))
     with pytest.raises(UserError, match="is not proven"):
         check_certificate(path)
+
+
+def test_asia_certify_proves_and_checks_a_file(tmp_path: Path) -> None:
+    from tests.unit.interfaces.cli.conftest import command_line
+
+    path = tmp_path / "certificate.json"
+    path.write_text(json.dumps(certify(STABLE, LIMITS, np.zeros(2), 5, FACTS)))
+    done = command_line("certify", "--check", path)
+    assert done.code == 0
+    assert "proven    the linear model is asymptotically stable" in done.out
+    path.write_text(path.read_text().replace('"samples": ', '"samples": 1'))
+    done = command_line("certify", "--check", path)
+    assert done.code == 2
+    assert "was changed" in done.err

@@ -23,8 +23,6 @@ from asia._text import say
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.interfaces.cli import agent as _agent
 from asia.interfaces.cli import bench as _bench
-from asia.interfaces.cli import check as _check
-from asia.interfaces.cli import control as _control
 from asia.interfaces.cli import (
     certify,
     demo,
@@ -43,6 +41,8 @@ from asia.interfaces.cli import (
     verify,
     view,
 )
+from asia.interfaces.cli import check as _check
+from asia.interfaces.cli import control as _control
 from asia.interfaces.cli import run as _run
 from asia.interfaces.cli.options import with_groups
 
