@@ -42,7 +42,7 @@ from asia.report import write_bundle, write_page
 from asia.report.page.code import python
 from asia.report.page.html import Html, fixed, join, said, table, tag
 from asia.report.page.page import LIMIT, audit, page_of
-from asia.report.page.sections.evidence import LINEAR_FILE
+from asia.report.page.sections.evidence import CERTIFICATE_FILE, LINEAR_FILE
 from asia.report.page.subject import Section, Subject
 from asia.report.pictures.evidence import draw_ablation
 
@@ -415,6 +415,19 @@ def test_linear_models_have_their_section_and_a_foreign_file_does_no_harm(
     for content in ("[]", "{", '{"text": 3, "drawn": []}', " " * 5_000_000):
         file.write_text(content)
         assert "is no file of this version: run asia linear again" in page_of(open_run(directory))
+
+
+def test_a_certificate_has_its_section_with_its_assumptions(make_run: Callable[..., Run]) -> None:
+    directory = make_run().directory
+    assert 'id="certificate"' not in page_of(open_run(directory))
+    file = directory / CERTIFICATE_FILE
+    stated = {"statements": [{"text": ATTACK}], "missed": ["no box"], "assumptions": ["a start"]}
+    file.write_text(json.dumps(stated))
+    page = page_of(open_run(directory))
+    section = page[page.index('id="certificate"') :].split("</section>")[0]
+    assert all(text in section for text in ("&lt;script&gt;", "no box", "a start"))
+    file.write_text('{"statements": []}')
+    assert "run asia certify again" in page_of(open_run(directory))
 
 
 def test_an_ablation_has_its_section_and_its_picture(make_run: Callable[..., Run]) -> None:

@@ -23,9 +23,8 @@ from asia._text import say
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.interfaces.cli import agent as _agent
 from asia.interfaces.cli import bench as _bench
-from asia.interfaces.cli import check as _check
-from asia.interfaces.cli import control as _control
 from asia.interfaces.cli import (
+    certify,
     demo,
     doctor,
     export,
@@ -42,6 +41,8 @@ from asia.interfaces.cli import (
     verify,
     view,
 )
+from asia.interfaces.cli import check as _check
+from asia.interfaces.cli import control as _control
 from asia.interfaces.cli import run as _run
 from asia.interfaces.cli.options import with_groups
 
@@ -132,6 +133,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "unseal": unseal.unseal,
     "linear": linear.linear,
     "control": _control.control,
+    "certify": certify.certify,
     "export": export.export,
     "view": view.view,
 }

@@ -16,6 +16,7 @@ SECTIONS: Final[tuple[Section, ...]] = (
     experiments.MODEL,
     evidence.IDENTIFIED,
     evidence.LINEAR,
+    evidence.CERTIFICATE,
     verdict.ACCURACY,
     evidence.VALIDATION,
     evidence.CONFIRMATION,

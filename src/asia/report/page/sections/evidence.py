@@ -392,3 +392,35 @@ def _write_linear(subject: Subject) -> Html | None:
 
 
 LINEAR = Section("linear", "Linear models", _write_linear)
+
+
+# The certificate: what `asia certify` wrote next to the ledger.
+
+
+CERTIFICATE_FILE: Final = Path("certificate.json")
+"""File of `asia certify` in the folder of a run."""
+
+
+def _write_certificate(subject: Subject) -> Html | None:
+    path = subject.run.directory / CERTIFICATE_FILE
+    if not path.exists():
+        return None
+    remedy = "run asia certify again"
+    try:
+        content = read_file(path, remedy) if path.stat().st_size <= _MOST_BYTES else b""
+        found = json.loads(content)
+        rows = [["proven", str(one["text"])] for one in found["statements"]]
+        rows += [["no certificate", str(one)] for one in found["missed"]]
+        rows += [["assumption", str(one)] for one in found["assumptions"]]
+    except (ValueError, TypeError, LookupError):
+        return tag("p", f"{CERTIFICATE_FILE} is no file of this version: {remedy}.")
+    note = tag(
+        "p", "Written by ", tag("code", "asia certify"), ". The ledger does not record it. ",
+        tag("code", "asia certify --check"), " proves it again.",
+    )  # fmt: skip
+    text = tag("pre", "\n".join(f"{a:16}{b}" for a, b in rows), tabindex="0", role="region",
+               aria_label="Certificate")  # fmt: skip
+    return join((note, text))
+
+
+CERTIFICATE = Section("certificate", "Certificate", _write_certificate)

@@ -1,0 +1,208 @@
+"""Search for certificates of a lowered model: stability, gains, tubes and invariant boxes.
+
+A statement is kept only if the independent check proves it. Sources: Boyd et al., Linear Matrix
+Inequalities in System and Control Theory, 1994 (bounded real lemma); Blanchini and Miani,
+Set-Theoretic Methods in Control, 2008 (invariant sets, peak gain).
+"""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+
+from asia.analysis.certificate_check import FORMAT, digest, prove, sentence
+from asia.data.trajectory import Array
+from asia.lowering.enclosure import UnboundedError, affine_matrices, interval, reach
+from asia.lowering.evaluation import evaluate
+from asia.lowering.linear import joined, split
+from asia.lowering.program import LoweredModel
+from asia.lowering.wire import pack
+
+_SLACK = 1e-6
+_RETURNS = (1, 4, 16, 64, 200)
+_ROUNDS = 10
+_WALK = 1_000
+_LARGEST_GROWTH = 30.0
+_MOST_STATES = 200
+
+
+def certify(
+    model: LoweredModel, u: Array, start: Array, horizon: int, facts: dict[str, Any]
+) -> dict[str, Any]:
+    """Find and prove statements on a model.
+
+    Args:
+        model: lowered model
+        u: least and largest input, (nu, 2)
+        start: state (n,) or box of states (2, n) in which the tube begins
+        horizon: samples of the tube
+        facts: further entries of the certificate
+
+    Returns:
+        the certificate, with `missed`: what has none, a sentence each
+    """
+    box = np.stack([start, start]) if start.ndim == 1 else start
+    found: list[dict[str, Any]] = []
+    missed: list[str] = []
+
+    def keep(one: dict[str, Any]) -> bool:
+        """Keep a statement if the check proves it."""
+        try:
+            holds = prove(model, u, one)
+        except UnboundedError:
+            holds = False
+        if holds:
+            found.append({**one, "text": sentence(one)})
+        return holds
+
+    linear = _linear_statements(model)
+    if isinstance(linear, str):
+        missed.append(f"no certificate of stability and gains: {linear}")
+    else:
+        for one in linear:
+            if not keep(one):
+                missed.append(f"no certificate of {one['kind']}")
+    bounds = u[:, 0], u[:, 1]
+    try:
+        low, high, _ = reach(model, interval(*box), bounds, horizon)
+        wide = _SLACK * (high - low) + 1e-12 * (1.0 + np.abs(low) + np.abs(high))
+        tube = {"kind": "tube", "start": box.tolist(), "lower": (low - wide).tolist(),
+                "upper": (high + wide).tolist()}  # fmt: skip
+        if not keep(tube):
+            missed.append("no certificate of a tube")
+    except UnboundedError as error:
+        missed.append(f"no certificate of a tube over {horizon} samples: {error}")
+    invariant = _invariant_box(model, u, box)
+    if invariant is None or not keep(invariant):
+        missed.append("no certificate for all times: no box of states was found that is not left")
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        **facts,
+        "u": u.tolist(),
+        "statements": found,
+        "missed": missed,
+        "program": base64.b64encode(pack(model)).decode(),
+    }
+    return {**content, "sha256": digest(content)}
+
+
+def _linear_statements(model: LoweredModel) -> list[dict[str, Any]] | str:
+    """Candidates for stability and gains, or why there are none."""
+    from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+
+    try:
+        a, b, c, d = (one.c for one in affine_matrices(model))
+    except UnboundedError as error:
+        return str(error)
+    n = len(a)
+    if n > _MOST_STATES:
+        return f"more than {_MOST_STATES} states"
+    largest = float(np.abs(np.linalg.eigvals(a)).max(initial=0.0))
+    if largest >= 1.0 - 1e-9:
+        return f"the linear model has a pole of size {largest:.6g}"
+    p = _symmetric(solve_discrete_lyapunov(a.T, np.eye(n)))
+    found: list[dict[str, Any]] = [{"kind": "stability", "P": p.tolist()}]
+    decay = largest + 0.5 * (1.0 - largest)
+    q = _symmetric(solve_discrete_lyapunov((a / decay).T, np.eye(n)))
+    terms = int(min(max(np.log(1e-7) / np.log(max(decay, 1e-9)), 20), 20_000))
+    for i in range(model.ny):
+        for j in range(model.nu):
+            here, x = float(abs(d[i, j])), b[:, j]
+            for _ in range(terms):
+                here += float(abs(c[i] @ x))
+                x = a @ x
+            distance = float(np.sqrt(c[i] @ np.linalg.solve(q, c[i]))) * (1 + 1e-6) + 1e-12
+            here += distance * float(np.sqrt(max(x @ q @ x, 0.0))) / (1 - decay)
+            found.append({
+                "kind": "peak gain", "output": i, "input": j, "bound": here * (1 + 1e-6) + 1e-9,
+                "decay": decay, "P": q.tolist(), "terms": terms, "reach": distance,
+            })  # fmt: skip
+            z = np.exp(1j * np.concatenate([[0.0], np.geomspace(1e-6, np.pi, 2000)]))
+            rise = [abs(d[i, j] + c[i] @ np.linalg.solve(s * np.eye(n) - a, b[:, j])) for s in z]
+            lower = float(max(rise))
+            row, column = c[i : i + 1], b[:, j : j + 1]
+            for margin in (1e-4, 1e-3, 1e-2, 0.1):
+                bound = lower * (1 + margin) + 1e-9
+                shift = (
+                    0.1
+                    * margin
+                    * bound**2
+                    * np.eye(n)
+                    / (1 + float(np.trace(p @ column @ column.T)))
+                )
+                try:
+                    riccati = -solve_discrete_are(
+                        a, column, -(row.T @ row) - shift,
+                        np.array([[bound**2 - d[i, j] ** 2]]), s=-row.T * d[i, j],
+                    )  # fmt: skip
+                except (np.linalg.LinAlgError, ValueError):
+                    continue
+                one = {"kind": "H-infinity norm", "output": i, "input": j, "bound": bound,
+                       "lower": lower, "P": _symmetric(riccati).tolist()}  # fmt: skip
+                try:
+                    if prove(model, np.zeros((model.nu, 2)), one):
+                        break
+                except UnboundedError:
+                    continue
+            else:
+                one = {"kind": "H-infinity norm", "output": i, "input": j, "bound": 0.0,
+                       "P": p.tolist()}  # fmt: skip
+            found.append(one)
+    return found
+
+
+def _symmetric(matrix: Any) -> Array:
+    return np.asarray(0.5 * (matrix + matrix.T), np.float64)
+
+
+def _invariant_box(model: LoweredModel, u: Array, start: Array) -> dict[str, Any] | None:
+    """Fixed-point iteration: a box grows by what can be reached from it after some samples."""
+    rng, bounds = np.random.default_rng(0), (u[:, 0], u[:, 1])
+    x = 0.5 * (start[0] + start[1])
+    low, high = start[0].copy(), start[1].copy()
+    share = np.zeros(model.nu)
+    for k in range(_WALK):
+        # Inputs at their limits for a long time, then changing fast.
+        if k < _WALK // 2 and k % (_WALK // 8) == 0:
+            share = (
+                share
+                if k == 0
+                else 1.0 - share
+                if k % (_WALK // 4)
+                else rng.integers(0, 2, model.nu)
+            )
+        elif k >= _WALK // 2 and rng.random() < 0.2:
+            share = rng.integers(0, 2, model.nu)
+        inputs = u[:, 0] + (u[:, 1] - u[:, 0]) * share
+        x = joined(evaluate(model.update, [*split(model, x), inputs]))
+        if not np.isfinite(x).all():
+            return None
+        low, high = np.minimum(low, x), np.maximum(high, x)
+    for samples in _RETURNS:
+        box = np.stack([low, high])
+        for k in range(_ROUNDS):
+            if ((box[1] - box[0]) > _LARGEST_GROWTH * (high - low) + 1e-6).any():
+                break
+            wide = 0.01 * 1.5**k * (box[1] - box[0]) + 1e-9
+            box = np.stack([box[0] - wide, box[1] + wide])
+            try:
+                lower, upper, after = reach(model, interval(*box), bounds, samples)
+            except UnboundedError:
+                break
+            if (after.low >= box[0]).all() and (after.high <= box[1]).all():
+                return {"kind": "invariant box", "samples": samples, "start": box.tolist(),
+                        "lower": lower.min(axis=0).tolist(),
+                        "upper": upper.max(axis=0).tolist()}  # fmt: skip
+            box = np.stack([np.minimum(box[0], after.low), np.maximum(box[1], after.high)])
+    return None
+
+
+def text_lines(content: dict[str, Any]) -> list[str]:
+    """Lines of a certificate: statements, assumptions, and what has none."""
+    return [
+        *(f"proven    {one['text']}" for one in content["statements"]),
+        *(f"open      {one}" for one in content["missed"]),
+        *(f"assumes   {one}" for one in content["assumptions"]),
+    ]
