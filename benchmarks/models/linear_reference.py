@@ -109,7 +109,9 @@ def row(problem: Problem, folder: Path | None) -> tuple[str, float]:
     if folder is not None:
         source = LINEAR
         if found.structure is not None:
-            source = LINEAR.replace("order=None, delay=None", "order={}, delay={}".format(*found.structure))
+            source = LINEAR.replace(
+                "order=None, delay=None", "order={}, delay={}".format(*found.structure)
+            )
         model = judge.fitted(source, prepared(problem, problem.train), judge.context)
         names = [s.name for s in problem.inputs], [s.name for s in problem.outputs]
         record = np.genfromtxt(folder / "test.csv", delimiter=",", names=True)
@@ -120,7 +122,9 @@ def row(problem: Problem, folder: Path | None) -> tuple[str, float]:
         test = f"{np.sqrt(squares):.4f}"
     folds = ", ".join(f"{fold.value:.4f}" for fold in score.folds)
     structure = "each fold" if found.structure is None else "{}, {}".format(*found.structure)
-    line = f"| {problem.name} | {score.value:.4f} | {folds} | {structure} | {test} | {seconds:.0f} |"
+    line = (
+        f"| {problem.name} | {score.value:.4f} | {folds} | {structure} | {test} | {seconds:.0f} |"
+    )
     return line, score.value
 
 
