@@ -34,7 +34,7 @@ BUILT_IN = ("two_tanks_sim", "cascaded_tanks", "nanodrone", "wiener_hammerstein"
 
 
 def synthetic() -> Iterator[Problem]:
-    """An integrating drive with friction, two lightly damped modes, and a slow lag with transport."""
+    """An integrating drive with friction, two lightly damped modes, slow lags with transport."""
     base = load_problem("two_tanks_sim")
     rng = np.random.default_rng(5)
 
@@ -47,7 +47,6 @@ def synthetic() -> Iterator[Problem]:
             physics=None, symmetry={}, protocol=rule,
         )  # fmt: skip
 
-    t = np.arange(3000)
     reference = np.repeat(rng.uniform(-1, 1, 60), 50)
     position, speed, force = 0.0, 0.0, np.zeros(3000)
     positions = np.zeros(3000)
@@ -58,15 +57,13 @@ def synthetic() -> Iterator[Problem]:
         position += 0.05 * speed
     yield problem("drive", force, positions, 0.002)
     u = rng.normal(size=1500)
-    y = sum(
-        lfilter([0, g], [1, -2 * r * np.cos(w), r * r], u)
-        for g, r, w in ((1.0, 0.985, 0.25), (0.5, 0.98, 0.9))
-    )
-    yield problem("two_modes", u, np.asarray(y), 0.03)
+    modes = ((1.0, 0.985, 0.25), (0.5, 0.98, 0.9))
+    y = np.sum([lfilter([0, g], [1, -2 * r * np.cos(w), r * r], u) for g, r, w in modes], axis=0)
+    yield problem("two_modes", u, y, 0.03)
     steps = np.repeat(rng.uniform(-1, 1, 60), 30)
-    y = lfilter([0] * 8 + [0.05], [1, -0.95], steps) + 0.3 * lfilter([0, 0.02], [1, -0.98], steps)
-    yield problem("exchanger", steps, np.asarray(y), 0.05)
-    del t
+    lags = (([0] * 8 + [0.05], 0.95), ([0, 0.006], 0.98))
+    y = np.sum([lfilter(b, [1, -pole], steps) for b, pole in lags], axis=0)
+    yield problem("exchanger", steps, y, 0.05)
 
 
 class InProcess:
@@ -109,9 +106,8 @@ def row(problem: Problem, folder: Path | None) -> tuple[str, float]:
     if folder is not None:
         source = LINEAR
         if found.structure is not None:
-            source = LINEAR.replace(
-                "order=None, delay=None", "order={}, delay={}".format(*found.structure)
-            )
+            for name, value in zip(("order", "delay"), found.structure, strict=True):
+                source = source.replace(f"{name}=None", f"{name}={value}")
         model = judge.fitted(source, prepared(problem, problem.train), judge.context)
         names = [s.name for s in problem.inputs], [s.name for s in problem.outputs]
         record = np.genfromtxt(folder / "test.csv", delimiter=",", names=True)

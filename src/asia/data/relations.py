@@ -397,9 +397,9 @@ def find_repetition(
                 if begin < low:
                     break
                 x = z[begin : begin + length] - z[begin : begin + length].mean(axis=0)
-                # Frequencies, and samples, that hold the power: a lone step has few of one of them.
+                # Frequencies that hold the power, and samples that hold the changes.
                 power = np.abs(np.fft.rfft(x, axis=0)) ** 2
-                both = (2.0, power), (1.0, x**2)
+                both = (2.0, power), (1.0, np.diff(x, axis=0) ** 2)
                 freedom = float(np.max(np.min([
                     c * p.sum(axis=0) ** 2 / np.maximum((p**2).sum(axis=0), 1e-300) for c, p in both
                 ], axis=0)))  # fmt: skip

@@ -380,9 +380,8 @@ def _repeated_inputs(problem: Problem) -> list[Doubt]:
     else:
         period = abs(found.start - found.other_start)
         how = "occur" if found.gain > 0 else "occur with the opposite sign"
-        how += (
-            "" if abs(abs(found.gain) - 1.0) < 0.02 else f", scaled by {abs(1 / found.gain):.2g},"
-        )
+        if abs(abs(found.gain) - 1.0) > 0.02:
+            how += f", scaled by {abs(1 / found.gain):.2g},"
         text = (
             f"the inputs of samples {found.start + 1} to {found.start + found.length} of record "
             f"'{names[found.record]}', which fold {found.fold + 1} holds out, {how} "
@@ -393,19 +392,19 @@ def _repeated_inputs(problem: Problem) -> list[Doubt]:
     text += ": V is too good"
     if not here and found is not None:
         pair = f"'{names[found.record]}' and '{names[found.other]}'"
-        advice = f'put {pair} into one group of [data.groups], with folds = {{ kind = "leave_one_group_out" }}'
+        advice = f"put {pair} into one group of [data.groups], with folds = "
+        advice += '{ kind = "leave_one_group_out" }'
     elif grouped:
         advice = "record a new input for each group"
     else:
-        advice, least = (
-            "hold out a record with other inputs",
-            rule.past + max(10, rule.horizon or 1),
-        )
+        advice = "hold out a record with other inputs"
+        least = rule.past + max(10, rule.horizon or 1)
         for count in range(min(rule.folds.count, period // max(least, 1)), 1, -1):
             folds = replace(rule.folds, kind="contiguous", count=count, tail=None, period=period)
             if repetition(replace(rule, folds=folds)) is None:
                 line = f'folds = {{ kind = "contiguous", count = {count}, period = {period} }}'
-                advice = f"write {line} into [protocol] of problem.toml, which holds out the same part of every period"
+                advice = f"write {line} into [protocol] of problem.toml, which holds out the same "
+                advice += "part of every period"
                 break
     return [Doubt(f"{text}. To mend it, {advice}", 0.5, "a record with other inputs")]
 

@@ -57,7 +57,7 @@ from asia.models.methods import LevenbergMarquardt
 
 
 def build_model(context):
-    config = linear.Config(order=None, delay=None, periodic=True)
+    config = linear.Config(order=None, max_order=12, delay=None, periodic=True)
     return linear.build(config, context)
 
 
