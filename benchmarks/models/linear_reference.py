@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.judge.evaluation.findings import search_context
-from asia.judge.evaluation.references import LINEAR, best_linear
+from asia.judge.evaluation.references import best_linear
 from asia.judge.evaluation.results import score_outputs
 from asia.judge.scoring.outcome import Score
 from asia.problem.folds import make_folds
@@ -71,6 +71,8 @@ class InProcess:
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.context = problem, search_context(problem, 0)
+        self.sources, self.outcomes = dict[int, str](), list[Any]()
+        self.data = SimpleNamespace(horizon=problem.protocol.horizon)
         self.folds = make_folds(prepared(problem, problem.train), problem.protocol)
 
     def fitted(self, source: str, records: Sequence[Trajectory], context: Context) -> Any:
@@ -91,6 +93,8 @@ class InProcess:
             known = SimpleNamespace(parameters=tuple(model.parameters().items()))
             findings.append(SimpleNamespace(findings=known))
         outcome = score_outputs(self.folds, outputs, self.problem.protocol.metric)
+        self.sources[id(outcome)] = source
+        self.outcomes.append(outcome)
         return SimpleNamespace(outcome=outcome, folds=findings, failed_checks=())
 
 
@@ -104,11 +108,7 @@ def row(problem: Problem, folder: Path | None) -> tuple[str, float]:
     assert isinstance(score, Score), score
     test = "-"
     if folder is not None:
-        source = LINEAR
-        if found.structure is not None:
-            for name, value in zip(("order", "delay"), found.structure, strict=True):
-                source = source.replace(f"{name}=None", f"{name}={value}")
-        model = judge.fitted(source, prepared(problem, problem.train), judge.context)
+        model = judge.fitted(judge.sources[id(score)], prepared(problem, problem.train), judge.context)
         names = [s.name for s in problem.inputs], [s.name for s in problem.outputs]
         record = np.genfromtxt(folder / "test.csv", delimiter=",", names=True)
         u, y = (np.stack([record[n] for n in one], axis=1) for one in names)
