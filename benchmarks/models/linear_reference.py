@@ -108,7 +108,8 @@ def row(problem: Problem, folder: Path | None) -> tuple[str, float]:
     assert isinstance(score, Score), score
     test = "-"
     if folder is not None:
-        model = judge.fitted(judge.sources[id(score)], prepared(problem, problem.train), judge.context)
+        source, records = judge.sources[id(score)], prepared(problem, problem.train)
+        model = judge.fitted(source, records, judge.context)
         names = [s.name for s in problem.inputs], [s.name for s in problem.outputs]
         record = np.genfromtxt(folder / "test.csv", delimiter=",", names=True)
         u, y = (np.stack([record[n] for n in one], axis=1) for one in names)

@@ -65,9 +65,6 @@ _SELECTION_SAMPLES = 3000
 # Greatest number of outputs for which a state-space model competes with the windowed one; with more
 # it has too many parameters for simulations of whole records.
 _MOST_OUTPUTS = 3
-# Orders up to here are always fitted; the start of a higher one has less than this share of their
-# starts' least error.
-_SURE_ORDER, _WORTH = 6, 0.95
 _JACOBIAN_NUMBERS = 60_000_000
 # Greatest number of parameters that a candidate may report.
 _MOST_PARAMETERS = 64
@@ -372,13 +369,8 @@ class Selection:
 def select(
     records: ScaledData, context: Context, config: Config, refinement: Refinement
 ) -> Selection:
-    """Choose delay and order together on part of the records.
-
-    Without a delay, and with the smallest one within 1 % of the least error of a model of modest
-    order, each order is tried on held-out segments. The smallest order whose error is within the
-    tolerance of the least is taken, then the smaller delay: a long delay often stands in for
-    states. An order above 6 is fitted only where its start is better than those of lower orders.
-    """
+    """Choose delay and order on part of the records: the smallest delay within 1 % of the least
+    error, and the smallest order whose error is within the tolerance of the least."""
     part = _selection(records, context, config)
     delay, order, held = config.delay, config.order, config.integrators
     delay_errors: dict[int, float] = {}
@@ -393,25 +385,14 @@ def select(
         delay = next(d for d, error in delay_errors.items() if error <= limit)
     if order is None:
         quick = replace(refinement, iterations=min(refinement.iterations, 15))
-        highest = max(_affordable(part, config.max_order), held)
+        late = [r.with_delay(delay) for r in part]
+        highest = max(_affordable(late, config.max_order), held)
         least = min(max(1, held), highest)
-        found: dict[int, dict[int, float]] = {}
-        for d in {delay, 0 if config.delay is None else delay}:
-            late = [r.with_delay(d) for r in part]
-            tried = list(range(least, highest + 1))
-            if highest > _SURE_ORDER:
-                starts = unseen_errors(late, context, tried, replace(quick, iterations=0))
-                enough = _WORTH * min(starts[: max(_SURE_ORDER - least + 1, 1)])
-                pairs = zip(tried, starts, strict=True)
-                tried = [n for n, error in pairs if n <= max(_SURE_ORDER, least) or error < enough]
-            errors = unseen_errors(late, context, tried, quick)
-            found[d] = dict(zip(tried, errors, strict=True))
-        every = [(n, d, error) for d, by_order in found.items() for n, error in by_order.items()]
-        limit = min(error for _, _, error in every) * (1 + config.tolerance)
-        order, delay = min(
-            ((n, d) for n, d, error in every if error <= limit), default=(least, delay)
-        )
-        order_errors = found[delay]
+        tried = range(least, highest + 1)
+        errors = unseen_errors(late, context, tried, quick)
+        order_errors = dict(zip(tried, errors, strict=True))
+        limit = min(errors) * (1 + config.tolerance)
+        order = next((n for n, error in order_errors.items() if error <= limit), least)
     return Selection(order, delay, order_errors, delay_errors)
 
 

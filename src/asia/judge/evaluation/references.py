@@ -59,7 +59,7 @@ from asia.models.methods import LevenbergMarquardt
 
 
 def build_model(context):
-    config = linear.Config(order=None, max_order=12, delay=None, periodic=True)
+    config = linear.Config(order=None, delay=None, periodic=True)
     return linear.build(config, context)
 
 
@@ -157,8 +157,8 @@ def best_linear(evaluator: Evaluator) -> Reference:
         both = {median_low(orders), median_high(orders)}
         options += [scored(order=str(n), delay=delay) for n in sorted(both)]
     if each and evaluator.data.horizon is None:
-        predictor = {"periodic": 'False, loop="direct"', "max_order": "6"}
-        options += [scored(**predictor), scored(delay="0", **predictor)]
+        predictor = 'False, loop="direct"'
+        options += [scored(periodic=predictor), scored(periodic=predictor, delay="0")]
 
     def value(option: tuple[Evaluation, object, object]) -> float:
         outcome = option[0].outcome

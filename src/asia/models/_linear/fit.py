@@ -52,9 +52,6 @@ from asia.models._numerics.training_records import (
 # Van Overschee and De Moor, Subspace Identification for Linear Systems, 1996 (oblique projection);
 # Juang and Pappa, J. Guidance 8(5), 1985 (realisation from Markov parameters).
 
-import os
-
-CVA = os.environ.get("CVA") == "1"
 # Columns of the Hankel matrices in memory at a time.
 _CHUNK = 8192
 
@@ -85,7 +82,6 @@ def starts(records: ScaledData, max_order: int) -> list[Observability]:
     noise; fewer where the records are too short for a method."""
     found = [
         _oblique_projection(records, max_order + 2),
-        *([_oblique_projection(records, max_order + 2, canonical=True)] if CVA else []),
         _oblique_projection(records, 2 * max_order + 5),
         _realisation(records, max_order),
     ]
@@ -113,11 +109,9 @@ def stabilised(a: Array, limit: float = 0.995) -> Array:
     return result if radius <= 1.0 else result * (limit / radius)
 
 
-def _oblique_projection(
-    records: ScaledData, horizon: int, *, canonical: bool = False
-) -> Observability | None:
+def _oblique_projection(records: ScaledData, horizon: int) -> Observability | None:
     """Observability by oblique projection, computed from the products of the Hankel matrices, which
-    are small for any number of samples; weighted as in MOESP, or by canonical variates."""
+    are small for any number of samples."""
     nu, ny = records[0].u.shape[1], records[0].y.shape[1]
     past, future_u = horizon * (nu + ny), horizon * nu
     columns = [len(r) - 2 * horizon for r in records]
@@ -143,15 +137,7 @@ def _oblique_projection(
     # MOESP weighting: the part of the projection that future inputs cannot explain.
     inputs, cross = gram[past:known, past:known], gram[past:known, :past]
     unexplained = gram[:past, :past] - cross.T @ np.linalg.pinv(inputs, hermitian=True) @ cross
-    product = gain @ unexplained @ gain.T
-    if not canonical:
-        return _factor(product, ny)
-    outputs, cross = gram[known:, known:], gram[past:known, known:]
-    given_inputs = outputs - cross.T @ np.linalg.pinv(inputs, hermitian=True) @ cross
-    size, axes = np.linalg.eigh(given_inputs + 1e-9 * np.trace(given_inputs) * np.eye(len(outputs)))
-    size = np.sqrt(np.maximum(size, 1e-300))
-    found = _factor((axes / size) @ axes.T @ product @ (axes / size) @ axes.T, ny)
-    return Observability((axes * size) @ axes.T @ found.factor, ny)
+    return _factor(gain @ unexplained @ gain.T, ny)
 
 
 def _factor(product: Array, ny: int) -> Observability:
