@@ -323,3 +323,114 @@ def _one_step_error(inputs: Sequence[Array], records: Sequence[Trajectory]) -> f
     gram = terms.T @ terms + 1e-9 * len(x) * np.eye(columns)
     left = y - terms @ np.linalg.solve(gram, terms.T @ y)
     return float((left**2).mean())
+
+
+# Segments of the inputs that occur again elsewhere, mirrored or scaled too.
+
+Parts = Sequence[tuple[int, range]]
+"""Number of a record, and samples in it."""
+
+# Least correlation of a segment with its copy, least degrees of freedom of a segment (a ramp has 5,
+# whatever its slope), and the probability of a false alarm.
+_COPIED, _LEAST_FREEDOM, _CHANCE = 0.98, 10.0, 1e-6
+_MOST_SEGMENTS, _MOST_PRODUCTS = 48, 4_000_000
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """Held-out segment of the inputs that also occurs in training samples of its fold."""
+
+    fold: int
+    """Number of the fold, 0-based."""
+    record: int
+    start: int
+    """First sample of the segment in its record, 0-based."""
+    other: int
+    """Number of the record with the copy."""
+    other_start: int
+    length: int
+    gain: float
+    """Segment over copy, of the first input that moves."""
+
+
+def find_repetition(
+    inputs: Sequence[Array], folds: Sequence[tuple[Parts, Parts]]
+) -> Repetition | None:
+    """Find a held-out segment of the inputs that the training samples of its fold repeat.
+
+    Segments are tested that are rich enough not to be alike by chance, evenly spread over the
+    held-out samples. Of several repetitions one with the most frequent shift is returned.
+
+    Args:
+        inputs: (T, nu), one array a record.
+        folds: held-out and training parts of each fold.
+    """
+    whole = np.concatenate(inputs)
+    moving = np.ptp(whole, axis=0) > 1e-12 * np.abs(whole).max(axis=0, initial=0.0)
+    z = whole[:, moving]
+    if not z.shape[1] or not folds:
+        return None
+    z = (z - z.mean(axis=0)) / z.std(axis=0)
+    samples = len(z)
+    first = np.cumsum([0, *map(len, inputs)])
+    number = np.repeat(np.arange(len(inputs)), np.diff(first))
+    size = 1 << (2 * samples - 1).bit_length()
+    spectrum = np.fft.rfft(z, size, axis=0)
+    zero = np.zeros((1, z.shape[1]))
+    sums, squares = (np.concatenate([zero, np.cumsum(v, axis=0)]) for v in (z, z**2))
+    most = int(np.clip(_MOST_PRODUCTS // z.size, len(folds), _MOST_SEGMENTS))
+    found: list[Repetition] = []
+    for k, (held_out, train) in enumerate(folds):
+        trains = np.zeros(samples + 1, int)
+        for record, part in train:
+            trains[first[record] + part.start + 1 : first[record] + part.stop + 1] = 1
+        trains = np.cumsum(trains)
+        # Places in all held-out samples of the fold.
+        edges = [(int(first[i]) + p.start, int(first[i]) + p.stop) for i, p in held_out if p]
+        places = np.concatenate([np.zeros(0, int), *(np.arange(*edge) for edge in edges)])
+        evenly = np.linspace(0, len(places) - 1, max(most // len(folds), 1)).astype(int)
+        for place in np.unique(places[evenly]) if len(places) else ():
+            low, high = next(edge for edge in edges if edge[0] <= place < edge[1])
+            for length in (64, 128, 256, 512, 1024):
+                # A segment that would end beyond the held-out part begins earlier.
+                begin = min(int(place), high - length)
+                if begin < low:
+                    break
+                x = z[begin : begin + length] - z[begin : begin + length].mean(axis=0)
+                # Frequencies that hold the power, and samples that hold the changes.
+                power = np.abs(np.fft.rfft(x, axis=0)) ** 2
+                both = (2.0, power), (1.0, np.diff(x, axis=0) ** 2)
+                freedom = float(np.max(np.min([
+                    c * p.sum(axis=0) ** 2 / np.maximum((p**2).sum(axis=0), 1e-300) for c, p in both
+                ], axis=0)))  # fmt: skip
+                if freedom < _LEAST_FREEDOM:
+                    continue
+                count = samples - length + 1
+                product = np.fft.irfft(
+                    spectrum * np.fft.rfft(x, size, axis=0).conj(), size, axis=0
+                )[:count]
+                mean = (sums[length:] - sums[:-length]) / length
+                variance = (squares[length:] - squares[:-length]) / length - mean**2
+                own = (x**2).mean(axis=0)
+                still = variance < 1e-9
+                scale = np.sqrt(np.where(still, 1.0, variance) * np.where(own < 1e-9, 1.0, own))
+                alike = np.where(still | (own < 1e-9), 0.0, np.abs(product) / length / scale)
+                alike[still & (own < 1e-9)] = 1.0
+                alike = alike.min(axis=1)
+                usable = trains[length:] - trains[:-length] == length
+                usable &= number[:count] == number[length - 1 :]
+                alike[~usable] = 0.0
+                at = int(np.argmax(alike))
+                rest = max(1.0 - float(alike[at]) ** 2, 1e-12)
+                chance = rest ** (freedom / 2.0 - 1.0) * samples * most
+                if alike[at] > _COPIED and chance < _CHANCE:
+                    channel = int(np.argmax(own))
+                    gain = float(own[channel] * length / product[at, channel])
+                    i, j = int(number[begin]), int(number[at])
+                    start, other = begin - int(first[i]), at - int(first[j])
+                    found.append(Repetition(k, i, start, j, other, length, gain))
+                break
+    if not found:
+        return None
+    shifts = [(r.record == r.other, abs(r.start - r.other_start)) for r in found]
+    return found[max(range(len(found)), key=lambda n: shifts.count(shifts[n]))]

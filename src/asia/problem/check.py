@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import combinations
 from typing import Literal
@@ -12,7 +12,15 @@ from typing import Literal
 import numpy as np
 
 from asia.data.frequency import FrequencyResponse, find_period, frequency_response
-from asia.data.relations import ALONE, PAIR, FoundDelay, find_delay, find_feedback
+from asia.data.relations import (
+    ALONE,
+    PAIR,
+    FoundDelay,
+    Repetition,
+    find_delay,
+    find_feedback,
+    find_repetition,
+)
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.problem.feedback import loop_lines
@@ -202,6 +210,7 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
     doubts = [d for s in signals for d in _signal_doubts(s)]
     doubts += _collinear_inputs(problem)
     doubts += data_doubts(problem)
+    doubts += _repeated_inputs(problem)
     if not is_described(problem.description):
         text = "there is no description: agents that read know nothing of the system"
         doubts.append(Doubt(text, 0.05))
@@ -341,6 +350,63 @@ def _folds(problem: Problem) -> tuple[FoldCheck, ...]:
         )
         for k, split in enumerate(found)
     )
+
+
+def _repeated_inputs(problem: Problem) -> list[Doubt]:
+    """Describe inputs that held-out and training samples share, and propose folds without."""
+    train = problem.train
+    names, lengths = [r.name for r in train], [len(r) for r in train]
+
+    def repetition(rule: ProtocolRule) -> Repetition | None:
+        parts = [
+            (
+                [(p.record, p.samples) for p in cut.held_out],
+                [(p.record, p.samples) for p in cut.train],
+            )
+            for cut in splits(names, lengths, rule)
+        ]
+        return find_repetition([r.u for r in train], parts)
+
+    rule = problem.protocol
+    found, grouped = repetition(rule), rule.folds.kind == "leave_one_group_out"
+    # A period of few frequencies is not rich enough to be told from chance by one segment.
+    known = None if grouped or rule.folds.period else problem.period or find_period(train)
+    if found is None and known is None:
+        return []
+    here = found is None or found.record == found.other
+    if found is None or (here and known):
+        period, text = known or 0, f"the inputs repeat every {known} samples"
+        text += ", so that each fold simulates inputs that it was trained on"
+    else:
+        period = abs(found.start - found.other_start)
+        how = "occur" if found.gain > 0 else "occur with the opposite sign"
+        if abs(abs(found.gain) - 1.0) > 0.02:
+            how += f", scaled by {abs(1 / found.gain):.2g},"
+        text = (
+            f"the inputs of samples {found.start + 1} to {found.start + found.length} of record "
+            f"'{names[found.record]}', which fold {found.fold + 1} holds out, {how} "
+            + (f"{period} samples {'earlier' if found.start > found.other_start else 'later'} "
+               if here else f"in record '{names[found.other]}' ")
+            + "in its training samples"
+        )  # fmt: skip
+    text += ": V is too good"
+    if not here and found is not None:
+        pair = f"'{names[found.record]}' and '{names[found.other]}'"
+        advice = f"put {pair} into one group of [data.groups], with folds = "
+        advice += '{ kind = "leave_one_group_out" }'
+    elif grouped:
+        advice = "record a new input for each group"
+    else:
+        advice = "hold out a record with other inputs"
+        least = rule.past + max(10, rule.horizon or 1)
+        for count in range(min(rule.folds.count, period // max(least, 1)), 1, -1):
+            folds = replace(rule.folds, kind="contiguous", count=count, tail=None, period=period)
+            if repetition(replace(rule, folds=folds)) is None:
+                line = f'folds = {{ kind = "contiguous", count = {count}, period = {period} }}'
+                advice = f"write {line} into [protocol] of problem.toml, which holds out the same "
+                advice += "part of every period"
+                break
+    return [Doubt(f"{text}. To mend it, {advice}", 0.5, "a record with other inputs")]
 
 
 def _fold_line(fold: FoldCheck) -> str:

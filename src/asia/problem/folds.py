@@ -54,7 +54,7 @@ def splits(names: Sequence[str], lengths: Sequence[int], rule: ProtocolRule) -> 
     cuts = [_held_out_blocks(length, rule) for length in lengths]
     return [
         FoldCut(
-            tuple(Excerpt(i, blocks[k]) for i, blocks in enumerate(cuts)),
+            tuple(Excerpt(i, block) for i, blocks in enumerate(cuts) for block in blocks[k]),
             tuple(
                 Excerpt(i, rest)
                 for i, blocks in enumerate(cuts)
@@ -75,30 +75,43 @@ def least_case(rule: ProtocolRule) -> int:
     return rule.horizon or 1
 
 
-def _held_out_blocks(length: int, rule: ProtocolRule) -> list[range]:
-    """Return the held-out block of each fold, empty where the record is too short.
+def _held_out_blocks(length: int, rule: ProtocolRule) -> list[list[range]]:
+    """Return the held-out blocks of each fold: one, empty where the record is too short, and with a
+    period one in each period.
 
     The samples after the first past window (in tail folds: the tail) are split into `block_count`
     parts; the first parts are one sample longer when the length does not divide.
     """
-    count, start = block_count(rule), rule.past
+    count, start, period = block_count(rule), rule.past, rule.folds.period
+    if period is not None:
+        edges = [k * period // count for k in range(count + 1)]
+        return [
+            [
+                range(max(first + low, start), min(first + high, length))
+                for first in range(0, length, period)
+                if min(first + high, length) - max(first + low, start) >= least_case(rule)
+            ]
+            for low, high in pairwise(edges)
+        ]
     if rule.folds.tail is not None:
         start = max(start, length - rule.folds.tail)
     size, longer = divmod(max(length - start, 0), count)
     edges = [start + k * size + min(k, longer) for k in range(count + 1)]
-    return [range(start, stop) for start, stop in pairwise(edges)][count - rule.folds.count :]
+    return [[range(start, stop)] for start, stop in pairwise(edges)][count - rule.folds.count :]
 
 
-def _training_parts(length: int, block: range, rule: ProtocolRule) -> list[range]:
-    """Return the samples that train while `block` is held out.
+def _training_parts(length: int, blocks: Sequence[range], rule: ProtocolRule) -> list[range]:
+    """Return the samples that train while these blocks are held out.
 
-    These are the samples before the block and, except in forward and tail folds, after it, without
+    These are the samples before each block and, except in forward and tail folds, after it, without
     the gap. A part is kept if it is long enough for its own past window and one more case.
     """
     gap = rule.folds.gap or 0
-    parts = [range(rule.past, block.start - gap)]
-    if rule.folds.kind == "contiguous":
-        parts.append(range(block.stop + gap, length))
+    starts = [rule.past, *(block.stop + gap for block in blocks)]
+    stops = [*(block.start - gap for block in blocks), length]
+    parts = [range(start, stop) for start, stop in zip(starts, stops, strict=True)]
+    if rule.folds.kind != "contiguous":
+        parts = parts[:1]
     return [part for part in parts if len(part) >= rule.past + least_case(rule)]
 
 
@@ -110,6 +123,8 @@ def least_samples(rule: ProtocolRule) -> int:
     if rule.folds.kind == "leave_one_group_out":
         return rule.past + beyond
     gap = rule.folds.gap or 0
+    if rule.folds.period is not None:
+        return rule.past + max(rule.folds.period, rule.folds.count * (rule.past + beyond + gap))
     if rule.folds.tail is not None:
         tail = max(rule.folds.tail, rule.folds.count * case)
         return rule.past + tail + rule.past + case + gap
@@ -123,6 +138,10 @@ def require_length(trajectories: Sequence[Trajectory], rule: ProtocolRule) -> No
     if rule.folds.kind == "leave_one_group_out":
         wanted = f"a past window of {rule.past}"
         advice = "a shorter past window"
+    elif rule.folds.period is not None:
+        wanted = f"{count} folds of a period of {rule.folds.period} with a past window of"
+        wanted += f" {rule.past}"
+        advice = "fewer folds, a shorter past window"
     elif rule.folds.tail is not None:
         wanted = f"a tail of {rule.folds.tail} in {count} folds with a past window of {rule.past}"
         advice = "fewer folds, a shorter tail or past window"
@@ -277,6 +296,8 @@ def make_folds(records: Sequence[Trajectory], rule: ProtocolRule) -> tuple[Fold,
     as forward, with all parts in the last `folds.tail` samples. The samples of `folds.gap` next to
     a held-out part train nothing.
 
+    Period: each period of a record is split in place of the record.
+
     Leave one group out: the records of group k are held out in fold k; all others train whole.
 
     Raises:
@@ -390,5 +411,7 @@ def fold_names(folds: Sequence[Fold], rule: ProtocolRule) -> tuple[str, ...]:
         else:
             first, last = min(b.start for b in blocks) + 1, max(b.stop for b in blocks)
             where = f"samples {first} to {last} of {blocks[0].case.name}"
+            if rule.folds.period is not None:
+                where += f", the same {len(blocks[0].y)} of every {rule.folds.period}"
         names.append(f"block {fold.index + 1} of {len(folds)}: {where}")
     return tuple(names)

@@ -37,6 +37,10 @@ class FoldRule:
     tail: int | None = None
     """Samples at the end of each record that `tail` folds hold out; None for folds of another
     kind."""
+    period: int | None = None
+    """Samples after which the inputs repeat, mirrored or scaled too: each period is cut into
+    `count` blocks, and a contiguous fold holds out one block of every period; None where whole
+    records are cut."""
 
 
 @dataclass(frozen=True)

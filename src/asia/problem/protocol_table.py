@@ -40,13 +40,14 @@ class FoldsTable:
     count: Annotated[int, Field(ge=1, le=100)] | None = None
     gap: Annotated[int, Field(ge=0, le=1_000_000)] | None = None
     tail: Annotated[int, Field(ge=1, le=100_000_000)] | None = None
+    period: Annotated[int, Field(ge=2, le=100_000_000)] | None = None
 
     def rule(self) -> FoldRule:
         """Return the fold rule without its groups, which are known once the records were read."""
         if self.kind == "leave_one_group_out":
             return FoldRule(self.kind, 0)
         count = FoldRule.count if self.count is None else self.count
-        return FoldRule(self.kind, count, gap=self.gap or None, tail=self.tail)
+        return FoldRule(self.kind, count, gap=self.gap or None, tail=self.tail, period=self.period)
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,11 @@ def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[
         raise UserError(
             'protocol.folds.tail, the samples at the end of each record, and kind = "tail" belong '
             'together: write folds = { kind = "tail", tail = 100, count = 2 }, or neither'
+        )
+    if folds.period is not None and folds.kind != "contiguous":
+        raise UserError(
+            'protocol.folds.period belongs to kind = "contiguous": set that, or leave the period '
+            "out"
         )
     if folds.count == 1 and folds.kind != "tail":
         raise UserError(
@@ -285,6 +291,7 @@ def protocol_table(rule: ProtocolRule) -> dict[str, Any]:
             "count": None if grouped else rule.folds.count,
             "gap": rule.folds.gap,
             "tail": rule.folds.tail,
+            "period": rule.folds.period,
         },
         "test": {
             "metrics": test.metrics,

@@ -105,6 +105,11 @@ def _scoring(problem: Problem) -> str:
                 f"The last {folds.tail} samples of each record are cut into {folds.count} blocks; "
                 "each fold holds one of them out and trains on what lies before it"
             )
+        elif folds.period is not None:
+            split = (
+                f"Each period of {folds.period} samples is cut into {folds.count} blocks; each "
+                "fold holds the same block of every period out and trains on the rest"
+            )
         else:
             split = (
                 f"Each record is cut into {folds.count} blocks; each fold holds one of them out "

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass
+from math import inf
 from statistics import median_high, median_low
 
 import numpy as np
@@ -130,30 +132,39 @@ def score_references(
 
 
 def best_linear(evaluator: Evaluator) -> Reference:
-    """Score the linear model with order and delay chosen in each fold and, where the folds differ,
-    with the median choice in all of them. The better one is the reference."""
+    """Score linear models and return the one of least V.
 
-    def scored(structure: tuple[int, int] | None) -> Evaluation:
+    Tried are the least simulation error with order and delay chosen in each fold, the same with the
+    median choice in all folds where these differ, and the least prediction error, which is less
+    easily misled by drift and slow noise, with delays and without.
+    """
+
+    def scored(**changes: str) -> tuple[Evaluation, tuple[int, int] | None, list[tuple[int, int]]]:
+        """Evaluation, the structure that all folds share, and that of each fold."""
         source = LINEAR
-        for name, value in zip(("order", "delay"), structure or (), strict=False):
-            source = source.replace(f"{name}=None", f"{name}={value}")
-        return evaluator.evaluate(source)
+        for name, value in changes.items():
+            source = re.sub(rf"\b{name}=\w+", f"{name}={value}", source, count=1)
+        found = evaluator.evaluate(source)
+        known = [dict(f.findings.parameters) for f in found.folds if f.findings is not None]
+        names = "order [states]", "delay [samples]"
+        each = [(round(one[names[0]]), round(one[names[1]])) for one in known if names[1] in one]
+        return found, each[0] if len(set(each)) == 1 else None, each
 
-    found = scored(None)
-    chosen = [dict(fold.findings.parameters) for fold in found.folds if fold.findings is not None]
-    names = "order [states]", "delay [samples]"
-    if not chosen or not all(name in one for one in chosen for name in names):
-        return Reference(LINEAR_REFERENCE, found.outcome, found.failed_checks)
-    orders, delays = ([round(one[name]) for one in chosen] for name in names)
-    shared = median_high(orders), median_low(delays)
-    if set(orders) == {shared[0]} and set(delays) == {shared[1]}:
-        return Reference(LINEAR_REFERENCE, found.outcome, found.failed_checks, shared)
-    options: list[tuple[float, Evaluation, tuple[int, int] | None]] = []
-    for structure in (None, *((n, shared[1]) for n in {median_low(orders), shared[0]})):
-        tried = found if structure is None else scored(structure)
-        if isinstance(tried.outcome, Score):
-            options.append((tried.outcome.value, tried, structure))
-    _, best, structure = min(options, key=lambda one: one[0], default=(0.0, found, None))
+    first = scored()
+    options, each = [first], first[2]
+    if each and first[1] is None:
+        orders, delay = [n for n, _ in each], str(median_low(d for _, d in each))
+        both = {median_low(orders), median_high(orders)}
+        options += [scored(order=str(n), delay=delay) for n in sorted(both)]
+    if each and evaluator.data.horizon is None:
+        predictor = 'False, loop="direct"'
+        options += [scored(periodic=predictor), scored(periodic=predictor, delay="0")]
+
+    def value(option: tuple[Evaluation, object, object]) -> float:
+        outcome = option[0].outcome
+        return outcome.value if isinstance(outcome, Score) else inf
+
+    best, structure, _ = min(options, key=value)
     return Reference(LINEAR_REFERENCE, best.outcome, best.failed_checks, structure)
 
 

@@ -109,7 +109,7 @@ def _tint_folds(
 ) -> None:
     past = problem.protocol.past if problem.protocol.kind == "simulation" else 0
     for fold in folds:
-        for record, block in _spans(fold).items():
+        for record, block in _spans(fold):
             if record in times:
                 time = times[record]
                 start, last = time[block.start], time[min(block.stop, len(time) - 1)]
@@ -119,12 +119,15 @@ def _tint_folds(
                     axes.axvspan(before, start, color=ORANGE, alpha=0.55, lw=0, zorder=1)
 
 
-def _spans(fold: Fold) -> dict[int, range]:
-    """Return the held-out samples of each record, from the first to the last."""
-    spans: dict[int, range] = {}
+def _spans(fold: Fold) -> list[tuple[int, range]]:
+    """Return record and samples of the held-out parts, with windows that touch as one part."""
+    spans: list[tuple[int, range]] = []
     for block in fold.held_out:
-        old = spans.get(block.record, range(block.start, block.stop))
-        spans[block.record] = range(min(old.start, block.start), max(old.stop, block.stop))
+        if spans and spans[-1][0] == block.record and spans[-1][1].stop >= block.start:
+            start = spans.pop()[1].start
+        else:
+            start = block.start
+        spans.append((block.record, range(start, block.stop)))
     return spans
 
 
@@ -152,7 +155,7 @@ def _names(
         spans = [
             (f"fold {f.index + 1}", float(time[b.start] + time[b.stop - 1]) / 2)
             for f in folds
-            for b in _spans(f).values()
+            for _, b in _spans(f)
         ]
     for name, middle in spans:
         axes.annotate(

@@ -149,3 +149,24 @@ def test_the_linear_reference_has_one_order_for_all_folds_where_that_is_better()
     assert isinstance(found.outcome, Score)
     assert found.structure == (4, 0)
     assert found.outcome.value < own.outcome.value
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("real_linear_reference")
+def test_the_linear_reference_is_a_prediction_error_model_where_the_noise_is_slow() -> None:
+    rng = np.random.default_rng(2)
+    u, drift = rng.normal(size=(300, 1)), np.cumsum(rng.normal(size=300))
+    y = np.zeros((300, 1))
+    for k in range(1, 300):
+        y[k] = 0.8 * y[k - 1] + 0.2 * u[k - 1]
+    y[:, 0] += 0.03 * drift
+    records = [Trajectory(u, y, 1.0, "r")]
+    rule = ProtocolRule(past_inputs=5, past_outputs=5, folds=FoldRule(count=3))
+    context = Context((Signal("u"),), (Signal("y"),), 1.0, 5, 5)
+    data = EvaluationData(make_folds(records, rule), tuple(records), context, rule)
+    runner = WorkerRunner(Isolation.PROCESS, Budget(fit_seconds=60.0), LocalExecutor())
+    judge = Evaluator(data, runner)
+    own, found = judge.evaluate(LINEAR), best_linear(judge)
+    assert isinstance(own.outcome, Score)
+    assert isinstance(found.outcome, Score)
+    assert found.outcome.value < 0.9 * own.outcome.value
