@@ -91,19 +91,40 @@ class LoopFigures:
     """Figures of a unity-feedback loop."""
 
     stable: bool
-    gain_margin: float
+    gain_low: float
+    """Largest factor below 1 at which the loop becomes unstable; 0 where there is none."""
+    gain_high: float
+    """Smallest such factor above 1."""
     phase_margin: float
     settling: float
     overshoot: float
     steady_state: float
+
+    @property
+    def gain_margin(self) -> float:
+        """The factor nearest to 1, as python-control and MATLAB give it: below 1 for an unstable
+        plant whose gain may rise further than it may fall."""
+        if self.gain_low * self.gain_high <= 1.0 or (not self.gain_low):
+            return self.gain_high
+        return self.gain_low
 
     def violations(self, wanted: Specification, reserve: float = 0.0) -> list[tuple[str, float]]:
         """Violated specifications with their relative excess."""
         if not self.stable:
             return [("stability", 10.0)]
         found: list[tuple[str, float]] = []
+        if wanted.gain_margin is not None:
+            # Both ends count: toward one end alone the nearest factor jumps.
+            least = wanted.gain_margin * (1.0 + reserve)
+            rise = max(math.log(least) - math.log(self.gain_high), 0.0)
+            fall = 0.0
+            if self.gain_low and math.isinf(self.gain_high):
+                fall = 1.0 + max(math.log(least * self.gain_low), 0.0)
+            elif self.gain_low:
+                fall = max(math.log((1.0 + reserve) * self.gain_high * self.gain_low), 0.0)
+            if rise + fall > 0:
+                found.append(("gain margin", rise + fall))
         low = (
-            ("gain margin", self.gain_margin, wanted.gain_margin),
             ("phase margin", self.phase_margin, wanted.phase_margin),
             ("settling time too short", self.settling, wanted.settling_min),
         )
@@ -127,13 +148,13 @@ def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
     loop = controller.times(plant)
     rational = loop.rational()
     characteristic = np.polyadd(rational.den, rational.num)
-    nothing = LoopFigures(False, 0.0, 0.0, math.inf, math.inf, math.inf)
+    nothing = LoopFigures(False, 1.0, 1.0, 0.0, math.inf, math.inf, math.inf)
     if not np.isfinite(characteristic).all() or abs(characteristic[0]) < 1e-300:
         return nothing
     poles = np.roots(characteristic)
     if not len(poles) or poles.real.max() >= 0:
         return nothing
-    gain, phase = _margins(loop, rational)
+    gain_low, gain_high, phase = _margins(loop, rational)
     # Step response by residues of T(s) / s.
     slopes = np.polyval(np.polyder(characteristic), poles) * poles
     with np.errstate(all="ignore"):
@@ -157,11 +178,11 @@ def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
             edge = np.abs(y[[k, k + 1]] - final) - _BAND * abs(final)
             settling = float(t[k] + (t[k + 1] - t[k]) * edge[0] / max(edge[0] - edge[1], 1e-300))
     overshoot = 100.0 * max(float((y / final).max()) - 1.0, 0.0)
-    return LoopFigures(True, gain, phase, settling, overshoot, 1.0 - final)
+    return LoopFigures(True, gain_low, gain_high, phase, settling, overshoot, 1.0 - final)
 
 
-def _margins(loop: Transfer, rational: Transfer) -> tuple[float, float]:
-    """Gain margin nearest to 1, as a factor, and smallest phase margin in degrees."""
+def _margins(loop: Transfer, rational: Transfer) -> tuple[float, float, float]:
+    """Gain margins below and above 1, as factors, and smallest phase margin in degrees."""
     corners = np.abs(np.concatenate([np.roots(rational.num), np.roots(rational.den)]))
     corners = corners[corners > 0]
     low, high = (corners.min(), corners.max()) if len(corners) else (1.0, 1.0)
@@ -188,9 +209,9 @@ def _margins(loop: Transfer, rational: Transfer) -> tuple[float, float]:
         if real < -1e-12:
             at = w[k] * (w[k + 1] / w[k]) ** share
             gains.append(1.0 / max(abs(loop.response(np.array([at]))[0].real), 1e-300))
-    gain = min(gains, key=lambda g: abs(math.log(g)), default=math.inf)
     phase = min(phases, key=abs, default=math.inf)
-    return gain, phase
+    low = max((one for one in gains if one < 1.0), default=0.0)
+    return low, min((one for one in gains if one >= 1.0), default=math.inf), phase
 
 
 # Structures, from simple to complex. Parameters are logarithms, in units of the plant's own time.
