@@ -465,7 +465,10 @@ class SampledController:
         body = [
             ("dr", f"r - {number(self.y0)}".replace("- -", "+ ")),
             ("dy", f"y - {number(self.y0)}".replace("- -", "+ ")),
-            ("v", f"{number(self.u0)} + {total(np.concatenate([self.c, self.d]), [*xs, 'dr', 'dy'])}"),
+            (
+                "v",
+                f"{number(self.u0)} + {total(np.concatenate([self.c, self.d]), [*xs, 'dr', 'dy'])}",
+            ),
             ("u", limited),
         ]
         if math.isfinite(self.rate):
@@ -473,9 +476,7 @@ class SampledController:
             body.append(("u", f"{least}({most}(u, {last} - {change}), {last} + {change})"))
         body.append(("du", f"u - {number(self.u0)}".replace("- -", "+ ")))
         inputs = [*xs, "dr", "dy", "du"]
-        body += [
-            (f"n{i}", total(np.concatenate([self.a[i], self.b[i]]), inputs)) for i in range(n)
-        ]
+        body += [(f"n{i}", total(np.concatenate([self.a[i], self.b[i]]), inputs)) for i in range(n)]
         body += [*((f"{state}x{i}", f"n{i}") for i in range(n)), (last, "u")]
         about = f"Call once every {self.sampling_time:g} s: set point r and output y to input u."
         u0 = number(self.u0)
@@ -573,7 +574,9 @@ def zero_order_hold(plant: Transfer, sampling_time: float) -> SimulatedPlant:
     from scipy.linalg import expm
     from scipy.signal import tf2ss
 
-    a, b, c, d = (np.atleast_2d(np.asarray(part, np.float64)) for part in tf2ss(plant.num, plant.den))
+    a, b, c, d = (
+        np.atleast_2d(np.asarray(part, np.float64)) for part in tf2ss(plant.num, plant.den)
+    )
     n = len(a) if a.size else 0
     whole = int(plant.delay / sampling_time + 1e-9)
     part = max(plant.delay - whole * sampling_time, 0.0)

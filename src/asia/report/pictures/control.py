@@ -58,5 +58,5 @@ def draw_control(
     below.set_xlabel("time [s]")
     for axis in (above, below):
         quiet_grid(axis)
-    figure_legend(figure, above)
+    figure_legend(figure, above.get_lines()[:-1], 4)
     return figure
