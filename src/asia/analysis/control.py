@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -474,7 +474,8 @@ class SampledController:
         if math.isfinite(self.rate):
             change = number(self.rate * self.sampling_time)
             body.append(("u", f"{least}({most}(u, {last} - {change}), {last} + {change})"))
-        body.append(("du", f"u - {number(self.u0)}".replace("- -", "+ ")))
+        if self.b[:, 2].any():
+            body.append(("du", f"u - {number(self.u0)}".replace("- -", "+ ")))
         inputs = [*xs, "dr", "dy", "du"]
         body += [(f"n{i}", total(np.concatenate([self.a[i], self.b[i]]), inputs)) for i in range(n)]
         body += [*((f"{state}x{i}", f"n{i}") for i in range(n)), (last, "u")]
@@ -504,7 +505,9 @@ class SampledController:
                 + "}\n\ndouble controller_step(controller *s, double r, double y)\n{\n"
                 + f"{lines}    return u;\n}}\n"
             )
-        names = "dr, dy, v, du" + "".join(f", n{i}" for i in range(n))
+        names = ", ".join(
+            name for name in dict(body) if name not in {"u", "last", *(f"x{i}" for i in range(n))}
+        )
         lines = "".join(f"    {name} := {value};\n" for name, value in body)
         held = "".join(f"    x{i} : LREAL := 0.0;\n" for i in range(n))
         return (
@@ -529,15 +532,17 @@ def sampled(
         num, den = np.polysub(num, ki * den[:-1])[:-1], den[:-1]
         num = np.atleast_1d(num if len(num) else np.zeros(1))
     static = float(num[-1] / den[-1])
-    if len(den) == 1:
-        a, b, c, d = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[static]])
-    else:
-        fast = float(np.abs(np.roots(den)).max()) * sampling_time > 1.0
-        method = "backward_diff" if fast else "bilinear"
-        a, b, c, d, _ = cont2discrete(tf2ss(num, den), sampling_time, method)
+    fast = len(den) > 1 and float(np.abs(np.roots(den)).max()) * sampling_time > 1.0
+    method = "backward_diff" if fast else "bilinear"
+    system: Any = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[static]])
+    if len(den) > 1:
+        num = np.where(np.abs(num) > 1e-14 * np.abs(num).max(), num, 0.0)
+        discrete: Any = cont2discrete(tf2ss(np.trim_zeros(num, "f"), den), sampling_time, method)
+        system = discrete[:4]
+    a, b, c, d = (np.asarray(part, np.float64) for part in system)
     gain = float(d[0, 0])
-    row = np.asarray(c, np.float64).reshape(-1)
-    inputs = np.hstack([b, -np.asarray(b), np.zeros((len(a), 1))])
+    row = c.reshape(-1)
+    inputs = np.hstack([b, -b, np.zeros((len(a), 1))])
     if ki:
         gain += 0.5 * ki * sampling_time
         row = np.append(1.0, row)
@@ -574,9 +579,8 @@ def zero_order_hold(plant: Transfer, sampling_time: float) -> SimulatedPlant:
     from scipy.linalg import expm
     from scipy.signal import tf2ss
 
-    a, b, c, d = (
-        np.atleast_2d(np.asarray(part, np.float64)) for part in tf2ss(plant.num, plant.den)
-    )
+    system: Any = tf2ss(plant.num, plant.den)
+    a, b, c, d = (np.atleast_2d(np.asarray(part, np.float64)) for part in system)
     n = len(a) if a.size else 0
     whole = int(plant.delay / sampling_time + 1e-9)
     part = max(plant.delay - whole * sampling_time, 0.0)
@@ -649,7 +653,8 @@ def response_figures(
     """Compute the figures of a response from the operating point to a set point."""
     step, time = setpoint - controller.y0, controller.sampling_time
     if not np.isfinite(y).all():
-        return ResponseFigures(*[math.inf] * 8, 1.0)
+        none = math.inf
+        return ResponseFigures(none, none, none, none, none, none, none, none, 1.0)
     error = setpoint - y
     way = 1.0 - error / step
     reached = [np.flatnonzero(way >= share) for share in (0.1, 0.9)]

@@ -185,7 +185,7 @@ def control(
         found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0, limits=(low, high),
         rate=math.inf if rate is None else rate,
     )  # fmt: skip
-    samples = int(min(max(4.0 * slow / loop.sampling_time, _SHORTEST), _LONGEST))
+    samples = int(min(max(6.0 * slow / loop.sampling_time, _SHORTEST), _LONGEST))
     target = np.full(samples, loop.setpoint)
     responses = [simulate_loop(controller, one, target) for one in loop.simulated]
     judged = [response_figures(y, u, controller, loop.setpoint) for y, u in responses]
