@@ -31,6 +31,12 @@ _NEAR = np.geomspace(1e-4, 0.3, 12)
 # Reserve that the optimisation asks for beyond each specification.
 _RESERVE = 0.02
 _EXCESS = 3
+# Longest settling time, as a multiple of the rise time, that the optimisation prefers.
+_TAIL = 6.0
+# The optimisation prefers a loop at most this much faster than the longest settling time.
+_FASTER = 4.0
+# A smaller steady-state error asks for an integrator: without one the gain would be very high.
+_INTEGRAL = 0.01
 # The last structure, which nothing follows, is searched this much longer.
 _LAST = 3
 
@@ -110,6 +116,8 @@ class LoopFigures:
     steady_state: float
     delay_margin: float = math.inf
     """Dead time in s that the loop bears in addition."""
+    rise: float = 0.0
+    """Time in s from 10 to 90 % of the step response."""
 
     @property
     def gain_margin(self) -> float:
@@ -191,9 +199,12 @@ def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
         else:
             edge = np.abs(y[[k, k + 1]] - final) - _BAND * abs(final)
             settling = float(t[k] + (t[k + 1] - t[k]) * edge[0] / max(edge[0] - edge[1], 1e-300))
-    overshoot = 100.0 * max(float((y / final).max()) - 1.0, 0.0)
-    return LoopFigures(True, gain_low, gain_high, phase, settling, overshoot, 1.0 - final,
-                       late)  # fmt: skip
+    way = y / final
+    overshoot = 100.0 * max(float(way.max()) - 1.0, 0.0)
+    rise = float(t[np.argmax(way >= 0.9)] - t[np.argmax(way >= 0.1)])
+    return LoopFigures(
+        True, gain_low, gain_high, phase, settling, overshoot, 1.0 - final, late, rise
+    )  # fmt: skip
 
 
 def _margins(loop: Transfer, rational: Transfer) -> tuple[float, float, float, float]:
@@ -249,6 +260,11 @@ class Structure:
         """Poles more than zeros."""
         num, den = self.make(np.ones(self.parameters))
         return len(den) - len(num)
+
+    @property
+    def integrates(self) -> bool:
+        """Whether there is a pole at 0."""
+        return bool(self.make(np.ones(self.parameters))[1][-1] == 0)
 
 
 STRUCTURES = (
@@ -333,6 +349,17 @@ def design(
     size = float(np.abs(plant.response(np.array([pace])))[0]) or 1.0
     # All parameters are positive: a plant that falls with its input gets a negative controller.
     size = math.copysign(size, float(plant.num[np.flatnonzero(plant.num)[0]] / plant.den[0]))
+    # The gain of a loop around an unstable plant has a least value. A largest one beyond it, which
+    # the nearest gain margin asks for, takes three poles more than zeros or a dead time.
+    unstable = np.roots(plant.den).real.max(initial=-1.0) > 0
+    rolled = unstable and not plant.delay and wanted.gain_margin is not None
+    excess = len(plant.den) - len(np.trim_zeros(plant.num, "f"))
+    exact = plant.den[-1] != 0 and (wanted.steady_state or 1.0) < _INTEGRAL
+    tried = [
+        one
+        for one in STRUCTURES
+        if not (rolled and excess + one.excess < _EXCESS) and not (exact and not one.integrates)
+    ]
     best: tuple[tuple[bool, float], Design] | None = None
 
     def loss(z: Array, structure: Structure, reserve: float) -> float:
@@ -345,21 +372,18 @@ def design(
             total = max(
                 total, sum(v for _, v in figures.violations(_scaled(wanted, pace), reserve))
             )
+            if not unstable and figures.stable and np.isfinite(figures.settling):
+                # Avoided where possible: a slow tail or long ringing after a fast rise, and a loop
+                # much faster than asked, which spends the input.
+                settled = max(figures.settling, 1e-9)
+                tail = math.log(settled / (_TAIL * max(figures.rise, 1e-9)))
+                total = max(total, 0.1 * tail, 0.1 * math.log(4.0 / _FASTER / settled))
             if not figures.stable:
                 rational = controller.times(scaled).rational()
                 poles = np.roots(np.polyadd(rational.den, rational.num))
                 total = max(total, 10.0 + float(np.arctan(poles.real.max())) if len(poles) else 20)
         return total
 
-    # The gain of a loop around an unstable plant has a least value. A largest one beyond it, which
-    # the nearest gain margin asks for, takes three poles more than zeros or a dead time.
-    unstable = not plant.delay and np.roots(plant.den).real.max(initial=-1.0) > 0
-    excess = len(plant.den) - len(np.trim_zeros(plant.num, "f"))
-    tried = [
-        one
-        for one in STRUCTURES
-        if not (unstable and wanted.gain_margin) or excess + one.excess >= _EXCESS
-    ]
     for structure in tried:
         bounds = [(-9.0, 12.0)] + [(-8.0, 9.0)] * (structure.parameters - 1)
         sought = differential_evolution(
