@@ -31,8 +31,9 @@ _NEAR = np.geomspace(1e-4, 0.3, 12)
 # Reserve that the optimisation asks for beyond each specification.
 _RESERVE = 0.02
 _EXCESS = 3
-# Longest settling time, as a multiple of the rise time, that the optimisation prefers.
-_TAIL = 6.0
+# Share of the response in slow modes that the optimisation accepts, and what counts as slow: this
+# part of the speed of a first-order lag with the same rise.
+_TAIL, _CREEP = 0.01, 0.3
 # The optimisation prefers a loop at most this much faster than the longest settling time.
 _FASTER = 4.0
 # A smaller steady-state error asks for an integrator: without one the gain would be very high.
@@ -118,6 +119,8 @@ class LoopFigures:
     """Dead time in s that the loop bears in addition."""
     rise: float = 0.0
     """Time in s from 10 to 90 % of the step response."""
+    tail: float = 0.0
+    """Share of the step response in modes much slower than its rise."""
 
     @property
     def gain_margin(self) -> float:
@@ -202,8 +205,10 @@ def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
     way = y / final
     overshoot = 100.0 * max(float(way.max()) - 1.0, 0.0)
     rise = float(t[np.argmax(way >= 0.9)] - t[np.argmax(way >= 0.1)])
+    creeping = np.abs(poles.real) * rise < 2.2 * _CREEP
+    tail = float(np.abs(residues[creeping]).sum() / abs(final))
     return LoopFigures(
-        True, gain_low, gain_high, phase, settling, overshoot, 1.0 - final, late, rise
+        True, gain_low, gain_high, phase, settling, overshoot, 1.0 - final, late, rise, tail
     )  # fmt: skip
 
 
@@ -373,11 +378,10 @@ def design(
                 total, sum(v for _, v in figures.violations(_scaled(wanted, pace), reserve))
             )
             if not unstable and figures.stable and np.isfinite(figures.settling):
-                # Avoided where possible: a slow tail or long ringing after a fast rise, and a loop
-                # much faster than asked, which spends the input.
-                settled = max(figures.settling, 1e-9)
-                tail = math.log(settled / (_TAIL * max(figures.rise, 1e-9)))
-                total = max(total, 0.1 * tail, 0.1 * math.log(4.0 / _FASTER / settled))
+                # Avoided where possible: a slow tail after a fast rise, and a loop much faster
+                # than asked, which spends the input.
+                fast = math.log(4.0 / _FASTER / max(figures.settling, 1e-9))
+                total = max(total, 0.1 * min(figures.tail / _TAIL - 1.0, 5.0), 0.1 * fast)
             if not figures.stable:
                 rational = controller.times(scaled).rational()
                 poles = np.roots(np.polyadd(rational.den, rational.num))
