@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 # Files of the controller, and the lengths of a simulation in samples.
 _CODE = {"python": "controller.py", "c": "controller.c", "st": "controller.st"}
 _SHORTEST, _LONGEST = 100, 3_000
+# Designs of which each asks for more than the last one, whose simulation missed a specification.
+_TRIES = 4
 
 
 @dataclass(frozen=True)
@@ -173,27 +175,43 @@ def control(
         loop = replace(loop, setpoint=setpoint)
     if loop.setpoint == loop.y0:
         raise UserError(f"--setpoint {loop.setpoint:g} is the output at the operating point")
-    found = design(loop.plants, wanted, seed=seed)
-    each = [loop_figures(one, found.controller) for one in loop.plants]
-    slow = max((one.settling for one in each if math.isfinite(one.settling)), default=0.0)
-    if not loop.sampling_time:
-        loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
-    if not loop.simulated:
-        held = zero_order_hold(loop.plants[0], loop.sampling_time)
-        loop = replace(loop, simulated=[replace(held, name="loop")])
-    controller = sampled(
-        found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0, limits=(low, high),
-        rate=math.inf if rate is None else rate,
-    )  # fmt: skip
-    samples = int(min(max(6.0 * slow / loop.sampling_time, _SHORTEST), _LONGEST))
-    target = np.full(samples, loop.setpoint)
-    responses = [simulate_loop(controller, one, target) for one in loop.simulated]
-    judged = [response_figures(y, u, controller, loop.setpoint) for y, u in responses]
+    asked, tries, found = wanted, 0, design(loop.plants, wanted, seed=seed)
+    while True:
+        each = [loop_figures(one, found.controller) for one in loop.plants]
+        slow = max((one.settling for one in each if math.isfinite(one.settling)), default=0.0)
+        if not loop.sampling_time:
+            loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
+        if not loop.simulated:
+            held = zero_order_hold(loop.plants[0], loop.sampling_time)
+            loop = replace(loop, simulated=[replace(held, name="loop")])
+        controller = sampled(
+            found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0, limits=(low, high),
+            rate=math.inf if rate is None else rate,
+        )  # fmt: skip
+        samples = int(min(max(6.0 * slow / loop.sampling_time, _SHORTEST), _LONGEST))
+        target = np.full(samples, loop.setpoint)
+        responses = [simulate_loop(controller, one, target) for one in loop.simulated]
+        judged = [response_figures(y, u, controller, loop.setpoint) for y, u in responses]
+        missed = _missed(loop, judged, wanted.overshoot, wanted.settling_max, controller)
+        longest, most = max(one.settling for one in judged), max(one.overshoot for one in judged)
+        tries += 1
+        if found.violated or not missed or tries == _TRIES or not math.isfinite(longest):
+            break
+        # The nonlinear loop misses what the linear one meets: ask for more by the same share.
+        if asked.settling_max is not None and wanted.settling_max is not None:
+            share = min(0.97 * wanted.settling_max / longest, 1.0)
+            asked = replace(asked, settling_max=asked.settling_max * share)
+        if asked.overshoot is not None and wanted.overshoot is not None:
+            share = min(0.97 * wanted.overshoot / max(most, 1e-9), 1.0)
+            asked = replace(asked, overshoot=asked.overshoot * share)
+        tighter = design(loop.plants, asked, seed=seed)
+        if tighter.violated:
+            break
+        found = tighter
     noisy = None
     if loop.noise:
         drawn = loop.noise * np.random.default_rng(seed).standard_normal(samples)
         noisy = simulate_loop(controller, loop.simulated[0], target, drawn)
-    missed = _missed(loop, judged, wanted.overshoot, wanted.settling_max, controller)
     facts = _facts(loop.name, found, each)
     facts["sampling_time"] = loop.sampling_time
     facts["responses"] = [
