@@ -26,8 +26,11 @@ from asia.analysis.control import Specification, Transfer, design
 warnings.simplefilter("ignore")
 
 
-def judged(task: dict[str, Any], num: np.ndarray, den: np.ndarray) -> list[str]:
-    """Violated specifications by python-control."""
+def judged(
+    task: dict[str, Any], num: np.ndarray, den: np.ndarray, *, fine: bool = False
+) -> list[str]:
+    """Violated specifications by python-control; `fine`: with 20 000 points over three times the
+    longest settling time instead of its own choice of times."""
     plant = control.tf(task["num"], task["den"])
     if task.get("tau"):
         plant = plant * control.tf(*control.pade(task["tau"], 5))
@@ -36,7 +39,8 @@ def judged(task: dict[str, Any], num: np.ndarray, den: np.ndarray) -> list[str]:
     if np.real(closed.poles()).max() >= 0:
         return ["stability"]
     gain, phase, _, _ = control.margin(loop)
-    info = control.step_info(closed, SettlingTimeThreshold=0.02)
+    times = np.linspace(0.0, 3.0 * task["settling_time_max"], 20_000) if fine else None
+    info = control.step_info(closed, T=times, SettlingTimeThreshold=0.02)
     error = abs(1.0 - closed.dcgain())
     missed: list[str] = []
     if gain < task["gain_margin_min"]:
@@ -52,18 +56,22 @@ def judged(task: dict[str, Any], num: np.ndarray, den: np.ndarray) -> list[str]:
     return missed
 
 
-def solve(task: dict[str, Any]) -> tuple[str, list[str], tuple[str, ...], float, str]:
-    """Kind of task, missed specifications, those that the design names, seconds, structure."""
-    begin = time.perf_counter()
+def solve(task: dict[str, Any]) -> tuple[str, list[str], tuple[str, ...], float, str, list[str]]:
+    """Kind of task, missed specifications, those that the design names, processor seconds,
+    structure, missed with a fine grid of times."""
+    begin = time.process_time()
     plant = Transfer(np.array(task["num"], float), np.array(task["den"], float), task.get("tau", 0))
     wanted = Specification(
         task["gain_margin_min"], task["phase_margin_min"], task["settling_time_min"],
         task["settling_time_max"], task["overshoot_max"], task["steadystate_error_max"],
     )  # fmt: skip
     found = design([plant], wanted)
-    took = time.perf_counter() - begin
-    missed = judged(task, found.controller.num, found.controller.den)
-    return task["kind"], missed, found.violated, took, found.structure
+    took = time.process_time() - begin
+    parts = found.controller.num, found.controller.den
+    missed, fine = judged(task, *parts), judged(task, *parts, fine=True)
+    if missed or fine:
+        print(task["kind"], task["id"], missed, fine, found.violated, found.structure, flush=True)
+    return task["kind"], missed, found.violated, took, found.structure, fine
 
 
 def main() -> None:
@@ -96,7 +104,9 @@ def main() -> None:
         )
     passed = sum(not row[1] for row in results)
     named = sum(bool(row[1]) and bool(row[2]) for row in results)
-    print(f"\n{passed} of {len(results)} pass ({passed / len(results):.1%}); of the others the "
+    fine = sum(not row[5] for row in results)
+    print(f"\n{fine} pass with a fine grid of times")
+    print(f"{passed} of {len(results)} pass ({passed / len(results):.1%}); of the others the "
           f"design itself names a missed specification in {named}")  # fmt: skip
 
 

@@ -4,6 +4,10 @@ A controller of a few parameters is sought that meets all specifications of the 
 structures from simple to complex, each by differential evolution (Storn and Price, J. Global
 Optim. 11, 1997) on the violated specifications. Margins and step response are computed from the
 frequency response, poles and residues, without a simulation.
+
+The controller then runs sampled, with limits and anti-windup by back-calculation (Astrom and
+Hagglund, Advanced PID Control, section 3.5), in a simulated loop with nonlinear models, and is
+printed as code.
 """
 
 from __future__ import annotations
@@ -11,6 +15,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from statistics import fmean
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +30,16 @@ _BAND = 0.02
 _NEAR = np.geomspace(1e-4, 0.3, 12)
 # Reserve that the optimisation asks for beyond each specification.
 _RESERVE = 0.02
+_EXCESS = 3
+# Share of the response in slow modes that the optimisation accepts, and what counts as slow: this
+# part of the speed of a first-order lag with the same rise.
+_TAIL, _CREEP = 0.01, 0.3
+# The optimisation prefers a loop at most this much faster than the longest settling time.
+_FASTER = 4.0
+# A smaller steady-state error asks for an integrator: without one the gain would be very high.
+_INTEGRAL = 0.01
+# The last structure, which nothing follows, is searched this much longer.
+_LAST = 3
 
 
 def product(*factors: Sequence[float] | Array) -> Array:
@@ -91,19 +107,46 @@ class LoopFigures:
     """Figures of a unity-feedback loop."""
 
     stable: bool
-    gain_margin: float
+    gain_low: float
+    """Largest factor below 1 at which the loop becomes unstable; 0 where there is none."""
+    gain_high: float
+    """Smallest such factor above 1."""
     phase_margin: float
     settling: float
     overshoot: float
     steady_state: float
+    delay_margin: float = math.inf
+    """Dead time in s that the loop bears in addition."""
+    rise: float = 0.0
+    """Time in s from 10 to 90 % of the step response."""
+    tail: float = 0.0
+    """Share of the step response in modes much slower than its rise."""
+
+    @property
+    def gain_margin(self) -> float:
+        """The factor nearest to 1, as python-control and MATLAB give it: below 1 for an unstable
+        plant whose gain may rise further than it may fall."""
+        if self.gain_low * self.gain_high <= 1.0 or (not self.gain_low):
+            return self.gain_high
+        return self.gain_low
 
     def violations(self, wanted: Specification, reserve: float = 0.0) -> list[tuple[str, float]]:
         """Violated specifications with their relative excess."""
         if not self.stable:
             return [("stability", 10.0)]
         found: list[tuple[str, float]] = []
+        if wanted.gain_margin is not None:
+            # Both ends count: toward one end alone the nearest factor jumps.
+            least = wanted.gain_margin * (1.0 + reserve)
+            rise = max(math.log(least) - math.log(self.gain_high), 0.0)
+            fall = 0.0
+            if self.gain_low and math.isinf(self.gain_high):
+                fall = 1.0 + max(math.log(least * self.gain_low), 0.0)
+            elif self.gain_low:
+                fall = max(math.log((1.0 + reserve) * self.gain_high * self.gain_low), 0.0)
+            if rise + fall > 0:
+                found.append(("gain margin", rise + fall))
         low = (
-            ("gain margin", self.gain_margin, wanted.gain_margin),
             ("phase margin", self.phase_margin, wanted.phase_margin),
             ("settling time too short", self.settling, wanted.settling_min),
         )
@@ -127,13 +170,13 @@ def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
     loop = controller.times(plant)
     rational = loop.rational()
     characteristic = np.polyadd(rational.den, rational.num)
-    nothing = LoopFigures(False, 0.0, 0.0, math.inf, math.inf, math.inf)
+    nothing = LoopFigures(False, 1.0, 1.0, 0.0, math.inf, math.inf, math.inf)
     if not np.isfinite(characteristic).all() or abs(characteristic[0]) < 1e-300:
         return nothing
     poles = np.roots(characteristic)
     if not len(poles) or poles.real.max() >= 0:
         return nothing
-    gain, phase = _margins(loop, rational)
+    gain_low, gain_high, phase, late = _margins(loop, rational)
     # Step response by residues of T(s) / s.
     slopes = np.polyval(np.polyder(characteristic), poles) * poles
     with np.errstate(all="ignore"):
@@ -142,9 +185,12 @@ def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
     if not np.isfinite(residues).all() or abs(final) < 1e-12:
         return nothing
     weight = np.abs(residues) > 1e-3 * abs(final)
-    slow = np.abs(poles.real[weight]).min() if weight.any() else np.abs(poles.real).min()
+    weight = weight if weight.any() else np.ones(len(poles), bool)
+    slow, fast = np.abs(poles.real[weight]).min(), np.abs(poles[weight]).max()
     span = min(max(8.0 / slow, 1e-9), 1e9)
-    t = np.concatenate([np.geomspace(1e-4 * span, 0.02 * span, 60)[:-1],
+    # Fast modes end long before the slow ones, so the first part is logarithmic.
+    first = max(min(0.05 / fast, 1e-3 * span), 1e-7 * span)
+    t = np.concatenate([np.geomspace(first, 0.02 * span, 150)[:-1],
                         np.linspace(0.02 * span, span, _TIMES)])  # fmt: skip
     y = final + np.real(np.exp(np.outer(t, poles)) @ residues)
     outside = np.flatnonzero(np.abs(y - final) > _BAND * abs(final))
@@ -156,12 +202,19 @@ def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
         else:
             edge = np.abs(y[[k, k + 1]] - final) - _BAND * abs(final)
             settling = float(t[k] + (t[k + 1] - t[k]) * edge[0] / max(edge[0] - edge[1], 1e-300))
-    overshoot = 100.0 * max(float((y / final).max()) - 1.0, 0.0)
-    return LoopFigures(True, gain, phase, settling, overshoot, 1.0 - final)
+    way = y / final
+    overshoot = 100.0 * max(float(way.max()) - 1.0, 0.0)
+    rise = float(t[np.argmax(way >= 0.9)] - t[np.argmax(way >= 0.1)])
+    creeping = np.abs(poles.real) * rise < 2.2 * _CREEP
+    tail = float(np.abs(residues[creeping]).sum() / abs(final))
+    return LoopFigures(
+        True, gain_low, gain_high, phase, settling, overshoot, 1.0 - final, late, rise, tail
+    )  # fmt: skip
 
 
-def _margins(loop: Transfer, rational: Transfer) -> tuple[float, float]:
-    """Gain margin nearest to 1, as a factor, and smallest phase margin in degrees."""
+def _margins(loop: Transfer, rational: Transfer) -> tuple[float, float, float, float]:
+    """Gain margins below and above 1, as factors, smallest phase margin in degrees and delay
+    margin in s."""
     corners = np.abs(np.concatenate([np.roots(rational.num), np.roots(rational.den)]))
     corners = corners[corners > 0]
     low, high = (corners.min(), corners.max()) if len(corners) else (1.0, 1.0)
@@ -170,27 +223,29 @@ def _margins(loop: Transfer, rational: Transfer) -> tuple[float, float]:
     w = np.unique(np.concatenate([np.geomspace(1e-3 * low, 1e3 * high, _GRID), near]))
     held = loop.response(w)
     size = np.abs(held)
-    crossing = np.flatnonzero((size[:-1] - 1.0) * (size[1:] - 1.0) < 0)
+    crossing = np.flatnonzero((size[:-1] > 1.0) != (size[1:] > 1.0))
     phases: list[float] = []
+    late = math.inf
     for k in crossing:
         share = math.log(size[k]) / (math.log(size[k]) - math.log(size[k + 1]))
         at = w[k] * (w[k + 1] / w[k]) ** share
         angle = math.degrees(np.angle(loop.response(np.array([at]))[0]))
         phases.append((angle + 180.0) % 360.0)
+        late = min(late, math.radians(phases[-1]) / at)
     phases = [one if one <= 180.0 else one - 360.0 for one in phases]
     gains: list[float] = []
     if rational.den[-1] and rational.num[-1] / rational.den[-1] < 0:
         gains.append(abs(float(rational.den[-1] / rational.num[-1])))
     imaginary = held.imag
-    for k in np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0):
+    for k in np.flatnonzero((imaginary[:-1] > 0) != (imaginary[1:] > 0)):
         share = imaginary[k] / (imaginary[k] - imaginary[k + 1])
         real = held.real[k] + share * (held.real[k + 1] - held.real[k])
         if real < -1e-12:
             at = w[k] * (w[k + 1] / w[k]) ** share
             gains.append(1.0 / max(abs(loop.response(np.array([at]))[0].real), 1e-300))
-    gain = min(gains, key=lambda g: abs(math.log(g)), default=math.inf)
     phase = min(phases, key=abs, default=math.inf)
-    return gain, phase
+    low = max((one for one in gains if one < 1.0), default=0.0)
+    return low, min((one for one in gains if one >= 1.0), default=math.inf), phase, late
 
 
 # Structures, from simple to complex. Parameters are logarithms, in units of the plant's own time.
@@ -204,6 +259,17 @@ class Structure:
     parameters: int
     make: Callable[[Array], tuple[Array, Array]]
     """Parameters, positive, to numerator and denominator."""
+
+    @property
+    def excess(self) -> int:
+        """Poles more than zeros."""
+        num, den = self.make(np.ones(self.parameters))
+        return len(den) - len(num)
+
+    @property
+    def integrates(self) -> bool:
+        """Whether there is a pole at 0."""
+        return bool(self.make(np.ones(self.parameters))[1][-1] == 0)
 
 
 STRUCTURES = (
@@ -246,6 +312,13 @@ STRUCTURES = (
             product([1.0, 0.0], [1.0, p[4]], [1.0, p[5]]),
         ),
     ),
+    Structure(
+        "PID with lead-lag and filter", 7,
+        lambda p: (
+            p[0] * product([1.0, p[1], p[1] * p[2]], [1.0, p[3]]),
+            product([1.0, 0.0], [1.0, p[4]], [1.0, p[5]], [1.0, p[6]]),
+        ),
+    ),
 )  # fmt: skip
 
 
@@ -281,6 +354,17 @@ def design(
     size = float(np.abs(plant.response(np.array([pace])))[0]) or 1.0
     # All parameters are positive: a plant that falls with its input gets a negative controller.
     size = math.copysign(size, float(plant.num[np.flatnonzero(plant.num)[0]] / plant.den[0]))
+    # The gain of a loop around an unstable plant has a least value. A largest one beyond it, which
+    # the nearest gain margin asks for, takes three poles more than zeros or a dead time.
+    unstable = np.roots(plant.den).real.max(initial=-1.0) > 0
+    rolled = unstable and not plant.delay and wanted.gain_margin is not None
+    excess = len(plant.den) - len(np.trim_zeros(plant.num, "f"))
+    exact = plant.den[-1] != 0 and (wanted.steady_state or 1.0) < _INTEGRAL
+    tried = [
+        one
+        for one in STRUCTURES
+        if not (rolled and excess + one.excess < _EXCESS) and not (exact and not one.integrates)
+    ]
     best: tuple[tuple[bool, float], Design] | None = None
 
     def loss(z: Array, structure: Structure, reserve: float) -> float:
@@ -293,16 +377,22 @@ def design(
             total = max(
                 total, sum(v for _, v in figures.violations(_scaled(wanted, pace), reserve))
             )
+            if not unstable and figures.stable and np.isfinite(figures.settling):
+                # Avoided where possible: a slow tail after a fast rise, and a loop much faster
+                # than asked, which spends the input.
+                fast = math.log(4.0 / _FASTER / max(figures.settling, 1e-9))
+                total = max(total, 0.1 * min(figures.tail / _TAIL - 1.0, 5.0), 0.1 * fast)
             if not figures.stable:
                 rational = controller.times(scaled).rational()
                 poles = np.roots(np.polyadd(rational.den, rational.num))
                 total = max(total, 10.0 + float(np.arctan(poles.real.max())) if len(poles) else 20)
         return total
 
-    for structure in STRUCTURES:
-        bounds = [(-9.0, 9.0)] + [(-7.0, 9.0)] * (structure.parameters - 1)
+    for structure in tried:
+        bounds = [(-9.0, 12.0)] + [(-8.0, 9.0)] * (structure.parameters - 1)
         sought = differential_evolution(
-            loss, bounds, args=(structure, _RESERVE), maxiter=effort, popsize=12, tol=1e-4,
+            loss, bounds, args=(structure, _RESERVE),
+            maxiter=_LAST * effort if structure is tried[-1] else effort, popsize=12, tol=1e-4,
             rng=np.random.default_rng(seed), polish=False, init="sobol",
             callback=lambda intermediate_result: intermediate_result.fun <= 0,
         )  # fmt: skip
@@ -341,3 +431,269 @@ def _scaled(wanted: Specification, pace: float) -> Specification:
     return replace(
         wanted, settling_min=times(wanted.settling_min), settling_max=times(wanted.settling_max)
     )
+
+
+# The sampled controller.
+
+# One sample of the simulated plant: state (n,) and input to output and next state.
+PlantStep: TypeAlias = Callable[[Array, float], tuple[float, Array]]
+Language: TypeAlias = Literal["python", "c", "st"]
+
+
+@dataclass(frozen=True)
+class SampledController:
+    """v = C x + D (r, y), u is v within the limits, x[k+1] = A x + B (r, y, u), all in deviations
+    from an operating point. B's column of u is the anti-windup."""
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    sampling_time: float
+    u0: float = 0.0
+    y0: float = 0.0
+    low: float = -math.inf
+    high: float = math.inf
+    rate: float = math.inf
+    """Largest change of u in 1/s."""
+
+    def step(self, x: Array, last: float, r: float, y: float) -> tuple[Array, float]:
+        """State of the next sample and the input u, from the state, the last input, the set point
+        and the measured output."""
+        seen = np.array([r - self.y0, y - self.y0])
+        u = min(max(float(self.u0 + self.c @ x + self.d @ seen), self.low), self.high)
+        most = self.rate * self.sampling_time
+        u = min(max(u, last - most), last + most)
+        return self.a @ x + self.b @ np.append(seen, u - self.u0), u
+
+    def code(self, language: Language) -> str:
+        """Source of one step function: a Python class, C99, or a function block in Structured Text
+        (IEC 61131-3)."""
+        n = len(self.c)
+        state = {"python": "self.", "c": "s->", "st": ""}[language]
+        least, most = {"python": ("min", "max"), "c": ("fmin", "fmax"), "st": ("MIN", "MAX")}[
+            language
+        ]
+
+        def number(value: float) -> str:
+            text = repr(float(value))
+            return text if "e" not in text else f"{value:.17e}"
+
+        def total(values: Array, names: Sequence[str]) -> str:
+            terms = [f"{number(v)} * {x}" for v, x in zip(values, names, strict=True) if v]
+            return " + ".join(terms).replace("+ -", "- ") or "0.0"
+
+        xs = [f"{state}x{i}" for i in range(n)]
+        last = f"{state}last"
+        limited = "v"
+        if math.isfinite(self.low):
+            limited = f"{most}({limited}, {number(self.low)})"
+        if math.isfinite(self.high):
+            limited = f"{least}({limited}, {number(self.high)})"
+        body = [
+            ("dr", f"r - {number(self.y0)}".replace("- -", "+ ")),
+            ("dy", f"y - {number(self.y0)}".replace("- -", "+ ")),
+            (
+                "v",
+                f"{number(self.u0)} + {total(np.concatenate([self.c, self.d]), [*xs, 'dr', 'dy'])}",
+            ),
+            ("u", limited),
+        ]
+        if math.isfinite(self.rate):
+            change = number(self.rate * self.sampling_time)
+            body.append(("u", f"{least}({most}(u, {last} - {change}), {last} + {change})"))
+        if self.b[:, 2].any():
+            body.append(("du", f"u - {number(self.u0)}".replace("- -", "+ ")))
+        inputs = [*xs, "dr", "dy", "du"]
+        body += [(f"n{i}", total(np.concatenate([self.a[i], self.b[i]]), inputs)) for i in range(n)]
+        body += [*((f"{state}x{i}", f"n{i}") for i in range(n)), (last, "u")]
+        about = f"Call once every {self.sampling_time:g} s: set point r and output y to input u."
+        u0 = number(self.u0)
+        if language == "python":
+            lines = "\n".join(f"        {name} = {value}" for name, value in body)
+            zero = "".join(f"        self.x{i} = 0.0\n" for i in range(n))
+            return (
+                f'class Controller:\n    """{about}"""\n\n    def __init__(self, u={u0}):\n'
+                f"        self.last = u\n{zero}\n    def step(self, r, y):\n{lines}\n"
+                "        return u\n"
+            )
+        if language == "c":
+            known: set[str] = set()
+            lines = ""
+            for name, value in body:
+                kind = "" if "->" in name or name in known else "double "
+                known.add(name)
+                lines += f"    {kind}{name} = {value};\n"
+            fields = "".join(f" double x{i};" for i in range(n))
+            return (
+                f"/* {about} */\n#include <math.h>\n\n"
+                f"typedef struct {{ double last;{fields} }} controller;\n\n"
+                f"void controller_reset(controller *s, double u)\n{{\n    s->last = u;\n"
+                + "".join(f"    s->x{i} = 0.0;\n" for i in range(n))
+                + "}\n\ndouble controller_step(controller *s, double r, double y)\n{\n"
+                + f"{lines}    return u;\n}}\n"
+            )
+        names = ", ".join(
+            name for name in dict(body) if name not in {"u", "last", *(f"x{i}" for i in range(n))}
+        )
+        lines = "".join(f"    {name} := {value};\n" for name, value in body)
+        held = "".join(f"    x{i} : LREAL := 0.0;\n" for i in range(n))
+        return (
+            f"(* {about} *)\nFUNCTION_BLOCK Controller\nVAR_INPUT\n    r : LREAL;\n"
+            "    y : LREAL;\nEND_VAR\nVAR_OUTPUT\n    u : LREAL;\nEND_VAR\nVAR\n"
+            f"    last : LREAL := {u0};\n{held}    {names} : LREAL;\nEND_VAR\n"
+            f"{lines}END_FUNCTION_BLOCK\n"
+        )
+
+
+def sampled(
+    controller: Transfer, sampling_time: float, *, u0: float = 0.0, y0: float = 0.0,
+    limits: tuple[float, float] = (-math.inf, math.inf), rate: float = math.inf,
+) -> SampledController:  # fmt: skip
+    """Sample C(s) = ki / s + R(s): both parts by the trapezoidal rule, R by backward differences
+    where a lag is shorter than a sample. The integral follows what the limits let through."""
+    from scipy.signal import cont2discrete, tf2ss
+
+    num, den, ki = controller.num, controller.den, 0.0
+    if len(den) > 1 and den[-1] == 0:
+        ki = float(num[-1] / den[-2])
+        num, den = np.polysub(num, ki * den[:-1])[:-1], den[:-1]
+        num = np.atleast_1d(num if len(num) else np.zeros(1))
+    static = float(num[-1] / den[-1])
+    fast = len(den) > 1 and float(np.abs(np.roots(den)).max()) * sampling_time > 1.0
+    method = "backward_diff" if fast else "bilinear"
+    system: Any = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[static]])
+    if len(den) > 1:
+        num = np.where(np.abs(num) > 1e-14 * np.abs(num).max(), num, 0.0)
+        discrete: Any = cont2discrete(tf2ss(np.trim_zeros(num, "f"), den), sampling_time, method)
+        system = discrete[:4]
+    a, b, c, d = (np.asarray(part, np.float64) for part in system)
+    gain = float(d[0, 0])
+    row = c.reshape(-1)
+    inputs = np.hstack([b, -b, np.zeros((len(a), 1))])
+    if ki:
+        gain += 0.5 * ki * sampling_time
+        row = np.append(1.0, row)
+        # The tracking time is the integral time, and at least a sample.
+        track = sampling_time / max(abs(static / ki), sampling_time)
+        above = np.append(1.0, np.zeros(len(a))) - track * row
+        a = np.vstack([above, np.hstack([np.zeros((len(a), 1)), a])])
+        push = ki * sampling_time - track * gain
+        inputs = np.vstack([[push, -push, track], inputs])
+    return SampledController(
+        np.asarray(a, np.float64), inputs, row, np.array([gain, -gain]), sampling_time, u0, y0,
+        *limits, rate,
+    )  # fmt: skip
+
+
+# The simulated loop.
+
+
+@dataclass(frozen=True)
+class SimulatedPlant:
+    """One or several models, whose mean is the output."""
+
+    name: str
+    steps: Sequence[PlantStep]
+    starts: Sequence[Array]
+    late: bool = False
+    """Whether an input acts on the output of its own sample: the controller then has the output of
+    the sample before."""
+
+
+def zero_order_hold(plant: Transfer, sampling_time: float) -> SimulatedPlant:
+    """The exact sampled plant between constant inputs, from rest; the dead time need not be a
+    whole number of samples."""
+    from scipy.linalg import expm
+    from scipy.signal import tf2ss
+
+    system: Any = tf2ss(plant.num, plant.den)
+    a, b, c, d = (np.atleast_2d(np.asarray(part, np.float64)) for part in system)
+    n = len(a) if a.size else 0
+    whole = int(plant.delay / sampling_time + 1e-9)
+    part = max(plant.delay - whole * sampling_time, 0.0)
+
+    def held(time: float) -> tuple[Array, Array]:
+        block = np.zeros((n + 1, n + 1))
+        block[:n, :n], block[:n, n] = a[:n, :n], b[:n, 0]
+        moved = np.asarray(expm(block * time), np.float64)
+        return moved[:n, :n], moved[:n, n]
+
+    (move, _), (rest, new), (_, old) = held(sampling_time), held(sampling_time - part), held(part)
+    old = rest @ old
+
+    def step(state: Array, u: float) -> tuple[float, Array]:
+        x, inputs = state[:n], np.append(u, state[n:])
+        seen = inputs[whole + 1] if part > 1e-9 * sampling_time else inputs[whole]
+        after = move @ x + new * inputs[whole] + old * inputs[whole + 1]
+        return float(c[0, :n] @ x + d[0, 0] * seen), np.concatenate([after, inputs[:-1]])
+
+    late = bool(d[0, 0]) and not plant.delay
+    return SimulatedPlant("plant", [step], [np.zeros(n + whole + 1)], late)
+
+
+def simulate_loop(
+    controller: SampledController, plant: SimulatedPlant, r: Array, noise: Array | None = None
+) -> tuple[Array, Array]:
+    """Outputs and inputs (T,) of the loop from its operating point, for set points r (T,) and
+    measurement noise (T,); NaN from where a model is not finite."""
+    y, u = np.full(len(r), math.nan), np.full(len(r), math.nan)
+    states, x, last = list(plant.starts), np.zeros(len(controller.c)), controller.u0
+    before = controller.y0
+    for k, target in enumerate(r):
+        seen = before
+        if not plant.late:
+            seen = fmean(one(s, last)[0] for one, s in zip(plant.steps, states, strict=True))
+        x, last = controller.step(x, last, float(target), seen + (0 if noise is None else noise[k]))
+        found = [one(s, last) for one, s in zip(plant.steps, states, strict=True)]
+        before, states = fmean(one[0] for one in found), [one[1] for one in found]
+        if not (np.isfinite(before) and np.isfinite(last) and abs(before) < 1e12):
+            break
+        y[k], u[k] = before, last
+    return y, u
+
+
+@dataclass(frozen=True)
+class ResponseFigures:
+    """Figures of the response to a step of the set point."""
+
+    rise: float
+    """Time in s from 10 to 90 % of the step; infinite where it does not get there."""
+    settling: float
+    """Time in s after which the output stays within 2 % of the step around the set point."""
+    overshoot: float
+    """In % of the step."""
+    error: float
+    """Error at the end, as a share of the step."""
+    iae: float
+    """Integrals of |e|, e^2 and t |e|."""
+    ise: float
+    itae: float
+    effort: float
+    """Sum of all changes of the input."""
+    limited: float
+    """Share of samples with the input at a limit."""
+
+
+def response_figures(
+    y: Array, u: Array, controller: SampledController, setpoint: float
+) -> ResponseFigures:
+    """Compute the figures of a response from the operating point to a set point."""
+    step, time = setpoint - controller.y0, controller.sampling_time
+    if not np.isfinite(y).all():
+        none = math.inf
+        return ResponseFigures(none, none, none, none, none, none, none, none, 1.0)
+    error = setpoint - y
+    way = 1.0 - error / step
+    reached = [np.flatnonzero(way >= share) for share in (0.1, 0.9)]
+    rise = time * float(reached[1][0] - reached[0][0]) if len(reached[1]) else math.inf
+    outside = np.flatnonzero(np.abs(way - 1.0) > _BAND)
+    settled = 0 if not len(outside) else int(outside[-1]) + 1
+    at = np.minimum(u - controller.low, controller.high - u) <= 1e-9 * (1.0 + np.abs(u))
+    size, t = np.abs(error), time * np.arange(len(y))
+    return ResponseFigures(
+        rise, time * settled if settled < len(y) else math.inf,
+        100.0 * max(float(way.max()) - 1.0, 0.0), float(abs(error[-1] / step)),
+        time * float(size.sum()), time * float((error**2).sum()), time * float((t * size).sum()),
+        float(np.abs(np.diff(u, prepend=controller.u0)).sum()), float(at.mean()),
+    )  # fmt: skip

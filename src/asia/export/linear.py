@@ -32,6 +32,8 @@ from asia.search.simulation import final_members, fold_models, loading_stored_mo
 
 _STARTS = 4
 _WALK = 2_000
+# Samples of a training window whose residuals give the noise.
+_NOISE = 500
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,8 @@ class LinearPoint:
     model: LinearModel
     folds: tuple[LinearModel, ...]
     """Those of the fold models at the same inputs or outputs; fewer where one has no such point."""
+    steps: tuple[tuple[LoweredModel, OperatingPoint], ...] = ()
+    """The nonlinear models of `model` and `folds` with their operating points."""
 
     @property
     def gain_band(self) -> tuple[Array, Array] | None:
@@ -98,6 +102,9 @@ class LinearRun:
     """Sentences on the choice of the model and on points that do not exist."""
     records: tuple[Trajectory, ...]
     """Training records, on which a reduction is checked and process models are fitted."""
+    noise: Array
+    """Standard deviation (ny,) of the measurement noise: of the changes of the residuals from
+    sample to sample, over sqrt 2, which a slow error of the model hardly moves."""
 
 
 def linearize(
@@ -158,6 +165,16 @@ def linearize(
             made.append(joined(evaluate(of.initial, [held, past_y, u[0]])))
         return made
 
+    changes: list[Array] = []
+    for block, x in zip(blocks, starts(own), strict=True):
+        residuals: list[Array] = []
+        for u, y in zip(block.case.u[:_NOISE], block.y[:_NOISE], strict=True):
+            seen, *states = evaluate(own.step, [*split(own, x), u])
+            residuals.append(y - seen)
+            x = joined(states)
+        changes.append(np.diff(residuals, axis=0))
+    apart = np.concatenate(changes)
+    noise = np.array([np.std(one[np.isfinite(one)]) / np.sqrt(2.0) for one in apart.T])
     points: list[LinearPoint] = []
     for name in at or ("mean",):
         if name == "start":
@@ -196,7 +213,7 @@ def linearize(
             points.append(_point(label, point, own, near, problem.sampling_time, rests=rests))
     return LinearRun(
         opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
-        tuple(records),
+        tuple(records), noise,
     )  # fmt: skip
 
 
@@ -258,4 +275,5 @@ def _point(
     rests: bool,
 ) -> LinearPoint:
     each = tuple(linearised(one, at, sampling_time) for one, at in folds)
-    return LinearPoint(name, point, rests, linearised(own, point, sampling_time), each)
+    model = linearised(own, point, sampling_time)
+    return LinearPoint(name, point, rests, model, each, ((own, point), *folds))

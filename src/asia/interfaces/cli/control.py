@@ -5,6 +5,10 @@ from __future__ import annotations
 import ast
 import json as jsonlib
 import math
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -23,7 +27,44 @@ from asia.interfaces.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from asia.analysis.control import Design, LoopFigures, Transfer
+    from asia.analysis.control import (
+        Design,
+        LoopFigures,
+        PlantStep,
+        ResponseFigures,
+        SampledController,
+        SimulatedPlant,
+        Transfer,
+    )
+    from asia.lowering.program import LoweredModel
+
+# Files of the controller, and the lengths of a simulation in samples.
+_CODE = {"python": "controller.py", "c": "controller.c", "st": "controller.st"}
+_SHORTEST, _LONGEST = 100, 3_000
+# Designs of which each asks for more than the last one, whose simulation missed a specification.
+_TRIES = 4
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Plants of a design."""
+
+    name: str
+    labels: tuple[str, ...]
+    """`loop` for the model to use, then those of the other models."""
+    plants: list[Transfer]
+    simulated: list[SimulatedPlant]
+    """The same, nonlinear where they come from a run; then the mean of the fold models."""
+    sampling_time: float
+    u0: float = 0.0
+    y0: float = 0.0
+    setpoint: float = 1.0
+    noise: float = 0.0
+    """Standard deviation of the measurement noise of y."""
+    u_range: tuple[float, float] = (-math.inf, math.inf)
+    """Smallest and largest input of the training records."""
+    u: str = "u"
+    y: str = "y"
 
 
 def control(
@@ -56,14 +97,48 @@ def control(
         float | None,
         typer.Option(help="Largest steady-state error of a step; default: 0.001."),
     ] = None,
+    setpoint: Annotated[
+        float | None,
+        typer.Option(
+            help="Set point of the simulated step; default: the operating point plus a standard "
+            "deviation of the training outputs, 1 for --plant."
+        ),
+    ] = None,
+    limits: Annotated[
+        str | None, typer.Option(help="Limits of the input, such as u=0..10; default: none.")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Largest change of the input in a second; default: none.")
+    ] = None,
+    sampling_time: Annotated[
+        float | None,
+        typer.Option(
+            help="Sampling time in s of the controller for --plant; default: a 200th of the "
+            "settling time."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the picture and the code; default: control in the run."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the optimisation.")] = 0,
     isolation: CandidateLevel = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
     """Design a PID or lead-lag controller that meets specifications, for the linear model of a run
-    and of all its fold models, or for a transfer function."""
-    from asia.analysis.control import Specification, Transfer, design, loop_figures
+    and of all its fold models, or for a transfer function; simulate the loop with all models, and
+    write the controller as code."""
+    from asia.analysis.control import (
+        Specification,
+        Transfer,
+        design,
+        loop_figures,
+        response_figures,
+        sampled,
+        simulate_loop,
+        zero_order_hold,
+    )
 
     wanted = Specification(
         2.0 if gain_margin is None else gain_margin,
@@ -81,43 +156,131 @@ def control(
             raise UserError(
                 f"--plant '{plant}' has no proper transfer function, or --delay is negative"
             )
-        plants, name = [Transfer(num, den, delay)], plant
+        loop = Loop(plant, ("loop",), [Transfer(num, den, delay)], [], sampling_time or 0.0)
     else:
+        if sampling_time is not None:
+            raise UserError("--sampling-time is for --plant: a run has its own")
         directory = run_directory(runs, run)
-        plants = _plants(str(directory), at, candidate_level(isolation))
-        name = directory.name
-    found = design(plants, wanted, seed=seed)
-    each = [loop_figures(one, found.controller) for one in plants]
-    if json:
-        say(jsonlib.dumps(_facts(name, found, each), allow_nan=False))
-        return
-    say(f"plant     {name}" + (f", {len(plants) - 1} fold models beside it" * (len(plants) > 1)))
-    say(f"structure {found.structure}")
-    say(f"C(s)      {_text(found.controller)}")
-    for line in _pid_lines(found.controller):
-        say(line)
-    for number, figures in enumerate(each):
-        which = "loop" if number == 0 else f"fold {number}"
-        say(
-            f"{which:<9} gain margin {figures.gain_margin:.3g}, phase margin "
-            f"{figures.phase_margin:.3g} degrees, settling {figures.settling:.4g} s, overshoot "
-            f"{figures.overshoot:.3g} %, steady-state error {abs(figures.steady_state):.2g}"
-            if figures.stable
-            else f"{which:<9} unstable"
+        loop = _loop(str(directory), at, candidate_level(isolation))
+        out = out or directory / "control"
+    low, high = _limits(limits, loop.u)
+    if rate is not None and not rate > 0:
+        raise UserError(f"--rate is {rate:g}, expected a positive number")
+    if not low <= loop.u0 <= high:
+        raise UserError(
+            f"--limits {limits}: the input at the operating point is {loop.u0:.5g}; choose another "
+            "point by --at"
         )
+    if setpoint is not None:
+        loop = replace(loop, setpoint=setpoint)
+    if loop.setpoint == loop.y0:
+        raise UserError(f"--setpoint {loop.setpoint:g} is the output at the operating point")
+    asked, tries, found = wanted, 0, design(loop.plants, wanted, seed=seed)
+    while True:
+        each = [loop_figures(one, found.controller) for one in loop.plants]
+        slow = max((one.settling for one in each if math.isfinite(one.settling)), default=0.0)
+        if not loop.sampling_time:
+            loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
+        if not loop.simulated:
+            held = zero_order_hold(loop.plants[0], loop.sampling_time)
+            loop = replace(loop, simulated=[replace(held, name="loop")])
+        controller = sampled(
+            found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0, limits=(low, high),
+            rate=math.inf if rate is None else rate,
+        )  # fmt: skip
+        samples = int(min(max(6.0 * slow / loop.sampling_time, _SHORTEST), _LONGEST))
+        target = np.full(samples, loop.setpoint)
+        responses = [simulate_loop(controller, one, target) for one in loop.simulated]
+        judged = [response_figures(y, u, controller, loop.setpoint) for y, u in responses]
+        missed = _missed(loop, judged, wanted.overshoot, wanted.settling_max, controller)
+        longest, most = max(one.settling for one in judged), max(one.overshoot for one in judged)
+        tries += 1
+        if found.violated or not missed or tries == _TRIES or not math.isfinite(longest):
+            break
+        # The nonlinear loop misses what the linear one meets: ask for more by the same share.
+        if asked.settling_max is not None and wanted.settling_max is not None:
+            share = min(0.97 * wanted.settling_max / longest, 1.0)
+            asked = replace(asked, settling_max=asked.settling_max * share)
+        if asked.overshoot is not None and wanted.overshoot is not None:
+            share = min(0.97 * wanted.overshoot / max(most, 1e-9), 1.0)
+            asked = replace(asked, overshoot=asked.overshoot * share)
+        tighter = design(loop.plants, asked, seed=seed)
+        if tighter.violated:
+            break
+        found = tighter
+    noisy = None
+    if loop.noise:
+        drawn = loop.noise * np.random.default_rng(seed).standard_normal(samples)
+        noisy = simulate_loop(controller, loop.simulated[0], target, drawn)
+    facts = _facts(loop.name, found, each)
+    facts["sampling_time"] = loop.sampling_time
+    facts["responses"] = [
+        {"model": one.name, **{k: v if math.isfinite(v) else None for k, v in asdict(f).items()}}
+        for one, f in zip(loop.simulated, judged, strict=True)
+    ]
+    facts["missed_in_simulation"] = missed
+    lines = _lines(loop, found, each, judged)
+    if noisy is not None:
+        moved = float(np.nanstd(noisy[1] - responses[0][1]))
+        lines.append(f"noise     {loop.y} {loop.noise:.3g} moves {loop.u} by {moved:.3g} (std)")
+    lines.append(f"weakest   {_weakest(loop, each, responses, controller)}")
+    files: list[Path] = []
+    if out is not None:
+        from asia.report.files import save
+        from asia.report.pictures.control import draw_control
+
+        named = [(p.name, y, u) for p, (y, u) in zip(loop.simulated, responses, strict=True)]
+        names, ends = (loop.y, loop.u), (low, high)
+
+        def draw() -> Any:
+            return draw_control(named, noisy, loop.sampling_time, loop.setpoint, ends, names)
+
+        files = [*save([("control", draw)], out)]
+        for language, file in _CODE.items():
+            (out / file).write_text(controller.code(language), "utf-8")  # pyright: ignore[reportArgumentType]
+            files.append(out / file)
+        (out / "control.json").write_text(jsonlib.dumps(facts, allow_nan=False) + "\n", "utf-8")
+        files.append(out / "control.json")
+    if json:
+        say(jsonlib.dumps(facts, allow_nan=False))
+    stream = sys.stderr if json else sys.stdout
+    for line in lines if not json else ():
+        say(line)
+    for path in files:
+        say(f"file      {path}", file=stream)
+    if json:
+        return
     if found.violated:
         say(
             f"missed    {', '.join(found.violated)}: no controller was found that meets all "
             "specifications; relax one of them or try another --seed"
         )
+    for one in missed:
+        say(f"missed    {one}")
+    if found.violated or missed:
         raise typer.Exit(1)
 
 
-def _plants(directory: str, at: str | None, isolation: Any) -> list[Transfer]:
-    """Continuous-time transfer functions of the model and the fold models of a run."""
-    from asia.analysis.control import Transfer
+def _limits(text: str | None, name: str) -> tuple[float, float]:
+    if text is None:
+        return -math.inf, math.inf
+    side, _, ends = text.rpartition("=")
+    try:
+        low, high = (float(one) for one in ends.split(".."))
+    except ValueError:
+        low = high = math.nan
+    if side not in ("", "u", name) or not low < high:
+        raise UserError(f"--limits is '{text}', expected u=LOW..HIGH, such as u=0..10")
+    return low, high
+
+
+def _loop(directory: str, at: str | None, isolation: Any) -> Loop:
+    """Plants of the model and the fold models of a run: continuous-time transfer functions for the
+    design, nonlinear models for the simulation."""
+    from asia.analysis.control import SimulatedPlant, Transfer
     from asia.export.linear import linearize
-    from asia.lowering.linear import continuous
+    from asia.lowering.evaluation import evaluate
+    from asia.lowering.linear import continuous, joined, split
 
     found = linearize(directory, [at] if at else (), isolation=isolation)
     if len(found.inputs) != 1 or len(found.outputs) != 1:
@@ -125,16 +288,128 @@ def _plants(directory: str, at: str | None, isolation: Any) -> list[Transfer]:
             f"the model has {len(found.inputs)} inputs and {len(found.outputs)} outputs: a "
             "controller is designed for one input and one output"
         )
-    point, plants = found.points[0], list[Transfer]()
+    point, plants, late = found.points[0], list[Transfer](), False
     for model in (point.model, *point.folds):
         same, dead = continuous(model)
         numerators, den = same.numerator()
         num = numerators[0][0]
         num = np.where(np.abs(num) > 1e-9 * np.abs(num).max(), num, 0.0)
-        # A controller acts once a sample: half a sample of dead time more.
-        late = (dead + 0.5) * model.sampling_time
-        plants.append(Transfer(np.trim_zeros(num, "f"), den, late))
-    return plants
+        # A controller acts once a sample: half a sample of dead time more, and a whole one where
+        # the output already has the input of its own sample.
+        direct = bool(model.delay[0, 0] == 0)
+        late = late or direct
+        wait = (dead + 0.5 + direct) * model.sampling_time
+        plants.append(Transfer(np.trim_zeros(num, "f"), den, wait))
+
+    def step_of(of: LoweredModel) -> PlantStep:
+        def step(x: np.ndarray, u: float) -> tuple[float, np.ndarray]:
+            y, *states = evaluate(of.step, [*split(of, x), np.array([u])])
+            return float(y[0]), joined(states)
+
+        return step
+
+    labels = ("loop", *(f"fold {k}" for k in range(1, len(plants))))
+    steps = [step_of(model) for model, _ in point.steps]
+    starts = [place.x for _, place in point.steps]
+    simulated = [
+        SimulatedPlant(label, [step], [x], late)
+        for label, step, x in zip(labels, steps, starts, strict=True)
+    ]
+    if len(steps) > 2:
+        simulated.append(SimulatedPlant("mean of folds", steps[1:], starts[1:], late))
+    y = np.concatenate([record.measured_y[:, 0] for record in found.records])
+    u = np.concatenate([record.u[:, 0] for record in found.records])
+    y0, noise = float(point.at.y[0]), float(found.noise[0])
+    return Loop(
+        found.name, labels, plants, simulated, point.model.sampling_time, float(point.at.u[0]), y0,
+        y0 + float(np.nanstd(y)), noise, (float(u.min()), float(u.max())),
+        found.inputs[0].name, found.outputs[0].name,
+    )  # fmt: skip
+
+
+def _lines(
+    loop: Loop, found: Design, each: Sequence[LoopFigures], judged: Sequence[ResponseFigures]
+) -> list[str]:
+    """Gains, margins of the linear models and figures of the simulated responses."""
+    folds = len(loop.plants) - 1
+    lines = [f"plant     {loop.name}" + (f", {folds} fold models beside it" * (folds > 0))]
+    lines += [f"structure {found.structure}", f"C(s)      {_text(found.controller)}"]
+    lines += _pid_lines(found.controller)
+    lines.append(f"sampling  {loop.sampling_time:g} s")
+    for label, figures in zip(loop.labels, each, strict=True):
+        lines.append(
+            f"{label:<9} gain margin {figures.gain_margin:.3g}, phase margin "
+            f"{figures.phase_margin:.3g} degrees, settling {figures.settling:.4g} s, overshoot "
+            f"{figures.overshoot:.3g} %, steady-state error {abs(figures.steady_state):.2g}"
+            if figures.stable
+            else f"{label:<9} unstable"
+        )
+    lines.append(f"step      {loop.y} from {loop.y0:.5g} to {loop.setpoint:.5g}, simulated")
+    for one, f in zip(loop.simulated, judged, strict=True):
+        lines.append(
+            f"{one.name:<9} rise {f.rise:.4g} s, settling {f.settling:.4g} s, overshoot "
+            f"{f.overshoot:.3g} %, IAE {f.iae:.4g}, ISE {f.ise:.4g}, ITAE {f.itae:.4g}, effort "
+            f"{f.effort:.4g}, at a limit {100 * f.limited:.3g} % of the time"
+        )
+    return lines
+
+
+def _missed(
+    loop: Loop, judged: Sequence[ResponseFigures], overshoot: float | None,
+    settling: float | None, controller: SampledController,
+) -> list[str]:  # fmt: skip
+    """What the simulated responses miss, the worst model of each."""
+    found: list[str] = []
+    rows = list(zip(loop.simulated, judged, strict=True))
+    far, most = max(rows, key=lambda row: row[1].error), max(rows, key=lambda row: row[1].overshoot)
+    slow = max(rows, key=lambda row: row[1].settling)
+    if not far[1].error <= 0.02:
+        reason = (
+            "it diverges" if math.isinf(far[1].error) else f"it is {100 * far[1].error:.3g} % off"
+        )
+        held = ", with the input at a limit" if far[1].limited > 0.5 else ""
+        found.append(f"in simulation {far[0].name} does not reach the set point: {reason}{held}")
+        return found
+    if overshoot is not None and most[1].overshoot > overshoot:
+        found.append(f"in simulation the overshoot of {most[0].name} is {most[1].overshoot:.3g} %")
+    if settling is not None and slow[1].settling > settling + controller.sampling_time:
+        found.append(f"in simulation {slow[0].name} settles in {slow[1].settling:.4g} s")
+    return found
+
+
+def _weakest(
+    loop: Loop, each: Sequence[LoopFigures], responses: Sequence[tuple[np.ndarray, np.ndarray]],
+    controller: SampledController,
+) -> str:  # fmt: skip
+    """A sentence on the smallest changes that make the loop fail."""
+    rows = list(zip(loop.labels, each, strict=True))
+    if not all(one.stable for one in each):
+        return "a linear model is unstable in the loop"
+    label, one = min(rows, key=lambda row: row[1].delay_margin)
+    parts: list[str] = []
+    if math.isfinite(one.delay_margin):
+        parts.append(f"{one.delay_margin:.3g} s more dead time ({label})")
+    label, one = min(rows, key=lambda row: row[1].gain_high)
+    if math.isfinite(one.gain_high):
+        parts.append(f"{one.gain_high:.3g} times the gain of the plant ({label})")
+    label, one = max(rows, key=lambda row: row[1].gain_low)
+    if one.gain_low:
+        parts.append(f"a gain of the plant {one.gain_low:.3g} times as large ({label})")
+    text = (
+        f"the loop becomes unstable with {' or '.join(parts)}" if parts else "no margin is finite"
+    )
+    u = np.concatenate([one for _, one in responses])
+    low, high = loop.u_range
+    if np.nanmin(u) < low - 1e-9 or np.nanmax(u) > high + 1e-9:
+        text += (
+            f"; {loop.u} goes from {np.nanmin(u):.4g} to {np.nanmax(u):.4g}, outside its training "
+            f"range {low:.4g} to {high:.4g}, where the models are not tested"
+        )
+    end = np.array([one[-1] for _, one in responses])
+    room = float(np.nanmin(np.minimum(end - controller.low, controller.high - end)))
+    if math.isfinite(room) and room >= 0:
+        text += f"; at the set point {loop.u} has {room:.3g} left to its limit"
+    return text
 
 
 def rational(text: str) -> tuple[np.ndarray, np.ndarray]:

@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
+import math
+import re
+import shutil
+import subprocess
 import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import control
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from asia.analysis.control import Specification, Transfer, design, loop_figures
+from asia.analysis.control import (
+    SampledController,
+    SimulatedPlant,
+    Specification,
+    Transfer,
+    design,
+    loop_figures,
+    response_figures,
+    sampled,
+    simulate_loop,
+    zero_order_hold,
+)
 from asia.errors import UserError
 from asia.interfaces.cli.control import pid_gains, rational
 from tests.unit.interfaces.cli.conftest import command_line
@@ -38,6 +57,7 @@ def test_anything_else_is_refused(text: str) -> None:
         rational(text)
 
 
+@settings(max_examples=12)
 @given(st.integers(0, 10_000))
 def test_figures_agree_with_python_control(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -81,6 +101,7 @@ def test_a_design_meets_its_specifications(delay: float) -> None:
     assert abs(1 - control.feedback(loop, 1).dcgain()) <= 1e-3
 
 
+@pytest.mark.slow
 def test_the_worst_of_several_plants_counts() -> None:
     wanted = Specification(2.0, 50.0, None, 4.0, 10.0, 1e-3)
     plants = [Transfer(np.array([k]), np.array([1.0, 1.2, 1.0])) for k in (1.0, 0.7, 1.4)]
@@ -108,7 +129,7 @@ def test_an_impossible_specification_is_named() -> None:
     # A right half plane zero at 1 rad/s forbids a settling time of 0.1 s without overshoot.
     num, den = rational("(1-s)/(s^2+2*s+1)")
     wanted = Specification(3.0, 60.0, None, 0.1, 1.0, 1e-3)
-    found = design([Transfer(num, den)], wanted, effort=3)
+    found = design([Transfer(num, den)], wanted, effort=1)
     assert found.violated
 
 
@@ -134,3 +155,192 @@ def test_the_command_prints_gains_and_figures() -> None:
     wrong = command_line("control", "--plant", "s/1")
     assert wrong.code == 2
     assert "no proper transfer function" in wrong.err
+
+
+def test_gain_margins_of_an_unstable_plant_lie_on_both_sides() -> None:
+    plant = Transfer(np.array([5.0]), np.array([1.0, -1.0]))
+    controller = Transfer(np.array([2.0, 1.0]), np.polymul([1.0, 0.0], [0.01, 1.0]))
+    found = loop_figures(plant, controller)
+    loop = control.tf(controller.num, controller.den) * control.tf(plant.num, plant.den)
+    gains = control.stability_margins(loop, returnall=True)[0]
+    assert found.gain_low == pytest.approx(max(g for g in gains if g < 1), rel=0.02)
+    assert found.gain_margin == pytest.approx(control.margin(loop)[0], rel=0.02)
+    wanted = Specification(2.0, None, None, None, None, None)
+    assert [name for name, _ in found.violations(wanted)] == ["gain margin"]
+
+
+def test_the_delay_margin_is_the_dead_time_at_which_the_loop_becomes_unstable() -> None:
+    num, den = rational("2/(s^2+1.2*s+1)")
+    controller = Transfer(np.array([1.0, 0.5]), np.array([1.0, 0.0]))
+    margin = loop_figures(Transfer(num, den), controller).delay_margin
+    assert loop_figures(Transfer(num, den, 0.97 * margin), controller).stable
+    assert not loop_figures(Transfer(num, den, 1.03 * margin), controller).stable
+
+
+# The sampled controller in the simulated loop.
+
+PLANT = Transfer(np.array([1.0]), np.array([1.0, 1.2, 1.0]), 0.13)
+PID = Transfer(np.array([0.5, 0.9, 0.7]), np.array([0.2, 1.0, 0.0]))
+
+
+def test_a_short_sampling_time_gives_the_continuous_response() -> None:
+    figures = loop_figures(PLANT, PID)
+    controller = sampled(PID, 0.005)
+    y, u = simulate_loop(controller, zero_order_hold(PLANT, 0.005), np.ones(4000))
+    found = response_figures(y, u, controller, 1.0)
+    assert found.overshoot == pytest.approx(figures.overshoot, abs=0.5)
+    assert found.settling == pytest.approx(figures.settling, rel=0.03)
+    assert found.error < 1e-3
+    # The integral of the error of a loop with an integrator is 1 / Ki of the whole loop.
+    assert 0.005 * (1.0 - y).sum() == pytest.approx(1.0 / 0.7, rel=0.01)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.13])
+def test_the_sampled_plant_is_exact_for_held_inputs(delay: float) -> None:
+    plant = zero_order_hold(Transfer(np.array([2.0]), np.array([1.0, 0.5]), delay), 0.05)
+    (step,), (x,) = plant.steps, plant.starts
+    u = np.random.default_rng(0).standard_normal(60)
+    found = np.empty(60)
+    for k, value in enumerate(u):
+        found[k], x = step(x, float(value))
+    rows = np.repeat(u, 5)
+    late = np.concatenate([np.zeros(round(delay / 0.01)), rows])[:300]
+    fine = np.zeros(301)
+    for k in range(300):
+        fine[k + 1] = math.exp(-0.005) * fine[k] + 4.0 * (1.0 - math.exp(-0.005)) * late[k]
+    assert found == pytest.approx(fine[:300:5], abs=1e-9)
+
+
+def test_anti_windup_shortens_the_recovery_from_a_limit() -> None:
+    plant = zero_order_hold(Transfer(np.array([1.0]), np.array([5.0, 1.0])), 0.05)
+    limited = sampled(
+        Transfer(np.array([4.0, 2.0]), np.array([1.0, 0.0])), 0.05, limits=(-1.5, 1.5)
+    )
+    winding = SampledController(
+        np.eye(1), np.array([[2.0 * 0.05, -2.0 * 0.05, 0.0]]), limited.c, limited.d, 0.05,
+        low=-1.5, high=1.5,
+    )  # fmt: skip
+    over: list[float] = []
+    for one in (limited, winding):
+        y, u = simulate_loop(one, plant, np.ones(800))
+        assert np.abs(u).max() <= 1.5
+        over.append(response_figures(y, u, one, 1.0).overshoot)
+    assert over[0] < 0.5 * over[1]
+
+
+def test_the_rate_of_the_input_is_limited() -> None:
+    controller = sampled(PID, 0.05, rate=0.4)
+    y, u = simulate_loop(controller, zero_order_hold(PLANT, 0.05), np.ones(1500))
+    assert np.abs(np.diff(u, prepend=0.0)).max() <= 0.4 * 0.05 + 1e-12
+    assert response_figures(y, u, controller, 1.0).error < 0.02
+
+
+def test_a_diverging_loop_has_no_figures() -> None:
+    plant = SimulatedPlant("loop", [lambda x, u: (float(x[0]), 3.0 * x + u)], [np.zeros(1)])
+    controller = sampled(Transfer(np.array([0.1]), np.ones(1)), 1.0)
+    found = response_figures(*simulate_loop(controller, plant, np.ones(100)), controller, 1.0)
+    assert math.isinf(found.error)
+
+
+# Code of the controller.
+
+
+def python_step(folder: Path, code: SampledController) -> Callable[[float, float], float]:
+    del folder
+    names: dict[str, Any] = {}
+    exec(code.code("python"), names)
+    return names["Controller"]().step
+
+
+def c_step(folder: Path, code: SampledController) -> Callable[[float, float], float]:
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    source, library = folder / "controller.c", folder / "controller.so"
+    source.write_text(code.code("c"), "utf-8")
+    words = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC"]
+    subprocess.run([compiler, *words, "-o", library, source, "-lm"], check=True)
+    found = ctypes.CDLL(str(library))
+    found.controller_step.restype = ctypes.c_double
+    state = (ctypes.c_double * 16)()
+    found.controller_reset(state, ctypes.c_double(code.u0))
+    return lambda r, y: found.controller_step(state, ctypes.c_double(r), ctypes.c_double(y))
+
+
+def st_step(folder: Path, code: SampledController) -> Callable[[float, float], float]:
+    """Interpreter of declarations of LREAL and of assignments with + - *, MIN and MAX."""
+    del folder
+    text = re.sub(r"\(\*.*?\*\)", "", code.code("st"))
+    declared, body = text.split("END_VAR\n", 3)[:3], text.split("END_VAR\n", 3)[3]
+    values: dict[str, Any] = {"MIN": min, "MAX": max}
+    for names, first in re.findall(r"([\w, ]+) : LREAL(?: := ([^;]+))?;", "".join(declared)):
+        for name in names.split(","):
+            values[name.strip()] = float(first or 0.0)
+    lines = re.fullmatch(r"((?:    \w+ := [^;]+;\n)+)END_FUNCTION_BLOCK\n", body)
+    assert lines is not None
+    pairs = re.findall(r"(\w+) := ([^;]+);", lines.group(1))
+    assert all(name in values for name, _ in pairs)
+
+    def step(r: float, y: float) -> float:
+        values.update(r=r, y=y)
+        for name, expression in pairs:
+            assert re.fullmatch(r"[\w\s.+\-*(),]+", expression)
+            values[name] = eval(expression, {}, values)
+        return values["u"]
+
+    return step
+
+
+@pytest.mark.parametrize("made", [python_step, c_step, st_step])
+@pytest.mark.parametrize(
+    "transfer",
+    [
+        PID,
+        Transfer(np.array([3e-6]), np.array([1.0, 0.0])),
+        Transfer(np.array([-2.0]), np.ones(1)),
+        Transfer(np.array([0.4, 2.0]), np.array([0.001, 1.0])),
+        Transfer(np.poly([-1.0, -2.0, -4.0]), np.poly([0.0, -20.0, -90.0])),
+    ],
+)
+def test_code_gives_the_inputs_of_the_simulation(
+    made: Callable[[Path, SampledController], Callable[[float, float], float]],
+    transfer: Transfer,
+    tmp_path: Path,
+) -> None:
+    code = sampled(transfer, 0.05, u0=2.0, y0=-1.5, limits=(0.0, 4.5), rate=30.0)
+    step = made(tmp_path, code)
+    rng = np.random.default_rng(0)
+    x, last = np.zeros(len(code.c)), code.u0
+    seen: list[float] = []
+    for r, y in rng.normal(-1.5, 1.0, (400, 2)):
+        x, last = code.step(x, last, float(r), float(y))
+        assert step(float(r), float(y)) == pytest.approx(last, abs=1e-9)
+        seen.append(last)
+    assert np.std(seen) > 1e-9
+
+
+def test_limits_reach_the_simulation_and_the_files(tmp_path: Path) -> None:
+    words = ("control", "--plant", "2/(5*s+1)", "--settling", "6", "--out", tmp_path, "--json")
+    free = json.loads(command_line(*words).out)
+    highest = 0.7
+    shown = command_line(*words, "--limits", f"u=0..{highest}")
+    found = json.loads(shown.out)
+    assert found["responses"][0]["limited"] > 0
+    assert found["responses"][0]["settling"] > free["responses"][0]["settling"]
+    assert f"{highest})" in (tmp_path / "controller.c").read_text("utf-8")
+    assert (tmp_path / "control.png").exists()
+    below = command_line(*words[:-1], "--limits", "u=0..0.4")
+    assert below.code == 1
+    assert "does not reach the set point" in below.out
+    for wrong in ("u=1..0", "u=1", "v=0..1", "u=a..b"):
+        assert "expected u=LOW..HIGH" in command_line(*words, "--limits", wrong).err
+    assert "choose another point" in command_line(*words, "--limits", "u=1..2").err
+
+
+def test_a_loop_is_not_much_faster_than_asked() -> None:
+    # Without a lower limit of the settling time a high gain would meet everything.
+    found = design([Transfer(np.array([2.0]), np.array([5.0, 1.0]))],
+                   Specification(2.0, 45.0, None, 6.0, 10.0, 1e-3))  # fmt: skip
+    assert found.violated == ()
+    assert 1.4 <= found.figures.settling <= 6.0
+    assert found.controller.den[-1] == 0
