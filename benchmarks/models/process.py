@@ -15,9 +15,9 @@ from collections import Counter
 
 import numpy as np
 
+from asia.analysis.process import ProcessStructure, fit_process
 from asia.data import Trajectory
 from asia.lowering.linear import ProcessModel
-from asia.analysis.process import ProcessStructure, fit_process
 
 
 def record(rng: np.random.Generator, kind: str) -> tuple[Trajectory, ProcessModel]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from asia.analysis.process import ProcessFit, ProcessStructure, fit_process
 from asia.data import Trajectory
 from asia.errors import UserError
 from asia.lowering.linear import ProcessModel
-from asia.analysis.process import ProcessFit, ProcessStructure, fit_process
 
 
 def response(model: ProcessModel, u: np.ndarray) -> np.ndarray:

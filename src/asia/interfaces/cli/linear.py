@@ -29,11 +29,11 @@ _MOST_INPUTS = 3
 _MOST_CURVES, _MOST_SAMPLES = 6, 5_000
 
 if TYPE_CHECKING:
+    from asia.analysis.process import ProcessFit
     from asia.data.trajectory import Signal
     from asia.export.linear import LinearPoint, LinearRun
     from asia.ledger.evidence import DrawnCheck
     from asia.lowering.linear import ProcessModel
-    from asia.analysis.process import ProcessFit
 
 
 def linear(
