@@ -370,6 +370,7 @@ def find_repetition(
     z = whole[:, moving]
     if not z.shape[1] or not folds:
         return None
+    binary = np.array([len(np.unique(values)) == 2 for values in z.T])
     z = (z - z.mean(axis=0)) / z.std(axis=0)
     samples = len(z)
     first = np.cumsum([0, *map(len, inputs)])
@@ -403,7 +404,10 @@ def find_repetition(
                 freedom = float(np.max(np.min([
                     c * p.sum(axis=0) ** 2 / np.maximum((p**2).sum(axis=0), 1e-300) for c, p in both
                 ], axis=0)))  # fmt: skip
-                if freedom < _LEAST_FREEDOM:
+                # Two levels that change n times are alike by chance once in 4**n.
+                changes = np.count_nonzero(np.diff(x[:, binary], axis=0), axis=0)
+                alike_by_chance = binary.all() and samples * most > _CHANCE * 4.0 ** changes.max()
+                if freedom < _LEAST_FREEDOM or alike_by_chance:
                     continue
                 count = samples - length + 1
                 product = np.fft.irfft(

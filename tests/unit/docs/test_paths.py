@@ -26,7 +26,7 @@ FILE = re.compile(r"`((?:[\w.<>*-]+/)+(?:[\w.<>*-]+)?|[\w*-]+\.(?:py|yml|cff))`"
 MODULE = re.compile(r"\basia(?:\.[A-Za-z_]\w*)+")
 # Files and folders of a reader's machine, or of a run.
 MADE = re.compile(
-    r"candidate\.py|baseline\.py|best\.py|plot\.py|tools\.py|plots/|conftest\.py|sitecustomize\.py|mytool|runs/|/proc|"
+    r"candidate\.py|baseline\.py|best\.py|controller\.py|plot\.py|tools\.py|plots/|conftest\.py|sitecustomize\.py|mytool|runs/|/proc|"
     r"/tmp|/var|/dev|/usr|/etc|~|mill/|control/queue|artifacts/|report/|data/$|build/|\.venv|<|"
     r"\.gemini|\.codex|Qwen/|bench-|RUNS/|nonlinear_benchmarks/|^tank/|^measure\.py|^use\.py|^nanodrone/|^(model|system)\.py$"
 )

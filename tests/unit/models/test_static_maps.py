@@ -46,6 +46,7 @@ def fitted(maps: static_maps.Config, training: list[Trajectory]) -> static_maps.
     return static_maps.train(linear.train, model, training, CONTEXT, METHOD)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("maps", "f", "g", "gain"),
     [
@@ -85,6 +86,7 @@ def test_a_static_function_is_found(
     check_steps(model, [case], PAST, 1, 1)
 
 
+@pytest.mark.slow
 def test_the_sign_of_a_simulation_in_mid_motion_comes_from_its_past_outputs() -> None:
     """A slow mode remembers far more than the past window shows."""
     rng = np.random.default_rng(8)
@@ -100,6 +102,7 @@ def test_the_sign_of_a_simulation_in_mid_motion_comes_from_its_past_outputs() ->
     assert max(errors) < 0.3
 
 
+@pytest.mark.slow
 def test_levels_are_reported_in_units_of_the_input() -> None:
     training = [record(900, seed, lambda u: np.clip(u, -6, 9)) for seed in (2, 3)]
     found = fitted(static_maps.Config(input_map="saturation"), training).parameters()
@@ -108,6 +111,7 @@ def test_levels_are_reported_in_units_of_the_input() -> None:
     assert any(name.startswith("gain") for name in found)
 
 
+@pytest.mark.slow
 def test_a_system_without_saturation_keeps_its_range() -> None:
     training = record(1500, 4)
     model = fitted(static_maps.Config(input_map="saturation"), [training])
