@@ -330,9 +330,9 @@ def _one_step_error(inputs: Sequence[Array], records: Sequence[Trajectory]) -> f
 Parts = Sequence[tuple[int, range]]
 """Number of a record, and samples in it."""
 
-# Least correlation of a segment with its copy, least degrees of freedom of a segment (a ramp has 5,
-# whatever its slope), and the probability of a false alarm.
-_COPIED, _LEAST_FREEDOM, _CHANCE = 0.98, 10.0, 1e-6
+# Least correlation of a segment with its copy, the share of its variance in which a copy differs at
+# least (an exact copy proves no more), and the probability of a false alarm.
+_COPIED, _APART, _CHANCE = 0.98, 0.01, 1e-6
 _MOST_SEGMENTS, _MOST_PRODUCTS = 48, 4_000_000
 
 
@@ -370,8 +370,9 @@ def find_repetition(
     z = whole[:, moving]
     if not z.shape[1] or not folds:
         return None
-    binary = np.array([len(np.unique(values)) == 2 for values in z.T])
     z = (z - z.mean(axis=0)) / z.std(axis=0)
+    # Few levels agree exactly by chance.
+    apart = np.array([max(_APART, len(np.unique(v)) ** -2.0) for v in z.T])
     samples = len(z)
     first = np.cumsum([0, *map(len, inputs)])
     number = np.repeat(np.arange(len(inputs)), np.diff(first))
@@ -401,13 +402,12 @@ def find_repetition(
                 # Frequencies that hold the power, and samples that hold the changes.
                 power = np.abs(np.fft.rfft(x, axis=0)) ** 2
                 both = (2.0, power), (1.0, np.diff(x, axis=0) ** 2)
-                freedom = float(np.max(np.min([
+                freedom = np.min([
                     c * p.sum(axis=0) ** 2 / np.maximum((p**2).sum(axis=0), 1e-300) for c, p in both
-                ], axis=0)))  # fmt: skip
-                # Two levels that change n times are alike by chance once in 4**n.
-                changes = np.count_nonzero(np.diff(x[:, binary], axis=0), axis=0)
-                alike_by_chance = binary.all() and samples * most > _CHANCE * 4.0 ** changes.max()
-                if freedom < _LEAST_FREEDOM or alike_by_chance:
+                ], axis=0)  # fmt: skip
+                exponent = freedom / 2.0 - 1.0
+                richest = int(np.argmin(apart**exponent))
+                if apart[richest] ** exponent[richest] * samples * most > _CHANCE:
                     continue
                 count = samples - length + 1
                 product = np.fft.irfft(
@@ -425,8 +425,8 @@ def find_repetition(
                 usable &= number[:count] == number[length - 1 :]
                 alike[~usable] = 0.0
                 at = int(np.argmax(alike))
-                rest = max(1.0 - float(alike[at]) ** 2, 1e-12)
-                chance = rest ** (freedom / 2.0 - 1.0) * samples * most
+                rest = max(1.0 - float(alike[at]) ** 2, float(apart[richest]))
+                chance = rest ** float(exponent[richest]) * samples * most
                 if alike[at] > _COPIED and chance < _CHANCE:
                     channel = int(np.argmax(own))
                     gain = float(own[channel] * length / product[at, channel])

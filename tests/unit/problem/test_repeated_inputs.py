@@ -106,6 +106,13 @@ def test_random_inputs_raise_no_alarm(pole: float, seed: int) -> None:
     assert not warnings_of(problem_of(coloured(3000, pole, seed)))
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_random_binary_inputs_raise_no_alarm(noise: float) -> None:
+    for seed in range(20):
+        u = prbs(seed, 1500, hold=4)
+        assert not warnings_of(problem_of(u + noise * RNG.normal(size=1500)))
+
+
 def test_other_inputs_that_look_alike_raise_no_alarm() -> None:
     t = np.arange(3000)
     ramp = t / 3000
