@@ -104,10 +104,7 @@ def fit_in_loop(
             "leave one of them out"
         )
     records = scaled(trajectories, scaling)
-    # A controller answers in the same sample: a predictor could not tell a plant that does so too
-    # from it.
     delay = _delay(records, choices) if choices.delay is None else choices.delay
-    delay = max(delay, 1) if method == "direct" else delay
     late = [r.with_delay(delay) for r in records]
     plant = _direct(late, choices, refinement, context)
     if method != "direct":
@@ -223,7 +220,8 @@ def _regression(x: Array, y: Array) -> Array:
 
 def _delay(records: Sequence[ScaledTrajectory], choices: Choices) -> int:
     """Smallest delay, 1 or more, whose difference equation of few lags predicts within 1 % of the
-    best."""
+    best. A controller answers in the same sample: a predictor cannot tell a plant without delay
+    from it."""
     lags, errors = choices.order or 3, list[float]()
     for delay in range(1, max(choices.max_delay, 1) + 1):
         past, u, y = _lagged([r.with_delay(delay) for r in records], lags)
@@ -268,15 +266,9 @@ def _two_stage(
         # The output itself has errors that its filtering by a predictor would amplify.
         outputs = [replace(c, y=one.y) for c, one in zip(clean, records, strict=True)]
         better = fit(outputs, plant.system.order, refinement, context.log)
-        n, ny = better.system.order, len(better.system.c)
-        plant = Innovations(better.system, np.zeros(n), np.zeros((n, ny)), better.error)
-    else:
-        measured = DrivenRecords(
-            [replace(o, u=np.hstack([o.u, o.y]), measured_u=o.measured_u) for o in records]
-        )
-        error = measured.summed(plant.predictor, np.zeros((len(records), plant.system.order))).error
-        plant = replace(plant, error=error)
-    return plant
+        plant = replace(plant, system=better.system, drift=np.zeros(better.system.order))
+    # The gain belongs to signals without noise.
+    return _levelled(replace(plant, k=np.zeros((plant.system.order, len(plant.system.c)))), records)
 
 
 def _standardised(references: Sequence[Array]) -> list[Array]:
@@ -382,7 +374,8 @@ def _through_controller(
             "linear: loop='controller': no start is stable in the loop with the controller of "
             "[loop]: check its signs, its sampling time and where the reference enters"
         )
-    return best
+    # An integrating controller hides the constants of the plant from its loop.
+    return _levelled(best, records)
 
 
 def _whitening(residuals: Sequence[Array]) -> Array:
@@ -470,6 +463,37 @@ def _minimised(
     return found[:size], response(found), response(found).error
 
 
+def _levelled(plant: Innovations, records: Sequence[ScaledTrajectory]) -> Innovations:
+    """Drift and offset from the measured inputs, by the least error of the filter of the plant; its
+    error becomes that of the noise of the output."""
+    s, n, ny = plant.system, plant.system.order, len(plant.system.c)
+    gain = _noise_filter(plant)[0]
+    plain = replace(plant, system=replace(s, offset=np.zeros(ny)), drift=np.zeros(n), k=gain)
+    # Free responses to the states of a record and to constants, which are states that stay.
+    predictor = plain.predictor
+    a = np.eye(2 * n + ny)
+    a[:n] = np.hstack([predictor.a, np.eye(n), -gain])
+    c = np.hstack([predictor.c, np.zeros((ny, n)), np.eye(ny)])
+    nothing = np.zeros((len(a), 0))
+    free = LinearSystem(a, nothing, c, np.zeros((ny, 0)), np.zeros(ny))
+    longest = max(len(r) for r in records)
+    basis = free.simulate(np.eye(len(a)), np.zeros((len(a), longest, 0)))[1]
+    rows, left = list[Array](), list[Array]()
+    for i, r in enumerate(records):
+        y_hat = predictor.simulate(np.zeros((1, n)), np.hstack([r.u, r.y])[None])[1][0]
+        kept = r.weight > 0
+        response = basis[:, : len(r)][:, kept].transpose(1, 2, 0).reshape(-1, len(a))
+        own = np.zeros((len(response), len(records) * n))
+        own[:, i * n : (i + 1) * n] = response[:, :n]
+        rows.append(np.hstack([response[:, n:], own]))
+        left.append((r.y - y_hat)[kept].ravel())
+    matrix, wanted = np.concatenate(rows), np.concatenate(left)
+    found = np.linalg.lstsq(matrix, wanted, rcond=1e-8)[0]
+    error = float(np.mean((wanted - matrix @ found) ** 2))
+    system = replace(s, offset=found[n : n + ny])
+    return replace(plant, system=system, drift=found[:n], error=error)
+
+
 def _at_rest(plant: Innovations, scaling: Scaling) -> tuple[Innovations, Scaling]:
     """Move the drift of the states into the offset, and into the mean of the inputs where the
     plant integrates."""
@@ -485,13 +509,11 @@ def _at_rest(plant: Innovations, scaling: Scaling) -> tuple[Innovations, Scaling
     return replace(plant, system=system, drift=np.zeros(n)), scaling
 
 
-def _encoder(
-    plant: Innovations, records: Sequence[ScaledTrajectory], delay: int, context: Context
-) -> Encoder:
-    """State after a past window by the Kalman filter of the plant.
-
-    Before the window the state has mean and covariance of a filter over the records.
-    """
+def _noise_filter(
+    plant: Innovations,
+) -> tuple[Array, Array, Callable[[Array], tuple[Array, Array]]]:
+    """Steady gain and covariance of the Kalman filter of the plant, and its update of a
+    covariance."""
     s, noise = plant.system, plant.error * np.eye(len(plant.system.c))
     driving = plant.k @ noise @ plant.k.T + 1e-9 * np.eye(s.order)
 
@@ -505,6 +527,18 @@ def _encoder(
     gain, p = update(np.eye(s.order))
     for _ in range(200):
         gain, p = update(p)
+    return gain, p, update
+
+
+def _encoder(
+    plant: Innovations, records: Sequence[ScaledTrajectory], delay: int, context: Context
+) -> Encoder:
+    """State after a past window by the Kalman filter of the plant.
+
+    Before the window the state has mean and covariance of a filter over the records.
+    """
+    s = plant.system
+    gain, p, update = _noise_filter(plant)
     steady = Innovations(s, plant.drift, gain, plant.error).predictor
     x, seen = np.zeros((1, s.order)), list[Array]()
     for r in records:
