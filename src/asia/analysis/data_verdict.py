@@ -69,7 +69,7 @@ class LinearEvidence:
 
 @dataclass(frozen=True)
 class DataVerdict:
-    """What can be expected of a model of these records."""
+    """Verdict on the records, its reasons and the proposed linear model."""
 
     verdict: Verdict
     reasons: tuple[str, ...]

@@ -52,7 +52,7 @@ class Doubt:
     weight: float
     """1 or more: not enough for a model; 0.3 or more: limits its use."""
     experiment: str = ""
-    """What to measure instead."""
+    """Measurement that would help; empty where none would."""
 
     def __str__(self) -> str:
         return self.text

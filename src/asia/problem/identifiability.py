@@ -46,7 +46,7 @@ class Unidentifiable:
     directions: int
     """Number of independent changes of them that leave all outputs as they are."""
     combinations: tuple[str, ...]
-    """What records can determine of them, as expressions; empty where no simple one was found."""
+    """Expressions of them that records determine; empty where no simple one was found."""
     has_priors: bool
     """Whether the priors of the problem file decide between them."""
 
