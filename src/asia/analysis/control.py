@@ -697,3 +697,121 @@ def response_figures(
         time * float(size.sum()), time * float((error**2).sum()), time * float((t * size).sum()),
         float(np.abs(np.diff(u, prepend=controller.u0)).sum()), float(at.mean()),
     )  # fmt: skip
+
+
+# A design that also meets its specifications in the simulated loop.
+
+# Samples of a simulation, and designs of which each asks for more than the last one.
+_SHORTEST, _LONGEST, _TRIES = 100, 3_000, 4
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Plants of a design, and the step of the set point that is simulated."""
+
+    name: str
+    labels: tuple[str, ...]
+    """`loop` for the model to use, then those of the other models."""
+    plants: list[Transfer]
+    simulated: list[SimulatedPlant]
+    """The same, nonlinear where they come from a run; then the mean of the fold models."""
+    sampling_time: float
+    """In s; 0 for a 200th of the settling time."""
+    u0: float = 0.0
+    y0: float = 0.0
+    setpoint: float = 1.0
+    noise: float = 0.0
+    """Standard deviation of the measurement noise of y."""
+    u_range: tuple[float, float] = (-math.inf, math.inf)
+    """Smallest and largest input of the training records."""
+    u: str = "u"
+    y: str = "y"
+
+
+@dataclass(frozen=True)
+class SimulatedDesign:
+    """Controller of a loop with its figures."""
+
+    loop: Loop
+    design: Design
+    figures: list[LoopFigures]
+    """Those of the linear plants."""
+    controller: SampledController
+    target: Array
+    """Set points (T,) of the simulation."""
+    responses: list[tuple[Array, Array]]
+    """Outputs and inputs (T,) of each simulated plant."""
+    judged: list[ResponseFigures]
+    missed: list[str]
+    """Sentences on specifications that the simulation does not meet."""
+
+
+def design_in_simulation(
+    loop: Loop, wanted: Specification, limits: tuple[float, float], rate: float, seed: int = 0
+) -> SimulatedDesign:
+    """Design a controller for all plants of a loop, and simulate it. Where the simulation misses
+    what the linear plants meet, the design asks for more by the same share, a few times.
+
+    Args:
+        limits: least and largest input
+        rate: largest change of the input in 1/s
+    """
+    asked, found = wanted, design(loop.plants, wanted, seed=seed)
+    made = _simulated(loop, found, wanted, limits, rate)
+    for _ in range(_TRIES - 1):
+        longest = max(one.settling for one in made.judged)
+        most = max(one.overshoot for one in made.judged)
+        if found.violated or not made.missed or not math.isfinite(longest):
+            break
+        if asked.settling_max is not None and wanted.settling_max is not None:
+            share = min(0.97 * wanted.settling_max / longest, 1.0)
+            asked = replace(asked, settling_max=asked.settling_max * share)
+        if asked.overshoot is not None and wanted.overshoot is not None:
+            share = min(0.97 * wanted.overshoot / max(most, 1e-9), 1.0)
+            asked = replace(asked, overshoot=asked.overshoot * share)
+        found = design(loop.plants, asked, seed=seed)
+        if found.violated:
+            break
+        made = _simulated(made.loop, found, wanted, limits, rate)
+    return made
+
+
+def _simulated(
+    loop: Loop, found: Design, wanted: Specification, limits: tuple[float, float], rate: float
+) -> SimulatedDesign:
+    each = [loop_figures(one, found.controller) for one in loop.plants]
+    slow = max((one.settling for one in each if math.isfinite(one.settling)), default=0.0)
+    if not loop.sampling_time:
+        loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
+    if not loop.simulated:
+        held = zero_order_hold(loop.plants[0], loop.sampling_time)
+        loop = replace(loop, simulated=[replace(held, name="loop")])
+    controller = sampled(
+        found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0, limits=limits, rate=rate
+    )
+    samples = int(min(max(6.0 * slow / loop.sampling_time, _SHORTEST), _LONGEST))
+    target = np.full(samples, loop.setpoint)
+    responses = [simulate_loop(controller, one, target) for one in loop.simulated]
+    judged = [response_figures(y, u, controller, loop.setpoint) for y, u in responses]
+    missed = _missed(loop, judged, wanted)
+    return SimulatedDesign(loop, found, each, controller, target, responses, judged, missed)
+
+
+def _missed(loop: Loop, judged: Sequence[ResponseFigures], wanted: Specification) -> list[str]:
+    """Sentences on the specifications that responses do not meet, on the worst model of each."""
+    found: list[str] = []
+    rows = list(zip(loop.simulated, judged, strict=True))
+    far, most = max(rows, key=lambda row: row[1].error), max(rows, key=lambda row: row[1].overshoot)
+    slow = max(rows, key=lambda row: row[1].settling)
+    if not far[1].error <= 0.02:
+        reason = (
+            "it diverges" if math.isinf(far[1].error) else f"it is {100 * far[1].error:.3g} % off"
+        )
+        held = ", with the input at a limit" if far[1].limited > 0.5 else ""
+        return [f"in simulation {far[0].name} does not reach the set point: {reason}{held}"]
+    if wanted.overshoot is not None and most[1].overshoot > wanted.overshoot:
+        found.append(f"in simulation the overshoot of {most[0].name} is {most[1].overshoot:.3g} %")
+    longest = wanted.settling_max
+    if longest is not None and slow[1].settling > longest + loop.sampling_time:
+        found.append(f"in simulation {slow[0].name} settles in {slow[1].settling:.4g} s")
+    return found

@@ -7,7 +7,7 @@ import json as jsonlib
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,42 +29,17 @@ from asia.interfaces.cli.options import (
 if TYPE_CHECKING:
     from asia.analysis.control import (
         Design,
+        Loop,
         LoopFigures,
         PlantStep,
         ResponseFigures,
         SampledController,
-        SimulatedPlant,
         Transfer,
     )
     from asia.lowering.program import LoweredModel
 
-# Files of the controller, and the lengths of a simulation in samples.
+# Files of the controller.
 _CODE = {"python": "controller.py", "c": "controller.c", "st": "controller.st"}
-_SHORTEST, _LONGEST = 100, 3_000
-# Designs of which each asks for more than the last one, whose simulation missed a specification.
-_TRIES = 4
-
-
-@dataclass(frozen=True)
-class Loop:
-    """Plants of a design."""
-
-    name: str
-    labels: tuple[str, ...]
-    """`loop` for the model to use, then those of the other models."""
-    plants: list[Transfer]
-    simulated: list[SimulatedPlant]
-    """The same, nonlinear where they come from a run; then the mean of the fold models."""
-    sampling_time: float
-    u0: float = 0.0
-    y0: float = 0.0
-    setpoint: float = 1.0
-    noise: float = 0.0
-    """Standard deviation of the measurement noise of y."""
-    u_range: tuple[float, float] = (-math.inf, math.inf)
-    """Smallest and largest input of the training records."""
-    u: str = "u"
-    y: str = "y"
 
 
 def control(
@@ -130,14 +105,11 @@ def control(
     and of all its fold models, or for a transfer function; simulate the loop with all models, and
     write the controller as code."""
     from asia.analysis.control import (
+        Loop,
         Specification,
         Transfer,
-        design,
-        loop_figures,
-        response_figures,
-        sampled,
+        design_in_simulation,
         simulate_loop,
-        zero_order_hold,
     )
 
     wanted = Specification(
@@ -175,43 +147,13 @@ def control(
         loop = replace(loop, setpoint=setpoint)
     if loop.setpoint == loop.y0:
         raise UserError(f"--setpoint {loop.setpoint:g} is the output at the operating point")
-    asked, tries, found = wanted, 0, design(loop.plants, wanted, seed=seed)
-    while True:
-        each = [loop_figures(one, found.controller) for one in loop.plants]
-        slow = max((one.settling for one in each if math.isfinite(one.settling)), default=0.0)
-        if not loop.sampling_time:
-            loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
-        if not loop.simulated:
-            held = zero_order_hold(loop.plants[0], loop.sampling_time)
-            loop = replace(loop, simulated=[replace(held, name="loop")])
-        controller = sampled(
-            found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0, limits=(low, high),
-            rate=math.inf if rate is None else rate,
-        )  # fmt: skip
-        samples = int(min(max(6.0 * slow / loop.sampling_time, _SHORTEST), _LONGEST))
-        target = np.full(samples, loop.setpoint)
-        responses = [simulate_loop(controller, one, target) for one in loop.simulated]
-        judged = [response_figures(y, u, controller, loop.setpoint) for y, u in responses]
-        missed = _missed(loop, judged, wanted.overshoot, wanted.settling_max, controller)
-        longest, most = max(one.settling for one in judged), max(one.overshoot for one in judged)
-        tries += 1
-        if found.violated or not missed or tries == _TRIES or not math.isfinite(longest):
-            break
-        # The nonlinear loop misses what the linear one meets: ask for more by the same share.
-        if asked.settling_max is not None and wanted.settling_max is not None:
-            share = min(0.97 * wanted.settling_max / longest, 1.0)
-            asked = replace(asked, settling_max=asked.settling_max * share)
-        if asked.overshoot is not None and wanted.overshoot is not None:
-            share = min(0.97 * wanted.overshoot / max(most, 1e-9), 1.0)
-            asked = replace(asked, overshoot=asked.overshoot * share)
-        tighter = design(loop.plants, asked, seed=seed)
-        if tighter.violated:
-            break
-        found = tighter
+    made = design_in_simulation(loop, wanted, (low, high), rate or math.inf, seed)
+    loop, found, each, controller = made.loop, made.design, made.figures, made.controller
+    responses, judged, missed = made.responses, made.judged, made.missed
     noisy = None
     if loop.noise:
-        drawn = loop.noise * np.random.default_rng(seed).standard_normal(samples)
-        noisy = simulate_loop(controller, loop.simulated[0], target, drawn)
+        drawn = loop.noise * np.random.default_rng(seed).standard_normal(len(responses[0][0]))
+        noisy = simulate_loop(controller, loop.simulated[0], made.target, drawn)
     facts = _facts(loop.name, found, each)
     facts["sampling_time"] = loop.sampling_time
     facts["responses"] = [
@@ -277,7 +219,7 @@ def _limits(text: str | None, name: str) -> tuple[float, float]:
 def _loop(directory: str, at: str | None, isolation: Any) -> Loop:
     """Plants of the model and the fold models of a run: continuous-time transfer functions for the
     design, nonlinear models for the simulation."""
-    from asia.analysis.control import SimulatedPlant, Transfer
+    from asia.analysis.control import Loop, SimulatedPlant, Transfer
     from asia.export.linear import linearize
     from asia.lowering.evaluation import evaluate
     from asia.lowering.linear import continuous, joined, split
@@ -352,29 +294,6 @@ def _lines(
             f"{f.effort:.4g}, at a limit {100 * f.limited:.3g} % of the time"
         )
     return lines
-
-
-def _missed(
-    loop: Loop, judged: Sequence[ResponseFigures], overshoot: float | None,
-    settling: float | None, controller: SampledController,
-) -> list[str]:  # fmt: skip
-    """What the simulated responses miss, the worst model of each."""
-    found: list[str] = []
-    rows = list(zip(loop.simulated, judged, strict=True))
-    far, most = max(rows, key=lambda row: row[1].error), max(rows, key=lambda row: row[1].overshoot)
-    slow = max(rows, key=lambda row: row[1].settling)
-    if not far[1].error <= 0.02:
-        reason = (
-            "it diverges" if math.isinf(far[1].error) else f"it is {100 * far[1].error:.3g} % off"
-        )
-        held = ", with the input at a limit" if far[1].limited > 0.5 else ""
-        found.append(f"in simulation {far[0].name} does not reach the set point: {reason}{held}")
-        return found
-    if overshoot is not None and most[1].overshoot > overshoot:
-        found.append(f"in simulation the overshoot of {most[0].name} is {most[1].overshoot:.3g} %")
-    if settling is not None and slow[1].settling > settling + controller.sampling_time:
-        found.append(f"in simulation {slow[0].name} settles in {slow[1].settling:.4g} s")
-    return found
 
 
 def _weakest(
