@@ -121,6 +121,7 @@ def test_a_system_without_saturation_keeps_its_range() -> None:
     assert error(model, record(800, 5)) < 0.012
 
 
+@pytest.mark.slow
 def test_another_family_is_fitted_to_the_mapped_records() -> None:
     def clipped(u: Array) -> Array:
         return np.clip(u, -6, 9)
