@@ -573,7 +573,9 @@ def refit_winner(
     refitted = replace(refitted, use=chosen.model, reason=chosen.reason)
     with diagnostic("stress simulation", failed):
         room = StressRoom(evaluator, store, view)
-        refitted = bounded_model(room, view, best, refitted, chosen, is_sound)
+        without = replace(FinalEvidence.of(best, refitted), stack=None)
+        second = choose_model(without).model
+        refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)
     return replace(refitted, failed_checks=tuple(failed))
 
 

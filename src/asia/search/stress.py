@@ -156,6 +156,7 @@ def bounded_model(
     best: Experiment,
     refitted: Refitted,
     named: ModelToUse,
+    second: Use,
     is_sound: Callable[[Experiment], bool],
 ) -> Refitted:
     """Name the first model that stays bounded: the one that the evidence favours, the other models
@@ -163,15 +164,15 @@ def bounded_model(
     none does, the first that drifts is named, or the first of all. Its test is the last one.
 
     Args:
+        second: the model that the evidence favours where there is no stack
         is_sound: whether an experiment passes the checks of a new best
     """
     assert best.score is not None
     options: list[tuple[Use, Stack | None, str]] = [(named.model, refitted.stack, named.reason)]
-    bounded = "This one stays bounded."
-    if named.model != "refit" and refitted.model is not None:
-        options.append(("refit", refitted.stack, bounded))
-    if named.model != "ensemble":
-        options.append(("ensemble", refitted.stack, bounded))
+    rest: tuple[Use, ...] = ("refit", "ensemble") if refitted.model is not None else ("ensemble",)
+    for use in dict.fromkeys((second, *rest)):
+        if use != named.model:
+            options.append((use, refitted.stack, "This one stays bounded."))
     own = len(options)
     others = [
         (other.score, other)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,12 +12,13 @@ from hypothesis import strategies as st
 
 from asia.data import Trajectory
 from asia.judge.sandbox.types import Isolation
-from asia.ledger.run import usability
-from asia.ledger.view import SearchView
+from asia.ledger.events import StressTest, Use
+from asia.ledger.run import ModelToUse, usability
+from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_problem
 from asia.problem.protocol import ProtocolRule
 from asia.search.run import prepare, search
-from asia.search.stress import HORIZONS, stress_cases
+from asia.search.stress import HORIZONS, StressRoom, bounded_model, stress_cases
 from tests.unit.interfaces.cli.conftest import command_line
 from tests.unit.search.toy import Scripted, arx
 
@@ -122,6 +124,28 @@ def test_a_bounded_candidate_is_named_where_the_winner_diverges(tmp_path: Path) 
     judged = usability(view)
     assert judged is not None
     assert judged.kind != "not usable"
+
+
+class StackDrifts:
+    """Stress simulation in which the stack alone drifts."""
+
+    def test(self, use: Use, best: Experiment, *_: object) -> StressTest:
+        outcome = "drifts" if use == "stack" else "bounded"
+        return StressTest(use, best.number, 9.0, "y", None, outcome)
+
+
+@pytest.mark.slow
+def test_where_the_stack_drifts_the_evidence_chooses_between_the_models_of_the_winner(
+    tmp_path: Path,
+) -> None:
+    _, view = ended(write_twins(tmp_path / "twins"), arx(2), arx(2) + WORSE)
+    assert view.best is not None
+    assert view.refitted is not None
+    assert view.refitted.model is not None
+    room, named = cast("StressRoom", StackDrifts()), ModelToUse("stack", "It is the best.")
+    for second in ("refit", "ensemble"):
+        found = bounded_model(room, view, view.best, view.refitted, named, second, lambda _: True)
+        assert found.use == second
 
 
 @pytest.mark.slow
