@@ -49,7 +49,7 @@ def _by_lines(at: Situation) -> bool:
 
 
 def _loop_methods(facts: Facts) -> tuple[str, ...]:
-    """Return the closed-loop methods that the problem allows; the known controller is used first."""
+    """Return the closed-loop methods that the problem allows, a known controller first."""
     if facts.loop is None or facts.loop.inputs == "explained":
         return ()
     known = facts.loop.controller is not None
