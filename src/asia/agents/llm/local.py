@@ -107,7 +107,8 @@ def _serve(weights: str, context: int, threads: int) -> None:
     params.cpuparams.n_threads = params.cpuparams_batch.n_threads = threads
     params.verbosity = 1
     server: Any = xllamacpp.Server(params)
-    print(server.listening_address, flush=True)
+    sys.stdout.buffer.write(f"{server.listening_address}\n".encode())
+    sys.stdout.buffer.flush()
     sys.stdin.buffer.read()
     os._exit(0)
 
