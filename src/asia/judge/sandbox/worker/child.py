@@ -188,7 +188,7 @@ class _Session:
         self._asking = threading.Lock()
         self._compiling = compilation.Meter()
         self._programs = compilation.Programs(self._program)
-        sys.meta_path.insert(0, compilation.JaxFinder(self._compiling, self._programs))
+        sys.meta_path.insert(0, compilation.PreparingFinder(self._compiling, self._programs))
 
     def serve(self) -> NoReturn:
         self._reply(wire.ReplyKind.STARTED)
