@@ -71,7 +71,9 @@ def test_no_candidate_plants_a_program(worker: Callable[..., Worker], case: Case
 
 
 def test_the_library_alone() -> None:
-    facts = problem_facts(load_problem("two_tanks_sim"))
+    problem = load_problem("two_tanks_sim")
+    facts = problem_facts(problem)
+    assert library_only(problem.baseline)
     for family in all_families():
         assert library_only(family.trial(facts).source(family.label)), family.name
 
@@ -105,6 +107,15 @@ def test_the_library_alone() -> None:
         "__builtins__ = {}",
         "neural_ss.Any()",
         "from asia.models.neural_ss import Config",
+        "from asia.candidate import Context as Sequence",
+        "from asia.candidate import Context, library_only",
+        "from collections.abc import Callable",
+        "from asia.problem import Trajectory\nTrajectory = 1",
+        "def other(x: neural_ss._x): return 1",
+        "def other(x: neural_ss.a.b): return 1",
+        "def other(x: Sequence[fit()]): return 1",
+        "def other(x: Context[1]): return 1",
+        "def other(x, /, y): return 1",
         "neural_ss.Config(order=fit)",
         "class Other: pass",
         "fit.train = 1",
