@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -14,8 +14,9 @@ from asia._diagnostic import diagnostic
 from asia.agents.library.recipe import MODELS, read_recipe
 from asia.candidate import ParameterEstimates
 from asia.data.trajectory import Array
-from asia.errors import CandidateError, Reason
+from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.results import (
     SUSPICIOUS_RATIO,
     Evaluation,
@@ -27,13 +28,24 @@ from asia.judge.evaluation.results import (
 )
 from asia.judge.scoring.outcome import Failure, score_fold
 from asia.ledger.artifacts import Store
-from asia.ledger.events import Again, RefitCheck, RefitStart, Refitted, Stack, StackMember
+from asia.ledger.events import (
+    Again,
+    Feedback,
+    RefitCheck,
+    RefitStart,
+    Refitted,
+    Stack,
+    StackMember,
+)
 from asia.ledger.evidence import put_estimates
 from asia.ledger.run import ModelToUse
 from asia.ledger.text import error_line, error_value
 from asia.ledger.view import Experiment, SearchView
+from asia.models import linear
+from asia.problem.check import feedback_pairs
 from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
+from asia.problem.problem import Problem, prepared
 from asia.search.literal_check import LiteralCheckFunction
 from asia.search.stress import StressRoom, bounded_model
 
@@ -411,6 +423,7 @@ def _held_out_answers(store: Store, experiment: Experiment, fold: Fold) -> Answe
 
 
 def refit_winner(
+    problem: Problem,
     evaluator: Evaluator,
     view: SearchView,
     best: Experiment,
@@ -489,7 +502,30 @@ def refit_winner(
         without = replace(FinalEvidence.of(best, refitted), stack=None)
         second = choose_model(without).model
         refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)
+    with diagnostic("feedback on the inputs", failed):
+        refitted = replace(refitted, feedback=undeclared_feedback(problem))
     return replace(refitted, failed_checks=tuple(failed))
+
+
+# Samples of the records whose plant is fitted where feedback is found.
+_LOOP_SAMPLES = 5000
+
+
+def undeclared_feedback(problem: Problem) -> Feedback | None:
+    """Feedback on the training records that [loop] does not name; None where none is found."""
+    names = dict.fromkeys(given.name for given, _ in feedback_pairs(problem))
+    if not names or problem.loop is not None:
+        return None
+    longest = max(prepared(problem, problem.train), key=len)[:_LOOP_SAMPLES]
+    context = search_context(problem, 0)
+    # The controller may answer at once, the plant does not.
+    config = linear.Config(loop="direct", delay=1)
+    pole: float | None = None
+    with suppress(UserError, ValueError, np.linalg.LinAlgError):
+        fitted = linear.train(linear.build(config, context), [longest], context).fitted
+        if fitted is not None and fitted.system.order:
+            pole = fitted.system.radius
+    return Feedback(tuple(names), pole)
 
 
 def _kept_estimates(store: Store, checked: CheckedRefit, source: str) -> str | None:
