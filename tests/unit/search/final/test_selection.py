@@ -28,10 +28,9 @@ def test_weights_are_shares_of_the_few_nearest_to_the_best(values: Array) -> Non
     assert (np.diff(weights[np.argsort(mean, kind="stable")]) <= 1e-12).all()
 
 
-def test_weights_are_inverse_to_the_square_of_v() -> None:
-    assert stack_weights(np.array([[1.0, 2.0, 9.0], [1.0, 0.5, 9.0]])) == pytest.approx(
-        np.array([1.5625, 1.0, 0.0]) / 2.5625
-    )
+def test_weights_are_inverse_to_the_fourth_power_of_v() -> None:
+    found = stack_weights(np.array([[1.0, 2.0, 9.0], [1.0, 0.5, 9.0]]))
+    assert found == pytest.approx(np.array([1.25**4, 1.0, 0.0]) / (1.25**4 + 1.0))
     assert stack_weights(np.array([[1e99, 0.1, 0.5, 1e300]])).tolist() == [0, 1, 0, 0]
     assert stack_weights(np.zeros((2, 2))).tolist() == [0.5, 0.5]
 
