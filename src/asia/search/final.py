@@ -336,8 +336,8 @@ NEAR = 1.5
 
 
 def stack_weights(values: Array) -> Array:
-    """Weights (n,) of the candidates by their parts of V (folds, n): inverse to the fourth power of V
-    for those near the best one, at most `MOST_MEMBERS`, and 0 for the others."""
+    """Weights (n,) of the candidates by their parts of V (folds, n): inverse to the fourth power of
+    V for those near the best one, at most `MOST_MEMBERS`, and 0 for the others."""
     mean = np.maximum(values.mean(axis=0), np.finfo(float).tiny)
     ranked = np.argsort(mean, kind="stable")[:MOST_MEMBERS]
     near = ranked[mean[ranked] <= NEAR * mean[ranked[0]]]
