@@ -1,0 +1,254 @@
+"""Design of the next experiment: the input whose record tells most about a set of models.
+
+The models are hypotheses: fold models, the best candidates of other families, and for equations the
+changes of their parameters within their uncertainty. Their differences on a record, in units of the
+noise, are the rows of Z. The expected information is log det(I + Z Z') / 2, the mutual information
+of record and hypothesis for Gaussian ones; for parameters alone it is Bayesian D-optimality
+(Chaloner and Verdinelli, Statistical Science 10, 1995). Levels and switching times are sought by
+random changes of the best inputs so far, beginning with amplitude-modulated binary sequences
+(APRBS) and multisines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from asia.data.trajectory import Array
+
+Predict: TypeAlias = Callable[[Array], Array]
+"""Inputs (B, H, nu) -> simulations (M, B, H, ny), NaN where a model diverges."""
+Bounds: TypeAlias = Callable[[Array, Array], tuple[Array, Array]]
+"""Inputs (H, nu) and simulations (M, H, ny) -> least and largest expected output, each (H, ny)."""
+
+# Mean square of the inputs, in half widths of their limits: that of uniform levels.
+_ENERGY = 1.0 / 3.0
+# Inputs of a generation, those that the next one changes, and shares of the way from the resting
+# input to a start that are tried too.
+_BATCH, _KEPT, _SMALLER = 32, 6, (1.0, 0.5, 0.2)
+# Holding times of an APRBS and shortest period of a multisine, in rise times to 63 %.
+_HELD, _SHORTEST_PERIOD = (0.5, 3.0), 2.0
+
+
+@dataclass(frozen=True)
+class InputLimits:
+    """Limits of the inputs, and the input before the record."""
+
+    low: Array
+    """(nu,)"""
+    high: Array
+    step: Array
+    """Largest change (nu,) from sample to sample; infinite for none."""
+    rest: Array
+    """Input (nu,) at which the record starts."""
+
+    def energy(self, u: Array) -> Array:
+        """Mean square (B,) of inputs (B, H, nu) around the middle of their limits, in half
+        widths."""
+        half = 0.5 * (self.high - self.low)
+        return (((u - 0.5 * (self.low + self.high)) / half) ** 2).mean(axis=(1, 2))
+
+    def scaled(self, u: Array, energy: float) -> Array:
+        """Inputs (B, H, nu) within the limits, their energy at most this: they are moved towards
+        the middle by one factor."""
+        middle = 0.5 * (self.low + self.high)
+        u = self.slewed(np.clip(u, self.low, self.high))
+        factor = np.sqrt(np.minimum(energy / np.maximum(self.energy(u), 1e-12), 1.0))
+        return self.slewed(middle + factor[:, None, None] * (u - middle))
+
+    def slewed(self, u: Array) -> Array:
+        """Inputs (B, H, nu) whose changes are limited."""
+        if not np.isfinite(self.step).any():
+            return u
+        found, last = np.empty_like(u), np.broadcast_to(self.rest, u[:, 0].shape)
+        for k in range(u.shape[1]):
+            last = last + np.clip(u[:, k] - last, -self.step, self.step)
+            found[:, k] = last
+        return found
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Models, noise and limits of a design."""
+
+    predict: Predict
+    contrasts: Array
+    """(R, M): combinations of the simulations whose size is information."""
+    noise: Array
+    """Standard deviation (ny,) of what no model explains."""
+    limits: InputLimits
+    keep: Array
+    """Least and largest permitted output, (2, ny); infinite for none."""
+    bounds: Bounds
+    sensitivities: Predict | None = None
+    """Changes (P, B, H, ny) of the output by independent changes of the parameters, each by its
+    standard error; None without parameters."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """An input and what is expected of it."""
+
+    u: Array
+    """(H, nu)"""
+    y: Array
+    """Simulations (M, H, ny)."""
+    lower: Array
+    """Least expected output (H, ny)."""
+    upper: Array
+    information: float
+    """In nats."""
+    excess: float
+    """Mean excess of the expected outputs over what is permitted, in units of the noise; 0 where
+    all limits hold."""
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Higher is better: inputs that hold the limits first."""
+        holds = self.excess == 0.0
+        return holds, self.information if holds else -self.excess
+
+
+def judge(subject: Subject, inputs: Array) -> list[Judged]:
+    """Simulate inputs (B, H, nu) with all models, and compute their information and excess."""
+    y = subject.predict(inputs)
+    failed = ~np.isfinite(y).all(axis=(0, 2, 3))
+    z = np.einsum("rm,mbho->brho", subject.contrasts, np.where(failed[:, None, None], 0.0, y))
+    if subject.sensitivities is not None:
+        z = np.concatenate([z, subject.sensitivities(inputs).swapaxes(0, 1)], axis=1)
+    z = (z / subject.noise).reshape(*z.shape[:2], -1)
+    information = 0.5 * np.linalg.slogdet(np.eye(z.shape[1]) + z @ z.swapaxes(1, 2))[1]
+    found: list[Judged] = []
+    for k, u in enumerate(inputs):
+        lower, upper = subject.bounds(u, y[:, k])
+        over = np.maximum(np.maximum(upper - subject.keep[1], subject.keep[0] - lower), 0.0)
+        excess = np.inf if failed[k] else float((over / subject.noise).mean())
+        found.append(Judged(u, y[:, k], lower, upper, float(information[k]), excess))
+    return found
+
+
+def aprbs(
+    rng: np.random.Generator, samples: int, limits: InputLimits, shortest: float, longest: float
+) -> Array:
+    """Uniform levels (H, nu) within the limits, each held for a random number of samples."""
+    columns: list[Array] = []
+    for low, high in zip(limits.low, limits.high, strict=True):
+        values: list[float] = []
+        while len(values) < samples:
+            hold = int(rng.uniform(max(shortest, 1.0), max(longest, 1.0) + 1.0))
+            values += [float(rng.uniform(low, high))] * hold
+        columns.append(np.array(values[:samples]))
+    return np.stack(columns, axis=1)
+
+
+def multisine(
+    rng: np.random.Generator, samples: int, limits: InputLimits, shortest_period: float
+) -> Array:
+    """Random-phase multisine (H, nu), flat up to a shortest period in samples, as large as the
+    limits allow."""
+    lines = np.arange(1, max(int(samples / max(shortest_period, 2.0)), 3) + 1)
+    turns = np.arange(samples)[:, None] * lines / samples
+    columns = [
+        np.cos(2.0 * np.pi * (turns + rng.uniform(size=len(lines)))).sum(axis=1)
+        for _ in limits.low
+    ]
+    u = np.stack(columns, axis=1)
+    return 0.5 * (limits.low + limits.high) + 0.5 * (limits.high - limits.low) * u / np.abs(u).max(
+        axis=0
+    )
+
+
+def rise_samples(subject: Subject, samples: int) -> float:
+    """Samples in which the output of the first model makes 63 % of its way after a step of an input
+    by a quarter of its limits, the longest of all outputs; a 20th of the record where it moves
+    slower than that."""
+    limits, found = subject.limits, 1.0
+    for j in range(len(limits.low)):
+        u = np.tile(limits.rest, (2, samples, 1))
+        room = limits.high[j] - limits.rest[j] > limits.rest[j] - limits.low[j]
+        u[1, :, j] += (0.25 if room else -0.25) * (limits.high[j] - limits.low[j])
+        still, moved = subject.predict(u)[0]
+        way = np.abs(moved - still)
+        for column in way.T[np.isfinite(way).all(axis=0)]:
+            if column[-1] > 1e-9 * (1.0 + np.abs(still).max()):
+                at = float(np.argmax(column >= 0.63 * column[-1]))
+                found = max(found, min(at, samples / 20.0))
+    return found
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """A proposed input beside an APRBS and a multisine of equal energy."""
+
+    proposed: Judged
+    aprbs: Judged
+    multisine: Judged
+    energy: float
+    """Mean square of the input around the middle of its limits, in half widths."""
+    rise: float
+    """Samples to 63 % of a step response."""
+
+
+def design_experiment(
+    subject: Subject, samples: int, *, seed: int = 0, generations: int = 30
+) -> NextExperiment:
+    """Search for the input of most expected information that holds the limits.
+
+    Args:
+        samples: length of the record
+        generations: of 32 inputs each
+    """
+    rng, limits = np.random.default_rng(seed), subject.limits
+    rise = rise_samples(subject, samples)
+    held, period = (_HELD[0] * rise, _HELD[1] * rise), _SHORTEST_PERIOD * rise
+
+    def rivals() -> Array:
+        pair = [aprbs(rng, samples, limits, *held), multisine(rng, samples, limits, period)]
+        return np.stack(pair)
+
+    first = rivals()
+    starts = [first, *(rivals() for _ in range(3))]
+    for share in (0.3, 1.0, 3.0):
+        starts.append(aprbs(rng, samples, limits, share * held[0], share * held[1])[None])
+    whole = np.concatenate(starts)
+    smaller = [limits.rest + share * (whole - limits.rest) for share in _SMALLER]
+    best = judge(subject, limits.scaled(np.concatenate(smaller), _ENERGY))
+    for _ in range(generations):
+        best = sorted(best, key=lambda one: one.rank, reverse=True)[:_KEPT]
+        children = np.stack([_changed(rng, best, limits, rise) for _ in range(_BATCH)])
+        best += judge(subject, limits.scaled(children, _ENERGY))
+    proposed = max(best, key=lambda one: one.rank)
+    energy = float(limits.energy(proposed.u[None])[0])
+    others = judge(subject, limits.scaled(first, energy))
+    return NextExperiment(proposed, others[0], others[1], energy, rise)
+
+
+def _changed(
+    rng: np.random.Generator, best: list[Judged], limits: InputLimits, rise: float
+) -> Array:
+    """A changed copy of one of the inputs: other levels, other switching times, a part of another
+    input, or another size."""
+    u = best[int(rng.integers(len(best)))].u.copy()
+    samples, width = len(u), limits.high - limits.low
+    for _ in range(int(rng.integers(1, 4))):
+        j = int(rng.integers(u.shape[1]))
+        length = int(np.clip(rise * np.exp(rng.uniform(-1.5, 2.0)), 1, samples))
+        start = int(rng.integers(-length + 1, samples))
+        part = slice(max(start, 0), min(start + length, samples))
+        kind = rng.random()
+        if kind < 0.35:
+            u[part, j] = rng.uniform(limits.low[j], limits.high[j])
+        elif kind < 0.6:
+            u[part, j] += 0.2 * width[j] * rng.standard_normal()
+        elif kind < 0.75:
+            # The level before the part, or the one behind it, lasts longer.
+            edge = part.start - 1 if rng.random() < 0.5 else part.stop
+            u[part, j] = u[min(max(edge, 0), samples - 1), j]
+        elif kind < 0.9:
+            u[part] = best[int(rng.integers(len(best)))].u[part]
+        else:
+            u = limits.rest + np.exp(0.2 * rng.standard_normal()) * (u - limits.rest)
+    return u
