@@ -1,0 +1,268 @@
+"""Error after one more record: a proposed one against APRBS, multisine and distance weighting.
+
+A system is recorded in small motion around its resting point. Four families are fitted to that,
+with two folds each. A second record of equal length follows, with an input that is proposed or
+drawn, all of equal energy and within the same limits. After a new fit the ensemble of the family of
+least V simulates an independent record over the whole range; its error is that against the
+noise-free truth, over the standard deviation there.
+
+With --keep the output must stay in the middle part of its whole range: the table then also has
+the share of systems in which the true output did.
+
+    python benchmarks/control/next_experiment.py --seeds 900 901
+    python benchmarks/control/next_experiment.py --seeds 900 901 --keep 0.6
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asia.analysis.experiment_design import InputLimits, Subject, design_experiment
+from asia.candidate import Context
+from asia.data import Signal, Trajectory
+from asia.judge.scoring.bands import HeldOutErrors, error_sizes, output_bands, region_of
+from asia.models import block_oriented, linear, narx, neural_ss
+from asia.models._least_squares import LevenbergMarquardt
+from asia.models.methods import LeastSquares
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "searches"))
+from systems import KINDS, Array, Kind, Response
+
+FIRST, NEXT, TEST, SETTLE, PAST = 200, 200, 1000, 300, 10
+SMALL, LEVEL = 0.3, 0.99
+LEVELS = 15
+METHODS = ("proposed", "aprbs", "multisine", "idw")
+
+FAMILIES: tuple[tuple[Any, Any, Any], ...] = (
+    (linear, linear.Config(order=3, delay=None), LevenbergMarquardt(30)),
+    (narx, narx.Config(na=2, nb=2, terms=10), LeastSquares()),
+    (neural_ss, neural_ss.Config(order=2), LevenbergMarquardt(40)),
+    (block_oriented, block_oriented.Config("hammerstein_wiener", order=2), LevenbergMarquardt(40)),
+)
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A drawn system with its limits."""
+
+    kind: Kind
+    respond: Response
+    low: Array
+    high: Array
+    rest: Array
+    noise: Array
+
+    def record(self, u: Array, rng: np.random.Generator) -> tuple[Trajectory, Array]:
+        """Record from rest, with the past window before it, and its noise-free output."""
+        settled = np.concatenate([np.tile(self.rest, (SETTLE, 1)), u])
+        truth = self.respond(settled)[SETTLE - PAST :]
+        y = truth + self.noise * rng.standard_normal(truth.shape)
+        return Trajectory(settled[SETTLE - PAST :], y, self.kind.sampling_time), truth[PAST:]
+
+    def whole_range(self, rng: np.random.Generator, samples: int) -> Array:
+        """Half an input of the kind's own sort, half random levels of many holding times."""
+        own = np.clip(self.kind.excite(rng, samples), self.low, self.high)[: samples // 2]
+        rows: list[Array] = []
+        while len(rows) < samples - len(own):
+            level = rng.uniform(self.low, self.high)
+            rows += [level] * int(np.exp(rng.uniform(0.5, 4.0)))
+        return np.concatenate([own, np.array(rows)[: samples - len(own)]])
+
+
+def make_plant(kind: Kind, seed: int) -> Plant:
+    """Draw a system; noise 35 dB below the output over the whole range."""
+    rng = np.random.default_rng([seed, *kind.name.encode()])
+    respond, u = kind.draw(rng), kind.excite(rng, 5000)
+    low, high = np.quantile(u, 0.01, axis=0), np.quantile(u, 0.99, axis=0)
+    plant = Plant(kind, respond, low, high, 0.5 * (low + high), np.zeros(kind.ny))
+    _, truth = plant.record(plant.whole_range(rng, TEST), rng)
+    return Plant(kind, respond, low, high, 0.5 * (low + high), truth.std(axis=0) * 10 ** (-35 / 20))
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Fold models of one family, their error and their held-out errors."""
+
+    models: list[Any]
+    value: float
+    errors: list[HeldOutErrors]
+
+
+def fit(plant: Plant, records: list[Trajectory]) -> list[Fitted]:
+    """Fit all families with two folds that cut every record, the lowest V first."""
+    nu, ny = records[0].u.shape[1], records[0].y.shape[1]
+    names = [Signal(f"u{j}") for j in range(nu)], [Signal(f"y{i}") for i in range(ny)]
+    context = Context(
+        tuple(names[0]), tuple(names[1]), plant.kind.sampling_time, PAST, PAST, seed=1
+    )
+    halves = [(r[: len(r) // 2], r[len(r) // 2 :]) for r in records]
+    scale = np.concatenate([r.y for r in records]).std(axis=0)
+    found: list[Fitted] = []
+    for family, config, method in FAMILIES:
+        models: list[Any] = []
+        errors: list[HeldOutErrors] = []
+        for fold in range(2):
+            train = [pair[1 - fold] for pair in halves]
+            try:
+                model = family.train(family.build(config, context), train, context, method)
+                blocks = [
+                    part.y[PAST:] - simulate(model, part.u, part.y)
+                    for part in (pair[fold] for pair in halves)
+                ]
+            except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+                blocks, model = [np.full((1, ny), np.inf)], None
+            models.append(model)
+            errors.append(HeldOutErrors(tuple(blocks)))
+        rms = [np.sqrt((np.concatenate(e.blocks) ** 2).mean(axis=0)) for e in errors]
+        value = float(np.mean([(one / scale).mean() for one in rms]))
+        found.append(Fitted(models, value if np.isfinite(value) else np.inf, errors))
+    return sorted(found, key=lambda one: one.value)
+
+
+def simulate(model: Any, u: Array, y: Array) -> Array:
+    """Simulate one record (T, nu) behind its past window."""
+    found = model.simulate(u[None, :PAST], y[None, :PAST], u[None, PAST:])[0]
+    return np.asarray(found, np.float64)
+
+
+def subject(plant: Plant, record: Trajectory, fitted: list[Fitted], keep: Array) -> Subject:
+    """The models after the first record, as `asia next` compares them."""
+    usable = [one for one in fitted if np.isfinite(one.value)]
+    best = usable[0]
+    models = [m for one in usable for m in one.models]
+    folds = len(best.models)
+    contrasts = np.zeros((len(models), len(models)))
+    for k in range(len(models)):
+        contrasts[k, :folds] = -1.0 / folds
+        contrasts[k, k] += 1.0
+        own = usable[k // folds]
+        contrasts[k] *= np.sqrt((folds - 1) / folds) if k < folds else best.value / own.value
+    past_y = np.tile(record.y[:PAST].mean(axis=0), (PAST, 1))
+    past_u = np.tile(plant.rest, (PAST, 1))
+
+    def predict(u: Array) -> Array:
+        past = [np.tile(one, (len(u), 1, 1)) for one in (past_u, past_y)]
+        return np.stack([np.asarray(m.simulate(*past, u), np.float64) for m in models])
+
+    zero = np.zeros((folds, 1, record.y.shape[1]))
+    reach = output_bands(error_sizes(best.errors), zero, LEVEL).upper
+    region = region_of([(record.u, record.y)])
+
+    def bounds(u: Array, y: Array) -> tuple[Array, Array]:
+        wider = np.maximum(region.distance(past_u, u, y[:folds].mean(axis=0)), 1.0)[:, None]
+        return y.min(axis=0) - reach * wider, y.max(axis=0) + reach * wider
+
+    changes = np.concatenate([e for fold in best.errors for e in fold.blocks])
+    noise = np.sqrt((changes**2).mean(axis=0)) if NOISE == "V" else np.std(np.diff(changes, axis=0), axis=0) / np.sqrt(2.0)
+    limits = InputLimits(plant.low, plant.high, np.full(len(plant.low), np.inf), plant.rest)
+    return Subject(predict, contrasts, noise, limits, keep, bounds)
+NOISE = "V"
+
+
+def distance_weighted(
+    plant: Plant, record: Trajectory, of: Subject, energy: float, hold: int
+) -> Array:
+    """Input whose regressors are farthest from those known (inverse distance weighting), a level
+    at a time, on the mean of the fold models of the best family (Bemporad, Information Sciences
+    626, 2023)."""
+    nu = len(plant.low)
+    scale = np.concatenate([record.u.std(axis=0), record.y.std(axis=0)])
+
+    def regressors(u: Array, y: Array) -> Array:
+        x = np.concatenate([u, y], axis=1) / scale
+        return np.concatenate([x[1:], x[:-1]], axis=1)
+
+    known = regressors(record.u, record.y)
+    rng, u = np.random.default_rng(0), np.zeros((0, nu))
+    half = np.sqrt(3.0 * energy) * 0.5 * (plant.high - plant.low)
+    while len(u) < NEXT:
+        drawn = 0.5 * (plant.low + plant.high) + half * rng.uniform(-1.0, 1.0, (LEVELS, nu))
+        levels = np.clip(drawn, plant.low, plant.high)
+        tried = np.concatenate(
+            [np.tile(u, (LEVELS, 1, 1)), np.repeat(levels[:, None], hold, axis=1)], axis=1
+        )
+        y = of.predict(tried)[:2].mean(axis=0)
+        gains: list[float] = []
+        new: list[Array] = []
+        for one, out in zip(tried, y, strict=True):
+            whole = np.concatenate([record.u[PAST - 1 : PAST], one])
+            after = regressors(whole, np.concatenate([record.y[PAST - 1 : PAST], out]))[-hold:]
+            apart = ((after[:, None] - known[None]) ** 2).sum(axis=2)
+            weight = (1.0 / np.maximum(apart, 1e-12)).sum(axis=1)
+            gains.append(float((2.0 / np.pi * np.arctan(1.0 / weight)).mean()))
+            new.append(after)
+        best = int(np.argmax(gains))
+        u, known = tried[best], np.concatenate([known, new[best]])
+    return u[:NEXT]
+
+
+def error(plant: Plant, fitted: Fitted, test: Trajectory, truth: Array) -> float:
+    """Error of the ensemble on the test record, over the standard deviation of the truth."""
+    y = np.mean([simulate(model, test.u, test.y) for model in fitted.models], axis=0)
+    return float(np.mean(np.sqrt(((y - truth) ** 2).mean(axis=0)) / truth.std(axis=0)))
+
+
+def main() -> None:
+    """Print the table."""
+    global NOISE
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[700])
+    parser.add_argument("--keep", type=float)
+    parser.add_argument("--noise", default="V")
+    parser.add_argument("--generations", type=int, default=30)
+    options = parser.parse_args()
+    NOISE = options.noise
+    rows: list[list[float]] = []
+    held: list[list[bool]] = []
+    for name in options.kinds:
+        for seed in options.seeds:
+            plant = make_plant(KINDS[name], seed)
+            rng = np.random.default_rng([seed, 1])
+            u = plant.kind.excite(rng, FIRST)
+            u = np.clip(plant.rest + SMALL * (u - u.mean(axis=0)), plant.low, plant.high)
+            first, _ = plant.record(u, rng)
+            test, truth = plant.record(plant.whole_range(rng, TEST), rng)
+            middle, half = 0.5 * (truth.max(axis=0) + truth.min(axis=0)), 0.5 * np.ptp(truth, axis=0)
+            share = options.keep or np.inf
+            keep = np.stack([middle - share * half, middle + share * half])
+            fitted = fit(plant, [first])
+            start = time.monotonic()
+            of = subject(plant, first, fitted, keep)
+            found = design_experiment(of, NEXT, seed=seed, generations=options.generations)
+            seconds = time.monotonic() - start
+            hold = max(int(found.rise / 2), 1)
+            idw = distance_weighted(plant, first, of, found.energy, hold)
+            middle_u = 0.5 * (plant.low + plant.high)
+            factor = np.sqrt(found.energy / of.limits.energy(idw[None])[0])
+            idw = np.clip(middle_u + factor * (idw - middle_u), plant.low, plant.high)
+            before = error(plant, fitted[0], test, truth)
+            row, kept = [before], []
+            for u in (found.proposed.u, found.aprbs.u, found.multisine.u, idw):
+                second, clean = plant.record(u, np.random.default_rng([seed, 2]))
+                again = fit(plant, [first, second])
+                row.append(error(plant, again[0], test, truth))
+                kept.append(bool((clean >= keep[0]).all() and (clean <= keep[1]).all()))
+            rows.append(row)
+            held.append(kept)
+            print(
+                f"| {name} {seed} | " + " | ".join(f"{v:.4f}" for v in row)
+                + f" | {found.energy:.2f} | {found.rise:.0f} | {found.proposed.information:.0f} {found.aprbs.information:.0f} {found.multisine.information:.0f} "
+                + f"| {' '.join('yes' if k else 'no' for k in kept)} | {seconds:.1f} |", flush=True,
+            )
+    table = np.array(rows)
+    for k, name in enumerate(METHODS[1:], 2):
+        ratio = table[:, 1] / table[:, k]
+        print(f"{name}: median ratio {np.median(ratio):.3f}, geometric mean {np.exp(np.log(ratio).mean()):.3f}, better in {(ratio < 1).mean():.0%}")
+    print("held", dict(zip(METHODS, np.mean(held, axis=0).round(3).tolist())))
+
+
+if __name__ == "__main__":
+    main()
