@@ -11,13 +11,27 @@ random changes of the best inputs so far, beginning with amplitude-modulated bin
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
-from asia.data.trajectory import Array
+from asia.data.trajectory import Array, Signal, filled
+from asia.errors import UserError
+from asia.judge.evaluation.evaluator import Simulator
+from asia.judge.sandbox.types import Isolation
+from asia.judge.scoring.bands import error_sizes, output_bands
+from asia.ledger.evidence import identified
+from asia.ledger.run import Run, open_run
+from asia.ledger.view import Experiment
+from asia.problem.identifiability import parameter_changes
+from asia.problem.load import load_lock
+from asia.problem.problem import Problem
+from asia.search.run import LOCK, make_evaluator
+from asia.search.simulation import band_basis, fold_models, loading_stored_models
 
 Predict: TypeAlias = Callable[[Array], Array]
 """Inputs (B, H, nu) -> simulations (M, B, H, ny), NaN where a model diverges."""
@@ -252,3 +266,232 @@ def _changed(
         else:
             u = limits.rest + np.exp(0.2 * rng.standard_normal()) * (u - limits.rest)
     return u
+
+
+# The models of a run.
+
+# Coverage of the bands that limits of outputs are held with; other families beside the best, and
+# how much larger their V may be.
+_LEVEL, _OTHERS, _FAR = 0.99, 3, 4.0
+# Samples in which the output must come to rest, at least, and how much it may still move, in
+# standard deviations.
+_SETTLE, _STILL = 500, 0.02
+
+
+@dataclass(frozen=True)
+class LearnedParameter:
+    """A parameter with its standard error now, and as expected after a record."""
+
+    name: str
+    value: float
+    now: float
+    proposed: float
+    aprbs: float
+    multisine: float
+
+
+@dataclass(frozen=True)
+class RunExperiment:
+    """The next experiment of a run."""
+
+    run: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    sampling_time: float
+    """Of the models, s."""
+    found: NextExperiment
+    experiments: tuple[int, ...]
+    """Number of the experiment that each simulation comes from, fold models one after the other;
+    the best one first."""
+    noise: Array
+    """(ny,)"""
+    rest: tuple[Array, Array]
+    """Input (nu,) and output (ny,) before the record."""
+    parameters: tuple[LearnedParameter, ...]
+    notes: tuple[str, ...]
+
+
+def next_experiment(
+    directory: Path,
+    seconds: float,
+    limits: Mapping[str, tuple[float, float]],
+    rate: Mapping[str, float],
+    keep: Mapping[str, tuple[float, float]],
+    *,
+    rest: Array | None = None,
+    seed: int = 0,
+    isolation: Isolation | None = None,
+) -> RunExperiment:
+    """Design the next experiment for the models of a run: the fold models of the best candidate and
+    of the best ones of other families.
+
+    Args:
+        directory: folder of the run
+        limits: least and largest value of inputs; those of the records where there are none
+        rate: largest change of inputs in a second
+        keep: limits of outputs
+        rest: inputs (nu,) before the record; None for the means of the training records
+        isolation: level of the candidates; None for the strongest of this machine
+
+    Raises:
+        UserError: for limits and times that make no record, and models that cannot be simulated
+    """
+    run = open_run(directory)
+    problem, view = load_lock(run.directory / LOCK), run.view
+    best = view.best
+    if best is None or best.score is None:
+        raise UserError(f"run '{run.name}' has no scored model")
+    samples = round(seconds / problem.sampling_time)
+    least = 4 * problem.protocol.past
+    if samples < least:
+        raise UserError(
+            f"--duration is {seconds:g} s, which is {samples} samples: expected at least {least}"
+        )
+    evaluator = make_evaluator(problem, view, isolation=isolation)
+    records = evaluator.data.records
+    every = np.concatenate([record.u for record in records])
+    names = [signal.name for signal in problem.inputs]
+    ends = np.array([limits.get(n, (a.min(), a.max())) for n, a in zip(names, every.T, strict=True)])
+    rest = every.mean(axis=0) if rest is None else rest
+    if not ((ends[:, 0] <= rest) & (rest <= ends[:, 1])).all():
+        raise UserError(
+            f"the record begins at {rest.tolist()}, outside the limits {ends.tolist()}: give wider "
+            "--limits or another --start"
+        )
+    step = np.array([rate.get(name, np.inf) for name in names]) * problem.sampling_time
+    kept = np.array(
+        [keep.get(signal.name, (-np.inf, np.inf)) for signal in problem.outputs]
+    ).T
+
+    leading: dict[str, Experiment] = {best.proposed.family: best}
+    scored = [(e.score.value, e) for e in view.finished if e.score is not None]
+    for value, one in sorted(scored, key=lambda pair: pair[0]):
+        if value <= _FAR * best.score.value and len(leading) <= _OTHERS:
+            leading.setdefault(one.proposed.family, one)
+    members = [
+        (run.store.text(e.proposed.source), [run.store.get(m) for m in fold_models(e).models])
+        for e in leading.values()
+    ]
+    numbers = [e.number for e, (_, m) in zip(leading.values(), members, strict=True) for _ in m]
+    folds = len(members[0][1])
+    contrasts = np.eye(len(numbers))
+    contrasts[:, :folds] -= 1.0 / folds
+    values = {e.number: e.score.value for e in leading.values() if e.score is not None}
+    weights = [best.score.value / max(values[number], 1e-300) for number in numbers]
+    weights[:folds] = [math.sqrt((folds - 1) / folds)] * folds
+    contrasts *= np.array(weights)[:, None]
+
+    basis = band_basis(evaluator, view, run.store, "ensemble")
+    errors = [np.concatenate(fold.blocks) for fold in basis.errors]
+    changes = np.concatenate([np.diff(one, axis=0) for one in errors])
+    noise = np.nanstd(changes, axis=0) / math.sqrt(2.0)
+    spread = evaluator.data.scale
+    noise = np.maximum(noise, 1e-6 * spread)
+    zero = np.zeros((len(errors), 1, len(spread)))
+    reach = output_bands(error_sizes(basis.errors), zero, _LEVEL).upper
+    rule, done = problem.protocol, problem.preprocess
+    before = rule.past_inputs * done.decimate + done.longest_delay
+    notes: list[str] = []
+
+    def design(simulate: Simulator) -> RunExperiment:
+        last = records[-1]
+        settle = max(_SETTLE, max(map(len, records)))
+        held = np.tile(rest, (1, settle, 1))
+        window = last.u[len(last) - rule.past_inputs :], filled(last.y)[len(last) - rule.past_outputs :]
+        y = simulate(window[0][None], window[1][None], held)[:folds, 0].mean(axis=0)
+        still = np.abs(y[-1] - y[int(0.8 * settle)]) <= _STILL * spread
+        if not (np.isfinite(y).all() and still.all()):
+            raise UserError(
+                f"the model does not come to rest at the inputs {rest.tolist()}: choose another "
+                "--start"
+            )
+        at_rest = y[-1]
+        past_y = np.tile(at_rest, (rule.past_outputs, 1))
+
+        def seen(u: Array) -> tuple[Array, Array]:
+            """Past inputs and inputs as a model reads them, of inputs (H, nu) behind the rest."""
+            raw = np.concatenate([np.tile(rest, (before, 1)), np.repeat(u, done.decimate, axis=0)])
+            whole = done.inputs(raw, problem.inputs) if done else raw
+            return whole[: rule.past_inputs], whole[rule.past_inputs :]
+
+        def predict(u: Array) -> Array:
+            pairs = [seen(one) for one in u]
+            past = np.stack([one for one, _ in pairs])
+            return simulate(
+                past, np.tile(past_y, (len(u), 1, 1)), np.stack([one for _, one in pairs])
+            )
+
+        def bounds(u: Array, y: Array) -> tuple[Array, Array]:
+            past, inside = seen(u)
+            distance = basis.region.distance(past, inside, y[:folds].mean(axis=0))
+            wide = reach * np.maximum(distance, 1.0)[:, None]
+            return y.min(axis=0) - wide, y.max(axis=0) + wide
+
+        own = InputLimits(ends[:, 0], ends[:, 1], step, rest)
+        identify = _parameters(run, problem, (rest, at_rest))
+        subject = Subject(
+            predict, contrasts, noise, own, kept, bounds,
+            None if identify is None else identify.changes,
+        )  # fmt: skip
+        found = design_experiment(subject, samples, seed=seed)
+        gained = () if identify is None else identify.gained(found, noise)
+        return RunExperiment(
+            run.name, problem.inputs, problem.outputs, problem.sampling_time, found,
+            tuple(numbers), noise, (rest, at_rest), gained, tuple(notes),
+        )  # fmt: skip
+
+    with loading_stored_models(view):
+        return evaluator.models.with_simulators(members, design)
+
+
+@dataclass(frozen=True)
+class _Parameters:
+    """Parameters of the equations, whose errors have this covariance."""
+
+    names: tuple[str, ...]
+    values: Array
+    root: Array
+    """(q, p): its rows are independent changes of a standard error each."""
+    changes: Predict
+
+    def gained(self, found: NextExperiment, noise: Array) -> tuple[LearnedParameter, ...]:
+        """Standard errors now and after each record."""
+        after: list[Array] = [np.sqrt((self.root**2).sum(axis=0))]
+        for one in (found.proposed, found.aprbs, found.multisine):
+            z = (self.changes(one.u[None])[:, 0] / noise).reshape(len(self.root), -1)
+            left = np.linalg.solve(np.eye(len(z)) + z @ z.T, self.root)
+            after.append(np.sqrt(np.maximum((self.root * left).sum(axis=0), 0.0)))
+        return tuple(
+            LearnedParameter(name, float(value), *map(float, errors))
+            for name, value, errors in zip(self.names, self.values, np.stack(after, 1), strict=True)
+        )
+
+
+def _parameters(run: Run, problem: Problem, rest: tuple[Array, Array]) -> _Parameters | None:
+    """The parameters of the equations as the winner identified them; None where it names no
+    standard errors of them."""
+    found, physics = identified(run), problem.physics
+    if found is None or physics is None:
+        return None
+    rows = [(k, one.fitted) for k, one in enumerate(found.parameters)]
+    rows = [(k, one) for k, one in rows if one.name in physics.parameters]
+    if {one.name for _, one in rows} != set(physics.parameters):
+        return None
+    order = {one.name: (k, one) for k, one in rows}
+    chosen = [order[name] for name in physics.parameters]
+    if any(one.standard_error is None for _, one in chosen):
+        return None
+    errors = np.array([one.standard_error for _, one in chosen], np.float64)
+    places = [k for k, _ in chosen]
+    correlation = np.array(found.correlation, np.float64)[np.ix_(places, places)]
+    correlation = np.where(np.isfinite(correlation), correlation, np.eye(len(places)))
+    sizes, vectors = np.linalg.eigh(correlation)
+    root = (np.sqrt(np.maximum(sizes, 0.0))[:, None] * vectors.T) * errors
+    values = {one.name: one.value for _, one in chosen}
+    signals = [s.name for s in problem.inputs], [s.name for s in problem.outputs]
+
+    def changes(u: Array) -> Array:
+        y = parameter_changes(physics, signals, values, root, u, rest, problem.sampling_time)
+        return np.nan_to_num(y, nan=0.0, posinf=0.0, neginf=0.0)
+
+    return _Parameters(tuple(values), np.array(list(values.values())), root, changes)
