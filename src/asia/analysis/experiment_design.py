@@ -26,7 +26,7 @@ from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.bands import error_sizes, output_bands
 from asia.ledger.evidence import identified
 from asia.ledger.run import Run, open_run
-from asia.ledger.view import Experiment
+from asia.ledger.view import Experiment, SearchView
 from asia.problem.identifiability import parameter_changes
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
@@ -200,6 +200,7 @@ class NextExperiment:
     proposed: Judged
     aprbs: Judged
     multisine: Judged
+    limits: InputLimits
     energy: float
     """Mean square of the input around the middle of its limits, in half widths."""
     rise: float
@@ -237,7 +238,7 @@ def design_experiment(
     proposed = max(best, key=lambda one: one.rank)
     energy = float(limits.energy(proposed.u[None])[0])
     others = judge(subject, limits.scaled(first, energy))
-    return NextExperiment(proposed, others[0], others[1], energy, rise)
+    return NextExperiment(proposed, others[0], others[1], limits, energy, rise)
 
 
 def _changed(
@@ -276,6 +277,29 @@ _LEVEL, _OTHERS, _FAR = 0.99, 3, 4.0
 # Samples in which the output must come to rest, at least, and how much it may still move, in
 # standard deviations.
 _SETTLE, _STILL = 500, 0.02
+
+
+def leading_experiments(view: SearchView, count: int, far: float) -> list[Experiment]:
+    """The best experiment, the best of other families, then further ones, by V.
+
+    Args:
+        count: at most so many
+        far: largest V, in that of the best
+    """
+    best = view.best
+    if best is None or best.score is None:
+        raise UserError(f"run '{view.started.run}' has no scored model")
+    others = [
+        (e.score.value, e) for e in view.finished
+        if e.score is not None and e.number != best.number
+        and e.score.value <= far * best.score.value
+        and e.result is not None and e.result.duplicate_of is None
+    ]  # fmt: skip
+    first, again, families = [best], list[Experiment](), {best.proposed.family}
+    for _, one in sorted(others, key=lambda pair: pair[0]):
+        (again if one.proposed.family in families else first).append(one)
+        families.add(one.proposed.family)
+    return [*first, *again][:count]
 
 
 @dataclass(frozen=True)
@@ -363,20 +387,16 @@ def next_experiment(
         [keep.get(signal.name, (-np.inf, np.inf)) for signal in problem.outputs]
     ).T
 
-    leading: dict[str, Experiment] = {best.proposed.family: best}
-    scored = [(e.score.value, e) for e in view.finished if e.score is not None]
-    for value, one in sorted(scored, key=lambda pair: pair[0]):
-        if value <= _FAR * best.score.value and len(leading) <= _OTHERS:
-            leading.setdefault(one.proposed.family, one)
+    leading = leading_experiments(view, 1 + _OTHERS, _FAR)
     members = [
         (run.store.text(e.proposed.source), [run.store.get(m) for m in fold_models(e).models])
-        for e in leading.values()
+        for e in leading
     ]
-    numbers = [e.number for e, (_, m) in zip(leading.values(), members, strict=True) for _ in m]
+    numbers = [e.number for e, (_, m) in zip(leading, members, strict=True) for _ in m]
     folds = len(members[0][1])
     contrasts = np.eye(len(numbers))
     contrasts[:, :folds] -= 1.0 / folds
-    values = {e.number: e.score.value for e in leading.values() if e.score is not None}
+    values = {e.number: e.score.value for e in leading if e.score is not None}
     weights = [best.score.value / max(values[number], 1e-300) for number in numbers]
     weights[:folds] = [math.sqrt((folds - 1) / folds)] * folds
     contrasts *= np.array(weights)[:, None]
@@ -415,11 +435,10 @@ def next_experiment(
             return whole[: rule.past_inputs], whole[rule.past_inputs :]
 
         def predict(u: Array) -> Array:
-            pairs = [seen(one) for one in u]
-            past = np.stack([one for one, _ in pairs])
-            return simulate(
-                past, np.tile(past_y, (len(u), 1, 1)), np.stack([one for _, one in pairs])
-            )
+            # One number of cases: a model is compiled once.
+            pairs = [seen(one) for one in (*u, *([u[0]] * (-len(u) % _BATCH)))]
+            past_u, inputs = (np.stack(side) for side in zip(*pairs, strict=True))
+            return simulate(past_u, np.tile(past_y, (len(inputs), 1, 1)), inputs)[:, : len(u)]
 
         def bounds(u: Array, y: Array) -> tuple[Array, Array]:
             past, inside = seen(u)

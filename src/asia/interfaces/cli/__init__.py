@@ -43,6 +43,7 @@ from asia.interfaces.cli import (
 )
 from asia.interfaces.cli import check as _check
 from asia.interfaces.cli import control as _control
+from asia.interfaces.cli import next as _next
 from asia.interfaces.cli import run as _run
 from asia.interfaces.cli.options import with_groups
 
@@ -134,6 +135,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "linear": linear.linear,
     "control": _control.control,
     "certify": certify.certify,
+    "next": _next.next_,
     "export": export.export,
     "view": view.view,
 }
