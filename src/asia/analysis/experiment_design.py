@@ -26,10 +26,10 @@ from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.bands import error_sizes, output_bands
 from asia.ledger.evidence import identified
 from asia.ledger.run import Run, open_run
-from asia.ledger.view import Experiment, SearchView
 from asia.problem.identifiability import parameter_changes
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
+from asia.search.extension import leading_experiments
 from asia.search.run import LOCK, make_evaluator
 from asia.search.simulation import band_basis, fold_models, loading_stored_models
 
@@ -277,29 +277,6 @@ _LEVEL, _OTHERS, _FAR = 0.99, 3, 4.0
 # Samples in which the output must come to rest, at least, and how much it may still move, in
 # standard deviations.
 _SETTLE, _STILL = 500, 0.02
-
-
-def leading_experiments(view: SearchView, count: int, far: float) -> list[Experiment]:
-    """The best experiment, the best of other families, then further ones, by V.
-
-    Args:
-        count: at most so many
-        far: largest V, in that of the best
-    """
-    best = view.best
-    if best is None or best.score is None:
-        raise UserError(f"run '{view.started.run}' has no scored model")
-    others = [
-        (e.score.value, e) for e in view.finished
-        if e.score is not None and e.number != best.number
-        and e.score.value <= far * best.score.value
-        and e.result is not None and e.result.duplicate_of is None
-    ]  # fmt: skip
-    first, again, families = [best], list[Experiment](), {best.proposed.family}
-    for _, one in sorted(others, key=lambda pair: pair[0]):
-        (again if one.proposed.family in families else first).append(one)
-        families.add(one.proposed.family)
-    return [*first, *again][:count]
 
 
 @dataclass(frozen=True)

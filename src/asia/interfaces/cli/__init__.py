@@ -28,6 +28,7 @@ from asia.interfaces.cli import (
     demo,
     doctor,
     export,
+    extend,
     init,
     linear,
     models,
@@ -136,6 +137,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "control": _control.control,
     "certify": certify.certify,
     "next": _next.next_,
+    "extend": extend.extend,
     "export": export.export,
     "view": view.view,
 }
@@ -254,7 +256,7 @@ def main() -> None:
     except SystemExit as end:
         if end.code in (INTERRUPTED, TERMINATED):
             words = sys.argv[1:]
-            resumed = words[:1] in (["run"], ["bench"]) or words[:2] in (
+            resumed = words[:1] in (["run"], ["extend"], ["bench"]) or words[:2] in (
                 ["agent", "workspace"],
                 ["agent", "mcp"],
             )
