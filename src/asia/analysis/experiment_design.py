@@ -1,12 +1,15 @@
-"""Design of the next experiment: the input whose record tells most about a set of models.
+"""Design of the next experiment: the input whose record tells most about what models do not know.
 
-The models are hypotheses: fold models, the best candidates of other families, and for equations the
-changes of their parameters within their uncertainty. Their differences on a record, in units of the
-noise, are the rows of Z. The expected information is log det(I + Z Z') / 2, the mutual information
-of record and hypothesis for Gaussian ones; for parameters alone it is Bayesian D-optimality
-(Chaloner and Verdinelli, Statistical Science 10, 1995). Levels and switching times are sought by
-random changes of the best inputs so far, beginning with amplitude-modulated binary sequences
-(APRBS) and multisines.
+What is not known of the output is a Gaussian process in units of the noise: its covariance between
+two samples is the product of the differences of the models there (fold models, and candidates of
+other families), and of the width of their error bands, times a kernel in the inputs and outputs
+around the samples. So a difference seen in one place says little about another place. Changes of
+physical parameters by their standard errors act everywhere. A record is judged by what is then
+still unknown on reference inputs within the limits: the mean reduction of the entropy of their
+outputs, and of that of the parameters (Bayesian D-optimality: Chaloner and Verdinelli, Statistical
+Science 10, 1995; localised ensembles: Houtekamer and Mitchell, Monthly Weather Review 129, 2001).
+Levels and switching times are sought by random changes of the best inputs so far, beginning with
+amplitude-modulated binary sequences (APRBS) and multisines.
 """
 
 from __future__ import annotations
@@ -35,16 +38,25 @@ from asia.search.simulation import band_basis, fold_models, loading_stored_model
 
 Predict: TypeAlias = Callable[[Array], Array]
 """Inputs (B, H, nu) -> simulations (M, B, H, ny), NaN where a model diverges."""
-Bounds: TypeAlias = Callable[[Array, Array], tuple[Array, Array]]
-"""Inputs (H, nu) and simulations (M, H, ny) -> least and largest expected output, each (H, ny)."""
+Reach: TypeAlias = Callable[[Array, Array], Array]
+"""Inputs (H, nu) and simulation (H, ny) -> half width (H, ny) of the 99 % bands around it."""
 
 # Mean square of the inputs, in half widths of their limits: that of uniform levels.
 _ENERGY = 1.0 / 3.0
 # Inputs of a generation, those that the next one changes, and shares of the way from the resting
 # input to a start that are tried too.
 _BATCH, _KEPT, _SMALLER = 32, 6, (1.0, 0.5, 0.2)
+_HALVINGS = 12
+# Standard deviation of an error in half widths of its 99 % band.
+_DEVIATION = 0.39
+# Moving averages of inputs, in rise times, beside which the input and the output themselves place a
+# sample; samples of a record and of the references that count.
+_AVERAGES, _MOST_SAMPLES = (1.0 / 3.0, 1.0, 3.0), 160
+# Simulations that are larger than the median of the models by this factor diverge.
+_DIVERGED = 30.0
 # Holding times of an APRBS and shortest period of a multisine, in rise times to 63 %.
 _HELD, _SHORTEST_PERIOD = (0.5, 3.0), 2.0
+_REFERENCES = ((0.5, 3.0), (1.0, 9.0), (0.2, 1.0))
 
 
 @dataclass(frozen=True)
@@ -65,13 +77,23 @@ class InputLimits:
         half = 0.5 * (self.high - self.low)
         return (((u - 0.5 * (self.low + self.high)) / half) ** 2).mean(axis=(1, 2))
 
-    def scaled(self, u: Array, energy: float) -> Array:
-        """Inputs (B, H, nu) within the limits, their energy at most this: they are moved towards
-        the middle by one factor."""
+    def scaled(self, u: Array, energy: float, *, equal: bool = False) -> Array:
+        """Inputs (B, H, nu) within the limits, moved towards or away from the middle so that their
+        energy is at most this, or equal to it."""
         middle = 0.5 * (self.low + self.high)
-        u = self.slewed(np.clip(u, self.low, self.high))
-        factor = np.sqrt(np.minimum(energy / np.maximum(self.energy(u), 1e-12), 1.0))
-        return self.slewed(middle + factor[:, None, None] * (u - middle))
+
+        def moved(factor: Array) -> Array:
+            away = middle + factor[:, None, None] * (u - middle)
+            return self.slewed(np.clip(away, self.low, self.high))
+
+        low, high = np.zeros(len(u)), np.full(len(u), 50.0 if equal else 1.0)
+        for _ in range(_HALVINGS):
+            if (self.energy(moved(high)) <= energy).all():
+                break
+            half = 0.5 * (low + high)
+            more = self.energy(moved(half)) > energy
+            low, high = np.where(more, low, half), np.where(more, half, high)
+        return moved(high)
 
     def slewed(self, u: Array) -> Array:
         """Inputs (B, H, nu) whose changes are limited."""
@@ -89,15 +111,17 @@ class Subject:
     """Models, noise and limits of a design."""
 
     predict: Predict
-    contrasts: Array
-    """(R, M): combinations of the simulations whose size is information."""
+    members: tuple[int, ...]
+    """Candidate that each model belongs to; the models of the best candidate come first."""
+    errors: Mapping[int, float]
+    """V of each candidate."""
     noise: Array
     """Standard deviation (ny,) of what no model explains."""
     limits: InputLimits
     keep: Array
     """Least and largest permitted output, (2, ny); infinite for none."""
-    bounds: Bounds
-    sensitivities: Predict | None = None
+    reach: Reach
+    changes: Predict | None = None
     """Changes (P, B, H, ny) of the output by independent changes of the parameters, each by its
     standard error; None without parameters."""
 
@@ -113,8 +137,12 @@ class Judged:
     lower: Array
     """Least expected output (H, ny)."""
     upper: Array
-    information: float
-    """In nats."""
+    gain: float
+    """Mean reduction of the entropy of a sample of the references, in nats, and of that of a
+    parameter."""
+    left: float
+    """Expected error of the models on the references after the record, root mean square in units
+    of the noise."""
     excess: float
     """Mean excess of the expected outputs over what is permitted, in units of the noise; 0 where
     all limits hold."""
@@ -123,25 +151,137 @@ class Judged:
     def rank(self) -> tuple[bool, float]:
         """Higher is better: inputs that hold the limits first."""
         holds = self.excess == 0.0
-        return holds, self.information if holds else -self.excess
+        return holds, self.gain if holds else -self.excess
 
 
-def judge(subject: Subject, inputs: Array) -> list[Judged]:
-    """Simulate inputs (B, H, nu) with all models, and compute their information and excess."""
-    y = subject.predict(inputs)
-    failed = ~np.isfinite(y).all(axis=(0, 2, 3))
-    z = np.einsum("rm,mbho->brho", subject.contrasts, np.where(failed[:, None, None], 0.0, y))
-    if subject.sensitivities is not None:
-        z = np.concatenate([z, subject.sensitivities(inputs).swapaxes(0, 1)], axis=1)
-    z = (z / subject.noise).reshape(*z.shape[:2], -1)
-    information = 0.5 * np.linalg.slogdet(np.eye(z.shape[1]) + z @ z.swapaxes(1, 2))[1]
-    found: list[Judged] = []
-    for k, u in enumerate(inputs):
-        lower, upper = subject.bounds(u, y[:, k])
-        over = np.maximum(np.maximum(upper - subject.keep[1], subject.keep[0] - lower), 0.0)
-        excess = np.inf if failed[k] else float((over / subject.noise).mean())
-        found.append(Judged(u, y[:, k], lower, upper, float(information[k]), excess))
-    return found
+@dataclass(frozen=True)
+class _Unknown:
+    """What is not known at samples of one input."""
+
+    place: Array
+    """(N, features)"""
+    local: Array
+    """(L, N, ny): differences and errors that are alike at near places only."""
+    everywhere: Array
+    """(P, N, ny): those by parameters."""
+
+    def covariance(self, other: _Unknown, output: int) -> Array:
+        """(N, N of the other)."""
+        a, b = self.place, other.place
+        apart = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * a @ b.T
+        local = self.local[..., output].T @ other.local[..., output]
+        found = np.exp(-0.5 * apart / a.shape[1]) * local
+        return found + self.everywhere[..., output].T @ other.everywhere[..., output]
+
+    def variance(self) -> Array:
+        """(N, ny)"""
+        return (self.local**2).sum(axis=0) + (self.everywhere**2).sum(axis=0)
+
+
+class Judge:
+    """Judges inputs of one length by what their records leave unknown on reference inputs."""
+
+    def __init__(self, subject: Subject, samples: int, rise: float) -> None:
+        """Raise UserError where all models diverge on the references."""
+        self.subject, self._rise = subject, rise
+        limits, rng = subject.limits, np.random.default_rng(1)
+        steps = [aprbs(rng, samples, limits, a * rise, b * rise) for a, b in _REFERENCES]
+        waves = [multisine(rng, samples, limits, period * rise) for period in (2.0, 1.0)]
+        inputs = limits.slewed(np.stack([*steps, *waves]))
+        y = subject.predict(inputs)
+        size = np.abs(y - np.nanmedian(y, axis=0)).max(axis=(2, 3))
+        usual = np.nanmedian(np.abs(y - y[:, :, :1]).max(axis=(2, 3)), axis=0)
+        diverges = ~(size <= _DIVERGED * usual)
+        self.usable = np.flatnonzero(diverges.mean(axis=1) < 0.5)
+        if not len(self.usable):
+            raise UserError("all models diverge on inputs within the limits: give narrower --limits")
+        members = np.array(subject.members)[self.usable]
+        base = members == members[0]
+        self._base, count = np.flatnonzero(base), int(base.sum())
+        self._contrasts = np.eye(len(members)) - base / count
+        other = np.array([subject.errors[int(n)] for n in members])
+        weight = subject.errors[int(members[0])] / np.maximum(other, 1e-300)
+        weight[base] = math.sqrt(max(count - 1, 0) / count)
+        self._contrasts *= weight[:, None]
+        good = ~diverges[self.usable].any(axis=0)
+        if not good.any():
+            raise UserError("the models diverge on inputs within the limits: give narrower --limits")
+        inputs, y = inputs[good], y[self.usable][:, good]
+        places = np.concatenate(self._places(inputs, y))
+        self._scale = places.std(axis=0) + 1e-9
+        every = -(-len(places) // _MOST_SAMPLES)
+        parts = [self._unknown(u, y[:, k], every) for k, u in enumerate(inputs)]
+        centre = np.concatenate([y[self._base, k].mean(axis=0)[::every] for k in range(len(inputs))])
+        # Outputs that are not permitted need no model.
+        inside = ((centre >= subject.keep[0]) & (centre <= subject.keep[1])).all(axis=1)
+        if inside.mean() < 0.1:
+            inside[:] = True
+        self._reference = _Unknown(
+            np.concatenate([one.place for one in parts])[inside],
+            np.concatenate([one.local for one in parts], axis=1)[:, inside],
+            np.concatenate([one.everywhere for one in parts], axis=1)[:, inside],
+        )
+        self.before = float(np.sqrt(self._reference.variance().mean()))
+
+    def _places(self, inputs: Array, y: Array) -> list[Array]:
+        """Features (H, features) of the samples of inputs (B, H, nu): input, moving averages of it,
+        simulated output."""
+        limits = self.subject.limits
+        u = (inputs - limits.rest) / (limits.high - limits.low)
+        columns = [u]
+        for share in _AVERAGES:
+            length = max(round(share * self._rise), 1)
+            padded = np.concatenate([np.zeros((len(u), length, u.shape[2])), u], axis=1)
+            total = np.cumsum(padded, axis=1)
+            columns.append((total[:, length:] - total[:, :-length]) / length)
+        return list(np.concatenate([*columns, y[self._base].mean(axis=0)], axis=2))
+
+    def _unknown(self, u: Array, y: Array, every: int) -> _Unknown:
+        """What is not known at every so many samples of an input (H, nu)."""
+        subject = self.subject
+        (place,) = self._places(u[None], y[:, None])
+        apart = np.einsum("rm,mho->rho", self._contrasts, y)
+        error = _DEVIATION * subject.reach(u, y[self._base].mean(axis=0))
+        local = np.concatenate([apart, error[None]]) / subject.noise
+        everywhere = np.zeros((0, *y.shape[1:]))
+        if subject.changes is not None:
+            everywhere = subject.changes(u[None])[:, 0] / subject.noise
+        return _Unknown(
+            place[::every] / self._scale, local[:, ::every], everywhere[:, ::every]
+        )
+
+    def __call__(self, inputs: Array) -> list[Judged]:
+        """Simulate inputs (B, H, nu) with all models, and judge them."""
+        subject, reference = self.subject, self._reference
+        simulated = subject.predict(inputs)[self.usable]
+        failed = ~np.isfinite(simulated).all(axis=(0, 2, 3))
+        every = -(-inputs.shape[1] // _MOST_SAMPLES)
+        before = reference.variance()
+        found: list[Judged] = []
+        for k, u in enumerate(inputs):
+            y = simulated[:, k]
+            if failed[k]:
+                nothing = np.full(y.shape[1:], np.nan)
+                found.append(Judged(u, y, nothing, nothing, 0.0, self.before, np.inf))
+                continue
+            unknown = self._unknown(u, y, every)
+            after = np.empty_like(before)
+            for i in range(y.shape[2]):
+                own = unknown.covariance(unknown, i)
+                root = np.linalg.cholesky(own + np.eye(len(own)))
+                seen = np.linalg.solve(root, unknown.covariance(reference, i))
+                after[:, i] = np.maximum(before[:, i] - (seen**2).sum(axis=0), 0.0)
+            gain = 0.5 * float(np.mean(np.log1p(before) - np.log1p(after)))
+            if len(unknown.everywhere):
+                z = unknown.everywhere.reshape(len(unknown.everywhere), -1)
+                gain += 0.5 * float(np.linalg.slogdet(np.eye(len(z)) + every * z @ z.T)[1]) / len(z)
+            wide = subject.reach(u, y[self._base].mean(axis=0))
+            lower, upper = y.min(axis=0) - wide, y.max(axis=0) + wide
+            over = np.maximum(np.maximum(upper - subject.keep[1], subject.keep[0] - lower), 0.0)
+            excess = float((over / subject.noise).mean())
+            left = float(np.sqrt(after.mean()))
+            found.append(Judged(u, y, lower, upper, gain, left, excess))
+        return found
 
 
 def aprbs(
@@ -201,6 +341,10 @@ class NextExperiment:
     aprbs: Judged
     multisine: Judged
     limits: InputLimits
+    before: float
+    """Expected error of the models on the references now, in units of the noise."""
+    members: tuple[int, ...]
+    """Candidate of each model that does not diverge within the limits."""
     energy: float
     """Mean square of the input around the middle of its limits, in half widths."""
     rise: float
@@ -210,14 +354,18 @@ class NextExperiment:
 def design_experiment(
     subject: Subject, samples: int, *, seed: int = 0, generations: int = 30
 ) -> NextExperiment:
-    """Search for the input of most expected information that holds the limits.
+    """Search for the input of the largest gain that holds the limits.
 
     Args:
         samples: length of the record
         generations: of 32 inputs each
+
+    Raises:
+        UserError: where all models diverge within the limits
     """
     rng, limits = np.random.default_rng(seed), subject.limits
     rise = rise_samples(subject, samples)
+    judge = Judge(subject, samples, rise)
     held, period = (_HELD[0] * rise, _HELD[1] * rise), _SHORTEST_PERIOD * rise
 
     def rivals() -> Array:
@@ -230,15 +378,18 @@ def design_experiment(
         starts.append(aprbs(rng, samples, limits, share * held[0], share * held[1])[None])
     whole = np.concatenate(starts)
     smaller = [limits.rest + share * (whole - limits.rest) for share in _SMALLER]
-    best = judge(subject, limits.scaled(np.concatenate(smaller), _ENERGY))
+    best = judge(limits.scaled(np.concatenate(smaller)[:_BATCH], _ENERGY))
     for _ in range(generations):
         best = sorted(best, key=lambda one: one.rank, reverse=True)[:_KEPT]
         children = np.stack([_changed(rng, best, limits, rise) for _ in range(_BATCH)])
-        best += judge(subject, limits.scaled(children, _ENERGY))
+        best += judge(limits.scaled(children, _ENERGY))
     proposed = max(best, key=lambda one: one.rank)
     energy = float(limits.energy(proposed.u[None])[0])
-    others = judge(subject, limits.scaled(first, energy))
-    return NextExperiment(proposed, others[0], others[1], limits, energy, rise)
+    others = judge(limits.scaled(first, energy, equal=True))
+    members = tuple(subject.members[k] for k in judge.usable)
+    return NextExperiment(
+        proposed, others[0], others[1], limits, judge.before, members, energy, rise
+    )
 
 
 def _changed(
@@ -301,9 +452,6 @@ class RunExperiment:
     sampling_time: float
     """Of the models, s."""
     found: NextExperiment
-    experiments: tuple[int, ...]
-    """Number of the experiment that each simulation comes from, fold models one after the other;
-    the best one first."""
     noise: Array
     """(ny,)"""
     rest: tuple[Array, Array]
@@ -371,12 +519,7 @@ def next_experiment(
     ]
     numbers = [e.number for e, (_, m) in zip(leading, members, strict=True) for _ in m]
     folds = len(members[0][1])
-    contrasts = np.eye(len(numbers))
-    contrasts[:, :folds] -= 1.0 / folds
     values = {e.number: e.score.value for e in leading if e.score is not None}
-    weights = [best.score.value / max(values[number], 1e-300) for number in numbers]
-    weights[:folds] = [math.sqrt((folds - 1) / folds)] * folds
-    contrasts *= np.array(weights)[:, None]
 
     basis = band_basis(evaluator, view, run.store, "ensemble")
     errors = [np.concatenate(fold.blocks) for fold in basis.errors]
@@ -388,7 +531,6 @@ def next_experiment(
     reach = output_bands(error_sizes(basis.errors), zero, _LEVEL).upper
     rule, done = problem.protocol, problem.preprocess
     before = rule.past_inputs * done.decimate + done.longest_delay
-    notes: list[str] = []
 
     def design(simulate: Simulator) -> RunExperiment:
         last = records[-1]
@@ -417,23 +559,24 @@ def next_experiment(
             past_u, inputs = (np.stack(side) for side in zip(*pairs, strict=True))
             return simulate(past_u, np.tile(past_y, (len(inputs), 1, 1)), inputs)[:, : len(u)]
 
-        def bounds(u: Array, y: Array) -> tuple[Array, Array]:
-            past, inside = seen(u)
-            distance = basis.region.distance(past, inside, y[:folds].mean(axis=0))
-            wide = reach * np.maximum(distance, 1.0)[:, None]
-            return y.min(axis=0) - wide, y.max(axis=0) + wide
+        def wide(u: Array, y: Array) -> Array:
+            return reach * np.maximum(basis.region.distance(*seen(u), y), 1.0)[:, None]
 
         own = InputLimits(ends[:, 0], ends[:, 1], step, rest)
         identify = _parameters(run, problem, (rest, at_rest))
         subject = Subject(
-            predict, contrasts, noise, own, kept, bounds,
+            predict, tuple(numbers), values, noise, own, kept, wide,
             None if identify is None else identify.changes,
         )  # fmt: skip
         found = design_experiment(subject, samples, seed=seed)
         gained = () if identify is None else identify.gained(found, noise)
         return RunExperiment(
-            run.name, problem.inputs, problem.outputs, problem.sampling_time, found,
-            tuple(numbers), noise, (rest, at_rest), gained, tuple(notes),
+            run.name, problem.inputs, problem.outputs, problem.sampling_time, found, noise,
+            (rest, at_rest), gained,
+            tuple(
+                f"models of #{n:02d} diverge within the limits and are left out"
+                for n in values if found.members.count(n) < numbers.count(n)
+            ),
         )  # fmt: skip
 
     with loading_stored_models(view):

@@ -187,7 +187,7 @@ def _facts(
     kept: dict[str, tuple[float, float]],
 ) -> dict[str, Any]:
     """What is expected of the record, with the printed lines under `text`."""
-    found, numbers = made.found, made.experiments
+    found, numbers = made.found, made.found.members
     proposed = found.proposed
     best = numbers[0]
     of = {n: [k for k, one in enumerate(numbers) if one == n] for n in dict.fromkeys(numbers)}
@@ -229,11 +229,15 @@ def _facts(
     lines.append(f"{'':10}{'':<24}" + "".join(f"{name:>12}" for name, _ in named))
     for k, title in enumerate(titles):
         lines.append(f"{'':10}{title:<24}" + "".join(f"{rows[n][k]:>12.3g}" for n, _ in named))
-    values = [one.information for _, one in named]
-    lines.append(f"{'':10}{'information [nats]':<24}" + "".join(f"{v:>12.3g}" for v in values))
     broken = ["yes" if one.excess else "no" for _, one in named]
     if kept:
         lines.append(f"{'':10}{'may break a limit':<24}" + "".join(f"{v:>12}" for v in broken))
+    lines.append(
+        f"learns    expected error of the model on inputs within the limits, now {found.before:.3g} "
+        "in units of the noise:"
+    )
+    after = "".join(f"{one.left:>12.3g}" for _, one in named)
+    lines.append(f"{'':10}{'after the record':<24}{after}")
     if made.parameters:
         lines.append("learns    standard errors of the parameters, now and as expected after:")
         lines.append(f"{'':10}{'':<12}{'now':>12}" + "".join(f"{n:>12}" for n, _ in named))
@@ -253,9 +257,11 @@ def _facts(
         "start": {"u": made.rest[0].tolist(), "y": made.rest[1].tolist()},
         "noise": made.noise.tolist(),
         "energy": found.energy,
+        "expected_error": found.before,
         "records": {
             name: {
-                "information": one.information,
+                "gain": one.gain,
+                "expected_error": one.left,
                 "differences": rows[name],
                 "lower": one.lower.min(axis=0).tolist(),
                 "upper": one.upper.max(axis=0).tolist(),
