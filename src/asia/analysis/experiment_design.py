@@ -46,13 +46,13 @@ _ENERGY = 1.0 / 3.0
 # Inputs of a generation, those that the next one changes, and shares of the way from the resting
 # input to a start that are tried too.
 _BATCH, _KEPT, _SMALLER = 32, 6, (1.0, 0.5, 0.2)
-_HALVINGS = 12
+_HALVINGS = 14
 # Standard deviation of an error in half widths of its 99 % band.
 _DEVIATION = 0.39
 # Moving averages of inputs, in rise times, beside which the input and the output themselves place a
 # sample; samples of a record and of the references that count.
 _AVERAGES, _MOST_SAMPLES = (1.0 / 3.0, 1.0, 3.0), 160
-# Simulations that are larger than the median of the models by this factor diverge.
+# Simulations whose way is so many times as long as that of the median of the models diverge.
 _DIVERGED = 30.0
 # Holding times of an APRBS and shortest period of a multisine, in rise times to 63 %.
 _HELD, _SHORTEST_PERIOD = (0.5, 3.0), 2.0
@@ -87,13 +87,12 @@ class InputLimits:
             return self.slewed(np.clip(away, self.low, self.high))
 
         low, high = np.zeros(len(u)), np.full(len(u), 50.0 if equal else 1.0)
-        for _ in range(_HALVINGS):
-            if (self.energy(moved(high)) <= energy).all():
-                break
+        enough = self.energy(moved(high)) <= energy
+        for _ in range(0 if enough.all() else _HALVINGS):
             half = 0.5 * (low + high)
             more = self.energy(moved(half)) > energy
             low, high = np.where(more, low, half), np.where(more, half, high)
-        return moved(high)
+        return moved(np.where(enough, 50.0 if equal else 1.0, low))
 
     def slewed(self, u: Array) -> Array:
         """Inputs (B, H, nu) whose changes are limited."""
@@ -189,9 +188,10 @@ class Judge:
         waves = [multisine(rng, samples, limits, period * rise) for period in (2.0, 1.0)]
         inputs = limits.slewed(np.stack([*steps, *waves]))
         y = subject.predict(inputs)
-        size = np.abs(y - np.nanmedian(y, axis=0)).max(axis=(2, 3))
-        usual = np.nanmedian(np.abs(y - y[:, :, :1]).max(axis=(2, 3)), axis=0)
-        diverges = ~(size <= _DIVERGED * usual)
+        # Ways of a model that diverges count as infinite.
+        with np.errstate(invalid="ignore"):
+            way = np.nan_to_num(np.abs(y - y[:, :, :1]), nan=np.inf).max(axis=(2, 3))
+        diverges = ~(way < _DIVERGED * np.sort(way, axis=0)[(len(way) - 1) // 2])
         self.usable = np.flatnonzero(diverges.mean(axis=1) < 0.5)
         if not len(self.usable):
             raise UserError("all models diverge on inputs within the limits: give narrower --limits")
@@ -325,7 +325,8 @@ def rise_samples(subject: Subject, samples: int) -> float:
         room = limits.high[j] - limits.rest[j] > limits.rest[j] - limits.low[j]
         u[1, :, j] += (0.25 if room else -0.25) * (limits.high[j] - limits.low[j])
         still, moved = subject.predict(u)[0]
-        way = np.abs(moved - still)
+        with np.errstate(invalid="ignore"):
+            way = np.abs(moved - still)
         for column in way.T[np.isfinite(way).all(axis=0)]:
             if column[-1] > 1e-9 * (1.0 + np.abs(still).max()):
                 at = float(np.argmax(column >= 0.63 * column[-1]))

@@ -10,6 +10,7 @@ import typer
 
 from asia._text import say
 from asia._timer import Activity, ActivityTimer
+from asia.errors import UserError
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
     CommandOptions,
@@ -66,7 +67,11 @@ def extend(
     timer = ActivityTimer()
     with timer.activity(Activity.PREPARE):
         old = open_run(run_directory(runs, run, named=True))
-        candidates = leading_candidates(old, _LEADING, _FAR)
+        # The baseline comes before them, and the agent needs one after them.
+        budget = options.experiments or old.view.budget
+        if budget < 3:
+            raise UserError(f"a budget of {budget} experiments: give --experiments 3 or more")
+        candidates = leading_candidates(old, min(_LEADING, budget - 2), _FAR)
         following = make_driver(agent, None, ModelOptions(), LlmOptions(), CommandOptions())
         folder = out or Path(f"{old.view.started.problem}-{record.stem}")
         problem, notes = extended_problem(old, record, folder)
