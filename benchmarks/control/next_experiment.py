@@ -196,8 +196,9 @@ def distance_weighted(
     return u[:NEXT]
 
 
-def error(plant: Plant, fits: list[Fitted], records: list[Trajectory], test: Trajectory,
-          truth: Array) -> float:
+def error(
+    plant: Plant, fits: list[Fitted], records: list[Trajectory], test: Trajectory, truth: Array
+) -> float:
     """Error on the test record, over the standard deviation of the truth, of the first ensemble
     that stays bounded on random levels, as a search chooses its model."""
     rng = np.random.default_rng(3)
@@ -235,7 +236,10 @@ def main() -> None:
             u = np.clip(plant.rest + SMALL * (u - u.mean(axis=0)), plant.low, plant.high)
             first, _ = plant.record(u, rng)
             test, truth = plant.record(plant.whole_range(rng, TEST), rng)
-            middle, half = 0.5 * (truth.max(axis=0) + truth.min(axis=0)), 0.5 * np.ptp(truth, axis=0)
+            middle, half = (
+                0.5 * (truth.max(axis=0) + truth.min(axis=0)),
+                0.5 * np.ptp(truth, axis=0),
+            )
             share = options.keep or np.inf
             keep = np.stack([middle - share * half, middle + share * half])
             fitted = fit(plant, [first])

@@ -194,7 +194,9 @@ class Judge:
         diverges = ~(way < _DIVERGED * np.sort(way, axis=0)[(len(way) - 1) // 2])
         self.usable = np.flatnonzero(diverges.mean(axis=1) < 0.5)
         if not len(self.usable):
-            raise UserError("all models diverge on inputs within the limits: give narrower --limits")
+            raise UserError(
+                "all models diverge on inputs within the limits: give narrower --limits"
+            )
         members = np.array(subject.members)[self.usable]
         base = members == members[0]
         self._base, count = np.flatnonzero(base), int(base.sum())
@@ -205,13 +207,17 @@ class Judge:
         self._contrasts *= weight[:, None]
         good = ~diverges[self.usable].any(axis=0)
         if not good.any():
-            raise UserError("the models diverge on inputs within the limits: give narrower --limits")
+            raise UserError(
+                "the models diverge on inputs within the limits: give narrower --limits"
+            )
         inputs, y = inputs[good], y[self.usable][:, good]
         places = np.concatenate(self._places(inputs, y))
         self._scale = places.std(axis=0) + 1e-9
         every = -(-len(places) // _MOST_SAMPLES)
         parts = [self._unknown(u, y[:, k], every) for k, u in enumerate(inputs)]
-        centre = np.concatenate([y[self._base, k].mean(axis=0)[::every] for k in range(len(inputs))])
+        centre = np.concatenate(
+            [y[self._base, k].mean(axis=0)[::every] for k in range(len(inputs))]
+        )
         # Outputs that are not permitted need no model.
         inside = ((centre >= subject.keep[0]) & (centre <= subject.keep[1])).all(axis=1)
         if inside.mean() < 0.1:
@@ -246,9 +252,7 @@ class Judge:
         everywhere = np.zeros((0, *y.shape[1:]))
         if subject.changes is not None:
             everywhere = subject.changes(u[None])[:, 0] / subject.noise
-        return _Unknown(
-            place[::every] / self._scale, local[:, ::every], everywhere[:, ::every]
-        )
+        return _Unknown(place[::every] / self._scale, local[:, ::every], everywhere[:, ::every])
 
     def __call__(self, inputs: Array) -> list[Judged]:
         """Simulate inputs (B, H, nu) with all models, and judge them."""
@@ -306,8 +310,7 @@ def multisine(
     lines = np.arange(1, max(int(samples / max(shortest_period, 2.0)), 3) + 1)
     turns = np.arange(samples)[:, None] * lines / samples
     columns = [
-        np.cos(2.0 * np.pi * (turns + rng.uniform(size=len(lines)))).sum(axis=1)
-        for _ in limits.low
+        np.cos(2.0 * np.pi * (turns + rng.uniform(size=len(lines)))).sum(axis=1) for _ in limits.low
     ]
     u = np.stack(columns, axis=1)
     return 0.5 * (limits.low + limits.high) + 0.5 * (limits.high - limits.low) * u / np.abs(u).max(
@@ -501,7 +504,9 @@ def next_experiment(
     records = evaluator.data.records
     every = np.concatenate([record.u for record in records])
     names = [signal.name for signal in problem.inputs]
-    ends = np.array([limits.get(n, (a.min(), a.max())) for n, a in zip(names, every.T, strict=True)])
+    ends = np.array(
+        [limits.get(n, (a.min(), a.max())) for n, a in zip(names, every.T, strict=True)]
+    )
     rest = every.mean(axis=0) if rest is None else rest
     if not ((ends[:, 0] <= rest) & (rest <= ends[:, 1])).all():
         raise UserError(
@@ -509,9 +514,7 @@ def next_experiment(
             "--limits or another --start"
         )
     step = np.array([rate.get(name, np.inf) for name in names]) * problem.sampling_time
-    kept = np.array(
-        [keep.get(signal.name, (-np.inf, np.inf)) for signal in problem.outputs]
-    ).T
+    kept = np.array([keep.get(signal.name, (-np.inf, np.inf)) for signal in problem.outputs]).T
 
     leading = leading_experiments(view, 1 + _OTHERS, _FAR)
     members = [
@@ -537,7 +540,10 @@ def next_experiment(
         last = records[-1]
         settle = max(_SETTLE, max(map(len, records)))
         held = np.tile(rest, (1, settle, 1))
-        window = last.u[len(last) - rule.past_inputs :], filled(last.y)[len(last) - rule.past_outputs :]
+        window = (
+            last.u[len(last) - rule.past_inputs :],
+            filled(last.y)[len(last) - rule.past_outputs :],
+        )
         y = simulate(window[0][None], window[1][None], held)[:folds, 0].mean(axis=0)
         still = np.abs(y[-1] - y[int(0.8 * settle)]) <= _STILL * spread
         if not (np.isfinite(y).all() and still.all()):

@@ -328,10 +328,10 @@ def parameter_changes(
 
     known = dict(zip(signals[1], rest[1], strict=True))
     typical = float(np.median(np.abs(rest[1]))) or 1.0
-    x: ComplexArray = np.array(
-        [[known.get(physics.observation.get(name, name), typical)] * size for name in physics.states],
-        np.complex128,
-    )  # fmt: skip
+    # States that are outputs begin there.
+    seen = {physics.observation.get(name, name): value for name, value in known.items()}
+    first = [[seen.get(name, typical)] * size for name in physics.states]
+    x: ComplexArray = np.array(first, np.complex128)
     with np.errstate(all="ignore"):
         for _ in range(_SETTLING):
             before, x = x, after(x, rest[0][:, None], theta)

@@ -66,7 +66,9 @@ def leading_candidates(run: Run, count: int, far: float) -> list[LeadingCandidat
     ]  # fmt: skip
 
 
-def error_on_record(run: Run, path: Path, isolation: Isolation | None = None) -> tuple[str, Outcome]:
+def error_on_record(
+    run: Run, path: Path, isolation: Isolation | None = None
+) -> tuple[str, Outcome]:
     """Name of the model to use, and its error on a new record as V has it: in the search's metric,
     over the standard deviations of the old training records. Where a stack is the model to use, the
     ensemble is asked."""

@@ -81,9 +81,8 @@ def extend(
     assert best.score is not None
     stream = sys.stderr if json else sys.stdout
     say(
-        f"before    the old model ({use} of #{best.number:02d}) on {record.name}: "
-        f"{problem.protocol.metric.upper()} {value_words(outcome)} of the standard deviation of the "
-        f"old records; its V was {error_value(best.score.value)}",
+        f"before    the old model ({use} of #{best.number:02d}) has V={value_words(outcome)} on "
+        f"{record.name} before any fit; in its search it had V={error_value(best.score.value)}",
         file=stream,
     )
     for note in notes:

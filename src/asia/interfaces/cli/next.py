@@ -233,8 +233,8 @@ def _facts(
     if kept:
         lines.append(f"{'':10}{'may break a limit':<24}" + "".join(f"{v:>12}" for v in broken))
     lines.append(
-        f"learns    expected error of the model on inputs within the limits, now {found.before:.3g} "
-        "in units of the noise:"
+        "learns    expected error of the model on inputs within the limits, in units of the noise, "
+        f"now {found.before:.3g}:"
     )
     after = "".join(f"{one.left:>12.3g}" for _, one in named)
     lines.append(f"{'':10}{'after the record':<24}{after}")

@@ -58,8 +58,8 @@ from asia.problem.protocol import ProtocolRule
 
 T = TypeVar("T")
 Simulator: TypeAlias = Callable[[Array, Array, Array], Array]
-"""Past inputs (B, n, nu), past outputs (B, n, ny) and inputs (B, H, nu) -> outputs (M, B, H, ny) of M
-models, not finite where one diverges."""
+"""Past inputs (B, n, nu), past outputs (B, n, ny) and inputs (B, H, nu) -> outputs (M, B, H, ny) of
+M models, not finite where one diverges."""
 _Ask: TypeAlias = Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]]
 
 _STRANGERS_ASKED = 4

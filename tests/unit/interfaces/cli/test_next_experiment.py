@@ -152,7 +152,7 @@ def test_extend_begins_with_the_leading_candidate(
     )  # fmt: skip
     done = command_line(*words)
     assert done.code == 0, done.err
-    assert "before    the old model" in done.out
+    assert re.search(r"before    the old model \(\w+ of #0[23]\) has V=0\.\d+ on new.csv", done.out)
     old = open_run(finished).view
     view = open_run(tmp_path / "runs" / "longer").view
     assert old.best is not None
