@@ -219,9 +219,10 @@ class Judge:
             [y[self._base, k].mean(axis=0)[::every] for k in range(len(inputs))]
         )
         # Outputs that are not permitted need no model.
-        inside = ((centre >= subject.keep[0]) & (centre <= subject.keep[1])).all(axis=1)
-        if inside.mean() < 0.1:
-            inside[:] = True
+        permitted = (centre >= subject.keep[0]) & (centre <= subject.keep[1])
+        inside = np.flatnonzero(np.all(permitted, axis=1))
+        if len(inside) < 0.1 * len(centre):
+            inside = np.arange(len(centre))
         self._reference = _Unknown(
             np.concatenate([one.place for one in parts])[inside],
             np.concatenate([one.local for one in parts], axis=1)[:, inside],
@@ -471,7 +472,7 @@ def next_experiment(
     rate: Mapping[str, float],
     keep: Mapping[str, tuple[float, float]],
     *,
-    rest: Array | None = None,
+    start: Array | None = None,
     seed: int = 0,
     isolation: Isolation | None = None,
 ) -> RunExperiment:
@@ -483,7 +484,7 @@ def next_experiment(
         limits: least and largest value of inputs; those of the records where there are none
         rate: largest change of inputs in a second
         keep: limits of outputs
-        rest: inputs (nu,) before the record; None for the means of the training records
+        start: inputs (nu,) before the record; None for the means of the training records
         isolation: level of the candidates; None for the strongest of this machine
 
     Raises:
@@ -507,7 +508,7 @@ def next_experiment(
     ends = np.array(
         [limits.get(n, (a.min(), a.max())) for n, a in zip(names, every.T, strict=True)]
     )
-    rest = every.mean(axis=0) if rest is None else rest
+    rest: Array = every.mean(axis=0) if start is None else start
     if not ((ends[:, 0] <= rest) & (rest <= ends[:, 1])).all():
         raise UserError(
             f"the record begins at {rest.tolist()}, outside the limits {ends.tolist()}: give wider "

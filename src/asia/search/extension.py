@@ -107,7 +107,7 @@ def extended_problem(run: Run, record: Path, directory: Path) -> tuple[Problem, 
     baseline = tables.pop("baseline", None)
     if baseline is not None:
         files["baseline.py"] = baseline
-    data = tables["data"]
+    data: dict[str, Any] = tables["data"]
     names = [*(s.name for s in problem.inputs), *(s.name for s in problem.outputs)]
     if "source" in data:
         if problem.loop is not None and problem.loop.reference:
@@ -123,8 +123,9 @@ def extended_problem(run: Run, record: Path, directory: Path) -> tuple[Problem, 
         raise UserError(f"a training record is called {name} already: rename the new file")
     files[name] = read_file(record, "name a file with the new record").decode("utf-8")
     data["train"] = [*data["train"], name]
-    if data.get("groups"):
-        data["groups"] = {**data["groups"], record.stem: [record.stem]}
+    groups: dict[str, list[str]] = data.get("groups") or {}
+    if groups:
+        data["groups"] = {**groups, record.stem: [record.stem]}
     tables["data"], tables["name"] = data, directory.name
     files["problem.toml"] = toml_text(tables)
     return save_problem(directory, files), tuple(notes)

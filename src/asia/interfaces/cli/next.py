@@ -91,7 +91,7 @@ def next_(
         rest = np.array([held[name] for name in inputs])
     kept = _kept(keep or (), outputs)
     made = next_experiment(
-        directory, duration, spans, rates, kept, rest=rest, seed=seed,
+        directory, duration, spans, rates, kept, start=rest, seed=seed,
         isolation=candidate_level(isolation),
     )  # fmt: skip
     folder = directory / "next" if out is None else out

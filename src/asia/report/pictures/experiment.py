@@ -56,7 +56,7 @@ def draw_experiment(
                 axis.set_ylabel(axis_label(signal))
         for i, signal in enumerate(outputs):
             axis = axes[len(inputs) + i, c]
-            shade = axis.fill_between(
+            axis.fill_between(
                 t, lower[:, i], upper[:, i], color=SHADE, lw=0, label="expected range"
             )
             for one in y[1:]:
@@ -71,6 +71,7 @@ def draw_experiment(
     for axis in axes.reshape(-1):
         quiet_grid(axis)
     entitle(figure, "Proposed experiment, and records of equal energy")
-    handles = [shade, *axes[-1, 0].get_lines()[-1 - int(np.isfinite(keep[:, -1]).sum()) :]]
-    figure_legend(figure, handles, 3)
+    # Of the two limits of an output one is named.
+    named = dict(zip(*reversed(axes[-1, 0].get_legend_handles_labels()), strict=True))
+    figure_legend(figure, list(named.values()), 3)
     return figure
