@@ -28,6 +28,7 @@ from asia.interfaces.cli import (
     demo,
     doctor,
     export,
+    extend,
     init,
     linear,
     models,
@@ -43,6 +44,7 @@ from asia.interfaces.cli import (
 )
 from asia.interfaces.cli import check as _check
 from asia.interfaces.cli import control as _control
+from asia.interfaces.cli import next as _next
 from asia.interfaces.cli import run as _run
 from asia.interfaces.cli.options import with_groups
 
@@ -134,6 +136,8 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "linear": linear.linear,
     "control": _control.control,
     "certify": certify.certify,
+    "next": _next.next_,
+    "extend": extend.extend,
     "export": export.export,
     "view": view.view,
 }
@@ -252,7 +256,7 @@ def main() -> None:
     except SystemExit as end:
         if end.code in (INTERRUPTED, TERMINATED):
             words = sys.argv[1:]
-            resumed = words[:1] in (["run"], ["bench"]) or words[:2] in (
+            resumed = words[:1] in (["run"], ["extend"], ["bench"]) or words[:2] in (
                 ["agent", "workspace"],
                 ["agent", "mcp"],
             )

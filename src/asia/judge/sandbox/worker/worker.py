@@ -221,9 +221,13 @@ class Worker:
 
     def simulate_known(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """As `simulate`, by the model's own `simulate`: for cases that it was fitted to."""
+        return _finite(self.simulate_unchecked(past_u, past_y, u))
+
+    def simulate_unchecked(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """As `simulate_known`, with NaN or infinity where the model diverges."""
         deadline = self._begin_cases()
         with self._clock.activity(Activity.SIMULATE):
-            return _finite(self._whole(past_u, past_y, u, deadline))
+            return self._whole(past_u, past_y, u, deadline)
 
     def _begin_cases(self) -> float:
         self._need_model()
