@@ -1,0 +1,528 @@
+"""Recursive estimation of states and parameters of a lowered model, with a test of its validity.
+
+An observer runs on one state vector: the states of the model, physical parameters, gains and
+offsets of signals, and a slow disturbance of each output. It is an extended Kalman filter with
+exact derivatives, or an unscented one. Page's test sums the normalised innovations squared (NIS).
+Sources: Simon, Optimal State Estimation, chapters 13 and 14; Ljung, System Identification, 2nd
+ed., section 11.2 (forgetting); Bar-Shalom, Li and Kirubarajan, Estimation with Applications to
+Tracking and Navigation, section 5.4 (NIS); Page, Biometrika 41, 1954; Hawkins and Olwell,
+Cumulative Sum Charts, chapter 6 (tails of the excursions).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from asia.data.trajectory import Array
+from asia.lowering.derivatives import jacobian
+from asia.lowering.evaluation import evaluate
+from asia.lowering.program import Builder, LoweredModel, Program, inlined
+
+Method: TypeAlias = Literal["ekf", "ukf"]
+# Increase of the variance of the innovations that Page's test is tuned to.
+INCREASE = 1.5
+# Samples of simulated tests that give a threshold, and excursions whose mean excess extends it.
+_CHAINS, _STEPS, _EXCURSIONS = 400, 10_000, 1_000
+# Evaluations of the likelihood of the noise.
+_EVALUATIONS = 150
+# Bounds of the noise in units of the residuals' variance.
+_SMALL = 1e-8
+
+
+@dataclass(frozen=True)
+class TimeVarying:
+    """Parameter that an observer estimates."""
+
+    name: str
+    """Name of a physical parameter, or `gain(SIGNAL)`, `offset(SIGNAL)`."""
+    nominal: float
+    """Value in the model of the run."""
+    spread: float
+    """Standard deviation before the first sample, and the largest that forgetting allows."""
+    low: float = -math.inf
+    high: float = math.inf
+    floor: float = 0.0
+    """Standard deviation of its estimates on held-out records, where it does not change."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of a model, as variances."""
+
+    output: Array
+    """White noise (ny,) of the measured outputs."""
+    disturbance: Array
+    """Slow disturbance (ny,) of the outputs, first-order autoregressive."""
+    pole: float
+    """Its coefficient: correlation from sample to sample."""
+    input: Array
+    """White noise (nu,) that acts like the inputs."""
+    initial: Array
+    """Initial states (n,) of the model."""
+
+    def scaled(self, factor: float) -> Noise:
+        """All variances times a factor."""
+        return Noise(self.output * factor, self.disturbance * factor, self.pole,
+                     self.input * factor, self.initial * factor)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Observer:
+    """Everything that an observer needs, beside its memory."""
+
+    low: LoweredModel
+    """Model of one state vector (n,): see `augmented`."""
+    parameters: tuple[TimeVarying, ...]
+    """Parameters, whose values are the states before the last ny."""
+    noise: Noise
+    """That of the model without parameters."""
+    forgetting: float
+    """Factor of the memory of parameters in one sample; 1 keeps all."""
+    threshold: float
+    """Page's test reports above it."""
+    deviations: float
+    """Standard deviations from its nominal value at which a parameter counts as changed."""
+
+    @property
+    def order(self) -> int:
+        """Length of the state vector."""
+        return self.low.states[0][0]
+
+    @property
+    def first(self) -> int:
+        """Place of the first parameter in the state vector."""
+        return self.order - self.low.ny - len(self.parameters)
+
+    @cached_property
+    def output(self) -> Program:
+        """State vector and input -> output (ny,) and its derivatives (ny, n)."""
+        return jacobian(self.low.output, [0])
+
+    @cached_property
+    def update(self) -> Program:
+        """State vector and input -> state vector (n,) at the next sample, and its derivatives (n, n
+        + nu)."""
+        return jacobian(self.low.update)
+
+    @property
+    def start(self) -> Array:
+        """Variances (n,) of the first state vector."""
+        spreads = [one.spread**2 for one in self.parameters]
+        return np.concatenate([self.noise.initial, spreads, self.noise.disturbance])
+
+    @property
+    def drive(self) -> Array:
+        """Variances (n,) that a sample adds to the state vector."""
+        found = np.zeros(self.order)
+        found[self.order - self.low.ny :] = self.noise.disturbance * (1.0 - self.noise.pole**2)
+        return found
+
+
+def augmented(
+    low: LoweredModel, changes: Sequence[tuple[str, bool, int]], pole: float
+) -> LoweredModel:
+    """The model over one state vector: its states, of which the last may be physical parameters,
+    then one number for each of the changes, then a disturbance of each output.
+
+    Args:
+        changes: `gain` or `offset`, whether it is that of an input, and its channel
+        pole: coefficient of the disturbance
+    """
+    sizes = [math.prod(shape) for shape in low.states]
+    own, added = sum(sizes), len(changes)
+    n = own + added + low.ny
+    nominal = np.array([1.0 if kind == "gain" else 0.0 for kind, _, _ in changes])
+
+    def joined(build: Builder, parts: Sequence[int]) -> int:
+        flat = [build.add("reshape", (p,), (math.prod(build.shape(p)),)) for p in parts]
+        return build.add("concat", flat, (0,))
+
+    initial = Builder(low.initial.inputs)
+    states = inlined(initial, low.initial, [0, 1, 2])
+    more = initial.constant(np.concatenate([nominal, np.zeros(low.ny)]))
+    start = initial.program([joined(initial, [*states, more])])
+
+    step = Builder(((n,), (low.nu,)))
+
+    def cut(first: int, stop: int) -> int:
+        return step.add("slice", (0,), (first, stop, 1))
+
+    def changed(value: int, is_input: bool) -> int:
+        """A signal with its gains and offsets."""
+        size = step.shape(value)[0]
+        for kind, op in (("gain", "mul"), ("offset", "add")):
+            rows = [(k, c) for k, (what, side, c) in enumerate(changes)
+                    if what == kind and side == is_input]  # fmt: skip
+            if rows:
+                chosen = np.zeros((size, added))
+                for k, channel in rows:
+                    chosen[channel, k] = 1.0
+                fixed = np.where(chosen.any(axis=1), 0.0, 1.0 if kind == "gain" else 0.0)
+                column = step.add("reshape", (cut(own, own + added),), (added, 1))
+                factor = step.add("matmul", (step.constant(chosen), column))
+                factor = step.add("reshape", (factor,), (size,))
+                factor = step.add("add", (factor, step.constant(fixed)))
+                value = step.add(op, (value, factor))
+        return value
+
+    ends = np.cumsum([0, *sizes]).tolist()
+    parts = [
+        step.add("reshape", (cut(first, stop),), shape)
+        for first, stop, shape in zip(ends, ends[1:], low.states, strict=False)
+    ]
+    y, *after = inlined(step, low.step, [*parts, changed(1, True)])
+    slow = cut(own + added, n)
+    y = step.add("add", (changed(y, False), slow))
+    kept = [cut(own, own + added)] if added else []
+    slow = step.add("mul", (slow, step.constant(pole)))
+    flat = joined(step, [*after, *kept, slow])
+    return LoweredModel(
+        low.n_past_u, low.n_past_y, low.nu, low.ny, low.single, start, step.program([y, flat])
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MonitorSample:
+    """Result of one sample."""
+
+    y_hat: Array
+    """Output (ny,) expected before its measurement."""
+    nis: float
+    """Normalised innovation squared: about as large as the number of measured outputs."""
+    measured: int
+    """Number of measured outputs."""
+    statistic: float
+    """Page's statistic; above the threshold the model is not valid."""
+    parameters: Array
+    """Estimates (p,)."""
+    deviations: Array
+    """Their standard deviations (p,)."""
+    since: int | None
+    """Sample since which the model is not valid any more; None while it is."""
+
+    @property
+    def valid(self) -> bool:
+        """Whether the model still describes the system."""
+        return self.since is None
+
+
+class Filter:
+    """An observer on one record, sample by sample."""
+
+    def __init__(self, observer: Observer, method: Method = "ekf") -> None:
+        self.observer, self.method = observer, method
+        self._running = False
+
+    def start(self, past_u: Array, past_y: Array, u: Array) -> None:
+        """Start from the past window and the first input (nu,)."""
+        self.z = evaluate(self.observer.low.initial, [past_u, past_y, u])[0]
+        self.p = np.diag(self.observer.start)
+        self.statistic, self._zero, self._samples = 0.0, 0, 0
+        self._since: int | None = None
+
+    def update(self, u: Array, y: Array) -> MonitorSample:
+        """Take the input (nu,) and the output (ny,) of a sample; nan where it is not measured."""
+        observer, known = self.observer, np.flatnonzero(np.isfinite(y))
+        y_hat, cross, spread = self._expected(u)
+        error, cross = (y - y_hat)[known], cross[:, known]
+        spread = (spread + np.diag(observer.noise.output))[np.ix_(known, known)]
+        nis = 0.0
+        if len(known):
+            gain = np.linalg.solve(spread, cross.T).T
+            nis = float(error @ np.linalg.solve(spread, error))
+            z, p = self.z + gain @ error, self.p - gain @ spread @ gain.T
+            if np.isfinite(z).all() and np.isfinite(p).all():
+                self.z, self.p = z, 0.5 * (p + p.T)
+            else:
+                nis = math.inf
+        self._bound_parameters()
+        first, count = observer.first, len(observer.parameters)
+        estimates = self.z[first : first + count].copy()
+        deviations = np.sqrt(np.maximum(np.diag(self.p)[first : first + count], 0.0))
+        since = self._tested(nis, len(known), estimates, deviations)
+        self._move(u)
+        self._samples += 1
+        return MonitorSample(
+            y_hat, nis, len(known), self.statistic, estimates, deviations, since
+        )  # fmt: skip
+
+    def _expected(self, u: Array) -> tuple[Array, Array, Array]:
+        """Expected output (ny,), covariance of state and output (n, ny), and of the output."""
+        if self.method == "ekf":
+            y_hat, slope = evaluate(self.observer.output, [self.z, u])
+            cross = self.p @ slope.T
+            return y_hat, cross, slope @ cross
+        points = self._points(self.z, self.p)
+        outputs = np.stack([evaluate(self.observer.low.output, [z, u])[0] for z in points])
+        y_hat = outputs.mean(axis=0)
+        apart = (outputs - y_hat) / math.sqrt(len(points))
+        return y_hat, (points - self.z).T @ apart / math.sqrt(len(points)), apart.T @ apart
+
+    def _points(self, mean: Array, covariance: Array) -> Array:
+        """Points of the mean and the covariance, equally weighted (unscented, kappa 0)."""
+        sizes, ways = np.linalg.eigh(covariance)
+        root = ways * np.sqrt(np.maximum(sizes, 0.0) * len(mean))
+        return np.concatenate([mean + root.T, mean - root.T])
+
+    def _bound_parameters(self) -> None:
+        """Forget, and keep the parameters inside their ranges."""
+        observer, first = self.observer, self.observer.first
+        for k, one in enumerate(observer.parameters, first):
+            self.z[k] = min(max(self.z[k], one.low), one.high)
+            room = one.spread / math.sqrt(max(float(self.p[k, k]), 1e-300))
+            factor = min(1.0 / math.sqrt(observer.forgetting), max(room, 1.0))
+            self.p[k] *= factor
+            self.p[:, k] *= factor
+
+    def _tested(self, nis: float, count: int, estimates: Array, deviations: Array) -> int | None:
+        """Sample since which the model is not valid, by Page's test or by a parameter."""
+        observer = self.observer
+        gained = 2.0 * observer.threshold
+        if math.isfinite(nis):
+            gained = float(increments(np.array(nis), count))
+        self.statistic = min(max(self.statistic + gained, 0.0), 2.0 * observer.threshold)
+        if self.statistic == 0.0:
+            self._zero = self._samples + 1
+        changed = any(
+            abs(value - one.nominal) > observer.deviations * math.hypot(deviation, one.floor)
+            for one, value, deviation in zip(
+                observer.parameters, estimates.tolist(), deviations.tolist(), strict=True
+            )
+        )
+        if self.statistic > observer.threshold:
+            self._since = min(self._zero, self._samples if self._since is None else self._since)
+        elif changed:
+            self._since = self._samples if self._since is None else self._since
+        elif self.statistic == 0.0:
+            self._since = None
+        return self._since
+
+    def _move(self, u: Array) -> None:
+        """To the next sample."""
+        observer, n = self.observer, self.observer.order
+        if self.method == "ekf":
+            z, slope = evaluate(observer.update, [self.z, u])
+            f, g = slope[:, :n], slope[:, n:]
+            p = f @ self.p @ f.T + (g * observer.noise.input) @ g.T
+        else:
+            both = np.zeros((n + len(u), n + len(u)))
+            both[:n, :n], both[n:, n:] = self.p, np.diag(observer.noise.input)
+            points = self._points(np.concatenate([self.z, u]), both)
+            after = np.stack([evaluate(observer.low.update, [w[:n], w[n:]])[0] for w in points])
+            z = after.mean(axis=0)
+            p = (after - z).T @ (after - z) / len(points)
+        p = p + np.diag(observer.drive)
+        if np.isfinite(z).all() and np.isfinite(p).all():
+            self.z, self.p = z, 0.5 * (p + p.T)
+
+
+# Page's test.
+
+
+def increments(nis: Array, count: int) -> Array:
+    """What a sample adds to Page's statistic: the logarithm of the likelihood ratio for innovations
+    whose variance is larger by `INCREASE`."""
+    return 0.5 * (1.0 - 1.0 / INCREASE) * nis - 0.5 * count * math.log(INCREASE)
+
+
+def alarm_threshold(nis: Sequence[Array], count: int, rate: float, seed: int = 0) -> float:
+    """Threshold of Page's test with at most so many false alarms a sample.
+
+    It is the larger one of two: for white Gaussian innovations, and for blocks of the NIS of
+    held-out records, drawn again and again. Both come from simulated tests, whose excursions have
+    an exponential tail.
+
+    Args:
+        nis: normalised innovations squared (T,) of held-out records, with a mean of `count`
+        count: number of outputs
+        rate: false alarms a sample
+    """
+    rng = np.random.default_rng(seed)
+    drawn = [rng.chisquare(count, (_CHAINS, _STEPS))]
+    long = [one for one in nis if len(one) >= 40]
+    if long:
+        size = max(min(min(len(one) for one in long) // 4, 50), 10)
+        starts = np.concatenate([
+            first + np.arange(len(one) - size + 1)
+            for one, first in zip(long, np.cumsum([0, *map(len, long)]), strict=False)
+        ])  # fmt: skip
+        chosen = rng.choice(starts, (_CHAINS, _STEPS // size))
+        places = (chosen[..., None] + np.arange(size)).reshape(_CHAINS, -1)
+        drawn.append(np.concatenate(long)[places])
+    found: list[float] = []
+    for one in drawn:
+        total = np.cumsum(increments(one, count), axis=1)
+        statistic = total - np.minimum.accumulate(np.minimum(total, 0.0), axis=1)
+        statistic[:, 0] = 0.0
+        flat = statistic.reshape(-1)
+        peaks = np.sort(np.maximum.reduceat(flat, np.flatnonzero(flat == 0.0)))[::-1]
+        alarms = rate * one.size
+        most = int(min(max(_EXCURSIONS, 2.0 * alarms), len(peaks) - 1))
+        excess = float(np.mean(peaks[:most]) - peaks[most])
+        found.append(float(peaks[most]) + excess * math.log(most / alarms))
+    return max(max(found), 1e-6)
+
+
+# Noise from the residuals of a run.
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A model along its simulation of a held-out segment."""
+
+    residuals: Array
+    """Measured minus simulated outputs (T, ny); nan where not measured."""
+    states: Array
+    """(T, n)."""
+    a: Array
+    """Derivatives (T, n, n) of the next state by the state."""
+    b: Array
+    """(T, n, nu), by the input."""
+    c: Array
+    """(T, ny, n), of the output by the state."""
+
+    @classmethod
+    def of(cls, low: LoweredModel, past_u: Array, past_y: Array, u: Array, y: Array) -> Linearised:
+        """Simulate a segment with a model of one state vector."""
+        output, update = jacobian(low.output, [0]), jacobian(low.update)
+        (z,) = evaluate(low.initial, [past_u, past_y, u[0]])
+        n, found = len(z), list[tuple[Array, ...]]()
+        for row, measured in zip(u, y, strict=True):
+            y_hat, c = evaluate(output, [z, row])
+            after, slope = evaluate(update, [z, row])
+            found.append((measured - y_hat, z, slope[:, :n], slope[:, n:], c))
+            z = after
+        return cls(*(np.stack(part) for part in zip(*found, strict=True)))
+
+    def likelihood(self, noise: Noise) -> float:
+        """Negative logarithm of the likelihood of the residuals under the noise."""
+        n, ny = self.states.shape[1], self.residuals.shape[1]
+        z, p = np.zeros(n + ny), np.diag(np.concatenate([noise.initial, noise.disturbance]))
+        a, b, c = np.zeros((n + ny,) * 2), np.zeros((n + ny, self.b.shape[2])), np.eye(ny, n + ny)
+        a[n:, n:], c[:, n:] = noise.pole * np.eye(ny), np.eye(ny)
+        drive = np.diag(np.r_[np.zeros(n), noise.disturbance * (1.0 - noise.pole**2)])
+        r, total = np.diag(noise.output), 0.0
+        for k, row in enumerate(self.residuals):
+            known = np.isfinite(row)
+            a[:n, :n], b[:n], c[:, :n] = self.a[k], self.b[k], self.c[k]
+            if known.any():
+                h = c[known]
+                cross = p @ h.T
+                spread = h @ cross + r[np.ix_(known, known)]
+                error = row[known] - h @ z
+                gain = np.linalg.solve(spread, np.column_stack([cross.T, error]))
+                total += float(np.linalg.slogdet(spread)[1] + error @ gain[:, -1])
+                z = z + cross @ gain[:, -1]
+                p = p - cross @ gain[:, :-1]
+            z = a @ z
+            p = a @ p @ a.T + (b * noise.input) @ b.T + drive
+        return total if math.isfinite(total) else math.inf
+
+
+def fit_noise(segments: Sequence[Linearised], input_variance: Array) -> Noise:
+    """Noise of largest likelihood for the residuals of held-out segments.
+
+    The measurement noise and the disturbance of an output are shares of its residual variance, and
+    the noise of an input is a share of its variance, the same for all outputs and inputs.
+
+    Args:
+        input_variance: (nu,), of the training records
+    """
+    from scipy.optimize import minimize
+
+    residuals = np.concatenate([one.residuals for one in segments])
+    variance = np.nanmean(residuals**2, axis=0)
+    variance = np.maximum(variance, 1e-30 * max(float(variance.max()), 1e-270))
+    # Uncertain initial states: as large a share of their range as the residuals are of the outputs.
+    states = np.concatenate([one.states for one in segments])
+    outputs = np.concatenate(
+        [np.einsum("tij,tj->ti", one.c, one.states - states.mean(axis=0)) for one in segments]
+    )
+    share = float(np.mean(variance / np.maximum(outputs.var(axis=0) + variance, 1e-300)))
+    initial = share * states.var(axis=0)
+
+    def noise(theta: Array) -> Noise:
+        white, slow, pole, driven = np.clip(theta, -18.0, 18.0)
+        return Noise(
+            variance * (math.exp(white) + _SMALL), variance * math.exp(slow),
+            1.0 / (1.0 + math.exp(-pole)), input_variance * math.exp(driven), initial,
+        )  # fmt: skip
+
+    def cost(theta: Array) -> float:
+        bounded = 1e-3 * float(theta @ theta)
+        with np.errstate(all="ignore"):
+            try:
+                return sum(one.likelihood(noise(theta)) for one in segments) + bounded
+            except np.linalg.LinAlgError:
+                return math.inf
+
+    # Correlation of the residuals one and two samples apart.
+    apart = [
+        float(np.nanmean([np.nanmean(r[k:] * r[: len(r) - k] / variance)
+                          for r in (one.residuals for one in segments)]))
+        for k in (1, 2)
+    ]  # fmt: skip
+    pole = min(max(apart[1] / apart[0] if apart[0] > 0.05 else 0.1, 0.05), 0.999)
+    slow = min(max(apart[0] / pole, 0.01), 0.95)
+    start = np.array([math.log(1.0 - slow), math.log(slow), math.log(pole / (1.0 - pole)), -9.0])
+    options = {"maxfev": _EVALUATIONS, "xatol": 0.05, "fatol": 0.05, "initial_simplex": start
+               + np.vstack([np.zeros(4), np.diag([1.0, -1.5, 1.0, 4.0])])}  # fmt: skip
+    found = minimize(cost, start, method="Nelder-Mead", options=options)
+    return noise(np.asarray(found.x))
+
+
+def calibrated(
+    observer: Observer,
+    records: Sequence[tuple[LoweredModel, Array, Array, Array, Array]],
+    rate: float,
+) -> tuple[Observer, float]:
+    """The observer with noise and threshold by its own innovations on held-out segments.
+
+    Args:
+        records: model of one state vector that did not see the segment, past window, inputs and
+            outputs of the segment
+        rate: false alarms a sample
+
+    Returns:
+        the observer, and the share of the NIS inside their 95 % band
+    """
+    from scipy.special import chdtri, ndtri
+
+    sequences: list[Array] = []
+    ends: list[Array] = []
+    ny = observer.low.ny
+    for low, past_u, past_y, u, y in records:
+        # The parameters of the fold model are nominal for it.
+        filter_ = Filter(replace(observer, low=low))
+        filter_.start(past_u, past_y, u[0])
+        first = filter_.z[observer.first : observer.order - ny].copy()
+        found = [filter_.update(row, measured) for row, measured in zip(u, y, strict=True)]
+        settled = min(max(20, observer.order), len(found) // 2)
+        full = [one.nis for one in found[settled:] if one.measured == ny and one.nis < math.inf]
+        sequences.append(np.array(full))
+        half = found[len(found) // 2 :]
+        ends.append(np.mean([(one.parameters - first) ** 2 for one in half], axis=0))
+        ends[-1] = ends[-1] - np.mean([one.deviations**2 for one in half], axis=0)
+    together = np.concatenate(sequences)
+    factor = max(float(together.mean()) / ny, 1e-12) if len(together) else 1.0
+    low_end, high_end = (float(chdtri(ny, p)) for p in (0.975, 0.025))
+    inside = float(np.mean((together / factor > low_end) & (together / factor < high_end)))
+    floors = np.sqrt(np.maximum(np.mean(ends, axis=0), 0.0)) if observer.parameters else []
+    parameters = tuple(
+        replace(one, floor=float(floor))
+        for one, floor in zip(observer.parameters, floors, strict=True)
+    )
+    scaled = replace(
+        observer,
+        noise=observer.noise.scaled(factor),
+        parameters=parameters,
+        threshold=alarm_threshold([one / factor for one in sequences], ny, rate),
+        deviations=float(-ndtri(0.5 * rate / max(len(parameters), 1))),
+    )
+    return scaled, inside
