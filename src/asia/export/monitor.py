@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -30,7 +31,10 @@ from asia.data.intake.time import time_column
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.export.linear import StepModels, step_models
+from asia.export.model import ExportModel, TrainingWindow
+from asia.export.parity import DOUBLE, ParityRow
 from asia.export.pipeline import measured
+from asia.export.targets.c import c_compiler, example_csv, observed, observer_files
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import Run, open_run
 from asia.lowering.evaluation import evaluate
@@ -40,6 +44,8 @@ from asia.problem.load import read_records
 _NOISE_SAMPLES, _SAMPLES = 1_500, 4_000
 # Memory of parameters in samples.
 _MEMORY = 500
+# Largest state vector that is printed as C, and samples that the code is compared on.
+_LARGEST, _COMPARED = 60, 2_000
 _CHANGE = re.compile(r"(gain|offset)\((.+)\)")
 
 
@@ -92,7 +98,8 @@ class Monitor:
         self.inputs, self.outputs = problem.inputs, problem.outputs
         self.sampling_time = problem.sampling_time
         changes = [_change(p, self.inputs, self.outputs) for p in parameters if p not in physical]
-        records, size = models.evaluator.data.records, len(physical)
+        self.records = records = models.evaluator.data.records
+        size = len(physical)
         signals = [np.concatenate([getattr(r, side) for r in records]) for side in ("u", "y")]
         segments = _held_out(models)
         plain = [augmented(low, (), 0.0) for low in models.folds]
@@ -278,6 +285,62 @@ class MonitoredRecord:
                 f"parameter {one.name}: {last.parameters[k]:.5g} +- {1.96 * sure:.2g} at the end, "
                 f"{one.nominal:.5g} in the run"
             )
+
+
+def export_observer(monitor: Monitor, folder: Path) -> tuple[list[Path], ParityRow]:
+    """Write the observer of a monitor as C99, compared with the monitor on a training record.
+
+    Raises:
+        UserError: for an unscented filter, a large state, and code that differs
+    """
+    observer, low = monitor.observer, monitor.observer.low
+    if monitor.method != "ekf":
+        raise UserError("the observer in C is an extended Kalman filter: leave --method out")
+    if observer.order > _LARGEST:
+        raise UserError(
+            f"--observer: the model has {observer.order} states with those of the observer, at "
+            f"most {_LARGEST} are printed as C: export a smaller model (--model)"
+        )
+    u, y = (np.concatenate([getattr(r, side) for r in monitor.records]) for side in ("u", "y"))
+    ranges = [np.stack([np.nanmin(v, axis=0), np.nanmax(v, axis=0)], axis=1) for v in (u, y)]
+    model = ExportModel(
+        monitor.name, monitor.use, monitor.problem.name, low, monitor.inputs, monitor.outputs,
+        monitor.sampling_time, *ranges,
+    )  # fmt: skip
+    record = max(monitor.records, key=len)
+    files = observer_files(model, observer)
+    compiler, past = c_compiler(), monitor.past
+    row = ParityRow("c observer", None, DOUBLE, None, sum(map(len, files.values())),
+                    "no C compiler here: not compared")  # fmt: skip
+    u, y = record.u[:_COMPARED], record.measured_y[:_COMPARED]
+    window = TrainingWindow(
+        u[past - low.n_past_u : past], y[past - low.n_past_y : past], u[past:], y[past:], y[past:]
+    )
+    files["example.csv"] = example_csv(model, window).encode()
+    if compiler is not None:
+        filter_ = Filter(observer)
+        filter_.start(window.past_u, window.past_y, window.u[0])
+        each = [filter_.update(*pair) for pair in zip(window.u, window.y, strict=True)]
+        expected = np.array(
+            [[*s.y_hat, s.nis, s.statistic, *s.parameters, *s.deviations,
+              -1 if s.since is None else s.since] for s in each]
+        )  # fmt: skip
+        with tempfile.TemporaryDirectory(prefix="asia-observer-") as made:
+            for name, data in files.items():
+                (Path(made) / name).write_bytes(data)
+            found, seconds = observed(compiler, Path(made), window, expected.shape[1])
+        scale = np.maximum(np.abs(expected).max(axis=0), 1e-300)
+        gap = float((np.abs(found - expected) / scale).max())
+        row = replace(row, difference=gap, microseconds=1e6 * seconds / len(each), note="")
+        if not gap <= DOUBLE:
+            raise UserError(
+                f"--observer: nothing was written: the code differs from the monitor by {gap:.1e}, "
+                f"at most {DOUBLE:.0e} is allowed; export a smaller model (--model)"
+            )
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    return [folder / name for name in files], row
 
 
 def _change(
