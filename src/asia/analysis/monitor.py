@@ -29,6 +29,8 @@ Method: TypeAlias = Literal["ekf", "ukf"]
 INCREASE = 1.5
 # Samples of simulated tests that give a threshold, and excursions whose mean excess extends it.
 _CHAINS, _STEPS, _EXCURSIONS = 400, 10_000, 1_000
+# Held-out samples for the noise, and for the threshold.
+_NOISE_SAMPLES, _SAMPLES = 1_500, 4_000
 # Evaluations of the likelihood of the noise.
 _EVALUATIONS = 150
 # Bounds of the noise in units of the residuals' variance.
@@ -477,52 +479,87 @@ def fit_noise(segments: Sequence[Linearised], input_variance: Array) -> Noise:
     return noise(np.asarray(found.x))
 
 
-def calibrated(
-    observer: Observer,
-    records: Sequence[tuple[LoweredModel, Array, Array, Array, Array]],
+@dataclass(frozen=True)
+class HeldOut:
+    """Segment of a record, with the past window before it."""
+
+    fold: int
+    """The fold whose model did not see it."""
+    past_u: Array
+    past_y: Array
+    u: Array
+    y: Array
+
+
+def make_observer(
+    own: LoweredModel,
+    folds: Sequence[LoweredModel],
+    segments: Sequence[HeldOut],
+    input_variance: Array,
+    parameters: Sequence[TimeVarying],
+    changes: Sequence[tuple[str, bool, int]],
+    forgetting: float,
     rate: float,
 ) -> tuple[Observer, float]:
-    """The observer with noise and threshold by its own innovations on held-out segments.
+    """Observer of a model, with noise and thresholds by the innovations of fold models on held-out
+    segments.
 
     Args:
-        records: model of one state vector that did not see the segment, past window, inputs and
-            outputs of the segment
+        own: the model; its last state holds the physical parameters, if there are any
+        folds: models of the same structure
+        input_variance: (nu,), of the training records
+        parameters: physical ones, then those of `changes`
+        changes: as in `augmented`
         rate: false alarms a sample
 
     Returns:
-        the observer, and the share of the NIS inside their 95 % band
+        the observer, and the share of the held-out NIS inside their 95 % band
     """
     from scipy.special import chdtri, ndtri
 
+    ny = own.ny
+    plain = [augmented(low, (), 0.0) for low in folds]
+    noise = fit_noise(
+        [Linearised.of(plain[one.fold], one.past_u, one.past_y, one.u, one.y)
+         for one in _limited(segments, _NOISE_SAMPLES)], input_variance
+    )  # fmt: skip
+    states = len(noise.initial) - ny - (len(parameters) - len(changes))
+    noise = replace(noise, initial=noise.initial[:states])
+    low = augmented(own, changes, noise.pole)
+    observer = Observer(low, tuple(parameters), noise, forgetting, math.inf, math.inf)
     sequences: list[Array] = []
-    ends: list[Array] = []
-    ny = observer.low.ny
-    for low, past_u, past_y, u, y in records:
+    apart: list[Array] = []
+    for one in _limited(segments, _SAMPLES):
         # The parameters of the fold model are nominal for it.
-        filter_ = Filter(replace(observer, low=low))
-        filter_.start(past_u, past_y, u[0])
-        first = filter_.z[observer.first : observer.order - ny].copy()
-        found = [filter_.update(row, measured) for row, measured in zip(u, y, strict=True)]
+        fold = Filter(replace(observer, low=augmented(folds[one.fold], changes, noise.pole)))
+        fold.start(one.past_u, one.past_y, one.u[0])
+        nominal = fold.z[observer.first : observer.order - ny].copy()
+        found = [fold.update(*pair) for pair in zip(one.u, one.y, strict=True)]
         settled = min(max(20, observer.order), len(found) // 2)
-        full = [one.nis for one in found[settled:] if one.measured == ny and one.nis < math.inf]
+        full = [s.nis for s in found[settled:] if s.measured == ny and math.isfinite(s.nis)]
         sequences.append(np.array(full))
         half = found[len(found) // 2 :]
-        ends.append(np.mean([(one.parameters - first) ** 2 for one in half], axis=0))
-        ends[-1] = ends[-1] - np.mean([one.deviations**2 for one in half], axis=0)
+        squares = [(s.parameters - nominal) ** 2 - s.deviations**2 for s in half]
+        apart.append(np.mean(squares, axis=0))
     together = np.concatenate(sequences)
     factor = max(float(together.mean()) / ny, 1e-12) if len(together) else 1.0
+    together = together / factor
     low_end, high_end = (float(chdtri(ny, p)) for p in (0.975, 0.025))
-    inside = float(np.mean((together / factor > low_end) & (together / factor < high_end)))
-    floors = np.sqrt(np.maximum(np.mean(ends, axis=0), 0.0)) if observer.parameters else []
-    parameters = tuple(
-        replace(one, floor=float(floor))
-        for one, floor in zip(observer.parameters, floors, strict=True)
-    )
-    scaled = replace(
+    inside = float(np.mean((together > low_end) & (together < high_end)))
+    floors = np.sqrt(np.maximum(np.mean(apart, axis=0), 0.0))
+    return replace(
         observer,
-        noise=observer.noise.scaled(factor),
-        parameters=parameters,
+        noise=noise.scaled(factor),
+        parameters=tuple(
+            replace(p, floor=float(floor)) for p, floor in zip(parameters, floors, strict=True)
+        ),
         threshold=alarm_threshold([one / factor for one in sequences], ny, rate),
         deviations=float(-ndtri(0.5 * rate / max(len(parameters), 1))),
-    )
-    return scaled, inside
+    ), inside
+
+
+def _limited(segments: Sequence[HeldOut], most: int) -> list[HeldOut]:
+    """The segments with about so many samples together, each shortened alike."""
+    share = min(1.0, most / sum(len(one.u) for one in segments))
+    rows = [max(int(share * len(one.u)), min(len(one.u), 60)) for one in segments]
+    return [replace(one, u=one.u[:n], y=one.y[:n]) for one, n in zip(segments, rows, strict=True)]

@@ -15,15 +15,12 @@ import numpy as np
 from asia._text import suggestion
 from asia.analysis.monitor import (
     Filter,
-    Linearised,
+    HeldOut,
     Method,
     MonitorSample,
-    Noise,
-    Observer,
     TimeVarying,
     augmented,
-    calibrated,
-    fit_noise,
+    make_observer,
 )
 from asia.data.intake.formats import file_format
 from asia.data.intake.sheet import Wanted
@@ -40,8 +37,6 @@ from asia.ledger.run import Run, open_run
 from asia.lowering.evaluation import evaluate
 from asia.problem.load import read_records
 
-# Held-out samples for the noise, and for the threshold.
-_NOISE_SAMPLES, _SAMPLES = 1_500, 4_000
 # Memory of parameters in samples.
 _MEMORY = 500
 # Largest state vector that is printed as C, and samples that the code is compared on.
@@ -99,18 +94,11 @@ class Monitor:
         self.sampling_time = problem.sampling_time
         changes = [_change(p, self.inputs, self.outputs) for p in parameters if p not in physical]
         self.records = records = models.evaluator.data.records
-        size = len(physical)
         signals = [np.concatenate([getattr(r, side) for r in records]) for side in ("u", "y")]
         segments = _held_out(models)
-        plain = [augmented(low, (), 0.0) for low in models.folds]
-        noise_part = [
-            Linearised.of(plain[fold], *cut) for fold, cut in _limited(segments, _NOISE_SAMPLES)
-        ]
-        noise = _without_disturbance(fit_noise(noise_part, signals[0].var(axis=0)), size,
-                                     self.outputs)  # fmt: skip
         # Nominal values are the last state of the model itself.
-        window = segments[0][1]
-        start = evaluate(models.own.initial, [window[0], window[1], window[2][0]])
+        window = segments[0]
+        start = evaluate(models.own.initial, [window.past_u, window.past_y, window.u[0]])
         values = start[-1].tolist() if physical else []
         ranges = {} if problem.physics is None else problem.physics.parameters
         chosen = [
@@ -131,19 +119,16 @@ class Monitor:
         kept = _MEMORY * step if memory is None else memory
         if not kept >= 2.0 * step:
             raise UserError(f"memory is {kept:g} s, expected at least two samples ({2 * step:g} s)")
-        observer = Observer(
-            augmented(models.own, changes, noise.pole), tuple(chosen), noise,
-            math.exp(-step / kept), math.inf, math.inf,
+        observer, self.inside = make_observer(
+            models.own, models.folds, segments, signals[0].var(axis=0), chosen, changes,
+            math.exp(-step / kept), false_alarms,
         )  # fmt: skip
-        folds = [augmented(low, changes, noise.pole) for low in models.folds]
-        used = [(folds[fold], *cut) for fold, cut in _limited(segments, _SAMPLES)]
-        observer, self.inside = calibrated(observer, used, false_alarms)
         own = measured(models.own, problem.preprocess, problem.inputs)
         longer = math.prod(own.states[0]) if len(own.states) > len(models.own.states) else 0
         initial = np.r_[np.zeros(longer), observer.noise.initial]
         self.observer = replace(
             observer,
-            low=augmented(own, changes, noise.pole),
+            low=augmented(own, changes, observer.noise.pole),
             noise=replace(observer.noise, initial=initial),
         )
         self.reset()
@@ -302,10 +287,12 @@ def export_observer(monitor: Monitor, folder: Path) -> tuple[list[Path], ParityR
             f"most {_LARGEST} are printed as C: export a smaller model (--model)"
         )
     u, y = (np.concatenate([getattr(r, side) for r in monitor.records]) for side in ("u", "y"))
-    ranges = [np.stack([np.nanmin(v, axis=0), np.nanmax(v, axis=0)], axis=1) for v in (u, y)]
+    input_range, output_range = (
+        np.stack([np.nanmin(v, axis=0), np.nanmax(v, axis=0)], axis=1) for v in (u, y)
+    )
     model = ExportModel(
         monitor.name, monitor.use, monitor.problem.name, low, monitor.inputs, monitor.outputs,
-        monitor.sampling_time, *ranges,
+        monitor.sampling_time, input_range, output_range,
     )  # fmt: skip
     record = max(monitor.records, key=len)
     files = observer_files(model, observer)
@@ -359,44 +346,22 @@ def _change(
     return match[1], is_input, place if is_input else place - len(inputs)
 
 
-def _without_disturbance(noise: Noise, physical: int, outputs: Sequence[Signal]) -> Noise:
-    """Initial variances of the states of the model alone; physical parameters have their own."""
-    return replace(noise, initial=noise.initial[: len(noise.initial) - physical - len(outputs)])
-
-
-_Cut = tuple[Array, Array, Array, Array]
-
-
-def _held_out(models: StepModels) -> list[tuple[int, _Cut]]:
+def _held_out(models: StepModels) -> list[HeldOut]:
     """Held-out segments of all folds: neighbouring blocks of a record as one."""
-    found: list[tuple[int, _Cut]] = []
+    found: list[HeldOut] = []
     for fold in models.evaluator.data.folds:
         previous = None
         for block in fold.held_out:
-            u, y = block.case.u, block.y
-            joined = (
-                previous is not None
-                and previous.record == block.record
-                and previous.stop == block.start
-            )
-            if joined:
-                past_u, past_y, us, ys = found[-1][1]
-                found[-1] = fold.index, (past_u, past_y, np.vstack([us, u]), np.vstack([ys, y]))
+            case, y = block.case, block.y
+            if previous is not None and (previous.record, previous.stop) == (
+                block.record, block.start,
+            ):  # fmt: skip
+                last = found[-1]
+                found[-1] = replace(last, u=np.vstack([last.u, case.u]), y=np.vstack([last.y, y]))
             else:
-                found.append((fold.index, (block.case.past_u, block.case.past_y, u, y)))
+                found.append(HeldOut(fold.index, case.past_u, case.past_y, case.u, y))
             previous = block
     return found
-
-
-def _limited(segments: Sequence[tuple[int, _Cut]], most: int) -> list[tuple[int, _Cut]]:
-    """The segments with at most so many samples together, each shortened alike."""
-    total = sum(len(u) for _, (_, _, u, _) in segments)
-    share = min(1.0, most / total)
-    return [
-        (fold, (past_u, past_y, u[:rows], y[:rows]))
-        for fold, (past_u, past_y, u, y) in segments
-        for rows in [max(int(share * len(u)), min(len(u), 60))]
-    ]
 
 
 def _first_date(path: Path, signals: Sequence[Signal]) -> datetime | None:

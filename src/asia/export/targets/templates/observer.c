@@ -80,6 +80,7 @@ static int corrected(asia_observer *o, const double *u, const double *y, asia_mo
     double slope[NY * N], cross[N * NY], spread[NY * NY], solved[NY * (N + 1)], error[NY];
     double z[N], p[N * N], q[N * N];
     int known[NY], m = 0, i, j, k;
+    memset(solved, 0, sizeof solved);
     observer_output(o->z, u, result->y_hat, slope);
     for (k = 0; k < NY; ++k)
         if (isfinite(y[k])) {
