@@ -315,7 +315,7 @@ def export_observer(monitor: Monitor, folder: Path) -> tuple[list[Path], ParityR
         with tempfile.TemporaryDirectory(prefix="asia-observer-") as made:
             for name, data in files.items():
                 (Path(made) / name).write_bytes(data)
-            found, seconds = observed(compiler, Path(made), window, expected.shape[1])
+            (found,), seconds = observed(compiler, Path(made), [window], expected.shape[1])
         scale = np.maximum(np.abs(expected).max(axis=0), 1e-300)
         gap = float((np.abs(found - expected) / scale).max())
         row = replace(row, difference=gap, microseconds=1e6 * seconds / len(each), note="")

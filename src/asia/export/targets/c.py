@@ -728,10 +728,10 @@ def observer_files(model: ExportModel, observer: Observer) -> dict[str, bytes]:
 
 
 def observed(
-    compiler: str, folder: Path, window: TrainingWindow, width: int
-) -> tuple[Array, float]:
-    """Compile the files of `observer_files` and run them on a window: results (H, width) as
-    `observer_harness.c` writes them, and the seconds."""
+    compiler: str, folder: Path, windows: Sequence[TrainingWindow], width: int
+) -> tuple[list[Array], float]:
+    """Compile the files of `observer_files` and run them on windows: results (H, width) as
+    `observer_harness.c` writes them, and the seconds of all."""
     with tempfile.TemporaryDirectory(prefix="asia-c-") as made:
         harness, library = Path(made) / "harness.c", Path(made) / "observer.so"
         harness.write_text(template("observer_harness.c"))
@@ -741,13 +741,18 @@ def observed(
         run = ctypes.CDLL(str(library)).asia_observe
         run.argtypes = [*[ctypes.POINTER(ctypes.c_double)] * 5, ctypes.c_long]
         run.restype = None
-        found = np.empty((len(window.u), width))
-        arrays = [np.ascontiguousarray(a, np.float64)
-                  for a in (window.past_u, window.past_y, window.u, window.y)]  # fmt: skip
-        pointers = [a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in (*arrays, found)]
-        begin = time.perf_counter()
-        run(*pointers, len(found))
-        return found, time.perf_counter() - begin
+        found: list[Array] = []
+        seconds = 0.0
+        for window in windows:
+            each = window.past_u, window.past_y, window.u, window.y
+            arrays = [np.ascontiguousarray(a, np.float64) for a in each]
+            arrays.append(np.empty((len(window.u), width)))
+            pointers = [a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in arrays]
+            begin = time.perf_counter()
+            run(*pointers, len(window.u))
+            seconds += time.perf_counter() - begin
+            found.append(arrays[-1])
+        return found, seconds
 
 
 def _function(
