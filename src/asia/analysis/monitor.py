@@ -31,6 +31,8 @@ INCREASE = 1.5
 _CHAINS, _STEPS, _EXCURSIONS = 400, 10_000, 1_000
 # Held-out samples for the noise, and for the threshold.
 _NOISE_SAMPLES, _SAMPLES = 1_500, 4_000
+# Past windows of a segment that show how well a model starts.
+_STARTS = 30
 # Evaluations of the likelihood of the noise.
 _EVALUATIONS = 150
 # Bounds of the noise in units of the residuals' variance.
@@ -388,10 +390,13 @@ class Linearised:
     """(T, n, nu), by the input."""
     c: Array
     """(T, ny, n), of the output by the state."""
+    starts: Array
+    """Initial states (M, n) from past windows inside the segment, minus the simulated ones."""
 
     @classmethod
-    def of(cls, low: LoweredModel, past_u: Array, past_y: Array, u: Array, y: Array) -> Linearised:
+    def of(cls, low: LoweredModel, segment: HeldOut) -> Linearised:
         """Simulate a segment with a model of one state vector."""
+        past_u, past_y, u, y = segment.past_u, segment.past_y, segment.u, segment.y
         output, update = jacobian(low.output, [0]), jacobian(low.update)
         (z,) = evaluate(low.initial, [past_u, past_y, u[0]])
         n, found = len(z), list[tuple[Array, ...]]()
@@ -400,7 +405,16 @@ class Linearised:
             after, slope = evaluate(update, [z, row])
             found.append((measured - y_hat, z, slope[:, :n], slope[:, n:], c))
             z = after
-        return cls(*(np.stack(part) for part in zip(*found, strict=True)))
+        residuals, states, a, b, c = (np.stack(part) for part in zip(*found, strict=True))
+        # Half of the segment is left to the simulation, which forgets its own start.
+        us, ys = np.concatenate([past_u, u]), np.concatenate([past_y, y])
+        starts: list[Array] = []
+        for k in np.unique(np.linspace(len(u) // 2, len(u) - 1, _STARTS).astype(int)):
+            window = [one[k : len(past) + k]
+                      for one, past in ((us, past_u), (ys, past_y))]  # fmt: skip
+            if np.isfinite(window[1]).all():
+                starts.append(evaluate(low.initial, [*window, u[k]])[0] - states[k])
+        return cls(residuals, states, a, b, c, np.array(starts).reshape(-1, n))
 
     def likelihood(self, noise: Noise) -> float:
         """Negative logarithm of the likelihood of the residuals under the noise."""
@@ -441,13 +455,9 @@ def fit_noise(segments: Sequence[Linearised], input_variance: Array) -> Noise:
     residuals = np.concatenate([one.residuals for one in segments])
     variance = np.nanmean(residuals**2, axis=0)
     variance = np.maximum(variance, 1e-30 * max(float(variance.max()), 1e-270))
-    # Uncertain initial states: as large a share of their range as the residuals are of the outputs.
+    starts = np.concatenate([one.starts for one in segments])
     states = np.concatenate([one.states for one in segments])
-    outputs = np.concatenate(
-        [np.einsum("tij,tj->ti", one.c, one.states - states.mean(axis=0)) for one in segments]
-    )
-    share = float(np.mean(variance / np.maximum(outputs.var(axis=0) + variance, 1e-300)))
-    initial = share * states.var(axis=0)
+    initial = (starts**2).mean(axis=0) if len(starts) else states.var(axis=0)
 
     def noise(theta: Array) -> Noise:
         white, slow, pole, driven = np.clip(theta, -18.0, 18.0)
@@ -520,8 +530,8 @@ def make_observer(
     ny = own.ny
     plain = [augmented(low, (), 0.0) for low in folds]
     noise = fit_noise(
-        [Linearised.of(plain[one.fold], one.past_u, one.past_y, one.u, one.y)
-         for one in _limited(segments, _NOISE_SAMPLES)], input_variance
+        [Linearised.of(plain[one.fold], one) for one in _limited(segments, _NOISE_SAMPLES)],
+        input_variance
     )  # fmt: skip
     states = len(noise.initial) - ny - (len(parameters) - len(changes))
     noise = replace(noise, initial=noise.initial[:states])
