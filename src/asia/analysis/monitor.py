@@ -275,18 +275,21 @@ class Filter:
         return np.concatenate([mean + root.T, mean - root.T])
 
     def _bound_parameters(self) -> None:
-        """Forget, and keep the parameters inside their ranges."""
-        observer, first = self.observer, self.observer.first
-        for k, one in enumerate(observer.parameters, first):
+        """Keep the parameters inside their ranges, and forget."""
+        for k, one in enumerate(self.observer.parameters, self.observer.first):
             self.z[k] = min(max(self.z[k], one.low), one.high)
-            room = one.spread / math.sqrt(max(float(self.p[k, k]), 1e-300))
-            factor = min(1.0 / math.sqrt(observer.forgetting), max(room, 1.0))
-            self.p[k] *= factor
-            self.p[:, k] *= factor
+            self._widen(k, one, 1.0 / math.sqrt(self.observer.forgetting))
+
+    def _widen(self, k: int, one: TimeVarying, limit: float) -> None:
+        """Multiply the standard deviation of a parameter, at most to its first value."""
+        room = one.spread / math.sqrt(max(float(self.p[k, k]), 1e-300))
+        factor = min(limit, max(room, 1.0))
+        self.p[k] *= factor
+        self.p[:, k] *= factor
 
     def _tested(self, nis: float, count: int, estimates: Array, deviations: Array) -> int | None:
         """Sample since which the model is not valid, by Page's test or by a parameter."""
-        observer = self.observer
+        observer, before = self.observer, self.statistic
         gained = 2.0 * observer.threshold
         if math.isfinite(nis):
             gained = float(increments(np.array(nis), count))
@@ -299,6 +302,10 @@ class Filter:
                 observer.parameters, estimates.tolist(), deviations.tolist(), strict=True
             )
         )
+        if before <= observer.threshold < self.statistic:
+            # The parameters are sought anew.
+            for k, one in enumerate(observer.parameters, observer.first):
+                self._widen(k, one, math.inf)
         if self.statistic > observer.threshold:
             self._since = min(self._zero, self._samples if self._since is None else self._since)
         elif changed:

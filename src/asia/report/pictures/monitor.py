@@ -57,6 +57,7 @@ def draw_monitor(
     axis.semilogy(x, np.maximum(values[every], 1e-3 * low + 1e-12), ".", color=BLUE, ms=1.5)
     axis.axhspan(low, high, color=QUIET, alpha=0.2, lw=0)
     axis.set_ylim(max(0.1 * low, 1e-4), max(10.0 * high, 2.0 * float(np.nanmax(values))))
+    axis.yaxis.set_major_formatter("{x:g}")
     axis.set_title("normalised innovation squared (NIS) and its 95 % band")
     sums, threshold = statistic
     axis = axes[len(outputs) + 1]
@@ -71,7 +72,7 @@ def draw_monitor(
             x, (estimate - wide)[every], (estimate + wide)[every], color=GREEN, alpha=0.25, lw=0
         )
         axis.axhline(nominal, color=QUIET, lw=0.8, ls=":")
-        axis.set_title(plain(f"{name}: estimate with 95 % band, and the value in the run (dotted)"))
+        axis.set_title(f"{plain(name)}: estimate with 95 % band, and value in the run (dotted)")
     for axis in axes:
         for first, last in alarms:
             axis.axvspan(first, last, color=RED, alpha=0.12, lw=0)

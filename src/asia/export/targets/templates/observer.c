@@ -77,10 +77,9 @@ static void solve(double *a, double *b, int m, int k)
 static int corrected(asia_observer *o, const double *u, const double *y, asia_monitored *result)
 {
     static const int columns = N + 1;
-    double slope[NY * N], cross[N * NY], spread[NY * NY], solved[NY * (N + 1)], error[NY];
-    double z[N], p[N * N], q[N * N];
-    int known[NY], m = 0, i, j, k;
-    memset(solved, 0, sizeof solved);
+    double slope[NY * N], cross[N * NY] = {0}, spread[NY * NY] = {0};
+    double solved[NY * (N + 1)] = {0}, error[NY] = {0}, z[N], p[N * N], q[N * N];
+    int known[NY] = {0}, m = 0, i, j, k;
     observer_output(o->z, u, result->y_hat, slope);
     for (k = 0; k < NY; ++k)
         if (isfinite(y[k])) {
@@ -126,20 +125,25 @@ static int corrected(asia_observer *o, const double *u, const double *y, asia_mo
     return m;
 }
 
+/* Multiplies the standard deviation of a parameter: by the forgetting, or to its first value. */
+static void widened(asia_observer *o, int k, double limit)
+{
+    int place = FIRST + k, i;
+    double room = parameters[k][1] / sqrt(fmax(o->p[place * N + place], 1e-300));
+    double factor = fmin(limit, fmax(room, 1.0));
+    for (i = 0; i < N; ++i)
+        o->p[place * N + i] *= factor;
+    for (i = 0; i < N; ++i)
+        o->p[i * N + place] *= factor;
+}
+
 /* Keeps the parameters inside their ranges, and forgets. */
 static void bounded(asia_observer *o)
 {
-    int i, k;
+    int k;
     for (k = 0; k < ASIA_OBSERVER_PARAMETERS; ++k) {
-        const double *own = parameters[k];
-        int place = FIRST + k;
-        double room = own[1] / sqrt(fmax(o->p[place * N + place], 1e-300));
-        double factor = fmin(1.0 / sqrt(@FORGETTING@), fmax(room, 1.0));
-        o->z[place] = fmin(fmax(o->z[place], own[2]), own[3]);
-        for (i = 0; i < N; ++i)
-            o->p[place * N + i] *= factor;
-        for (i = 0; i < N; ++i)
-            o->p[i * N + place] *= factor;
+        o->z[FIRST + k] = fmin(fmax(o->z[FIRST + k], parameters[k][2]), parameters[k][3]);
+        widened(o, k, 1.0 / sqrt(@FORGETTING@));
     }
 }
 
@@ -148,7 +152,7 @@ static void tested(asia_observer *o, int m, asia_monitored *result)
 {
     const double threshold = @THRESHOLD@;
     double gained = 2.0 * threshold;
-    int changed = 0, k;
+    int before = o->statistic > threshold, changed = 0, k;
     if (isfinite(result->nis))
         gained = @FACTOR@ * result->nis - @LOSS@ * m;
     o->statistic = fmin(fmax(o->statistic + gained, 0.0), 2.0 * threshold);
@@ -161,6 +165,8 @@ static void tested(asia_observer *o, int m, asia_monitored *result)
         changed |= fabs(o->z[place] - parameters[k][0])
                    > @DEVIATIONS@ * hypot(result->deviations[k], parameters[k][4]);
     }
+    for (k = 0; k < ASIA_OBSERVER_PARAMETERS && o->statistic > threshold && !before; ++k)
+        widened(o, k, HUGE_VAL);
     if (o->statistic > threshold) {
         if (o->since < 0 || o->zero < o->since)
             o->since = o->zero < o->samples ? o->zero : o->samples;
