@@ -33,8 +33,8 @@ _CHAINS, _STEPS, _EXCURSIONS = 400, 10_000, 1_000
 _NOISE_SAMPLES, _SAMPLES = 1_500, 4_000
 # Past windows of a segment that show how well a model starts.
 _STARTS = 30
-# Evaluations of the likelihood of the noise.
-_EVALUATIONS = 150
+# Rounds of the search for the noise, and trials of one.
+_ROUNDS, _TRIALS = 6, 40
 # Bounds of the noise in units of the residuals' variance.
 _SMALL = 1e-8
 
@@ -232,6 +232,10 @@ class Filter:
 
     def update(self, u: Array, y: Array) -> MonitorSample:
         """Take the input (nu,) and the output (ny,) of a sample; nan where it is not measured."""
+        with np.errstate(all="ignore"):
+            return self._updated(u, y)
+
+    def _updated(self, u: Array, y: Array) -> MonitorSample:
         observer, known = self.observer, np.flatnonzero(np.isfinite(y))
         y_hat, cross, spread = self._expected(u)
         error, cross = (y - y_hat)[known], cross[:, known]
@@ -423,29 +427,35 @@ class Linearised:
                 starts.append(evaluate(low.initial, [*window, u[k]])[0] - states[k])
         return cls(residuals, states, a, b, c, np.array(starts).reshape(-1, n))
 
-    def likelihood(self, noise: Noise) -> float:
-        """Negative logarithm of the likelihood of the residuals under the noise."""
-        n, ny = self.states.shape[1], self.residuals.shape[1]
-        z, p = np.zeros(n + ny), np.diag(np.concatenate([noise.initial, noise.disturbance]))
-        a, b, c = np.zeros((n + ny,) * 2), np.zeros((n + ny, self.b.shape[2])), np.eye(ny, n + ny)
-        a[n:, n:], c[:, n:] = noise.pole * np.eye(ny), np.eye(ny)
-        drive = np.diag(np.r_[np.zeros(n), noise.disturbance * (1.0 - noise.pole**2)])
-        r, total = np.diag(noise.output), 0.0
+    def likelihood(self, trials: Sequence[Noise]) -> Array:
+        """Negative logarithms of the likelihood of the residuals under each of several noises."""
+        n, ny, count = self.states.shape[1], self.residuals.shape[1], len(trials)
+        eye = np.eye(n + ny)
+        initial = np.stack([np.r_[one.initial, one.disturbance] for one in trials])
+        slow = np.stack([one.disturbance * (1.0 - one.pole**2) for one in trials])
+        drive = np.concatenate([np.zeros((count, n)), slow], axis=1)[:, None] * eye
+        white = np.stack([one.output for one in trials])
+        inputs = np.stack([one.input for one in trials])[:, None]
+        z, p, total = np.zeros((count, n + ny)), initial[:, None] * eye, np.zeros(count)
+        a = np.array([one.pole for one in trials])[:, None, None] * eye
+        b, c = np.zeros((n + ny, self.b.shape[2])), np.eye(ny, n + ny, n)
         for k, row in enumerate(self.residuals):
             known = np.isfinite(row)
-            a[:n, :n], b[:n], c[:, :n] = self.a[k], self.b[k], self.c[k]
+            a[:, :n, :n], b[:n], c[:, :n] = self.a[k], self.b[k], self.c[k]
             if known.any():
                 h = c[known]
                 cross = p @ h.T
-                spread = h @ cross + r[np.ix_(known, known)]
-                error = row[known] - h @ z
-                gain = np.linalg.solve(spread, np.column_stack([cross.T, error]))
-                total += float(np.linalg.slogdet(spread)[1] + error @ gain[:, -1])
-                z = z + cross @ gain[:, -1]
-                p = p - cross @ gain[:, :-1]
-            z = a @ z
-            p = a @ p @ a.T + (b * noise.input) @ b.T + drive
-        return total if math.isfinite(total) else math.inf
+                spread = h @ cross + white[:, known, None] * np.eye(len(h))
+                error = (row[known] - z @ h.T)[..., None]
+                side = np.concatenate([cross.swapaxes(1, 2), error], axis=2)
+                gain = np.linalg.solve(spread, side)
+                total += np.linalg.slogdet(spread)[1]
+                total += (error * gain[..., -1:]).sum(axis=(1, 2))
+                z = z + (cross @ gain[..., -1:])[..., 0]
+                p = p - cross @ gain[..., :-1]
+            z = (a @ z[..., None])[..., 0]
+            p = a @ p @ a.swapaxes(1, 2) + (b * inputs) @ b.T + drive
+        return np.where(np.isfinite(total), total, np.inf)
 
 
 def fit_noise(segments: Sequence[Linearised], input_variance: Array) -> Noise:
@@ -457,8 +467,6 @@ def fit_noise(segments: Sequence[Linearised], input_variance: Array) -> Noise:
     Args:
         input_variance: (nu,), of the training records
     """
-    from scipy.optimize import minimize
-
     residuals = np.concatenate([one.residuals for one in segments])
     variance = np.nanmean(residuals**2, axis=0)
     variance = np.maximum(variance, 1e-30 * max(float(variance.max()), 1e-270))
@@ -473,14 +481,6 @@ def fit_noise(segments: Sequence[Linearised], input_variance: Array) -> Noise:
             1.0 / (1.0 + math.exp(-pole)), input_variance * math.exp(driven), initial,
         )  # fmt: skip
 
-    def cost(theta: Array) -> float:
-        bounded = 1e-3 * float(theta @ theta)
-        with np.errstate(all="ignore"):
-            try:
-                return sum(one.likelihood(noise(theta)) for one in segments) + bounded
-            except np.linalg.LinAlgError:
-                return math.inf
-
     # Correlation of the residuals one and two samples apart.
     apart = [
         float(np.nanmean([np.nanmean(r[k:] * r[: len(r) - k] / variance)
@@ -489,11 +489,16 @@ def fit_noise(segments: Sequence[Linearised], input_variance: Array) -> Noise:
     ]  # fmt: skip
     pole = min(max(apart[1] / apart[0] if apart[0] > 0.05 else 0.1, 0.05), 0.999)
     slow = min(max(apart[0] / pole, 0.01), 0.95)
-    start = np.array([math.log(1.0 - slow), math.log(slow), math.log(pole / (1.0 - pole)), -9.0])
-    options = {"maxfev": _EVALUATIONS, "xatol": 0.05, "fatol": 0.05, "initial_simplex": start
-               + np.vstack([np.zeros(4), np.diag([1.0, -1.5, 1.0, 4.0])])}  # fmt: skip
-    found = minimize(cost, start, method="Nelder-Mead", options=options)
-    return noise(np.asarray(found.x))
+    best = np.array([math.log(1.0 - slow), math.log(slow), math.log(pole / (1.0 - pole)), -9.0])
+    # Random search that narrows around the best, all trials of a round at once.
+    rng, width = np.random.default_rng(0), np.array([1.0, 2.0, 1.5, 4.0])
+    for _ in range(_ROUNDS):
+        trials = best + width * np.vstack([np.zeros(4), rng.normal(size=(_TRIALS - 1, 4))])
+        noises = [noise(theta) for theta in trials]
+        with np.errstate(all="ignore"):
+            cost = sum(one.likelihood(noises) for one in segments) + 1e-3 * (trials**2).sum(axis=1)
+        best, width = trials[int(np.argmin(cost))], 0.6 * width
+    return noise(best)
 
 
 @dataclass(frozen=True)
