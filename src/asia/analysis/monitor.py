@@ -67,13 +67,11 @@ class Noise:
     """Its coefficient: correlation from sample to sample."""
     input: Array
     """White noise (nu,) that acts like the inputs."""
-    initial: Array
-    """Initial states (n,) of the model."""
 
     def scaled(self, factor: float) -> Noise:
         """All variances times a factor."""
-        return Noise(self.output * factor, self.disturbance * factor, self.pole,
-                     self.input * factor, self.initial * factor)  # fmt: skip
+        output, disturbance = self.output * factor, self.disturbance * factor
+        return Noise(output, disturbance, self.pole, self.input * factor)
 
 
 @dataclass(frozen=True)
@@ -86,6 +84,8 @@ class Observer:
     """Parameters, whose values are the states before the last ny."""
     noise: Noise
     """That of the model without parameters."""
+    initial: Array
+    """Variances of the states of the model before the first sample, without parameters."""
     forgetting: float
     """Factor of the memory of parameters in one sample; 1 keeps all."""
     threshold: float
@@ -118,7 +118,7 @@ class Observer:
     def start(self) -> Array:
         """Variances (n,) of the first state vector."""
         spreads = [one.spread**2 for one in self.parameters]
-        return np.concatenate([self.noise.initial, spreads, self.noise.disturbance])
+        return np.concatenate([self.initial, spreads, self.noise.disturbance])
 
     @property
     def drive(self) -> Array:
@@ -370,9 +370,12 @@ def alarm_threshold(nis: Sequence[Array], count: int, rate: float, seed: int = 0
         chosen = rng.choice(starts, (_CHAINS, _STEPS // size))
         places = (chosen[..., None] + np.arange(size)).reshape(_CHAINS, -1)
         drawn.append(np.concatenate(long)[places])
+    # The variance of the innovations is known with this relative error.
+    known = sum(map(len, nis)) * count
+    wider = 1.0 + math.sqrt(2.0 / known) if known else 1.0
     found: list[float] = []
     for one in drawn:
-        total = np.cumsum(increments(one, count), axis=1)
+        total = np.cumsum(increments(wider * one, count), axis=1)
         statistic = total - np.minimum.accumulate(np.minimum(total, 0.0), axis=1)
         statistic[:, 0] = 0.0
         flat = statistic.reshape(-1)
@@ -401,8 +404,8 @@ class Linearised:
     """(T, n, nu), by the input."""
     c: Array
     """(T, ny, n), of the output by the state."""
-    starts: Array
-    """Initial states (M, n) from past windows inside the segment, minus the simulated ones."""
+    initial: Array
+    """Variances (n,) of the initial states."""
 
     @classmethod
     def of(cls, low: LoweredModel, segment: HeldOut) -> Linearised:
@@ -417,21 +420,13 @@ class Linearised:
             found.append((measured - y_hat, z, slope[:, :n], slope[:, n:], c))
             z = after
         residuals, states, a, b, c = (np.stack(part) for part in zip(*found, strict=True))
-        # Half of the segment is left to the simulation, which forgets its own start.
-        us, ys = np.concatenate([past_u, u]), np.concatenate([past_y, y])
-        starts: list[Array] = []
-        for k in np.unique(np.linspace(len(u) // 2, len(u) - 1, _STARTS).astype(int)):
-            window = [one[k : len(past) + k]
-                      for one, past in ((us, past_u), (ys, past_y))]  # fmt: skip
-            if np.isfinite(window[1]).all():
-                starts.append(evaluate(low.initial, [*window, u[k]])[0] - states[k])
-        return cls(residuals, states, a, b, c, np.array(starts).reshape(-1, n))
+        return cls(residuals, states, a, b, c, start_variance(low, [segment]))
 
     def likelihood(self, trials: Sequence[Noise]) -> Array:
         """Negative logarithms of the likelihood of the residuals under each of several noises."""
         n, ny, count = self.states.shape[1], self.residuals.shape[1], len(trials)
         eye = np.eye(n + ny)
-        initial = np.stack([np.r_[one.initial, one.disturbance] for one in trials])
+        initial = np.stack([np.r_[self.initial, one.disturbance] for one in trials])
         slow = np.stack([one.disturbance * (1.0 - one.pole**2) for one in trials])
         drive = np.concatenate([np.zeros((count, n)), slow], axis=1)[:, None] * eye
         white = np.stack([one.output for one in trials])
@@ -458,6 +453,24 @@ class Linearised:
         return np.where(np.isfinite(total), total, np.inf)
 
 
+def start_variance(low: LoweredModel, segments: Sequence[HeldOut]) -> Array:
+    """Variances (n,) of initial states from past windows inside the segments, around the states of
+    the simulation there."""
+    found: list[Array] = []
+    for one in segments:
+        us, ys = np.concatenate([one.past_u, one.u]), np.concatenate([one.past_y, one.y])
+        past_u, past_y, last = len(one.past_u), len(one.past_y), len(one.u) - 1
+        # In the first half the simulation forgets its own start.
+        places = set(np.linspace(last // 2, last, _STARTS).astype(int).tolist())
+        (z,) = evaluate(low.initial, [one.past_u, one.past_y, one.u[0]])
+        for k, row in enumerate(one.u):
+            window = us[k : past_u + k], ys[k : past_y + k]
+            if k in places and np.isfinite(window[1]).all():
+                found.append(evaluate(low.initial, [*window, row])[0] - z)
+            (z,) = evaluate(low.update, [z, row])
+    return np.mean(np.square(found), axis=0) if found else np.zeros(low.states[0])
+
+
 def fit_noise(segments: Sequence[Linearised], input_variance: Array) -> Noise:
     """Noise of largest likelihood for the residuals of held-out segments.
 
@@ -470,15 +483,12 @@ def fit_noise(segments: Sequence[Linearised], input_variance: Array) -> Noise:
     residuals = np.concatenate([one.residuals for one in segments])
     variance = np.nanmean(residuals**2, axis=0)
     variance = np.maximum(variance, 1e-30 * max(float(variance.max()), 1e-270))
-    starts = np.concatenate([one.starts for one in segments])
-    states = np.concatenate([one.states for one in segments])
-    initial = (starts**2).mean(axis=0) if len(starts) else states.var(axis=0)
 
     def noise(theta: Array) -> Noise:
         white, slow, pole, driven = np.clip(theta, -18.0, 18.0)
         return Noise(
             variance * (math.exp(white) + _SMALL), variance * math.exp(slow),
-            1.0 / (1.0 + math.exp(-pole)), input_variance * math.exp(driven), initial,
+            1.0 / (1.0 + math.exp(-pole)), input_variance * math.exp(driven),
         )  # fmt: skip
 
     # Correlation of the residuals one and two samples apart.
@@ -540,22 +550,26 @@ def make_observer(
     from scipy.special import chdtri, ndtri
 
     ny = own.ny
+    # The models of the folds may have other orders than the model itself.
     plain = [augmented(low, (), 0.0) for low in folds]
-    noise = fit_noise(
-        [Linearised.of(plain[one.fold], one) for one in _limited(segments, _NOISE_SAMPLES)],
-        input_variance
-    )  # fmt: skip
-    states = len(noise.initial) - ny - (len(parameters) - len(changes))
-    noise = replace(noise, initial=noise.initial[:states])
+    part, physical = _limited(segments, _NOISE_SAMPLES), len(parameters) - len(changes)
+    linearised = [Linearised.of(plain[one.fold], one) for one in part]
+    noise = fit_noise(linearised, input_variance)
+
+    def initial(variances: Array) -> Array:
+        return variances[: len(variances) - ny - physical]
+
+    own_start = initial(start_variance(augmented(own, (), 0.0), part))
     low = augmented(own, changes, noise.pole)
-    observer = Observer(low, tuple(parameters), noise, forgetting, math.inf, math.inf)
+    observer = Observer(low, tuple(parameters), noise, own_start, forgetting, math.inf, math.inf)
     sequences: list[Array] = []
     apart: list[Array] = []
-    for one in _limited(segments, _SAMPLES):
+    for one, known in zip(_limited(segments, _SAMPLES), linearised, strict=True):
         # The parameters of the fold model are nominal for it.
-        fold = Filter(replace(observer, low=augmented(folds[one.fold], changes, noise.pole)))
+        low = augmented(folds[one.fold], changes, noise.pole)
+        fold = Filter(replace(observer, low=low, initial=initial(known.initial)))
         fold.start(one.past_u, one.past_y, one.u[0])
-        nominal = fold.z[observer.first : observer.order - ny].copy()
+        nominal = fold.z[fold.observer.first : fold.observer.order - ny].copy()
         found = [fold.update(*pair) for pair in zip(one.u, one.y, strict=True)]
         settled = min(max(20, observer.order), len(found) // 2)
         full = [s.nis for s in found[settled:] if s.measured == ny and math.isfinite(s.nis)]
@@ -572,6 +586,7 @@ def make_observer(
     return replace(
         observer,
         noise=noise.scaled(factor),
+        initial=own_start * factor,
         parameters=tuple(
             replace(p, floor=float(floor)) for p, floor in zip(parameters, floors, strict=True)
         ),

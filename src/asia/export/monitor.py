@@ -125,11 +125,11 @@ class Monitor:
         )  # fmt: skip
         own = measured(models.own, problem.preprocess, problem.inputs)
         longer = math.prod(own.states[0]) if len(own.states) > len(models.own.states) else 0
-        initial = np.r_[np.zeros(longer), observer.noise.initial]
+        initial = np.r_[np.zeros(longer), observer.initial]
         self.observer = replace(
             observer,
             low=augmented(own, changes, observer.noise.pole),
-            noise=replace(observer.noise, initial=initial),
+            initial=initial,
         )
         self.reset()
 
