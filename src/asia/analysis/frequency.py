@@ -1,0 +1,297 @@
+"""Linear models of measured frequency responses, with an open delay.
+
+Starts come from a subspace method, the model from weighted least squares of the response, the order
+from cross-validation over interleaved frequencies. Sources: McKelvey, Akcay and Ljung, IEEE Trans.
+Automatic Control 41, 1996 (subspace method); Pintelon and Schoukens, System Identification: A
+Frequency Domain Approach, 2nd ed., chapters 8 and 9.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data.intake.frequency import ComplexArray, FrequencyRecord
+from asia.data.trajectory import Array
+from asia.errors import UserError
+from asia.lowering.linear import LinearModel
+
+_FOLDS, _LARGEST = 3, 24
+# A smaller order is taken while its held-out error is at most this much larger than the least one.
+_WORSE = 1.05
+# Relative error that counts as none.
+_EXACT = 1e-7
+# Delays on the grid, and the longest one in turns of the phase at the highest frequency.
+_DELAYS, _TURNS = 25, 6.0
+_ITERATIONS = 40
+# Raw unstable poles are kept where they lower the error to this part of that without.
+_UNSTABLE = 0.5
+
+
+@dataclass(frozen=True)
+class FrequencyFit:
+    """Linear model of a frequency response."""
+
+    record: FrequencyRecord
+    model: LinearModel
+    """Without the delay; in continuous time where the record is."""
+    delay: float
+    """In s, the same for all inputs and outputs."""
+    folds: tuple[tuple[LinearModel, float], ...]
+    """Models and delays without every third frequency."""
+    error: float
+    """Root of the mean squared error over its standard deviation, where the variance is known; else
+    relative to the response."""
+    held_out: float
+    """The same at frequencies that a fold did not see."""
+    tried: tuple[tuple[int, float], ...]
+    """Orders with their held-out errors."""
+
+    def response(self, frequency: Array) -> ComplexArray:
+        """Response (F, ny, nu) with the delay at frequencies in Hz."""
+        return delayed_response(self.model, self.delay, frequency)
+
+
+def delayed_response(model: LinearModel, delay: float, frequency: Array) -> ComplexArray:
+    """Response (F, ny, nu) of a model after a delay in s."""
+    turn = np.exp(-2j * math.pi * frequency * delay)
+    return model.response(frequency) * turn[:, None, None]
+
+
+@dataclass(frozen=True)
+class _System:
+    """Discrete system on the unit circle, and a delay in s."""
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    delay: float
+
+    def response(self, z: ComplexArray, s: ComplexArray) -> ComplexArray:
+        inside = z[:, None, None] * np.eye(len(self.a)) - self.a
+        plain = self.c @ np.linalg.solve(inside, self.b.astype(np.complex128)) + self.d
+        return plain * np.exp(-s * self.delay)[:, None, None]
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Response at points z of the unit circle, with weights."""
+
+    z: ComplexArray
+    s: ComplexArray
+    response: ComplexArray
+    weight: Array
+
+    def at(self, chosen: NDArray[np.bool_]) -> _Data:
+        return _Data(self.z[chosen], self.s[chosen], self.response[chosen], self.weight[chosen])
+
+    def error(self, system: _System) -> float:
+        apart = self.weight * (self.response - system.response(self.z, self.s))
+        size = float(np.sqrt(np.mean(np.abs(apart) ** 2)))
+        return size if math.isfinite(size) else math.inf
+
+
+def fit_frequency_response(record: FrequencyRecord, order: int | None = None) -> FrequencyFit:
+    """Fit a linear model with a delay.
+
+    Args:
+        order: number of states; None: by cross-validation
+
+    Raises:
+        UserError: for an order that the frequencies do not determine
+    """
+    w = 2.0 * math.pi * record.frequency
+    s = np.asarray(1j * w, np.complex128)
+    # Continuous time: the bilinear map to the unit circle, around the middle of the frequencies.
+    positive = w[w > 0]
+    middle = math.exp(float(np.log(positive).mean()))
+    z = (
+        np.exp(s * record.sampling_time) if record.sampling_time
+        else (1.0 + s / middle) / (1.0 - s / middle)
+    )  # fmt: skip
+    size = np.abs(record.response)
+    weight = (
+        1.0 / np.sqrt(record.variance) if record.variance is not None
+        else 1.0 / (size + 0.05 * np.median(size, axis=0))
+    )  # fmt: skip
+    data = _Data(z, s, record.response, weight)
+    _, ny, nu = record.response.shape
+    most = min(_LARGEST, len(w) * min(ny, nu) // 4)
+    if order is not None and not 1 <= order <= most:
+        raise UserError(f"order is {order}, expected 1 to {most} for {len(w)} frequencies")
+    number = np.arange(len(w))
+    parts = [(data.at(number % _FOLDS != k), data.at(number % _FOLDS == k)) for k in range(_FOLDS)]
+    scale = float(np.sqrt(np.mean((weight * size) ** 2)))
+    found: dict[int, tuple[float, list[_System]]] = {}
+    for n in [order] if order is not None else range(1, most + 1):
+        folds = [_fitted(seen, n) for seen, _ in parts]
+        errors = [held.error(one) for (_, held), one in zip(parts, folds, strict=True)]
+        found[n] = float(np.sqrt(np.mean(np.square(errors)))), folds
+        least = min(error for error, _ in found.values())
+        # Beyond a clear minimum no larger order is tried.
+        best = min(found, key=lambda k: found[k][0])
+        if least < _EXACT * scale or (n >= best + 4 and n >= 6):
+            break
+    least = min(error for error, _ in found.values())
+    chosen = min(
+        n for n, (error, _) in found.items() if error <= max(_WORSE * least, _EXACT * scale)
+    )
+    system = _fitted(data, chosen)
+
+    def model(one: _System) -> LinearModel:
+        zeros = np.zeros(nu), np.zeros(ny)
+        if record.sampling_time:
+            return LinearModel(one.a, one.b, one.c, one.d, record.sampling_time, *zeros)
+        # s = middle (z - 1) / (z + 1), inverted.
+        inverse = np.linalg.inv(one.a + np.eye(chosen))
+        return LinearModel(
+            middle * (one.a - np.eye(chosen)) @ inverse, 2.0 * middle * inverse @ inverse @ one.b,
+            one.c, one.d - one.c @ inverse @ one.b, 0.0, *zeros,
+        )  # fmt: skip
+
+    return FrequencyFit(
+        record, model(system), system.delay,
+        tuple((model(one), one.delay) for one in found[chosen][1]),
+        data.error(system), found[chosen][0],
+        tuple((n, error) for n, (error, _) in found.items()),
+    )  # fmt: skip
+
+
+def _fitted(data: _Data, order: int) -> _System:
+    """The best starts over the delays, refined with the delay open."""
+    highest = float(data.s.imag.max())
+    delays = 2.0 * math.pi * np.linspace(0.0, _TURNS, _DELAYS) / highest
+    starts = [one for delay in delays for one in _starts(data, order, float(delay))]
+    starts.sort(key=data.error)
+    refined = [_refined(data, one) for one in starts[:3]]
+    stable = [one for one in refined if np.abs(np.linalg.eigvals(one.a)).max() < 1.0]
+    best = min(refined, key=data.error)
+    if stable:
+        calm = min(stable, key=data.error)
+        best = calm if data.error(calm) * _UNSTABLE < data.error(best) else best
+    return best
+
+
+def _starts(data: _Data, order: int, delay: float) -> list[_System]:
+    """Subspace estimate for a delay, and the same with stable poles."""
+    response = data.response * np.exp(data.s * delay)[:, None, None]
+    count, ny, nu = response.shape
+    rows = min(2 * order + 6, max(order + 2, count // (2 * nu)))
+    powers = data.z[:, None] ** np.arange(rows)
+    mean = data.weight.mean(axis=(1, 2))[:, None, None, None]
+    stacked = (mean * powers[:, :, None, None] * response[:, None]).reshape(count, rows * ny, nu)
+    inputs = (mean * powers[:, :, None, None] * np.eye(nu)).reshape(count, rows * nu, nu)
+    both = np.concatenate([inputs, stacked], axis=1).transpose(1, 0, 2).reshape(-1, count * nu)
+    real = np.concatenate([np.real(both), np.imag(both)], axis=1)
+    triangle = np.asarray(np.linalg.qr(real.T, mode="r"), np.float64).T
+    rest = triangle[rows * nu :, rows * nu :]
+    left, sizes, _ = np.linalg.svd(rest, full_matrices=False)
+    if len(sizes) < order or rows * ny - ny < order:
+        return []
+    seen = left[:, :order]
+    a = np.linalg.lstsq(seen[:-ny], seen[ny:], rcond=None)[0]
+    c = seen[:ny]
+    found: list[_System] = []
+    poles, ways = np.linalg.eig(a)
+    matrices = [a]
+    if np.abs(poles).max() >= 1.0 and np.linalg.cond(ways) < 1e8:
+        inside = np.where(
+            np.abs(poles) >= 1.0, 1.0 / np.maximum(np.abs(poles), 1.0 + 1e-6) ** 2, 1.0
+        )
+        matrices.append(np.real(ways @ np.diag(poles * inside) @ np.linalg.inv(ways)))
+    for matrix in matrices:
+        try:
+            b, d = _zeros_part(replace(data, response=response), matrix, c, nu)
+        except np.linalg.LinAlgError:
+            continue
+        found.append(_System(matrix, b, c, d, delay))
+    return found
+
+
+def _zeros_part(data: _Data, a: Array, c: Array, nu: int) -> tuple[Array, Array]:
+    """B and D by weighted least squares."""
+    n, ny = len(a), len(c)
+    inside = np.linalg.inv(data.z[:, None, None] * np.eye(n) - a)
+    known = np.concatenate([c @ inside, np.broadcast_to(np.eye(ny), (len(data.z), ny, ny))], axis=2)
+    columns: list[Any] = []
+    for j in range(nu):
+        weight = data.weight[:, :, j]
+        left = (weight[..., None] * known).reshape(-1, n + ny)
+        right = (weight * data.response[:, :, j]).reshape(-1)
+        columns.append(
+            np.linalg.lstsq(
+                np.concatenate([left.real, left.imag]),
+                np.concatenate([right.real, right.imag]), rcond=1e-12,
+            )[0]
+        )  # fmt: skip
+    both = np.stack(columns, axis=1)
+    return both[:n], both[n:]
+
+
+def _refined(data: _Data, start: _System) -> _System:
+    """Levenberg-Marquardt on all matrices and the delay, with exact derivatives."""
+    n, nu = start.b.shape
+    ny = len(start.c)
+    pace = 1.0 / float(data.s.imag.max())
+
+    def system(theta: Array) -> _System:
+        a, b, c, d, delay = np.split(theta, np.cumsum([n * n, n * nu, ny * n, ny * nu]))
+        return _System(
+            a.reshape(n, n), b.reshape(n, nu), c.reshape(ny, n), d.reshape(ny, nu),
+            float(delay[0]) * pace,
+        )  # fmt: skip
+
+    def slopes(one: _System) -> Array:
+        inside = np.linalg.inv(data.z[:, None, None] * np.eye(n) - one.a)
+        turn = np.exp(-data.s * one.delay)[:, None, None]
+        left, right = (one.c @ inside) * turn, inside @ one.b
+        whole = left @ one.b + one.d * turn
+        count = len(data.z)
+        by_a = np.einsum("foi,fju->fouij", left, right).reshape(count, ny, nu, n * n)
+        by_b = np.einsum("foi,uv->fouiv", left, np.eye(nu)).reshape(count, ny, nu, n * nu)
+        by_c = np.einsum("op,fju->foupj", np.eye(ny), right * turn).reshape(count, ny, nu, ny * n)
+        by_d = np.einsum("op,uv,f->foupv", np.eye(ny), np.eye(nu), turn[:, 0, 0])
+        by_delay = (-data.s * pace)[:, None, None] * whole
+        parts = [by_a, by_b, by_c, by_d.reshape(count, ny, nu, ny * nu), by_delay[..., None]]
+        full = (data.weight[..., None] * np.concatenate(parts, axis=3)).reshape(-1, len(theta))
+        return np.concatenate([full.real, full.imag])
+
+    def residual(one: _System) -> Array:
+        apart = (data.weight * (data.response - one.response(data.z, data.s))).reshape(-1)
+        return np.concatenate([apart.real, apart.imag])
+
+    theta: Any = np.concatenate(
+        [start.a.ravel(), start.b.ravel(), start.c.ravel(), start.d.ravel(), [start.delay / pace]]
+    )
+    rest = residual(start)
+    cost, damping = float(rest @ rest), 1e-3
+    for _ in range(_ITERATIONS):
+        jacobian = slopes(system(theta))
+        gram, gradient = jacobian.T @ jacobian, jacobian.T @ rest
+        before = cost
+        for _ in range(8):
+            ridge = damping * (np.diag(gram) + 1e-9 * np.diag(gram).max())
+            move = np.linalg.lstsq(gram + np.diag(ridge), gradient, rcond=None)[0]
+            trial = theta + move
+            trial[-1] = max(trial[-1], 0.0)
+            with np.errstate(all="ignore"):
+                there = residual(system(trial))
+                new = float(there @ there)
+            if math.isfinite(new) and new < cost:
+                theta, rest, cost, damping = trial, there, new, max(damping / 5.0, 1e-12)
+                break
+            damping *= 6.0
+        if cost > before * (1.0 - 1e-7):
+            break
+    return system(theta)
+
+
+def band(values: Sequence[float], value: float) -> tuple[float, float]:
+    """Range of a number over the folds and the whole."""
+    return min(*values, value), max(*values, value)
