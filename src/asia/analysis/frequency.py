@@ -27,8 +27,10 @@ _WORSE = 1.05
 # Relative error that counts as none.
 _EXACT = 1e-7
 # Delays on the grid, and the longest one in turns of the phase at the highest frequency.
-_DELAYS, _TURNS = 25, 6.0
-_ITERATIONS = 40
+_DELAYS, _TURNS = 16, 6.0
+# Frequencies that the delays are sought at.
+_COARSE = 150
+_FEW, _ITERATIONS = 15, 60
 # Raw unstable poles are kept where they lower the error to this part of that without.
 _UNSTABLE = 0.5
 
@@ -42,6 +44,8 @@ class FrequencyFit:
     """Without the delay; in continuous time where the record is."""
     delay: float
     """In s, the same for all inputs and outputs."""
+    delay_deviation: float
+    """Its standard deviation in s."""
     folds: tuple[tuple[LinearModel, float], ...]
     """Models and delays without every third frequency."""
     error: float
@@ -126,11 +130,13 @@ def fit_frequency_response(record: FrequencyRecord, order: int | None = None) ->
     if order is not None and not 1 <= order <= most:
         raise UserError(f"order is {order}, expected 1 to {most} for {len(w)} frequencies")
     number = np.arange(len(w))
+    coarse = data.at(number % max(len(w) // _COARSE, 1) == 0)
     parts = [(data.at(number % _FOLDS != k), data.at(number % _FOLDS == k)) for k in range(_FOLDS)]
     scale = float(np.sqrt(np.mean((weight * size) ** 2)))
     found: dict[int, tuple[float, list[_System]]] = {}
     for n in [order] if order is not None else range(1, most + 1):
-        folds = [_fitted(seen, n) for seen, _ in parts]
+        delays = _best_delays(coarse, n)
+        folds = [_fitted(seen, n, delays, _FEW)[0] for seen, _ in parts]
         errors = [held.error(one) for (_, held), one in zip(parts, folds, strict=True)]
         found[n] = float(np.sqrt(np.mean(np.square(errors)))), folds
         least = min(error for error, _ in found.values())
@@ -142,7 +148,8 @@ def fit_frequency_response(record: FrequencyRecord, order: int | None = None) ->
     chosen = min(
         n for n, (error, _) in found.items() if error <= max(_WORSE * least, _EXACT * scale)
     )
-    system = _fitted(data, chosen)
+    delays = [*_best_delays(data, chosen), *(one.delay for one in found[chosen][1])]
+    system, deviation = _fitted(data, chosen, delays, _ITERATIONS)
 
     def model(one: _System) -> LinearModel:
         zeros = np.zeros(nu), np.zeros(ny)
@@ -156,26 +163,36 @@ def fit_frequency_response(record: FrequencyRecord, order: int | None = None) ->
         )  # fmt: skip
 
     return FrequencyFit(
-        record, model(system), system.delay,
+        record, model(system), system.delay, deviation,
         tuple((model(one), one.delay) for one in found[chosen][1]),
         data.error(system), found[chosen][0],
         tuple((n, error) for n, (error, _) in found.items()),
     )  # fmt: skip
 
 
-def _fitted(data: _Data, order: int) -> _System:
-    """The best starts over the delays, refined with the delay open."""
-    highest = float(data.s.imag.max())
-    delays = 2.0 * math.pi * np.linspace(0.0, _TURNS, _DELAYS) / highest
-    starts = [one for delay in delays for one in _starts(data, order, float(delay))]
+def _fitted(
+    data: _Data, order: int, delays: Sequence[float], iterations: int
+) -> tuple[_System, float]:
+    """The best starts for these delays, refined with the delay open; the standard deviation of the
+    delay."""
+    starts = [one for delay in delays for one in _starts(data, order, delay)]
     starts.sort(key=data.error)
-    refined = [_refined(data, one) for one in starts[:3]]
-    stable = [one for one in refined if np.abs(np.linalg.eigvals(one.a)).max() < 1.0]
-    best = min(refined, key=data.error)
-    if stable:
-        calm = min(stable, key=data.error)
-        best = calm if data.error(calm) * _UNSTABLE < data.error(best) else best
-    return best
+    refined = [_refined(data, one, iterations) for one in starts[:2]]
+    best = min(refined, key=lambda one: data.error(one[0]))
+    stable = [one for one in refined if np.abs(np.linalg.eigvals(one[0].a)).max() < 1.0]
+    calm = min(stable, key=lambda one: data.error(one[0]), default=best)
+    return calm if data.error(calm[0]) * _UNSTABLE < data.error(best[0]) else best
+
+
+def _best_delays(data: _Data, order: int) -> list[float]:
+    """Delays whose starts have the least errors."""
+    highest = float(data.s.imag.max())
+    grid = (2.0 * math.pi / highest * np.linspace(0.0, _TURNS, _DELAYS)).tolist()
+    errors = [
+        min((data.error(one) for one in _starts(data, order, delay)), default=math.inf)
+        for delay in grid
+    ]
+    return [grid[k] for k in np.argsort(errors)[:2]]
 
 
 def _starts(data: _Data, order: int, delay: float) -> list[_System]:
@@ -234,8 +251,12 @@ def _zeros_part(data: _Data, a: Array, c: Array, nu: int) -> tuple[Array, Array]
     return both[:n], both[n:]
 
 
-def _refined(data: _Data, start: _System) -> _System:
-    """Levenberg-Marquardt on all matrices and the delay, with exact derivatives."""
+def _refined(data: _Data, start: _System, iterations: int) -> tuple[_System, float]:
+    """Levenberg-Marquardt on all matrices and the delay, with exact derivatives.
+
+    Returns:
+        the system, and the standard deviation of its delay in s
+    """
     n, nu = start.b.shape
     ny = len(start.c)
     pace = 1.0 / float(data.s.imag.max())
@@ -271,7 +292,7 @@ def _refined(data: _Data, start: _System) -> _System:
     )
     rest = residual(start)
     cost, damping = float(rest @ rest), 1e-3
-    for _ in range(_ITERATIONS):
+    for _ in range(iterations):
         jacobian = slopes(system(theta))
         gram, gradient = jacobian.T @ jacobian, jacobian.T @ rest
         before = cost
@@ -289,9 +310,10 @@ def _refined(data: _Data, start: _System) -> _System:
             damping *= 6.0
         if cost > before * (1.0 - 1e-7):
             break
-    return system(theta)
-
-
-def band(values: Sequence[float], value: float) -> tuple[float, float]:
-    """Range of a number over the folds and the whole."""
-    return min(*values, value), max(*values, value)
+    # Directions that only change the coordinates of the states have no effect on the delay.
+    jacobian = slopes(system(theta))
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    spread = np.linalg.pinv((jacobian / size).T @ (jacobian / size), rcond=1e-10, hermitian=True)
+    freedom = max(len(rest) - n * (nu + ny) - ny * nu - 1, 1)
+    deviation = pace * math.sqrt(max(float(spread[-1, -1]), 0.0) * cost / freedom) / float(size[-1])
+    return system(theta), deviation
