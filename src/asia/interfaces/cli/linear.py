@@ -137,7 +137,7 @@ def _of_file(path: Path, out: Path | None, *, json: bool) -> None:
         f"{frequency[0]:.4g} to {frequency[-1]:.4g} Hz, {_counted(ny, 'output')}, "
         f"{_counted(nu, 'input')}",
         f"order     {model.order}, {kind}",
-        f"delay     {found.delay:.4g} s +- {1.96 * found.delay_deviation:.2g} s",
+        f"delay     {found.delay:.4g} s ({found.delay_band[0]:.4g} to {found.delay_band[1]:.4g} s)",
         *_pole_lines(model, [None] * len(model.modes())),
     ]
     for i, one in enumerate(record.outputs):
@@ -161,7 +161,7 @@ def _of_file(path: Path, out: Path | None, *, json: bool) -> None:
         )
     facts: dict[str, Any] = {
         "file": str(path), "order": model.order, "sampling_time": step, "delay": found.delay,
-        "delay_deviation": found.delay_deviation, "A": model.a, "B": model.b, "C": model.c,
+        "delay_band": found.delay_band, "A": model.a, "B": model.b, "C": model.c,
         "D": model.d, "gain": model.gain, "error": found.error, "held_out_error": found.held_out,
         "orders": found.tried, "text": lines,
         "poles": [{"real": p.real, "imag": p.imag, "frequency_hz": f, "damping": z, "time_s": t}
