@@ -204,13 +204,20 @@ class StoredModels:
 
         return self._workers.run([partial(checked, model) for model in models])
 
-    def lowered(self, source: str, models: Sequence[bytes]) -> list[LoweredModel | str]:
+    def lowered(
+        self, source: str, models: Sequence[bytes], parameters: Sequence[str] = ()
+    ) -> list[LoweredModel | str]:
         """Models as programs that can be printed, each traced in a fresh worker; for one that
-        cannot be lowered, why. Raises CandidateError."""
+        cannot be lowered, why. Raises CandidateError.
+
+        Args:
+            parameters: names of parameters that the last state holds, see
+                `asia.lowering.trace.lowered`
+        """
 
         def lowered(model: bytes) -> LoweredModel | str:
             with self._loaded(source, model) as worker:
-                return worker.lowered(self._data.context)
+                return worker.lowered(self._data.context, parameters)
 
         return self._workers.run([partial(lowered, model) for model in models])
 

@@ -272,11 +272,13 @@ class Worker:
             self._channel.send_frame(frame, deadline, goes_on=False)
         return y.swapaxes(0, 1)
 
-    def lowered(self, context: Context) -> LoweredModel | str:
-        """The model as a program to be printed, or why there is none."""
+    def lowered(self, context: Context, parameters: Sequence[str] = ()) -> LoweredModel | str:
+        """The model as a program to be printed, or why there is none. parameters: as in
+        `asia.lowering.trace.lowered`."""
         sizes = context.n_past_u, context.n_past_y, context.nu, context.ny
         try:
-            return unpack_for(self._reply("lower", sizes, LARGEST_BYTES), sizes)
+            reply = self._reply("lower", (*sizes, tuple(parameters)), LARGEST_BYTES)
+            return unpack_for(reply, sizes)
         except FormatError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
