@@ -24,7 +24,7 @@ from asia.ledger.view import Experiment
 from asia.report.page.code import python
 from asia.report.page.html import Html, join, said, table, tag
 from asia.report.page.sections import SECTIONS
-from asia.report.page.sections.experiments import experiment_story, progress_figure
+from asia.report.page.sections.experiments import experiment_story, progress_figure, status_of
 from asia.report.page.sections.verdict import held_out_overlays, stamp
 from asia.report.page.subject import Detail, Subject
 from asia.report.page.svg import (
@@ -117,7 +117,7 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
     subject = replace(snapshot.subject, detail=detail)
     run, store = subject.run, subject.run.store
     e, address = subject.view.experiment(number), run_address(subject.run.name)
-    status = e.result.status if e.result else "running"
+    status = status_of(subject, e)
     label = tag("span", status, class_=f"status {status}")
     title = tag("h1", subject.name(e), " ", said(e.proposed.title, 200))
     value = join(("V ", tag("b", subject.v(e)))) if e.score else None
@@ -477,12 +477,13 @@ def _kind(e: Experiment) -> str:
 
 def experiment_row(subject: Subject, e: Experiment) -> Html:
     """Write one experiment on one line."""
-    status = e.result.status if e.result else "running"
+    status = status_of(subject, e)
     reason = tag("span", said(decision_text(e, subject.view), 300), class_="why")
     link = tag(
         "a",
         tag("span", subject.name(e), class_="id"),
-        tag("span", said(e.proposed.title, 120), " ", reason, class_="what"),
+        tag("span", said(e.proposed.title, 120), class_="what"),
+        reason,
         tag("span", status, class_=f"status {status}"),
         tag("span", subject.v(e) if e.score else "", class_="value"),
         href=f"{run_address(subject.run.name)}/experiments/{e.number}",

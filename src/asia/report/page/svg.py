@@ -50,9 +50,14 @@ class Scale:
             return [self.low]
         rough = (self.high - self.low) / most
         unit = 10.0 ** math.floor(math.log10(rough))
-        step = next(unit * k for k in (1, 2, 5, 10) if unit * k >= rough)
-        first = math.ceil(self.low / step - 1e-9)
-        last = math.floor(self.high / step + 1e-9)
+        steps = [unit * k for k in (10, 5, 2, 1, 0.5)]
+        # The smallest step of at least `rough`; a smaller one where that leaves a single number.
+        usual = max(k for k, step in enumerate(steps) if step >= rough)
+        for step in steps[usual:]:
+            first = math.ceil(self.low / step - 1e-9)
+            last = math.floor(self.high / step + 1e-9)
+            if last > first:
+                break
         return [round(k * step, 12) + 0.0 for k in range(first, last + 1)]
 
 
@@ -615,7 +620,8 @@ def draw_lanes(rows: Sequence[LineageRow]) -> tuple[Html, int]:
             if x0 != x1:
                 path = f"M{x0} {y0}V{turn}C{x0} {turn + 20} {x1} {turn + 14} {x1} {y1}"
             edges.append(tag("path", d=path, class_="edge won" if row.winning else "edge"))
-        kind = {"keep": "kept", "discard": "other", "inconclusive": "other"}.get(row.status)
+        scored = "discard", "inconclusive", "running", "unfinished"
+        kind = "kept" if row.status == "keep" else "other" if row.status in scored else None
         dots.append(tag("circle", cx=x1, cy=y1, r="5", class_=kind) if kind else _cross(x1, y1))
     width, height = (max(at.values(), default=0) + 1) * _LANE + 8, ROW * len(rows)
     drawing = tag(

@@ -56,6 +56,24 @@ def test_the_page_of_a_run_has_its_experiments_the_last_one_first(client: TestCl
         ("1", "kept"),
     ]
     assert 'href="/runs/made/experiments/4"' in page
+    assert re.findall(r'class="why"><span class="said">([^<]*)', page) == [
+        "V 40.0 % above #02",
+        "the simulation diverged to NaN or infinity: constrain stability, bound the states or "
+        "lower the learning rate",
+        "V 44.4 % below #01",
+        "the first with a score",
+    ]
+
+
+def test_an_experiment_of_an_interrupted_search_does_not_run(
+    client: TestClient, runs: Path
+) -> None:
+    with Chain(runs / "made" / "ledger.jsonl") as chain:
+        source = Store(runs / "made" / "artifacts").put(b"# unfinished\n")
+        words = "because", "lower", source, "5"
+        chain.append(Proposed(5, None, "explore", "family", "unfinished", *words))
+        assert '<span class="status running">running' in client.get("/runs/made/rows").text
+    assert '<span class="status unfinished">unfinished' in client.get("/runs/made/rows").text
 
 
 @pytest.mark.parametrize(

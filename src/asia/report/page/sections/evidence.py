@@ -216,6 +216,8 @@ def _write_identified(subject: Subject) -> Html | None:
         head = ["parameter", "value", "unit", "standard error", "standard error by folds",
                 "interval", "interval decided by", "remark"]  # fmt: skip
         rows = [_parameter(run, found, k) for k in range(len(found.parameters))]
+        kept = [k for k in range(len(head)) if k in (0, 1) or any(row[k] for row in rows)]
+        head, rows = [head[k] for k in kept], [[row[k] for k in kept] for row in rows]
         own = "" if found.library else ", as the candidate's own code reports them"
         parts.append(table(head, rows, f"Parameters, fitted to all training records{own}"))
         parts += [tag("p", tag("b", said(line), ".")) for line in interval_lines(found)]
@@ -252,7 +254,7 @@ def _parameter(run: Run, found: IdentifiedModel, number: int) -> list[str | None
     return [
         said(fitted.name),
         _number(run, f"{at}.value", fitted.value, "sig5"),
-        said(fitted.unit),
+        said(fitted.unit) if fitted.unit else None,
         error,
         by_folds,
         _interval(run, at, one),

@@ -25,8 +25,12 @@ from asia.report.page.svg import (
 # All experiments: expectation, result, and change of the source.
 
 
-def _status(e: Experiment) -> str:
-    return e.result.status if e.result else "running"
+def status_of(subject: Subject, e: Experiment) -> str:
+    """Return the status of an experiment; one without a result does not run in a search that was
+    interrupted."""
+    if e.result is not None:
+        return e.result.status
+    return "running" if subject.run.state == "running" else "unfinished"
 
 
 def _write(subject: Subject) -> Html | None:
@@ -43,7 +47,7 @@ def _write(subject: Subject) -> Html | None:
 
 
 def _experiment(subject: Subject, e: Experiment) -> Html:
-    status = _status(e)
+    status = status_of(subject, e)
     title = tag(
         "summary",
         tag("span", subject.name(e), class_="id"),
@@ -141,16 +145,16 @@ def _write_lineage(subject: Subject) -> Html | None:
     items: list[Html] = []
     for e in shown:
         won, parent = e.number in subject.lineage, e.proposed.parent
-        rows.append(LineageRow(e.number, parent, _status(e), won))
+        rows.append(LineageRow(e.number, parent, status_of(subject, e), won))
         made_from = None
         if parent is not None:
             source = subject.number(e.proposed, "parent", "number")
             made_from = tag("span", " derived from ", source, class_="unseen")
         title = tag("a", subject.name(e), " ", said(e.proposed.title, 80), href=f"#e{e.number}")
-        value = tag("span", subject.v(e) if e.score else _status(e), class_="value")
+        value = tag("span", subject.v(e) if e.score else status_of(subject, e), class_="value")
         items.append(tag("li", title, made_from, value, class_="won" if won else None))
     drawing, width = draw_lanes(rows)
-    text = "The thick line leads from the first candidate to the winner."
+    text = "The thick line leads to the winner. A filled circle is a kept candidate."
     listed = tag("ol", *items, style=f"padding-left:{width}px")
     return join((tag("p", text), tag("div", drawing, listed, class_="lineage")))
 
@@ -165,8 +169,17 @@ def _write_problem(subject: Subject) -> Html | None:
     text = "" if subject.problem is None else subject.problem.description
     if not is_described(text):
         return None
-    paragraphs = re.split(r"\n\s*\n", text.strip())
-    return join([tag("p", said(one, 4000)) for one in paragraphs])
+    # Headings and lists of Markdown; all else is plain text.
+    lines = re.sub(r"(?m)^(#+ .*)$", r"\n\1\n", text.strip())
+    parts: list[Html] = []
+    for one in filter(str.strip, re.split(r"\n\s*\n", lines)):
+        items = re.split(r"(?m)^\s*[-*] +", one)
+        if start := items[0].strip():
+            is_title = start.startswith("#")
+            parts.append(tag("h3" if is_title else "p", said(start.lstrip("# "), 4000)))
+        if items[1:]:
+            parts.append(tag("ul", *(tag("li", said(item, 4000)) for item in items[1:])))
+    return join(parts)
 
 
 PROBLEM = Section("problem", "The problem", _write_problem)
