@@ -31,6 +31,7 @@ from asia.interfaces.cli import (
     init,
     linear,
     models,
+    note,
     query,
     report,
     show,
@@ -139,6 +140,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
 }
 MORE_COMMANDS: dict[str, Callable[..., None] | typer.Typer] = {
     "steer": steer.steer,
+    "note": note.note,
     "verify": verify.verify,
     "query": query.query,
     "agent": agent_app,

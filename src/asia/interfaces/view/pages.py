@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,7 @@ from asia._text import one_line
 from asia.agents.registry import reads_notes
 from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
-from asia.ledger.events import TestedModel
+from asia.ledger.events import Evaluated, TestedModel
 from asia.ledger.evidence import evidence_of, settings_of_run
 from asia.ledger.run import alarms, model_to_use, tested_model
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
@@ -24,7 +25,12 @@ from asia.ledger.view import Experiment
 from asia.report.page.code import python
 from asia.report.page.html import Html, join, said, table, tag
 from asia.report.page.sections import SECTIONS
-from asia.report.page.sections.experiments import experiment_story, progress_figure, status_of
+from asia.report.page.sections.experiments import (
+    experiment_story,
+    progress_figure,
+    status_of,
+    tag_labels,
+)
 from asia.report.page.sections.verdict import held_out_overlays, stamp
 from asia.report.page.subject import Detail, Subject
 from asia.report.page.svg import (
@@ -94,14 +100,14 @@ def experiment_page(snapshot: Snapshot, number: int, token: str) -> str:
     """The page of an experiment. Raises UserError where there is none of that number."""
     name, experiment = snapshot.run.name, snapshot.run.view.experiment(number)
     address = run_address(name)
-    holder = tag(
+    part = tag(
         "div",
         experiment_part(snapshot, number),
-        data_stream=f"{address}/events",
-        data_mark=snapshot.mark,
         data_refresh=f"{address}/experiments/{number}/part",
         data_only=number,
     )
+    stream = {"data_stream": f"{address}/events", "data_mark": snapshot.mark}
+    holder = tag("div", part, note_form(name, number), **stream)
     title = f"#{experiment.number:02d} {experiment.proposed.title[:80]}"
     return whole_page(title, (("Searches", "/"), (name, address)), (holder,), token)
 
@@ -463,6 +469,8 @@ class Chosen:
         p, store = e.proposed, subject.run.store
         parts = [f"#{e.number:02d}", p.title, p.family, p.hypothesis, p.expected]
         parts.append(describe_result(e, subject.view))
+        parts += subject.view.tags(e.number)
+        parts += [one.text for one in subject.view.noted if one.experiment == e.number]
         if store.kept:
             parts.append(store.text(p.source))
             if e.result is not None and e.result.output:
@@ -477,12 +485,12 @@ def _kind(e: Experiment) -> str:
 
 def experiment_row(subject: Subject, e: Experiment) -> Html:
     """Write one experiment on one line."""
-    status = status_of(subject, e)
+    status, labels = status_of(subject, e), tag_labels(subject.view.tags(e.number))
     reason = tag("span", said(decision_text(e, subject.view), 300), class_="why")
     link = tag(
         "a",
         tag("span", subject.name(e), class_="id"),
-        tag("span", said(e.proposed.title, 120), class_="what"),
+        tag("span", said(e.proposed.title, 120), " ", labels, class_="what"),
         reason,
         tag("span", status, class_=f"status {status}"),
         tag("span", subject.v(e) if e.score else "", class_="value"),
@@ -550,7 +558,7 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
             ("in order:", "order", ORDERS, chosen.order),
         )
     ]
-    where = "searches titles, rationale, sources and printed output"
+    where = "searches titles, rationale, tags, notes, sources and printed output"
     words = tag("input", name="words", type="search", value=chosen.words, title=where)
     choose = tag(
         "form",
@@ -581,6 +589,7 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
     main = (
         header,
         tag("div", now_panel(snapshot), id="now"),
+        note_form(name),
         steering_panel(
             name,
             running=snapshot.run.state == "running",
@@ -661,9 +670,37 @@ def steering_panel(name: str, *, running: bool, deaf: str = "") -> Html:
             ("stop", "Stop after this experiment"),
         )
     ]
-    answer = tag("p", id="steered", role="status")
+    answer = tag("p", role="status")
     summary = tag("summary", "Steer this search")
     inner = tag("div", note, tag("p", *buttons, class_="buttons"), answer)
+    return tag("details", summary, inner, class_="steering", data_at=run_address(name))
+
+
+def note_form(name: str, number: int = 0) -> Html:
+    """Form for a note for people, and for tags. number: the experiment; 0 for the run."""
+    fields = (
+        ("text", "Note, or reason of the tags", "", True),
+        ("tags", "Tags to add", "words with a space between them", False),
+        ("removed", "Tags to remove", "", False),
+        ("author", "Author", "", True),
+    )
+    inputs: list[Html] = []
+    for key, label, hint, required in fields:
+        value = getpass.getuser() if key == "author" else None
+        given = {"name": key, "placeholder": hint or None, "value": value, "required": required}
+        inputs.append(tag("label", label, " ", tag("input", maxlength=4000, **given)))
+    form = tag(
+        "form",
+        *inputs,
+        tag("input", type="hidden", name="experiment", value=number),
+        tag("button", "Record the note", type="submit"),
+        data_post="note",
+        class_="note",
+    )
+    what = "this experiment" if number else "this run"
+    answer = tag("p", role="status")
+    inner = tag("div", tag("p", "For people: agents do not see it."), form, answer)
+    summary = tag("summary", f"Note or tag {what}")
     return tag("details", summary, inner, class_="steering", data_at=run_address(name))
 
 
@@ -708,7 +745,9 @@ def run_news(snapshot: Snapshot, count: int, *, first: bool) -> Changed:
     subject, view = snapshot.subject, snapshot.run.view
     changed = [view.experiment(number) for number in snapshot.changed_since(count)]
     rows = [{"number": e.number, "html": experiment_row(subject, e)} for e in changed]
-    ended = [e for e in changed if e.result is not None]
+    lines = snapshot.run.lines[count:]
+    judged = {one.event.experiment for one in lines if isinstance(one.event, Evaluated)}
+    ended = [e for e in changed if e.number in judged]
     spoken = ""
     if ended and not first:
         result, score = ended[0].result, ended[0].score

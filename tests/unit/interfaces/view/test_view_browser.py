@@ -17,6 +17,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
+from asia.ledger.verification import verify
 from asia.problem.problem import Problem
 from asia.report import write_page
 from tests.unit.report.made_up import append_experiment
@@ -184,20 +185,20 @@ def test_the_list_of_runs_moves(server: Server, watched: Watched, problem: Probl
 def test_a_search_is_steered_with_the_keyboard_alone(server: Server, watched: Watched) -> None:
     page = watched.page
     page.goto(server.at("/runs/made"))
-    page.locator(".steering summary").focus()
+    page.get_by_text("Steer this search").focus()
     page.keyboard.press("Enter")
     page.keyboard.press("Tab")
     page.keyboard.type("the pump saturates at 8 V")
     page.keyboard.press("Tab")
     page.keyboard.press("Enter")
-    expect(page.locator("#steered")).to_contain_text("noted")
+    expect(page.locator(".steering [role=status]").last).to_contain_text("noted")
     (note,) = (server.runs / "made" / "control").glob("steer-*.txt")
     assert note.read_text() == "the pump saturates at 8 V"
     expect(page.get_by_role("button", name="Stop after")).to_be_disabled()
     with Chain(server.runs / "made" / "ledger.jsonl"):
         page.once("dialog", lambda dialog: dialog.accept())
         page.get_by_role("button", name="Stop after").click()
-        expect(page.locator("#steered")).to_contain_text("stops after")
+        expect(page.locator(".steering [role=status]").last).to_contain_text("stops after")
     assert (server.runs / "made" / "control" / "stop").exists()
 
 
@@ -254,3 +255,27 @@ def test_pages_fit_the_screen_and_are_accessible(
     assert found == []
     assert watched.complaints == []
     assert watched.hosts <= {f"127.0.0.1:{server.port}", ""}
+
+
+def test_an_experiment_is_tagged_with_the_keyboard_alone(server: Server, watched: Watched) -> None:
+    page = watched.page
+    page.goto(server.at("/runs/made/experiments/2"))
+    expect(page.locator("#connection")).to_have_text("live")
+    page.get_by_text("Note or tag this experiment").focus()
+    page.keyboard.press("Enter")
+    for text in ("it diverges <b>late</b>", "unstable again", "", "Ada"):
+        page.keyboard.press("Tab")
+        page.keyboard.type(text)
+    page.keyboard.press("Enter")
+    expect(page.locator("#story")).to_contain_text("+unstable +again it diverges <b>late</b>")
+    expect(page.locator("#story .label")).to_have_text(["unstable", "again"])
+    page.get_by_label("Tags to remove").fill("missing")
+    page.get_by_label("Note, or reason").fill("no such tag")
+    page.keyboard.press("Enter")
+    expect(page.locator(".steering [role=status]")).to_have_text(
+        "there is no tag 'missing' to remove"
+    )
+    page.goto(server.at("/runs/made"))
+    expect(page.locator("#e2 .label").first).to_have_text("unstable")
+    expect(page.locator("#notes li")).to_contain_text("#02 +unstable +again it diverges")
+    assert verify(server.runs / "made", ledger_alone=True).records == 13

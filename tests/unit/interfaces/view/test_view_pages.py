@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from asia.ledger.chain import Chain
 from asia.ledger.events import Evaluated, Leg, Proposed
 from asia.ledger.run import open_run
 from asia.problem.problem import Problem
-from asia.report.page.page import audit
+from asia.report.page.page import audit, page_of
 from tests.unit.report.made_up import append_test
 
 from .conftest import ATTACK, TOKEN, make_run
@@ -269,6 +270,43 @@ def test_a_note_reaches_the_search(client: TestClient, runs: Path) -> None:
     assert note.read_text() == "the pump saturates"
     assert client.post("/runs/made/steer", content=" ", headers=POST).status_code == 409
     assert client.post("/runs/made/steer", content="x" * 30_000, headers=POST).status_code == 409
+
+
+def test_a_note_for_people_is_in_the_ledger_and_on_the_pages(
+    client: TestClient, runs: Path
+) -> None:
+    note = {"author": "Ada", "text": ATTACK, "experiment": "2", "tags": "odd again", "removed": ""}
+
+    def send(**changes: str) -> tuple[int, str]:
+        body = json.dumps({**note, **changes})
+        answer = client.post("/runs/made/note", content=body, headers=POST)
+        return answer.status_code, answer.json()["words"]
+
+    assert send() == (200, "recorded in the ledger")
+    assert send(experiment="0", tags="", text="for the paper") == (200, "recorded in the ledger")
+    assert send(tags="", removed="odd", text="no longer")[0] == 200
+    for bad, words in (
+        ({"author": " "}, "the author has 1 to 80 characters"),
+        ({"text": ""}, "a note or a reason has 1 to 4000 characters"),
+        ({"tags": "<b>"}, "'<b>' is no tag"),
+        ({"experiment": "7"}, "has no experiment 7"),
+        ({"experiment": "x"}, "expected the fields author"),
+        ({"removed": "odd"}, "there is no tag 'odd' to remove"),
+    ):
+        code, answer = send(**bad)
+        assert (code, words in answer) == (409, True), answer
+    run = open_run(runs / "made")
+    assert [(one.author, one.experiment) for one in run.view.noted] == [
+        ("Ada", 2), ("Ada", 0), ("Ada", 2),
+    ]  # fmt: skip
+    assert run.view.tags(2) == ("again",)
+    row = client.get("/runs/made/rows?words=again").text
+    assert re.findall(r'<li id="e(\d)"', row) == ["2"]
+    assert '<span class="label"><span class="said">again</span></span>' in row
+    part = client.get("/runs/made/sections/notes").text
+    assert ("for the paper" in part, "onerror=" in part, "<img" in part) == (True, True, False)
+    page = page_of(run)
+    assert ("for the paper" in page, "<img" in page) == (True, False)
 
 
 def test_a_running_search_is_paused_and_stopped(client: TestClient, runs: Path) -> None:

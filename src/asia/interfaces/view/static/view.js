@@ -194,10 +194,10 @@ function follow(place) {
 
 // ---- a person's word
 
-async function tell(what, text) {
-  const place = one("#steered");
+async function tell(element, text) {
+  const panel = element.closest("[data-at]"), place = one("[role=status]", panel);
   try {
-    const answer = await fetch(`${one(".steering").dataset.at}/${what}`, {
+    const answer = await fetch(`${panel.dataset.at}/${element.dataset.post}`, {
       method: "POST",
       headers: { "X-ASIA-Token": one("meta[name=asia-token]").content },
       body: text,
@@ -215,7 +215,8 @@ document.addEventListener("submit", async (event) => {
   const form = event.target;
   if (!form.dataset.post) return;
   event.preventDefault();
-  if (await tell(form.dataset.post, form.elements.text.value)) form.reset();
+  const fields = Object.fromEntries(new FormData(form));
+  if (await tell(form, form.dataset.post === "note" ? JSON.stringify(fields) : fields.text)) form.reset();
 });
 
 document.addEventListener("click", (event) => {
@@ -225,7 +226,7 @@ document.addEventListener("click", (event) => {
   const what = button.dataset.post;
   if (!what) return;
   if (what === "stop" && !confirm("Stop the search after this experiment?")) return;
-  tell(what, "");
+  tell(button, "");
 });
 
 // ---- two runs side by side

@@ -27,6 +27,7 @@ SECTIONS: Final[tuple[Section, ...]] = (
     experiments.LINEAGE,
     evidence.SECTION,
     experiments.SECTION,
+    experiments.NOTES,
     integrity.SECTION,
     integrity.REPRODUCE,
 )

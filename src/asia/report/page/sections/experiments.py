@@ -89,6 +89,8 @@ def experiment_story(subject: Subject, e: Experiment) -> Html:
         ("agent", said(p.agent) if p.agent else None),
         ("V of the folds", folds),
         ("duration", None if result is None else subject.number(result, "seconds", "duration")),
+        ("tags", tag_labels(subject.view.tags(e.number))),
+        ("notes", noted_list(subject, e.number)),
     )
     parts: list[Html | None] = [facts(pairs)]
     if e.failure is not None:
@@ -96,6 +98,32 @@ def experiment_story(subject: Subject, e: Experiment) -> Html:
         if line := error_line(e.failure.detail):
             parts.append(region("pre", tag("code", line), label="error"))
     return join((*parts, _change(subject, e)))
+
+
+def tag_labels(names: Sequence[str]) -> Html | None:
+    """Tags of users; None without any."""
+    return join([tag("span", said(one), class_="label") for one in names], " ") if names else None
+
+
+def noted_list(subject: Subject, number: int | None = None) -> Html | None:
+    """Notes of users on one experiment, or on the run and all its experiments; None without any."""
+    items: list[Html] = []
+    for one in subject.view.noted:
+        if number is not None and one.experiment != number:
+            continue
+        place = None
+        if number is None and one.experiment:
+            name = subject.number(one, "experiment", "number")
+            place = join((tag("a", name, href=f"#e{one.experiment}"), " "))
+        changes = " ".join((*(f"+{t}" for t in one.tags), *(f"−{t}" for t in one.removed)))
+        time = subject.run.lines[subject.place(one)].time[:16].replace("T", " ")
+        author = tag("span", said(f"{one.author}, {time} UTC"), class_="by")
+        text = tag("span", said(f"{changes} {one.text}".strip(), 4000))
+        items.append(tag("li", place, text, " ", author))
+    return tag("ul", *items, class_="noted") if items else None
+
+
+NOTES = Section("notes", "Notes and tags", noted_list)
 
 
 def _seen(subject: Subject, e: Experiment) -> Html | str:
