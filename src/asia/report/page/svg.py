@@ -50,15 +50,15 @@ class Scale:
             return [self.low]
         rough = (self.high - self.low) / most
         unit = 10.0 ** math.floor(math.log10(rough))
-        steps = [unit * k for k in (10, 5, 2, 1, 0.5)]
-        # The smallest step of at least `rough`; a smaller one where that leaves a single number.
-        usual = max(k for k, step in enumerate(steps) if step >= rough)
-        for step in steps[usual:]:
+        found: list[float] = []
+        # Steps of at least `rough`; a smaller one where that leaves a single number.
+        for step in (unit * k for k in (10, 5, 2, 1, 0.5)):
+            if step < rough and len(found) > 1:
+                break
             first = math.ceil(self.low / step - 1e-9)
             last = math.floor(self.high / step + 1e-9)
-            if last > first:
-                break
-        return [round(k * step, 12) + 0.0 for k in range(first, last + 1)]
+            found = [round(k * step, 12) + 0.0 for k in range(first, last + 1)]
+        return found
 
 
 def written(value: float) -> str:

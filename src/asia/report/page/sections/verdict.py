@@ -184,7 +184,8 @@ def _test(subject: Subject) -> Html:
     value = tag("b", subject.number(opened, f"{place}.scores.0.value", "sig4"))
     label = said(find_metric(model.scores[0].metric).label)
     units = {s.unit for s in subject.problem.outputs} if subject.problem else {""}
-    unit = join((" ", said(*units))) if len(units) == 1 and units != {""} else None
+    known = units.pop() if len(units) == 1 else ""
+    unit = join((" ", said(known))) if known else None
     text = "On the sealed test, which this run opened after the search, its "
     return join((text, label, " is ", value, unit, "."))
 
