@@ -472,6 +472,15 @@ def test_a_source_is_coloured_and_escaped() -> None:
     )
 
 
+def test_trade_offs_leave_out_costs_that_the_ledger_does_not_have(
+    make_run: Callable[..., Run],
+) -> None:
+    page = page_of(make_run())
+    assert re.findall(r'name="axis" id="(axis\d)"( checked)?', page) == [("axis2", " checked")]
+    table = page.split("Candidates that no other one beats in V and in a cost")[1]
+    assert re.findall(r'href="#e(\d+)"', table.split("</table>")[0]) == ["4"]
+
+
 def test_the_description_of_the_problem_is_on_the_page(make_run: Callable[..., Run]) -> None:
     run = make_run()
     assert 'id="problem"' in page_of(run)

@@ -80,14 +80,12 @@ def fit_fold(
             numbers = worker.numbers()
             # Before the held-out cases too: the residuals on the training records are reported.
             inside = whole(data.train, data.rule)
-            simulating = 0.0
-            # The first simulation also compiles and loads; a second one shows the time of a sample.
-            for _ in range(2):
-                before = worker.spent.get(Activity.SIMULATE, (0.0, 0.0))[1]
-                train_y_hat = simulate_training(worker.simulate_known, inside, data.rule.horizon)
-                simulating = worker.spent[Activity.SIMULATE][1] - before
-                if simulating > _SLOW_SECONDS:
-                    break
+            train_y_hat = simulate_training(worker.simulate_known, inside, data.rule.horizon)
+            first = simulating = worker.spent[Activity.SIMULATE][1]
+            # The first one also compiles and loads: a second one shows the time of a sample.
+            if first < _SLOW_SECONDS:
+                simulate_training(worker.simulate_known, inside, data.rule.horizon)
+                simulating = worker.spent[Activity.SIMULATE][1] - first
             blocks, (first, *others) = data.blocks, data.sessions
             found = simulate_each(worker, blocks, first, data.secret)
         for session in others:

@@ -180,17 +180,17 @@ def _across(y: float, across: Scale, name: str) -> Html:
     return tag("path", d=line, class_=name)
 
 
-def _grid(across: Scale, up: Scale, size: Size, axis: str) -> Html:
-    """Both axes with their numbers. axis: name of V."""
+def _grid(across: Scale, up: Scale, size: Size, axis: str, below: str = "experiment") -> Html:
+    """Both axes with their numbers. axis: name of V; below: name of the horizontal axis."""
     parts: list[Html] = []
     for value in up.ticks():
         y = up.at(value)
         parts.append(_across(y, across, "grid"))
         parts.append(_label(across.start - 8, y + 4, written(value), "end"))
     for value in across.ticks(8):
-        if value == round(value) and value >= 1:
-            parts.append(_label(across.at(value), up.start + 17, f"{value:g}"))
-    parts.append(_label((across.start + across.end) / 2, size.height - 6, "experiment"))
+        if below != "experiment" or (value == round(value) and value >= 1):
+            parts.append(_label(across.at(value), up.start + 17, written(value)))
+    parts.append(_label((across.start + across.end) / 2, size.height - 6, below))
     parts.append(_label(6, 14, axis, "start", "name"))
     return join(parts)
 
@@ -230,20 +230,28 @@ def _marker(point: Point, across: Scale, up: Scale) -> Html:
     value = "" if point.value is None else f", V {error_value(point.value)}"
     title = f"#{point.number:02d} {point.status}{value}: {one_line(point.title, 80)}"
     name = "kept" if point.best else "other"
-    if point.value is None:
-        mark = _cross(x, up.end - 6)
-    elif point.value > up.high:
-        y = up.at(point.value)
-        mark = tag("path", d=f"M{rounded(x - 5)} {rounded(y + 4)}h10l-5 -9z", class_=name)
-    else:
-        y = up.at(point.value)
-        mark = tag("circle", cx=rounded(x), cy=rounded(y), r="4.5", class_=name)
+    mark = _cross(x, up.end - 6) if point.value is None else _dot(x, point.value, up, name)
     return tag("g", tag("title", title), mark)
 
 
-def _tags(points: Sequence[Point], across: Scale, up: Scale, size: Size) -> Html:
-    """Names at the improvements, where there is room: the last one first, then the largest."""
-    scored = [(p, across.at(p.number), up.at(p.value)) for p in points if p.value is not None]
+def _dot(x: float, value: float, up: Scale, name: str) -> Html:
+    """A circle, or a triangle at the upper edge for a value above it."""
+    y = up.at(value)
+    if value > up.high:
+        return tag("path", d=f"M{rounded(x - 5)} {rounded(y + 4)}h10l-5 -9z", class_=name)
+    return tag("circle", cx=rounded(x), cy=rounded(y), r="4.5", class_=name)
+
+
+def _tags(
+    points: Sequence[Point], across: Scale, up: Scale, size: Size, at: Sequence[float] = ()
+) -> Html:
+    """Names at the improvements, where there is room: the last one first, then the largest. at:
+    places on the horizontal axis; default: the numbers of the points."""
+    scored = [
+        (p, across.at(x), up.at(p.value))
+        for p, x in zip(points, at or [p.number for p in points], strict=True)
+        if p.value is not None
+    ]
     bests = [one for one in scored if one[0].best]
     chosen = [*bests[-1:], *bests[:-1]][:_MOST_TAGS]
     texts = [f"#{point.number:02d}" for point, _, _ in chosen]
@@ -260,6 +268,63 @@ def _tags(points: Sequence[Point], across: Scale, up: Scale, size: Size) -> Html
         for text, box in zip(texts, places, strict=True)
         if box is not None
     )
+
+
+@dataclass(frozen=True)
+class Traded:
+    """An experiment in a picture of V against a cost."""
+
+    number: int
+    title: str
+    value: float
+    """V."""
+    cost: float
+
+
+def front_of(points: Sequence[Traded]) -> list[Traded]:
+    """Return the points that no other one beats in V and in cost, the cheapest first."""
+    found: list[Traded] = []
+    for point in sorted(points, key=lambda p: (p.cost, p.value)):
+        if not found or point.value < found[-1].value:
+            found.append(point)
+    return found
+
+
+def draw_tradeoff(points: Sequence[Traded], axis: str, below: str, alt: str, size: Size) -> Html:
+    """Draw V against a cost on logarithmic axes, with the front that nothing dominates.
+
+    Args:
+        points: the experiments, all with a positive cost
+        axis: name of V
+        below: name of the cost, with its unit
+        alt: the picture in words
+        size: for a wide or a narrow screen
+    """
+    front = front_of(points)
+    cheap, dear = (f(p.cost for p in points) for f in (min, max))
+    # Results far above the front are clipped to the upper edge.
+    low, high = front[-1].value, min(max(p.value for p in points), 20 * front[-1].value or 1.0)
+    across = Scale(cheap / 1.3, dear * 1.3, 54, size.width - 40, log=True)
+    up = Scale(max(low, 1e-12) / 1.3, max(high, low) * 1.3 or 1.0, size.height - 40, 26.0, log=True)
+    drawn: list[Html | None] = [_grid(across, up, size, axis, below)]
+    others = [p for p in points if p not in front]
+    places = [(f"{rounded(across.at(p.cost))} {rounded(up.at(p.value))}", p) for p in others]
+    if len(others) > _MANY:
+        drawn.append(tag("path", d="".join(f"M{at}h0" for at, _ in places), class_="crowd"))
+        others = []
+    line = "".join(
+        f"{'V' if k else 'M'}{'' if k else f'{rounded(across.at(p.cost))} '}"
+        f"{rounded(up.at(p.value))}H{rounded(across.at(q.cost) if q else across.end)}"
+        for k, (p, q) in enumerate(zip(front, [*front[1:], None], strict=True))
+    )
+    drawn.append(tag("path", d=line, class_="best"))
+    for point in (*others, *front):
+        text = f"#{point.number:02d} V {error_value(point.value)}, {below} {point.cost:.3g}: "
+        mark = _dot(across.at(point.cost), point.value, up, "kept" if point in front else "other")
+        drawn.append(tag("g", tag("title", text + one_line(point.title, 80)), mark))
+    shown = [Point(p.number, p.value, "", p.title, best=True) for p in front]
+    drawn.append(_tags(shown, across, up, size, [p.cost for p in front]))
+    return _progress_svg(drawn, alt, size)
 
 
 LINES = ("best", "best second")

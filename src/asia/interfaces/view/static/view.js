@@ -106,7 +106,9 @@ async function fill(part) {
   const used = part.contains(document.activeElement) && document.activeElement !== document.body;
   if (html === shown.get(part) || (used && shown.has(part))) return;
   const open = all("details", part).map((d) => d.open);
+  const chosen = one("input:checked", part)?.id;
   part.replaceChildren(elements(html));
+  if (chosen && one(`#${chosen}`)) one(`#${chosen}`).checked = true;
   if (shown.has(part)) all("details", part).forEach((d, k) => { if (k < open.length) d.open = open[k]; });
   shown.set(part, html);
 }

@@ -24,6 +24,7 @@ SECTIONS: Final[tuple[Section, ...]] = (
     evidence.BANDS,
     verdict.HANDOVER,
     experiments.PROGRESS,
+    experiments.TRADEOFF,
     experiments.LINEAGE,
     evidence.SECTION,
     experiments.SECTION,

@@ -2,23 +2,42 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
 
 from asia.judge.scoring.outcome import Score
+from asia.ledger.artifacts import Store
 from asia.ledger.text import error_line, phase_text
 from asia.ledger.view import Experiment
 from asia.problem.problem import is_described
 from asia.report.page.code import change, python
-from asia.report.page.html import Html, equations, facts, join, region, said, table, tag
+from asia.report.page.html import (
+    RULES,
+    Html,
+    equations,
+    facts,
+    join,
+    region,
+    said,
+    table,
+    tag,
+    write_number,
+)
 from asia.report.page.subject import Section, Subject, result_of
 from asia.report.page.svg import (
     NARROW,
     WIDE,
     LineageRow,
     Point,
+    Traded,
     draw_lanes,
     draw_progress,
+    draw_tradeoff,
+    front_of,
     legend,
 )
 
@@ -315,6 +334,90 @@ def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
         ("best", "best so far"),
     ]
     return tag("figure", *drawings, legend(kinds))
+
+
+# V against the cost of a model, with the front that nothing dominates.
+
+
+@lru_cache(maxsize=20_000)
+def _costs(artifacts: Path, findings: str) -> tuple[float | None, float | None]:
+    """Count of numbers and seconds of a sample, from the findings of a fold."""
+    found = json.loads(Store(artifacts).get(findings))
+    return found.get("numbers"), found.get("sample_seconds")
+
+
+_AXES: Final = (
+    ("numbers in the model", "numbers", "greatest", "count"),
+    ("microseconds a sample", "sample_seconds", "least", "micro"),
+    ("seconds of fit", "fit_seconds", "sum", "sig3"),
+)
+"""Name, field of a fold, rule over the folds, and form of each cost."""
+
+
+def _cost(subject: Subject, e: Experiment, axis: int) -> tuple[float, Html] | None:
+    """A cost of an experiment over its folds, as a number and for the page; None if not known."""
+    _, field, rule, form = _AXES[axis]
+    folds = result_of(e).folds
+    if field == "fit_seconds":
+        values: list[float | None] = [fold.fit_seconds for fold in folds]
+        sources = [f"{subject.place(result_of(e))}:folds.{k}.{field}" for k in range(len(folds))]
+    elif any(fold.findings is None for fold in folds) or not subject.run.store.kept:
+        return None
+    else:
+        folder = subject.run.directory / "artifacts"
+        values = [_costs(folder, str(fold.findings))[axis] for fold in folds]
+        sources = [f"{fold.findings}:{field}" for fold in folds]
+    known = [value for value in values if value]
+    if not known or len(known) < len(values):
+        return None
+    return RULES[rule](known), write_number(known, " ".join(sources), rule, form)
+
+
+def _write_tradeoff(subject: Subject) -> Html | None:
+    scored = [e for e in subject.view.finished if e.score is not None]
+    choices: list[Html] = []
+    figures: list[Html] = []
+    fronts: dict[int, Experiment] = {}
+    for axis, (name, *_) in enumerate(_AXES):
+        points = [
+            Traded(e.number, e.proposed.title, e.score.value, found[0])
+            for e in scored
+            if e.score is not None and (found := _cost(subject, e, axis)) is not None
+        ]
+        if len(points) < 2:
+            continue
+        fronts |= {p.number: subject.view.experiment(p.number) for p in front_of(points)}
+        alt = f"{subject.view.v_name} against {name}; the table below has the front."
+        shown = name if axis != 1 else "µs a sample (processor time)"
+        drawings = [
+            tag("div", draw_tradeoff(points, subject.view.v_name, shown, alt, size), class_=kind)
+            for size, kind in ((WIDE, "wide"), (NARROW, "narrow"))
+        ]
+        box = tag("input", type="radio", name="axis", id=f"axis{axis}", checked=not choices)
+        choices.append(tag("label", box, " ", name))
+        figures.append(tag("figure", *drawings, class_=f"axis{axis}"))
+    if not figures:
+        return None
+    rows = [
+        [
+            tag("a", subject.name(e), " ", said(e.proposed.title, 80), href=f"#e{number}"),
+            subject.v(e),
+            *(None if (found := _cost(subject, e, axis)) is None else found[1]
+              for axis in range(len(_AXES))),
+        ]
+        for number, e in sorted(fronts.items())
+    ]  # fmt: skip
+    head = ["candidate", subject.view.v_name, *(name for name, *_ in _AXES)]
+    keys = [("kept best", "no other candidate has less of both"), ("other", "others")]
+    return join((
+        tag("fieldset", tag("legend", "V against"), *choices, class_="axes"),
+        *figures,
+        legend(keys),
+        table(head, rows, "Candidates that no other one beats in V and in a cost"),
+    ))  # fmt: skip
+
+
+TRADEOFF = Section("tradeoff", "Trade-offs", _write_tradeoff)
 
 
 PROGRESS = Section("progress", "Progress of the search", _write_progress)
