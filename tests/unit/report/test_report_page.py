@@ -477,7 +477,7 @@ def test_trade_offs_leave_out_costs_that_the_ledger_does_not_have(
 ) -> None:
     page = page_of(make_run())
     assert re.findall(r'name="axis" id="(axis\d)"( checked)?', page) == [("axis2", " checked")]
-    table = page.split("Candidates that no other one beats in V and in a cost")[1]
+    table = page.split("Candidates that no other one beats in V and in a cost")[2]
     assert re.findall(r'href="#e(\d+)"', table.split("</table>")[0]) == ["4"]
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import getpass
 import hashlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import quote, urlencode
@@ -17,13 +16,13 @@ from asia._text import one_line
 from asia.agents.registry import reads_notes
 from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
-from asia.ledger.events import Evaluated, TestedModel
+from asia.ledger.events import Evaluated
 from asia.ledger.evidence import evidence_of, settings_of_run
-from asia.ledger.run import alarms, model_to_use, tested_model
+from asia.ledger.run import alarms
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
-from asia.report.page.html import Html, join, said, table, tag
+from asia.report.page.html import Html, join, said, tag
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.experiments import (
     experiment_story,
@@ -31,13 +30,9 @@ from asia.report.page.sections.experiments import (
     status_of,
     tag_labels,
 )
-from asia.report.page.sections.verdict import held_out_overlays, stamp
+from asia.report.page.sections.verdict import held_out_overlays
 from asia.report.page.subject import Detail, Subject
 from asia.report.page.svg import (
-    NARROW,
-    WIDE,
-    BestSoFar,
-    draw_best,
     draw_overlay,
     overlay_legend,
 )
@@ -127,7 +122,7 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
     label = tag("span", status, class_=f"status {status}")
     title = tag("h1", subject.name(e), " ", said(e.proposed.title, 200))
     value = join(("V ", tag("b", subject.v(e)))) if e.score else None
-    links = [
+    links: list[Html] = [
         tag("a", text, href=f"{address}/experiments/{other}", rel=rel)
         for other, text, rel in (
             (e.number - 1, "‹ previous", "prev"),
@@ -135,12 +130,21 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
         )
         if 1 <= other <= len(subject.view.experiments)
     ]
+    best = subject.view.best
+    if e.score is not None and best is not None and best.number != e.number:
+        chosen = [("e", f"{run.name}/{number}") for number in (best.number, e.number)]
+        links.append(tag("a", "overlay on the best", href=f"/compare?{urlencode(chosen)}"))
 
     overlays = held_out_overlays(subject, e)
     simulations = None
     if subject.problem is not None and overlays:
         boxes = [
-            zoomable(snapshot, e.number, k, len(one.measured)) for k, one in enumerate(overlays)
+            zoomable(
+                f"{address}/experiments/{e.number}/overlays/{k}",
+                draw_overlay(subject.problem, one),
+                len(one.measured),
+            )
+            for k, one in enumerate(overlays)
         ]
         text = tag("p", "Drag across a picture to see a part of it.")
         simulations = join((text, overlay_legend(), tag("div", *boxes, class_="grid")))
@@ -171,9 +175,15 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
     return join(parts)
 
 
-def zoomable(snapshot: Snapshot, number: int, index: int, count: int) -> Html:
-    """An overlay with buttons to see a part of it."""
-    name = f"overlay-{snapshot.run.name}-{number}-{index}"
+def zoomable(address: str, drawn: Html, count: int) -> Html:
+    """An overlay with buttons to see a part of it.
+
+    Args:
+        address: where other parts of it are
+        drawn: all of it
+        count: number of its samples
+    """
+    name = f"overlay-{digest_of(address)}"
     buttons = [
         tag(
             "button",
@@ -194,10 +204,10 @@ def zoomable(snapshot: Snapshot, number: int, index: int, count: int) -> Html:
     ]
     return tag(
         "div",
-        tag("div", overlay_part(snapshot, number, index), class_="drawn", id=name),
+        tag("div", drawn, class_="drawn", id=name),
         tag("div", *buttons, class_="tools", role="group", aria_label="Part of the record"),
         class_="zoomable",
-        data_overlay=f"{run_address(snapshot.run.name)}/experiments/{number}/overlays/{index}",
+        data_overlay=address,
         data_count=count,
     )
 
@@ -233,9 +243,7 @@ def runs_page(folder: Path, listed: Sequence[ListedRun], digest: str, token: str
         tag("div", runs_table(listed), id="list"),
         tag(
             "p",
-            tag("button", "Compare two runs", type="submit", disabled=True, id="two"),
-            " ",
-            tag("span", "Choose two runs.", id="two-words"),
+            tag("button", "Compare the chosen runs", type="submit", disabled=True, id="chosen"),
         ),
         action="/compare",
         method="get",
@@ -267,7 +275,8 @@ def runs_table(listed: Sequence[ListedRun]) -> Html:
             "input", type="checkbox", name="run", value=one.name, aria_label=f"choose {one.name}"
         )
         link = tag("a", said(one.name), href=run_address(one.name))
-        cells = [tag("td", choose), tag("th", link, scope="row", class_="words")]
+        labels = None if one.brief is None else tag_labels(one.brief.view.tags())
+        cells = [tag("td", choose), tag("th", link, " ", labels, scope="row", class_="words")]
         if one.brief is None:
             trouble = said(f"cannot be read: {one.trouble}")
             cells.append(tag("td", trouble, colspan=7, class_="words"))
@@ -293,123 +302,6 @@ def state_mark(state: str, *, paused: bool = False) -> Html:
     """Write the state of a search as a label."""
     text = f"{state}, to pause" if paused else state
     return tag("span", text, class_=f"state {state}")
-
-
-# Two runs side by side.
-
-
-def comparison_page(pair: Sequence[Snapshot], token: str) -> str:
-    """The page of two runs."""
-    names = [one.run.name for one in pair]
-    query = urlencode([("run", name) for name in names])
-    streams = [
-        tag(
-            "span",
-            data_stream=f"{run_address(one.run.name)}/events",
-            data_mark=one.mark,
-            hidden=True,
-        )
-        for one in pair
-    ]
-    part = tag("div", comparison_part(pair), data_refresh=f"/compare/part?{query}")
-    header = tag("header", tag("h1", "Comparison"))
-    return whole_page(" and ".join(names), (("Searches", "/"),), (header, *streams, part), token)
-
-
-def comparison_part(pair: Sequence[Snapshot]) -> Html:
-    """Write the content of the page."""
-    subjects = [one.subject for one in pair]
-    v_names = {one.view.v_name for one in subjects}
-    warning = None
-    if len({(s.view.started.problem, s.view.started.protocol_digest) for s in subjects}) > 1:
-        warning = "The runs have different problems or protocols: do not compare their V."
-    elif len(v_names) > 1:
-        warning = "V was computed under different rules in the two runs: do not compare it."
-    if warning is not None:
-        warning = tag("p", warning, class_="trouble")
-
-    searches = [
-        BestSoFar(
-            one.run.name,
-            tuple((e.number, e.score.value) for e in one.view.bests if e.score is not None),
-            max((e.number for e in one.view.finished), default=0),
-        )
-        for one in subjects
-    ]
-    axis = v_names.pop() if len(v_names) == 1 else "V"
-    alt = "Best V so far of both runs over the experiments."
-    drawings = [
-        tag("div", draw_best(searches, axis, alt, size), class_=name)
-        for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
-    ]
-
-    winners: list[Html] = []
-    for snapshot in pair:
-        subject, name = snapshot.subject, snapshot.run.name
-        best = subject.view.best
-        title = tag("h3", said(name))
-        if best is None:
-            winners.append(tag("div", title, tag("p", "There is no score yet.")))
-            continue
-        address = f"{run_address(name)}/experiments/{best.number}"
-        link = tag("a", subject.name(best), " ", said(best.proposed.title), href=address)
-        boxes = [
-            zoomable(snapshot, best.number, k, len(overlay.measured))
-            for k, overlay in enumerate(held_out_overlays(subject, best))
-        ]
-        winners.append(tag("div", title, tag("p", link, ", V ", subject.v(best)), *boxes))
-
-    columns = tag("div", *winners, class_="columns")
-    parts = (
-        section("figures", "Figures", warning, _comparison_table(subjects)),
-        section("curves", "Best so far", tag("figure", *drawings)),
-        section("winners", "The best candidates", overlay_legend(), columns),
-    )
-    return join(parts)
-
-
-def _comparison_table(subjects: Sequence[Subject]) -> Html:
-    def verdict(subject: Subject) -> Html:
-        text, kind = stamp(subject)
-        return tag("span", text, class_=f"stamp small {kind}")
-
-    def best(subject: Subject) -> Html:
-        found = subject.view.best
-        return subject.v(found) if found is not None else tag("span", "no score")
-
-    def reference(subject: Subject, name: str) -> Html:
-        found = subject.reference(name)
-        if found is None:
-            return tag("span", "none")
-        return subject.number(found[0], "outcome.value", "error")
-
-    def tested(subject: Subject) -> Html:
-        """The test score of the model to use, once the test was opened."""
-        opened, named = subject.view.unsealed, model_to_use(subject.view)
-        if opened is None or named is None:
-            return tag("span", "not opened")
-        place = named.model if getattr(opened, named.model) is not None else "ensemble"
-        if not isinstance(tested_model(opened, named.model), TestedModel):
-            return tag("span", "no answer")
-        return subject.number(opened, f"{place}.scores.0.value", "sig4")
-
-    references = dict.fromkeys(one.name for subject in subjects for one in subject.view.references)
-    rows: list[tuple[str, Callable[[Subject], Html]]] = [
-        ("state", lambda s: state_mark(s.run.state)),
-        ("verdict", verdict),
-        ("problem", lambda s: said(s.view.started.problem)),
-        ("agent", lambda s: said(s.view.started.agent)),
-        ("seed", lambda s: s.number(s.view.started, "seed", "text")),
-        ("isolation", lambda s: said(s.view.started.isolation_words)),
-        ("experiments", lambda s: s.over("evaluated", "experiment", "count", "count")),
-        ("evaluation time", lambda s: s.over("evaluated", "seconds", "sum", "duration")),
-        ("V, the best", best),
-        *((f"V, {name}", partial(reference, name=name)) for name in references),
-        ("error on the sealed test", tested),
-    ]
-    head = ["", *(tag("a", said(s.run.name), href=run_address(s.run.name)) for s in subjects)]
-    cells = [(text, *map(cell, subjects)) for text, cell in rows]
-    return tag("div", table(head, cells, "Both runs"), class_="both")
 
 
 # The list of experiments: short rows, the last one first.
@@ -541,7 +433,9 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
         subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
     )  # fmt: skip
-    header = tag("header", tag("h1", said(name)), tag("p", *text))
+    header = tag(
+        "header", tag("h1", said(name)), tag("p", *text, " ", tag_labels(subject.view.tags()))
+    )
     own = [one for key in _OWN for one in SECTIONS if one.key == key]
     others = [one for one in SECTIONS if one.key not in _OWN]
     links = [tag("li", tag("a", one.title, href=f"#{one.key}")) for one in (*own, *others)]
@@ -577,6 +471,9 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         role="region",
         aria_label="Experiments",
     )
+    overlay = tag(
+        "a", "Overlay and compare experiments", href=f"/compare?{urlencode({'run': name})}"
+    )
     # The page asks for the other sections when it is there.
     later = [
         section(
@@ -597,7 +494,7 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         ),
         tag("nav", tag("ul", *links), aria_label="Sections"),
         section("progress", "Progress of the search", curve),
-        section("experiments", "Experiments", choose, listed),
+        section("experiments", "Experiments", choose, listed, tag("p", overlay)),
         *later,
     )
     holder = tag(

@@ -327,8 +327,9 @@ def draw_tradeoff(points: Sequence[Traded], axis: str, below: str, alt: str, siz
     return _progress_svg(drawn, alt, size)
 
 
-LINES = ("best", "best second")
-"""Classes of the lines of `draw_best`, in the order of the searches."""
+def series(number: int) -> str:
+    """Class of the line of a run or an experiment, from 0 on: five colours, then dashes."""
+    return f"series{number % 5} dash{number // 5 % 3}"
 
 
 @dataclass(frozen=True)
@@ -341,8 +342,8 @@ class BestSoFar:
 
 
 def draw_best(searches: Sequence[BestSoFar], axis: str, alt: str, size: Size) -> Html:
-    """The best V so far of at most `len(LINES)` searches, as step lines. axis: name of V; alt: the
-    picture in words."""
+    """The best V so far of each search as step lines. axis: name of V; alt: the picture in
+    words."""
     values = [value for one in searches for _, value in one.kept] or [1.0]
     most = max([one.experiments for one in searches], default=1) or 1
     across = Scale(0.5, most + 0.5, 54, size.width - 12)
@@ -350,11 +351,11 @@ def draw_best(searches: Sequence[BestSoFar], axis: str, alt: str, size: Size) ->
     log = high > _LOG_FROM * low > 0
     up = Scale(low / 1.35 if log else 0.0, high * 1.15 or 1.0, size.height - 40, 26.0, log=log)
     drawn: list[Html | None] = [_grid(across, up, size, axis)]
-    for one, name in zip(searches, LINES, strict=False):
+    for k, one in enumerate(searches):
         if one.kept:
-            end = across.at(one.experiments + 0.5)
-            drawn.append(tag("path", d=_steps(one.kept, across, up, end), class_=name))
-    keys = [(name, said(one.name)) for one, name in zip(searches, LINES, strict=False)]
+            path = _steps(one.kept, across, up, across.at(one.experiments + 0.5))
+            drawn.append(tag("path", d=path, class_=f"line steps {series(k)}"))
+    keys = [(series(k), said(one.name)) for k, one in enumerate(searches)]
     return join((_progress_svg(drawn, alt, size), legend(keys)))
 
 
@@ -431,6 +432,7 @@ class Overlay:
         measured, simulated: (H, ny).
         skip: samples at the start that do not count.
         band: lower and upper edges (H, ny) of the output bands.
+        others: further simulations (H, ny).
     """
 
     title: Html
@@ -441,6 +443,7 @@ class Overlay:
     simulated: Array
     skip: int = 0
     band: tuple[Array, Array] | None = None
+    others: tuple[Array, ...] = ()
 
     def cut(self, first: int, last: int) -> Overlay:
         """Return the part between two samples, counted from its start and clipped to it; at least
@@ -455,6 +458,7 @@ class Overlay:
             simulated=self.simulated[begin:end],
             skip=max(0, min(self.skip, end) - begin),
             band=None if self.band is None else (self.band[0][begin:end], self.band[1][begin:end]),
+            others=tuple(one[begin:end] for one in self.others),
         )
 
 
@@ -467,12 +471,18 @@ def overlay_legend(*, banded: bool = False) -> Html:
 def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
     """Measured against simulated output, with a strip of errors below."""
     signal = problem.outputs[overlay.channel]
-    y, y_hat = (side[:, overlay.channel] for side in (overlay.measured, overlay.simulated))
+    y, y_hat, *others = (
+        side[:, overlay.channel] for side in (overlay.measured, overlay.simulated, *overlay.others)
+    )
+    names = [series(k) for k in range(1 + len(others))] if others else ["model"]
     unit = time_unit(problem.sampling_time * (overlay.first + len(y)))
     step = problem.sampling_time / unit.seconds
-    low, high = _limits(y, y_hat)
+    low, high = _limits(y, y_hat, *others)
     upper = Scale(low, high, _HEIGHT, 0)
-    most = float(np.nanmax(np.abs(y - y_hat), initial=0.0)) or 1.0
+    errors = [y - one for one in (y_hat, *others)]
+    # Of several, one that is far off does not hide the others.
+    sizes = sorted(float(np.nanmax(np.abs(error), initial=0.0)) for error in errors)
+    most = min(sizes[-1], 5 * sizes[0]) or sizes[-1] or 1.0
     strip = Scale(-most, most, _STRIP, 0)
     band = around = None
     if overlay.band is not None:
@@ -490,7 +500,13 @@ def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
         _plot(
             upper,
             band,
-            [_line("measured", y, upper), _line("model", y_hat, upper)],
+            [
+                _line("measured", y, upper),
+                *(
+                    _line(name, one, upper)
+                    for name, one in zip(names, (y_hat, *others), strict=True)
+                ),
+            ],
             shade=shade,
             class_="plot",
             role="img",
@@ -500,7 +516,10 @@ def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
         _plot(
             strip,
             around,
-            [_line("error", y - y_hat, strip)],
+            [
+                _line(name if others else "error", one, strip)
+                for name, one in zip(names, errors, strict=True)
+            ],
             3,
             class_="plot strip",
             aria_hidden="true",

@@ -28,7 +28,7 @@ CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
 SIZES = {"wide": {"width": 1280, "height": 900}, "phone": {"width": 390, "height": 844}}
-PAGES = ("/", "/runs/made", "/runs/made/experiments/2", "/compare?run=made&run=other")
+PAGES = ("/", "/runs/made", "/runs/made/experiments/2", "/compare?run=other&e=made/1&e=made/2")
 
 # A busy machine is slow.
 expect.set_options(timeout=60_000)
@@ -177,8 +177,17 @@ def test_the_list_of_runs_moves(server: Server, watched: Watched, problem: Probl
         expect(page.locator("#list .state.running")).to_have_count(1)
         expect(page.get_by_label("choose made")).to_be_checked()
     page.get_by_label("choose other").check()
-    page.get_by_role("button", name="Compare two runs").click()
+    page.get_by_role("button", name="Compare the chosen runs").click()
     expect(page.get_by_role("heading", level=1)).to_have_text("Comparison")
+    page.locator(".chooser summary").first.click()
+    page.get_by_label("#04").check()
+    page.get_by_role("button", name="Show the chosen").click()
+    assert page.url == server.at("/compare?run=made&e=made%2F2&e=made%2F4&run=other&e=other%2F1")
+    expect(page.locator("#overlays .legend span.said")).to_have_count(3)
+    box = page.locator(".zoomable").first
+    whole = box.locator("path.series2").first.get_attribute("d")
+    box.get_by_role("button", name="zoom in").click()
+    expect(box.locator("path.series2").first).not_to_have_attribute("d", whole or "")
     assert watched.complaints == []
 
 

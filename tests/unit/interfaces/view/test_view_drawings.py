@@ -47,14 +47,15 @@ def test_each_experiment_of_a_short_search_has_its_title() -> None:
     assert "h0" not in drawn
 
 
-def test_two_searches_are_two_lines() -> None:
+def test_searches_are_lines_of_their_own() -> None:
     first = BestSoFar("<first>", ((1, 1.0), (4, 0.5)), 8)
     drawn = draw_best([first, BestSoFar("none", (), 0)], "V", "alt", WIDE)
-    assert drawn.count('class="best"') == 1
-    assert 'class="best second"' not in drawn
+    assert drawn.count('class="line steps series0 dash0"') == 1
+    assert 'class="line steps series1' not in drawn
     assert "&lt;first&gt;" in drawn
-    both = draw_best([first, BestSoFar("other", ((1, 20.0),), 2)], "V", "alt", WIDE)
-    assert 'class="best second"' in both
+    six = draw_best([first] * 5 + [BestSoFar("other", ((1, 20.0),), 2)], "V", "alt", WIDE)
+    assert 'class="line steps series4 dash0"' in six
+    assert 'class="line steps series0 dash1"' in six
 
 
 def test_nothing_has_less_of_both_than_a_point_of_the_front() -> None:

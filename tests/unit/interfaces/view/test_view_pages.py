@@ -26,7 +26,7 @@ from tests.unit.report.made_up import append_test
 from .conftest import ATTACK, TOKEN, make_run
 
 POST = {"x-asia-token": TOKEN}
-PAIR = "/compare?run=made&run=made"
+PAIR = "/compare?run=made&e=made/4"
 SECTIONS = ("verdict", "model", "accuracy", "test", "use", "integrity", "reproduce")
 
 
@@ -180,16 +180,34 @@ def test_a_part_of_a_simulation_is_drawn_again(client: TestClient) -> None:
     assert client.get("/runs/made/experiments/3/overlays/0").status_code == 404
 
 
-def test_two_runs_stand_side_by_side(client: TestClient, runs: Path, problem: Problem) -> None:
-    make_run(runs / "other", problem, (("only", 0.25),))
-    page = client.get("/compare?run=made&run=other").text
-    assert page.count('data-stream="/runs/') == 2
-    assert page.count('class="zoomable"') == 4
-    assert "0.2500" in page
-    assert "0.5000" in page
+def test_any_number_of_runs_and_experiments_is_compared(
+    client: TestClient, runs: Path, problem: Problem
+) -> None:
+    for name, value in (("other", 0.25), ("third", 0.125)):
+        make_run(runs / name, problem, (("only", value),))
+    page = client.get("/compare?run=made&run=other&run=third").text
+    assert page.count('data-stream="/runs/') == 3
+    assert page.count('class="zoomable"') == 2
+    assert all(value in page for value in ("0.5000", "0.2500", "0.1250"))
     assert "do not compare" not in page
-    assert client.get("/compare?run=made").status_code == 404
-    assert client.get("/compare?run=made&run=none").status_code == 404
+    assert page.count('class="line steps series2 dash0"') == 2
+    overlaid = page.split('id="overlays"')[1]
+    assert re.findall(r'class="line (measured|series\d)', overlaid)[:4] == [
+        "measured", "series0", "series1", "series2",
+    ]  # fmt: skip
+    query = "e=made/1&e=made/4&e=other/1"
+    page = client.get(f"/compare?{query}").text
+    chosen = re.findall(r'value="(\w+/\d)" checked', page)
+    assert sorted(chosen) == ["made/1", "made/4", "other/1"]
+    assert 'data-refresh="/compare/part?run=made&amp;e=made%2F1' in page
+    part = client.get(f"/compare/overlays/1?{query}&first=100&last=110").text
+    lines = re.findall(r'd="M([^"]*)" class="line series', part)
+    assert [line.count("L") for line in lines] == [10] * 6
+    assert client.get(f"/compare/overlays/2?{query}").status_code == 404
+    failed = client.get("/compare?e=made/3").text
+    assert ("No chosen experiment has a score" in failed, "zoomable" in failed) == (True, False)
+    for wrong in ("run=made&run=none", "e=made/9", "e=none/1", ""):
+        assert client.get(f"/compare?{wrong}").status_code == 404, wrong
 
 
 def test_runs_of_other_problems_are_not_compared_without_a_word(

@@ -231,16 +231,10 @@ document.addEventListener("click", (event) => {
   tell(button, "");
 });
 
-// ---- two runs side by side
+// ---- runs to compare
 
-const two = one("#two");
-if (two) {
-  document.addEventListener("change", () => {
-    const count = all("input[name=run]:checked").length;
-    two.disabled = count !== 2;
-    one("#two-words").textContent = count === 2 ? "" : `Choose two runs: ${count} chosen.`;
-  });
-}
+const compare = one("#chosen");
+if (compare) document.addEventListener("change", () => (compare.disabled = !one("input[name=run]:checked")));
 
 if (rows) {
   form.addEventListener("input", atMost(150, choose));

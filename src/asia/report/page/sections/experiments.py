@@ -346,7 +346,7 @@ def _costs(artifacts: Path, findings: str) -> tuple[float | None, float | None]:
     return found.get("numbers"), found.get("sample_seconds")
 
 
-_AXES: Final = (
+COSTS: Final = (
     ("numbers in the model", "numbers", "greatest", "count"),
     ("microseconds a sample", "sample_seconds", "least", "micro"),
     ("seconds of fit", "fit_seconds", "sum", "sig3"),
@@ -354,9 +354,9 @@ _AXES: Final = (
 """Name, field of a fold, rule over the folds, and form of each cost."""
 
 
-def _cost(subject: Subject, e: Experiment, axis: int) -> tuple[float, Html] | None:
+def cost_of(subject: Subject, e: Experiment, axis: int) -> tuple[float, Html] | None:
     """A cost of an experiment over its folds, as a number and for the page; None if not known."""
-    _, field, rule, form = _AXES[axis]
+    _, field, rule, form = COSTS[axis]
     folds = result_of(e).folds
     if field == "fit_seconds":
         values: list[float | None] = [fold.fit_seconds for fold in folds]
@@ -378,11 +378,11 @@ def _write_tradeoff(subject: Subject) -> Html | None:
     choices: list[Html] = []
     figures: list[Html] = []
     fronts: dict[int, Experiment] = {}
-    for axis, (name, *_) in enumerate(_AXES):
+    for axis, (name, *_) in enumerate(COSTS):
         points = [
             Traded(e.number, e.proposed.title, e.score.value, found[0])
             for e in scored
-            if e.score is not None and (found := _cost(subject, e, axis)) is not None
+            if e.score is not None and (found := cost_of(subject, e, axis)) is not None
         ]
         if len(points) < 2:
             continue
@@ -402,12 +402,12 @@ def _write_tradeoff(subject: Subject) -> Html | None:
         [
             tag("a", subject.name(e), " ", said(e.proposed.title, 80), href=f"#e{number}"),
             subject.v(e),
-            *(None if (found := _cost(subject, e, axis)) is None else found[1]
-              for axis in range(len(_AXES))),
+            *(None if (found := cost_of(subject, e, axis)) is None else found[1]
+              for axis in range(len(COSTS))),
         ]
         for number, e in sorted(fronts.items())
     ]  # fmt: skip
-    head = ["candidate", subject.view.v_name, *(name for name, *_ in _AXES)]
+    head = ["candidate", subject.view.v_name, *(name for name, *_ in COSTS)]
     keys = [("kept best", "no other candidate has less of both"), ("other", "others")]
     return join((
         tag("fieldset", tag("legend", "V against"), *choices, class_="axes"),

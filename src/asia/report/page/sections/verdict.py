@@ -498,18 +498,24 @@ def _fold_name(subject: Subject, fold: int) -> Html:
     return join((number, ": ", said(re.sub(r"^block \d+ of \d+: (?=samples)", "", names[fold]))))
 
 
-def held_out_overlays(subject: Subject, experiment: Experiment) -> list[Overlay]:
+def held_out_overlays(
+    subject: Subject, experiment: Experiment, others: Sequence[tuple[Subject, Experiment]] = ()
+) -> list[Overlay]:
     """Return the simulations of an experiment's fold models on their held-out data, lowest fit
     first: the first block of a fold, or its best and its worst window. None without a score or the
     data.
+
+    Args:
+        others: experiments with a score and with the same folds, whose simulations lie over these
     """
     problem, score, folds = subject.problem, experiment.score, subject.folds
     if problem is None or score is None:
         return []
     outputs = fold_outputs(subject.run.store, experiment, folds)
+    beside = [fold_outputs(other.run.store, e, folds) for other, e in others]
     overlays: list[Overlay] = []
     for channel in lowest(worst_fits(score), max(1, MOST_PANELS // len(folds))):
-        for fold, y_hat in zip(folds, outputs, strict=True):
+        for k, (fold, y_hat) in enumerate(zip(folds, outputs, strict=True)):
             chosen = [("", 0)]
             if problem.protocol.kind == "windows":
                 found = representative_windows(
@@ -526,6 +532,7 @@ def held_out_overlays(subject: Subject, experiment: Experiment) -> list[Overlay]
                         first=block.start,
                         measured=block.y,
                         simulated=y_hat[index],
+                        others=tuple(each[k][index] for each in beside),
                     )
                 )
     return overlays
