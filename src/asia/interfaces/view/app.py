@@ -48,6 +48,7 @@ from asia.interfaces.view.pages import (
     runs_page,
     runs_table,
     section_part,
+    tab_page,
     whole_page,
 )
 from asia.interfaces.view.streams import Streams, tell
@@ -80,6 +81,7 @@ def make_app(folder: RunFolder, streams: Streams, token: str) -> Starlette:
         Route("/runs/{run}/experiments/{number:int}", pages.experiment),
         Route("/runs/{run}/experiments/{number:int}/part", pages.experiment_part),
         Route("/runs/{run}/experiments/{number:int}/overlays/{index:int}", pages.overlay),
+        Route("/runs/{run}/{key}", pages.tab),
         Route("/runs/{run}/{what}", pages.steer, methods=["POST"]),
     ]
     return Starlette(routes=routes, exception_handlers={UserError: pages.refuse})
@@ -116,6 +118,11 @@ class _Pages:
     def section(self, request: Request) -> Response:
         found = section_part(self._snapshot(request, with_records=True), request.path_params["key"])
         return Response(status_code=204) if found is None else HTMLResponse(found)
+
+    def tab(self, request: Request) -> Response:
+        return HTMLResponse(
+            tab_page(self._snapshot(request), request.path_params["key"], self.token)
+        )
 
     def experiment(self, request: Request) -> Response:
         snapshot = self._snapshot(request, with_records=True)

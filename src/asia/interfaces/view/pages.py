@@ -423,6 +423,37 @@ def experiment_rows(
 
 # These are written here, so that they can change line by line.
 _OWN: Final = ("progress", "experiments")
+TABS: Final = ("linear", "control", "certificate")
+"""Keys of the sections that have a page of their own, where the run has them."""
+
+
+def tabs(snapshot: Snapshot, here: str = "") -> Html | None:
+    """Links to the pages of a run; None where it has one page."""
+    found = {"": "Search"}
+    for one in SECTIONS:
+        if one.key in TABS and one.write(snapshot.subject) is not None:
+            found[one.key] = one.title
+    if len(found) == 1:
+        return None
+    address = run_address(snapshot.run.name)
+    links = [
+        tag("a", title, href=f"{address}/{key}".rstrip("/"),
+            aria_current="page" if key == here else None)
+        for key, title in found.items()
+    ]  # fmt: skip
+    return tag("nav", *links, class_="tabs", aria_label="Pages of the run")
+
+
+def tab_page(snapshot: Snapshot, key: str, token: str) -> str:
+    """The page of a tab. Raises UserError where the run has nothing for it."""
+    found = next((one for one in SECTIONS if one.key == key and key in TABS), None)
+    inner = None if found is None else found.write(snapshot.subject)
+    name = snapshot.run.name
+    if found is None or inner is None:
+        raise UserError(f"run '{name}' has no page '{key}'")
+    header = tag("header", tag("h1", said(name)))
+    main = header, tabs(snapshot, key), section(key, found.title, inner)
+    return whole_page(f"{name}: {found.title}", (("Searches", "/"),), main, token)
 
 
 def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
@@ -437,7 +468,7 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         "header", tag("h1", said(name)), tag("p", *text, " ", tag_labels(subject.view.tags()))
     )
     own = [one for key in _OWN for one in SECTIONS if one.key == key]
-    others = [one for one in SECTIONS if one.key not in _OWN]
+    others = [one for one in SECTIONS if one.key not in (*_OWN, *TABS)]
     links = [tag("li", tag("a", one.title, href=f"#{one.key}")) for one in (*own, *others)]
     curve = tag(
         "div",
@@ -485,6 +516,7 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
     ]
     main = (
         header,
+        tabs(snapshot),
         tag("div", now_panel(snapshot), id="now"),
         note_form(name),
         steering_panel(
@@ -605,7 +637,8 @@ def section_part(snapshot: Snapshot, key: str) -> Html | None:
     """Write the content of a section; None if the run has nothing for it, or there is no such
     section.
     """
-    found = next((one for one in SECTIONS if one.key == key and key not in _OWN), None)
+    others = (*_OWN, *TABS)
+    found = next((one for one in SECTIONS if one.key == key and key not in others), None)
     inner = None if found is None else found.write(snapshot.subject)
     return None if inner is None else to_pages(inner, snapshot.run.name)
 

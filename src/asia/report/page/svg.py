@@ -636,6 +636,33 @@ def draw_check(check: DrawnCheck) -> Html:
     )
 
 
+def draw_poles(models: Sequence[tuple[str, Sequence[complex], Sequence[complex]]]) -> Html:
+    """Poles as crosses and zeros as circles of models in the z-plane, with the unit circle. models:
+    name, poles and zeros of each."""
+    reach = max([1.1, *(abs(z) for _, poles, zeros in models for z in (*poles, *zeros))])
+    reach = min(reach, 2.0)
+    side = 300.0
+    across, up = Scale(-reach, reach, 8, side - 8), Scale(-reach, reach, side - 8, 8)
+    unit = (across.end - across.start) / (2 * reach)
+    axes = f"M{across.start} {up.at(0)}H{across.end}M{across.at(0)} {up.start}V{up.end}"
+    drawn: list[Html] = [
+        tag("path", d=axes, class_="grid"),
+        tag("circle", cx=across.at(0), cy=up.at(0), r=rounded(unit), class_="level"),
+    ]
+    for k, (_, poles, zeros) in enumerate(models):
+        for z in poles:
+            x, y = rounded(across.at(z.real) - 4), rounded(up.at(z.imag) - 4)
+            drawn.append(tag("path", d=f"M{x} {y}l8 8m0 -8l-8 8", class_=f"line {series(k)}"))
+        for z in zeros:
+            x, y = rounded(across.at(z.real)), rounded(up.at(z.imag))
+            drawn.append(tag("circle", cx=x, cy=y, r="4.5", class_=f"line {series(k)}"))
+    figure = tag("svg", *drawn, viewBox=f"0 0 {side:g} {side:g}", class_="poles", role="img",
+                 aria_label="Poles and zeros in the z-plane; the text has the poles")  # fmt: skip
+    keys = legend([(series(k), said(name, 80)) for k, (name, _, _) in enumerate(models)])
+    title = tag("figcaption", "poles (crosses), zeros (circles) and the unit circle")
+    return tag("figure", title, keys, figure, class_="curves panel")
+
+
 def _range(values: Sequence[float], margin: float, *, log: bool) -> tuple[float, float]:
     low, high = min(values), max(values)
     if log:

@@ -16,6 +16,7 @@ SECTIONS: Final[tuple[Section, ...]] = (
     experiments.MODEL,
     evidence.IDENTIFIED,
     evidence.LINEAR,
+    evidence.CONTROL,
     evidence.CERTIFICATE,
     verdict.ACCURACY,
     evidence.VALIDATION,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -36,7 +37,7 @@ from asia.report.page.html import (
     write_number,
 )
 from asia.report.page.subject import Section, Subject, used_no_test
-from asia.report.page.svg import draw_check
+from asia.report.page.svg import draw_check, draw_poles
 
 # The ablation: contributions of the changes to the gain of the winner.
 
@@ -377,23 +378,39 @@ _MOST_BYTES = 4_000_000
 _DRAWN: TypeAdapter[tuple[DrawnCheck, ...]] = TypeAdapter(tuple[DrawnCheck, ...])
 
 
-def _write_linear(subject: Subject) -> Html | None:
-    path = subject.run.directory / LINEAR_FILE
+CONTROL_FILE: Final = Path("control", "control.json")
+"""File of `asia control` in the folder of a run."""
+
+
+def _write_command(subject: Subject, file: Path, command: str) -> Html | None:
+    """Text and pictures that a command wrote next to the ledger; None without its file."""
+    path = subject.run.directory / file
     if not path.exists():
         return None
-    remedy = "run asia linear again"
+    remedy = f"run {command} again"
     content = read_file(path, remedy) if path.stat().st_size <= _MOST_BYTES else b""
     try:
         found = json.loads(content)
         lines, drawn = "\n".join(found["text"]), _DRAWN.validate_python(found["drawn"])
+        planes = [
+            (str(one["at"]), *([complex(z["real"], z["imag"]) for z in one[key]]
+                               for key in ("poles", "zeros")))
+            for one in found.get("points", ())
+        ]  # fmt: skip
     except (ValueError, TypeError, LookupError):
-        return tag("p", f"{LINEAR_FILE} is no file of this version: {remedy}.")
-    note = tag("p", "Written by ", tag("code", "asia linear"), ". The ledger does not record it.")
-    text = tag("pre", lines, tabindex="0", role="region", aria_label="Linear models")
-    return join((note, text, tag("div", *map(draw_check, drawn), class_="grid")))
+        return tag("p", f"{file} is no file of this version: {remedy}.")
+    note = tag("p", "Written by ", tag("code", command), ". The ledger does not record it.")
+    text = tag("pre", lines, tabindex="0", role="region", aria_label=f"Output of {command}")
+    panels = [*map(draw_check, drawn), *([draw_poles(planes)] if planes else [])]
+    return join((note, text, tag("div", *panels, class_="grid")))
 
 
-LINEAR = Section("linear", "Linear models", _write_linear)
+LINEAR = Section(
+    "linear", "Linear models", partial(_write_command, file=LINEAR_FILE, command="asia linear")
+)
+CONTROL = Section(
+    "control", "Control", partial(_write_command, file=CONTROL_FILE, command="asia control")
+)
 
 
 # The certificate: what `asia certify` wrote next to the ledger.
