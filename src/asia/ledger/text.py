@@ -210,10 +210,11 @@ def decision_text(e: Experiment, view: SearchView) -> str:
     if change >= 1.0:
         return f"V {change + 1.0:.3g} times that of #{best.number:02d}"
     text = f"V {abs(change):.1%} {'below' if change < 0 else 'above'} #{best.number:02d}"
-    if e.result.threshold and change < 0:
+    if e.result.threshold and e.kept:
         means = " over seeds" if len(e.seed_values) > 1 else ""
-        text += f",{means} by {'more' if e.kept else 'less'} than the threshold "
-        text += f"{e.result.threshold:.2g}"
+        text += f",{means} by more than the threshold {e.result.threshold:.2g}"
+    elif e.result.threshold and e.result.status == "inconclusive":
+        text += f", within the threshold {e.result.threshold:.2g}"
     return text.replace("%", " %")
 
 

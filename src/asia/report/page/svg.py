@@ -584,8 +584,13 @@ def draw_check(check: DrawnCheck) -> Html:
     """The curves of a validation check with their names, and the band that chance stays within."""
     # Logarithmic axes leave out what is not above 0.
     log = check.name in LOGARITHMIC_CHECKS
+    log_x = log or check.name == "phase"
     lines = [
-        [(x, y) for x, y in zip(curve.x, curve.y, strict=True) if not log or (x > 0 and y > 0)]
+        [
+            (x, y)
+            for x, y in zip(curve.x, curve.y, strict=True)
+            if (x > 0 or not log_x) and (y > 0 or not log)
+        ]
         for curve in check.curves
     ]
     every = [point for line in lines for point in line]
@@ -593,8 +598,8 @@ def draw_check(check: DrawnCheck) -> Html:
         return tag("figure", tag("figcaption", said(check.name)), tag("p", "Nothing to draw."))
     bands = [curve.band for curve in check.curves if curve.band is not None]
     edges = [edge for band in bands for edge in (-band, band)]
-    low, high = _range([x for x, _ in every], 0.0, log=log)
-    across, percent = Scale(low, high, 0, _WIDTH, log), Scale(low, high, 0, 100, log)
+    low, high = _range([x for x, _ in every], 0.0, log=log_x)
+    across, percent = Scale(low, high, 0, _WIDTH, log_x), Scale(low, high, 0, 100, log_x)
     up = Scale(*_range([*(y for _, y in every), *edges], _MARGIN, log=log), _HEIGHT, 0, log)
     band = None
     if bands:
