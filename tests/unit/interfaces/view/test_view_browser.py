@@ -22,13 +22,19 @@ from asia.problem.problem import Problem
 from asia.report import write_page
 from tests.unit.report.made_up import append_experiment
 
-from .conftest import ATTACK, make_run
+from .conftest import ATTACK, make_run, write_linear
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
 SIZES = {"wide": {"width": 1280, "height": 900}, "phone": {"width": 390, "height": 844}}
-PAGES = ("/", "/runs/made", "/runs/made/experiments/2", "/compare?run=other&e=made/1&e=made/2")
+PAGES = (
+    "/",
+    "/runs/made",
+    "/runs/made/experiments/2",
+    "/compare?run=other&e=made/1&e=made/2",
+    "/runs/made/linear",
+)
 
 # A busy machine is slow.
 expect.set_options(timeout=60_000)
@@ -92,6 +98,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture
 def server(runs: Path, problem: Problem) -> Iterator[Server]:
     make_run(runs / "other", problem, (("only", 0.25),))
+    write_linear(runs / "made")
     server = Server(runs)
     server.start()
     yield server

@@ -23,7 +23,7 @@ from asia.problem.problem import Problem
 from asia.report.page.page import audit, page_of
 from tests.unit.report.made_up import append_test
 
-from .conftest import ATTACK, TOKEN, make_run
+from .conftest import ATTACK, TOKEN, make_run, write_linear
 
 POST = {"x-asia-token": TOKEN}
 PAIR = "/compare?run=made&e=made/4"
@@ -208,6 +208,30 @@ def test_any_number_of_runs_and_experiments_is_compared(
     assert ("No chosen experiment has a score" in failed, "zoomable" in failed) == (True, False)
     for wrong in ("run=made&run=none", "e=made/9", "e=none/1", ""):
         assert client.get(f"/compare?{wrong}").status_code == 404, wrong
+
+
+def test_linear_model_and_control_have_pages_where_the_run_has_them(
+    client: TestClient, runs: Path
+) -> None:
+    assert 'class="tabs"' not in client.get("/runs/made").text
+    assert client.get("/runs/made/linear").status_code == 404
+    write_linear(runs / "made")
+    for address, here in (("/runs/made", "Search"), ("/runs/made/linear", "Linear models"),
+                          ("/runs/made/control", "Control")):  # fmt: skip
+        page = client.get(address).text
+        assert re.findall(r'href="(/runs/made[a-z/]*)"[^>]*>([A-Z][a-z ]+)</a>', page)[:3] == [
+            ("/runs/made", "Search"),
+            ("/runs/made/linear", "Linear models"),
+            ("/runs/made/control", "Control"),
+        ]
+        assert re.findall(r'aria-current="page">([^<]+)<', page) == [here]
+    page = client.get("/runs/made/linear").text
+    assert page.count("l8 8m0 -8l-8 8") == 2  # poles
+    assert ("&lt;script&gt;" in page, "<script>document" in page) == (True, False)
+    assert client.get("/runs/made/sections/linear").status_code == 204
+    assert client.get("/runs/made/certificate").status_code == 404
+    (runs / "made" / "linear" / "linear.json").write_text("{}")
+    assert "run asia linear again" in client.get("/runs/made/linear").text
 
 
 def test_runs_of_other_problems_are_not_compared_without_a_word(
