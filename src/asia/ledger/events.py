@@ -593,6 +593,22 @@ class Steered:
 
 
 @dataclass(frozen=True)
+class Noted:
+    """A note or tags of a user, for people. Agents do not see them."""
+
+    author: str
+    text: str
+    """The note, or the reason of the tags."""
+    experiment: Annotated[int, _omitted(0)] = 0
+    """The experiment that it is about; 0 for the run."""
+    tags: Annotated[tuple[str, ...], _omitted(())] = ()
+    """Tags that it adds."""
+    removed: Annotated[tuple[str, ...], _omitted(())] = ()
+    """Tags that it takes away."""
+    event: Literal["noted"] = "noted"
+
+
+@dataclass(frozen=True)
 class Again:
     """A fold of the winner fitted a second time, with the same seed."""
 
@@ -768,7 +784,7 @@ class Validated:
 
 Event = (
     Started | ReferenceScored | Proposed | Evaluated | Landed | HandedOver | Extended | Stopped
-    | Resumed | Steered | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted
+    | Resumed | Steered | Noted | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted
     | GuardLooked | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated | Validated
 )  # fmt: skip
 

@@ -180,6 +180,14 @@ class Loop:
             with self.watch.activity(Activity.GUARD, swallows=True):
                 look = look_at_guard(self.problem, self.evaluator, self.store, self.view)
             self.record(look)
+        self._record_notes()
+
+    def _record_notes(self) -> None:
+        """Record the notes for people that were made since."""
+        for path, noted in self.steering.noted():
+            if noted is not None:
+                self.record(noted)
+            path.unlink()
 
     def _shown(self) -> AgentView:
         """What an agent sees now."""
@@ -225,6 +233,7 @@ class Loop:
         for path, text in self.steering.notes():
             self.record(Steered(text))
             path.unlink()
+        self._record_notes()
         if self.steering.take_stop():
             # None of the pending evaluations is lost.
             while self.pending_fits.any:

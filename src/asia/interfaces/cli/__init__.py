@@ -33,6 +33,7 @@ from asia.interfaces.cli import (
     linear,
     models,
     monitor,
+    note,
     query,
     report,
     show,
@@ -145,6 +146,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
 }
 MORE_COMMANDS: dict[str, Callable[..., None] | typer.Typer] = {
     "steer": steer.steer,
+    "note": note.note,
     "verify": verify.verify,
     "query": query.query,
     "agent": agent_app,

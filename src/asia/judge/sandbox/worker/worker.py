@@ -313,6 +313,12 @@ class Worker:
         except ValueError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 
+    def numbers(self) -> int | None:
+        """Return the count of the numbers in the fitted model, as the worker reports it; None where
+        it cannot be counted. Call it before any case, as `parameters`."""
+        body = self._reply_before_cases("numbers", FRAME_HEAD.size)
+        return int.from_bytes(body, "little") if body else None
+
     def compile_seconds(self) -> float:
         """Return JAX's time for tracing and compiling in the fit, as the worker reports it, at most
         the time that the fit took. Call it before any case, as `parameters`."""
