@@ -259,7 +259,7 @@ class Judge:
         """Simulate inputs (B, H, nu) with all models, and judge them."""
         subject, reference = self.subject, self._reference
         simulated = subject.predict(inputs)[self.usable]
-        failed = ~np.isfinite(simulated).all(axis=(0, 2, 3))
+        failed = np.logical_not(np.isfinite(simulated).all(axis=(0, 2, 3)))
         every = -(-inputs.shape[1] // _MOST_SAMPLES)
         before = reference.variance()
         found: list[Judged] = []

@@ -393,16 +393,19 @@ def _write_command(subject: Subject, file: Path, command: str) -> Html | None:
         found = json.loads(content)
         lines, drawn = "\n".join(found["text"]), _DRAWN.validate_python(found["drawn"])
         planes = [
-            (str(one["at"]), *([complex(z["real"], z["imag"]) for z in one[key]]
-                               for key in ("poles", "zeros")))
+            (str(one["at"]), _complex(one["poles"]), _complex(one["zeros"]))
             for one in found.get("points", ())
-        ]  # fmt: skip
+        ]
     except (ValueError, TypeError, LookupError):
         return tag("p", f"{file} is no file of this version: {remedy}.")
     note = tag("p", "Written by ", tag("code", command), ". The ledger does not record it.")
     text = region("pre", tag("code", lines), label=f"Output of {command}")
     panels = [*map(draw_check, drawn), *([draw_poles(planes)] if planes else [])]
     return join((note, text, tag("div", *panels, class_="grid")))
+
+
+def _complex(values: list[dict[str, float]]) -> list[complex]:
+    return [complex(z["real"], z["imag"]) for z in values]
 
 
 LINEAR = Section(
