@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -382,6 +382,10 @@ CONTROL_FILE: Final = Path("control", "control.json")
 """File of `asia control` in the folder of a run."""
 
 
+def _complex(values: Sequence[Mapping[str, float]]) -> list[complex]:
+    return [complex(one["real"], one["imag"]) for one in values]
+
+
 def _write_command(subject: Subject, file: Path, command: str) -> Html | None:
     """Text and pictures that a command wrote next to the ledger; None without its file."""
     path = subject.run.directory / file
@@ -393,10 +397,9 @@ def _write_command(subject: Subject, file: Path, command: str) -> Html | None:
         found = json.loads(content)
         lines, drawn = "\n".join(found["text"]), _DRAWN.validate_python(found["drawn"])
         planes = [
-            (str(one["at"]), *([complex(z["real"], z["imag"]) for z in one[key]]
-                               for key in ("poles", "zeros")))
+            (str(one["at"]), _complex(one["poles"]), _complex(one["zeros"]))
             for one in found.get("points", ())
-        ]  # fmt: skip
+        ]
     except (ValueError, TypeError, LookupError):
         return tag("p", f"{file} is no file of this version: {remedy}.")
     note = tag("p", "Written by ", tag("code", command), ". The ledger does not record it.")
