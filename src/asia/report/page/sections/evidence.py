@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -380,6 +380,10 @@ _DRAWN: TypeAdapter[tuple[DrawnCheck, ...]] = TypeAdapter(tuple[DrawnCheck, ...]
 
 CONTROL_FILE: Final = Path("control", "control.json")
 """File of `asia control` in the folder of a run."""
+
+
+def _complex(values: Sequence[Mapping[str, float]]) -> list[complex]:
+    return [complex(one["real"], one["imag"]) for one in values]
 
 
 def _write_command(subject: Subject, file: Path, command: str) -> Html | None:
