@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -259,7 +259,7 @@ class Judge:
         """Simulate inputs (B, H, nu) with all models, and judge them."""
         subject, reference = self.subject, self._reference
         simulated = subject.predict(inputs)[self.usable]
-        failed = np.logical_not(np.isfinite(simulated).all(axis=(0, 2, 3)))
+        failed: Any = ~np.isfinite(simulated).all(axis=(0, 2, 3))
         every = -(-inputs.shape[1] // _MOST_SAMPLES)
         before = reference.variance()
         found: list[Judged] = []

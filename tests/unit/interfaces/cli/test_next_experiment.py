@@ -17,6 +17,7 @@ from asia.interfaces.cli.next import _kept, _named, _span  # pyright: ignore[rep
 from asia.ledger.run import open_run
 from asia.search.extension import extended_problem, leading_experiments
 from tests.unit.interfaces.cli.conftest import command_line
+from tests.unit.painting import painted
 from tests.unit.search.toy import Scripted, arx, write_problem
 
 
@@ -32,10 +33,11 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def proposed(finished: Path) -> dict[str, object]:
-    done = command_line(
-        "next", finished, "--duration", 30, "--limits", "u=-2..2", "--rate", "u=4", "--keep",
-        "y<4", "--keep", "y>-4", "--start", "u=0",
-    )  # fmt: skip
+    with painted():
+        done = command_line(
+            "next", finished, "--duration", 30, "--limits", "u=-2..2", "--rate", "u=4", "--keep",
+            "y<4", "--keep", "y>-4", "--start", "u=0",
+        )  # fmt: skip
     assert done.code == 0, done.err
     return {"out": done.out, "folder": finished / "next"}
 
