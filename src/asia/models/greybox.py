@@ -172,14 +172,18 @@ class _SteppedParameters:
         return cases.initial(past_u, past_y, u), xp.repeat(nominal, len(u), axis=0)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
-        own, chosen = state
-        cases, each = self.model.steps(u), namespace(u).ones((1, len(u)))
-        values = [row * each[0] for row in cases.effect.parameters]
-        for column, place in enumerate(self.places):
-            values[place] = chosen[:, column]
-        effect = cases.effect._replace(parameters=namespace(u).stack(values))
-        own, y = replace(cases, effect=effect).step(own, u)
-        return (own, chosen), y
+        (x, line), chosen = state
+        xp, cases = namespace(u), self.model.steps(u)
+        found: list[Any] = []
+        # The equations have one set of parameters for all cases, so each case goes alone.
+        for i in range(len(u)):
+            values = list(cases.effect.parameters)
+            for column, place in enumerate(self.places):
+                values[place] = chosen[i : i + 1, column]
+            one = replace(cases, effect=cases.effect._replace(parameters=xp.stack(values)))
+            found.append(one.step((x[i : i + 1], line[i : i + 1]), u[i : i + 1]))
+        own = tuple(xp.concatenate([after[k] for after, _ in found]) for k in range(2))
+        return (own, chosen), xp.concatenate([y for _, y in found])
 
 
 def build(config: Config, context: Context) -> GreyBox:
