@@ -29,7 +29,7 @@ from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.bands import error_sizes, output_bands
 from asia.ledger.evidence import identified
 from asia.ledger.run import Run, open_run
-from asia.problem.identifiability import parameter_changes
+from asia.problem.identifiability import ParameterChanges
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.search.extension import leading_experiments
@@ -214,7 +214,8 @@ class Judge:
         places = np.concatenate(self._places(inputs, y))
         self._scale = places.std(axis=0) + 1e-9
         every = -(-len(places) // _MOST_SAMPLES)
-        parts = [self._unknown(u, y[:, k], every) for k, u in enumerate(inputs)]
+        changes = self._changes(inputs)
+        parts = [self._unknown(u, y[:, k], changes[:, k], every) for k, u in enumerate(inputs)]
         centre = np.concatenate(
             [y[self._base, k].mean(axis=0)[::every] for k in range(len(inputs))]
         )
@@ -243,16 +244,20 @@ class Judge:
             columns.append((total[:, length:] - total[:, :-length]) / length)
         return list(np.concatenate([*columns, y[self._base].mean(axis=0)], axis=2))
 
-    def _unknown(self, u: Array, y: Array, every: int) -> _Unknown:
+    def _changes(self, inputs: Array) -> Array:
+        """Changes (P, B, H, ny) by the parameters."""
+        if self.subject.changes is None:
+            return np.zeros((0, *inputs.shape[:2], len(self.subject.noise)))
+        return self.subject.changes(inputs)
+
+    def _unknown(self, u: Array, y: Array, changes: Array, every: int) -> _Unknown:
         """What is not known at every so many samples of an input (H, nu)."""
         subject = self.subject
         (place,) = self._places(u[None], y[:, None])
         apart = np.einsum("rm,mho->rho", self._contrasts, y)
         error = _DEVIATION * subject.reach(u, y[self._base].mean(axis=0))
         local = np.concatenate([apart, error[None]]) / subject.noise
-        everywhere = np.zeros((0, *y.shape[1:]))
-        if subject.changes is not None:
-            everywhere = subject.changes(u[None])[:, 0] / subject.noise
+        everywhere = changes / subject.noise
         return _Unknown(place[::every] / self._scale, local[:, ::every], everywhere[:, ::every])
 
     def __call__(self, inputs: Array) -> list[Judged]:
@@ -261,7 +266,7 @@ class Judge:
         simulated = subject.predict(inputs)[self.usable]
         failed: Any = ~np.isfinite(simulated).all(axis=(0, 2, 3))
         every = -(-inputs.shape[1] // _MOST_SAMPLES)
-        before = reference.variance()
+        before, changes = reference.variance(), self._changes(inputs)
         found: list[Judged] = []
         for k, u in enumerate(inputs):
             y = simulated[:, k]
@@ -269,7 +274,7 @@ class Judge:
                 nothing = np.full(y.shape[1:], np.nan)
                 found.append(Judged(u, y, nothing, nothing, 0.0, self.before, np.inf))
                 continue
-            unknown = self._unknown(u, y, every)
+            unknown = self._unknown(u, y, changes[:, k], every)
             after = np.empty_like(before)
             for i in range(y.shape[2]):
                 own = unknown.covariance(unknown, i)
@@ -637,8 +642,9 @@ def _parameters(run: Run, problem: Problem, rest: tuple[Array, Array]) -> _Param
     values = {one.name: one.value for _, one in chosen}
     signals = [s.name for s in problem.inputs], [s.name for s in problem.outputs]
 
+    by_equations = ParameterChanges(physics, signals, values, root, rest, problem.sampling_time)
+
     def changes(u: Array) -> Array:
-        y = parameter_changes(physics, signals, values, root, u, rest, problem.sampling_time)
-        return np.nan_to_num(y, nan=0.0, posinf=0.0, neginf=0.0)
+        return np.nan_to_num(by_equations(u), nan=0.0, posinf=0.0, neginf=0.0)
 
     return _Parameters(tuple(values), np.array(list(values.values())), root, changes)

@@ -18,7 +18,7 @@ from asia.analysis.experiment_design import (
 )
 from asia.data.trajectory import Array
 from asia.errors import UserError
-from asia.problem.identifiability import parameter_changes
+from asia.problem.identifiability import ParameterChanges
 from asia.problem.physics import ParameterRange, Physics
 
 LIMITS = InputLimits(np.zeros(1), np.full(1, 10.0), np.full(1, np.inf), np.full(1, 2.0))
@@ -157,7 +157,7 @@ def test_changes_by_parameters_are_those_of_the_equations() -> None:
     u[1, 5:20] = 3.0
     rest = np.full(1, 2.0), np.full(1, 2.0 * (0.2 * 2.0 / 0.3) ** 2)
     directions = np.array([[0.02, 0.0], [0.01, -0.03]])
-    found = parameter_changes(TANK, (["u"], ["y"]), values, directions, u, rest, 1.0)
+    found = ParameterChanges(TANK, (["u"], ["y"]), values, directions, rest, 1.0)(u)
 
     def simulated(a: float, b: float, case: int) -> Array:
         """Euler's method with steps far below a sample."""
