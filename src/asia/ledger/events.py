@@ -290,6 +290,16 @@ class Stack:
 
 
 @dataclass(frozen=True)
+class Feedback:
+    """Inputs that follow earlier outputs in the training records, without a [loop]."""
+
+    inputs: tuple[str, ...]
+    pole: float | None
+    """Largest modulus of the poles of a linear plant fitted by the prediction-error method, which
+    feedback does not bias; None where that fit failed."""
+
+
+@dataclass(frozen=True)
 class StressTest:
     """Simulation of a model on training inputs in other combinations."""
 
@@ -583,6 +593,22 @@ class Steered:
 
 
 @dataclass(frozen=True)
+class Noted:
+    """A note or tags of a user, for people. Agents do not see them."""
+
+    author: str
+    text: str
+    """The note, or the reason of the tags."""
+    experiment: Annotated[int, _omitted(0)] = 0
+    """The experiment that it is about; 0 for the run."""
+    tags: Annotated[tuple[str, ...], _omitted(())] = ()
+    """Tags that it adds."""
+    removed: Annotated[tuple[str, ...], _omitted(())] = ()
+    """Tags that it takes away."""
+    event: Literal["noted"] = "noted"
+
+
+@dataclass(frozen=True)
 class Again:
     """A fold of the winner fitted a second time, with the same seed."""
 
@@ -616,6 +642,9 @@ class Refitted:
     """Estimates of its parameters; None where it gives none, and in older ledgers."""
     stress: tuple[StressTest, ...] = ()
     """Stress tests in the order in which models were considered; () in older ledgers."""
+    feedback: Annotated[Feedback | None, _omitted(None)] = None
+    cause: Annotated[str, _omitted("")] = ""
+    """Why no candidate beats the mean of the output; "" where one does."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
     event: Literal["refitted"] = "refitted"
 
@@ -755,7 +784,7 @@ class Validated:
 
 Event = (
     Started | ReferenceScored | Proposed | Evaluated | Landed | HandedOver | Extended | Stopped
-    | Resumed | Steered | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted
+    | Resumed | Steered | Noted | Exchanged | Streamed | SessionStarted | SessionEnded | Refitted
     | GuardLooked | Unsealing | Unsealed | Repeated | Confirmed | AblationFit | Ablated | Validated
 )  # fmt: skip
 

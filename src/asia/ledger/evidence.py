@@ -239,6 +239,8 @@ def _limited(found: FoldFindings) -> FoldFindings:
         residuals=residuals,
         compile_seconds=coarse(found.compile_seconds),
         memory_mb=None if found.memory_mb is None else coarse(found.memory_mb),
+        numbers=None,
+        sample_seconds=None,
         parameters=(),
         printed="",
         failed=(),

@@ -207,9 +207,14 @@ def decision_text(e: Experiment, view: SearchView) -> str:
     if best is None or best.score is None or not best.score.value:
         return "the first with a score"
     change = e.score.value / best.score.value - 1.0
+    if change >= 1.0:
+        return f"V {change + 1.0:.3g} times that of #{best.number:02d}"
     text = f"V {abs(change):.1%} {'below' if change < 0 else 'above'} #{best.number:02d}"
-    if e.result.threshold:
-        text += f"; to be kept its mean must be {e.result.threshold:.2g} lower"
+    if e.result.threshold and e.kept:
+        means = " over seeds" if len(e.seed_values) > 1 else ""
+        text += f",{means} by more than the threshold {e.result.threshold:.2g}"
+    elif e.result.threshold and e.result.status == "inconclusive":
+        text += f", within the threshold {e.result.threshold:.2g}"
     return text.replace("%", " %")
 
 

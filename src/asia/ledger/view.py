@@ -23,6 +23,7 @@ from asia.ledger.events import (
     GuardLooked,
     HandedOver,
     Landed,
+    Noted,
     Proposed,
     ReferenceScored,
     Refitted,
@@ -119,6 +120,8 @@ class SearchView:
     extended_after: int = 0
     references: tuple[ReferenceScored, ...] = ()
     notes: tuple[Steered, ...] = ()
+    noted: tuple[Noted, ...] = ()
+    """Notes and tags for people, the oldest first."""
     exchanges: tuple[Exchanged, ...] = ()
     sessions: tuple[SessionEnded, ...] = ()
     begun: tuple[SessionStarted, ...] = ()
@@ -280,6 +283,15 @@ class SearchView:
             sum(u.turns for u in known),
         )
 
+    def tags(self, experiment: int = 0) -> tuple[str, ...]:
+        """Return the tags of an experiment, or of the run, that were not taken away."""
+        found: dict[str, None] = {}
+        for one in self.noted:
+            if one.experiment == experiment:
+                found |= dict.fromkeys(one.tags)
+                found = {name: None for name in found if name not in one.removed}
+        return tuple(found)
+
     def experiment(self, number: int) -> Experiment:
         """Raises UserError when there is no such experiment."""
         for experiment in self.experiments:
@@ -295,6 +307,7 @@ class SearchView:
 _COLLECTED: dict[type[Event], str] = {
     ReferenceScored: "references",
     Steered: "notes",
+    Noted: "noted",
     AblationFit: "ablation_fits",
     Exchanged: "exchanges",
     SessionStarted: "begun",

@@ -4,15 +4,25 @@ them.
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from pydantic import TypeAdapter, ValidationError
+
 from asia.errors import UserError
-from asia.ledger.chain import write_whole
+from asia.ledger.chain import Chain, in_use, ledger_of, write_whole
+from asia.ledger.events import Noted
+from asia.ledger.run import Run
 
 LONGEST_NOTE = 4000
+_LONGEST_AUTHOR = 80
+_TAG = re.compile(r"\w[\w.-]{0,29}")
+_NOTED: TypeAdapter[Noted] = TypeAdapter(Noted)
 
 
 @dataclass(frozen=True)
@@ -63,6 +73,17 @@ class Steering:
         found = sorted(self.folder.glob("steer-*.txt"))
         return [(path, path.read_text("utf-8", "replace")[:LONGEST_NOTE]) for path in found]
 
+    def noted(self) -> list[tuple[Path, Noted | None]]:
+        """Notes for people that are not yet recorded, oldest first; None for a file that is none.
+        Unlink each once it is recorded."""
+        found: list[tuple[Path, Noted | None]] = []
+        for path in sorted(self.folder.glob("noted-*.json")):
+            try:
+                found.append((path, _NOTED.validate_json(path.read_bytes())))
+            except ValidationError:
+                found.append((path, None))
+        return found
+
     @property
     def waiting(self) -> bool:
         """Return whether any request is waiting."""
@@ -71,3 +92,49 @@ class Steering:
         except FileNotFoundError:
             return False
         return any(n in ("pause", "stop") or n.startswith("steer-") for n in names)
+
+
+def note_for_people(
+    run: Run, author: str, text: str, experiment: int = 0, tags: Sequence[str] = (),
+    removed: Sequence[str] = (),
+) -> bool:  # fmt: skip
+    """Note something on a run or on one of its experiments, or change its tags.
+
+    Args:
+        text: the note, or the reason of the tags
+        experiment: its number; 0 for the run
+
+    Returns:
+        True where the ledger has it now, False where the process that writes the ledger records it
+        at its next step.
+
+    Raises:
+        UserError: for a note without text or author, a word that is no tag, or an experiment that
+            is not there
+    """
+    author, text = author.strip(), text.strip()
+    if not 0 < len(text) <= LONGEST_NOTE:
+        raise UserError(f"a note or a reason has 1 to {LONGEST_NOTE} characters, not {len(text)}")
+    if not 0 < len(author) <= _LONGEST_AUTHOR:
+        raise UserError(f"the author has 1 to {_LONGEST_AUTHOR} characters, not {len(author)}")
+    for word in (*tags, *removed):
+        if not _TAG.fullmatch(word):
+            raise UserError(
+                f"'{word}' is no tag: expected up to 30 letters, digits, '_', '-' and '.'"
+            )
+    if experiment:
+        run.view.experiment(experiment)
+    if missing := [word for word in removed if word not in run.view.tags(experiment)]:
+        raise UserError(f"there is no tag '{missing[0]}' to remove")
+    steering, ledger = Steering(run.directory), ledger_of(run.directory)
+    noted = Noted(author, text, experiment, tuple(tags), tuple(removed))
+    file = steering.folder / f"noted-{time.time_ns()}.json"
+    write_whole(file, json.dumps(asdict(noted)).encode())
+    if in_use(ledger):
+        return False
+    with Chain(ledger) as chain:
+        for path, one in steering.noted():
+            if one is not None:
+                chain.append(one)
+            path.unlink()
+    return True

@@ -472,12 +472,22 @@ def test_a_source_is_coloured_and_escaped() -> None:
     )
 
 
+def test_trade_offs_leave_out_costs_that_the_ledger_does_not_have(
+    make_run: Callable[..., Run],
+) -> None:
+    page = page_of(make_run())
+    assert re.findall(r'name="axis" id="(axis\d)"( checked)?', page) == [("axis2", " checked")]
+    table = page.split("Candidates that no other one beats in V and in a cost")[2]
+    assert re.findall(r'href="#e(\d+)"', table.split("</table>")[0]) == ["4"]
+
+
 def test_the_description_of_the_problem_is_on_the_page(make_run: Callable[..., Run]) -> None:
     run = make_run()
     assert 'id="problem"' in page_of(run)
-    description = load_problem("two_tanks_sim").description
-    first = description.strip().split("\n\n")[0].replace("\n", " ")
-    assert first[:60] in page_of(run)
+    page = page_of(run)
+    assert '<h3><span class="said">Two tanks in series, simulated</span></h3>' in page
+    assert "A pump fills an upper tank; its water runs through an opening" in page
+    assert '<li><span class="said">The two tanks and their openings are of about' in page
     assert not is_described(DESCRIPTION_TEMPLATE.format(name="mill"))
     assert not is_described(" ")
     assert is_described("A pump fills a tank.")

@@ -9,11 +9,13 @@ import pytest
 
 from asia.agents import AgentView, Proposal
 from asia.errors import UserError
+from asia.ledger.chain import Chain
 from asia.ledger.run import open_run
+from asia.ledger.verification import verify
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search
-from asia.search.steering import Steering
+from asia.search.steering import Steering, note_for_people
 
 from .toy import arx, write_problem
 
@@ -35,6 +37,8 @@ class Attentive:
             self.steering.stop()
         elif word == "pause":
             self.steering.pause()
+        elif word and word.startswith("for people: "):
+            note_for_people(open_run(self.steering.directory), "Ada", word, number, ["later"])
         elif word:
             self.steering.steer(word)
         return Proposal(arx(number + 1), "arx", f"{number + 1} lags", "more lags", "less error")
@@ -53,6 +57,28 @@ def test_a_note_is_recorded_and_seen_from_the_next_step_on(tmp_path: Path) -> No
     assert agent.seen == [(), (), ("the valve sticks",)]
     assert [note.text for note in view.notes] == ["the valve sticks"]
     assert not agent.steering.waiting
+
+
+@pytest.mark.slow
+def test_a_note_for_people_during_a_search_is_recorded_and_no_agent_sees_it(tmp_path: Path) -> None:
+    problem, runs = write_problem(tmp_path / "toy"), tmp_path / "runs"
+    directory = runs / "toy-attentive-s0"
+    agent = Attentive(Steering(directory), {1: "for people: noisy", 3: "for people: the last"})
+    view = go(problem, agent, runs)
+    assert agent.seen == [()] * 3
+    assert [(one.experiment, one.text) for one in view.noted] == [
+        (1, "for people: noisy"),
+        (3, "for people: the last"),
+    ]
+    assert (view.tags(1), view.tags(2), view.complete) == (("later",), (), True)
+    assert verify(directory).records == len(open_run(directory).lines)
+    again = open_run(directory)
+    with Chain(directory / "ledger.jsonl"):
+        assert not note_for_people(again, "Ada", "while another process writes", 2, ["good"])
+    assert note_for_people(again, "Ada", "not so good", 1, ["good"], ["later"])
+    view = open_run(directory).view
+    assert [one.text for one in view.noted[2:]] == ["while another process writes", "not so good"]
+    assert (view.tags(1), view.tags(2), view.complete) == (("good",), ("good",), True)
 
 
 @pytest.mark.slow

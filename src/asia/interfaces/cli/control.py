@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         SampledController,
         Transfer,
     )
+    from asia.ledger.evidence import DrawnCheck
     from asia.lowering.program import LoweredModel
 
 # Files of the controller.
@@ -169,6 +170,7 @@ def control(
     files: list[Path] = []
     if out is not None:
         from asia.report.files import save
+        from asia.report.page.sections.evidence import CONTROL_FILE
         from asia.report.pictures.control import draw_control
 
         named = [(p.name, y, u) for p, (y, u) in zip(loop.simulated, responses, strict=True)]
@@ -181,8 +183,10 @@ def control(
         for language, file in _CODE.items():
             (out / file).write_text(controller.code(language), "utf-8")  # pyright: ignore[reportArgumentType]
             files.append(out / file)
-        (out / "control.json").write_text(jsonlib.dumps(facts, allow_nan=False) + "\n", "utf-8")
-        files.append(out / "control.json")
+        drawn = [asdict(one) for one in _drawn(loop, named)]
+        page = {**facts, "text": [*lines, *(f"missed    {m}" for m in missed)], "drawn": drawn}
+        (out / CONTROL_FILE.name).write_text(jsonlib.dumps(page, allow_nan=False) + "\n", "utf-8")
+        files.append(out / CONTROL_FILE.name)
     if json:
         say(jsonlib.dumps(facts, allow_nan=False))
     stream = sys.stderr if json else sys.stdout
@@ -201,6 +205,24 @@ def control(
         say(f"missed    {one}")
     if found.violated or missed:
         raise typer.Exit(1)
+
+
+def _drawn(loop: Loop, responses: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> list[DrawnCheck]:
+    """Step responses of all models, for the report and the live page; not those that diverge."""
+    from asia.ledger.evidence import DrawnCheck, DrawnCurve
+
+    panels: list[DrawnCheck] = []
+    for column, name in ((1, loop.y), (2, loop.u)):
+        curves: list[DrawnCurve] = []
+        for response in responses:
+            values = np.asarray(response[column])
+            every = max(len(values) // 300, 1)
+            if np.isfinite(values).all():
+                time = loop.sampling_time * np.arange(len(values))[::every]
+                curves.append(DrawnCurve(response[0], time.tolist(), values[::every].tolist()))
+        title, axes = f"step of the set point: {name}", ("time [s]", name)
+        panels.append(DrawnCheck(title, axes, tuple(curves)))
+    return panels
 
 
 def _limits(text: str | None, name: str) -> tuple[float, float]:

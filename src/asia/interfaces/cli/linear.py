@@ -189,30 +189,34 @@ def _of_file(path: Path, out: Path | None, *, json: bool) -> None:
 
 
 def _drawn(run: LinearRun) -> list[DrawnCheck]:
-    """Gain over frequency and step response of all points, for the report and the live page."""
+    """Bode plot and step response of all points, for the report and the live page."""
     from asia.ledger.evidence import DrawnCheck, DrawnCurve
     from asia.lowering.linear import corner_frequencies, settling_samples
 
     gains: list[DrawnCurve] = []
+    phases: list[DrawnCurve] = []
     steps: list[DrawnCurve] = []
     samples = min(max(settling_samples(one.model) for one in run.points), _MOST_SAMPLES)
     for point in run.points:
         frequencies = corner_frequencies(point.model, 120)
-        response = np.abs(point.model.response(frequencies))
+        response = point.model.response(frequencies)
+        size, angle = np.abs(response), np.degrees(np.unwrap(np.angle(response), axis=0))
         reaction = point.model.step_response(samples)
         time = point.model.sampling_time * np.arange(samples)
         every = max(samples // 120, 1)
         for i, out in enumerate(run.outputs):
             for j, into in enumerate(run.inputs):
                 name = f"{out.name} by {into.name}, {point.name}"
-                gains.append(DrawnCurve(name, frequencies.tolist(), response[:, i, j].tolist()))
+                gains.append(DrawnCurve(name, frequencies.tolist(), size[:, i, j].tolist()))
+                phases.append(DrawnCurve(name, frequencies.tolist(), angle[:, i, j].tolist()))
                 shown = reaction[::every, i, j].tolist()
                 steps.append(DrawnCurve(name, time[::every].tolist(), shown))
-    kept = [gains[:_MOST_CURVES], steps[:_MOST_CURVES]]
-    return [
-        DrawnCheck("frequency response", ("frequency [Hz]", "gain"), tuple(kept[0])),
-        DrawnCheck("step response", ("time [s]", "output for a unit step"), tuple(kept[1])),
-    ]
+    panels = (
+        ("frequency response", ("frequency [Hz]", "gain"), gains),
+        ("phase", ("frequency [Hz]", "phase [degrees]"), phases),
+        ("step response", ("time [s]", "output for a unit step"), steps),
+    )
+    return [DrawnCheck(name, axes, tuple(each[:_MOST_CURVES])) for name, axes, each in panels]
 
 
 def _facts(

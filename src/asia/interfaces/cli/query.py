@@ -20,7 +20,8 @@ CREATE TABLE runs (run TEXT, problem TEXT, agent TEXT, seed INTEGER, state TEXT,
     budget INTEGER, best INTEGER, V REAL, tokens INTEGER);
 CREATE TABLE experiments (run TEXT, number INTEGER, parent INTEGER, phase TEXT, agent TEXT,
     family TEXT, title TEXT, hypothesis TEXT, expected TEXT, status TEXT, V REAL, reason TEXT,
-    seconds REAL);
+    seconds REAL, tags TEXT);
+CREATE TABLE notes (run TEXT, experiment INTEGER, time TEXT, author TEXT, text TEXT);
 """
 _COLUMNS = " ".join(_TABLES.replace("CREATE TABLE ", "").split())
 _READS = (
@@ -38,8 +39,8 @@ def query(
 
     Tables: runs (run, problem, agent, seed, state, finished, budget, best, V, tokens) and
     experiments (run, number, parent, phase, agent, family, title, hypothesis, expected, status, V,
-    reason, seconds). The function source(run, number) returns candidate.py. The tables are copies:
-    a query changes nothing.
+    reason, seconds, tags), notes (run, experiment, time, author, text). The function
+    source(run, number) returns candidate.py. The tables are copies: a query changes nothing.
     """
     with contextlib.closing(sqlite3.connect(":memory:")) as database:
         _fill(database, runs)
@@ -68,6 +69,7 @@ def query(
 
 def _fill(database: sqlite3.Connection, runs: Path) -> None:
     """Copy the runs of a folder; name on stderr those that cannot be read."""
+    from asia.ledger.events import Noted
     from asia.ledger.run import Run, open_run
     from asia.ledger.text import decision_text
 
@@ -95,10 +97,14 @@ def _fill(database: sqlite3.Connection, runs: Path) -> None:
                 name, e.number, p.parent, p.phase, p.agent or start.agent, p.family, p.title,
                 p.hypothesis, p.expected, r.status if r else "running",
                 e.score.value if e.score else None, decision_text(e, view),
-                r.seconds if r else None,
+                r.seconds if r else None, " ".join(view.tags(e.number)),
             )  # fmt: skip
             marks = ", ".join("?" * len(row))
             database.execute(f"INSERT INTO experiments VALUES ({marks})", row)
+        for line in run.lines:
+            if isinstance(one := line.event, Noted):
+                row = name, one.experiment or None, line.time, one.author, one.text
+                database.execute("INSERT INTO notes VALUES (?, ?, ?, ?, ?)", row)
 
     def source(name: str, number: int) -> str | None:
         run = opened.get(name)

@@ -28,12 +28,16 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from asia._files import config_folder, name_of_place, read_private, write_private
 from asia.errors import UserError
+from asia.interfaces.view.comparison import (
+    Compared,
+    compared_overlay,
+    comparison_page,
+    comparison_part,
+)
 from asia.interfaces.view.followed import RunFolder, Snapshot
 from asia.interfaces.view.pages import (
     FIRST,
     Chosen,
-    comparison_page,
-    comparison_part,
     digest_of,
     experiment_page,
     experiment_part,
@@ -44,6 +48,7 @@ from asia.interfaces.view.pages import (
     runs_page,
     runs_table,
     section_part,
+    tab_page,
     whole_page,
 )
 from asia.interfaces.view.streams import Streams, tell
@@ -67,6 +72,7 @@ def make_app(folder: RunFolder, streams: Streams, token: str) -> Starlette:
         Route("/static/{name}", pages.static),
         Route("/compare", pages.compare),
         Route("/compare/part", pages.compare_part),
+        Route("/compare/overlays/{index:int}", pages.compare_overlay),
         Route("/runs/{run}", pages.run),
         Route("/runs/{run}/events", pages.run_events),
         Route("/runs/{run}/curve", pages.curve),
@@ -75,6 +81,7 @@ def make_app(folder: RunFolder, streams: Streams, token: str) -> Starlette:
         Route("/runs/{run}/experiments/{number:int}", pages.experiment),
         Route("/runs/{run}/experiments/{number:int}/part", pages.experiment_part),
         Route("/runs/{run}/experiments/{number:int}/overlays/{index:int}", pages.overlay),
+        Route("/runs/{run}/{key}", pages.tab),
         Route("/runs/{run}/{what}", pages.steer, methods=["POST"]),
     ]
     return Starlette(routes=routes, exception_handlers={UserError: pages.refuse})
@@ -112,6 +119,11 @@ class _Pages:
         found = section_part(self._snapshot(request, with_records=True), request.path_params["key"])
         return Response(status_code=204) if found is None else HTMLResponse(found)
 
+    def tab(self, request: Request) -> Response:
+        return HTMLResponse(
+            tab_page(self._snapshot(request), request.path_params["key"], self.token)
+        )
+
     def experiment(self, request: Request) -> Response:
         snapshot = self._snapshot(request, with_records=True)
         return HTMLResponse(experiment_page(snapshot, request.path_params["number"], self.token))
@@ -127,16 +139,27 @@ class _Pages:
         return HTMLResponse(overlay_part(snapshot, number, index, first or 0, last))
 
     def compare(self, request: Request) -> Response:
-        return HTMLResponse(comparison_page(self._pair(request), self.token))
+        return HTMLResponse(comparison_page(self._compared(request), self.token))
 
     def compare_part(self, request: Request) -> Response:
-        return HTMLResponse(comparison_part(self._pair(request)))
+        return HTMLResponse(comparison_part(self._compared(request)))
 
-    def _pair(self, request: Request) -> list[Snapshot]:
-        names = request.query_params.getlist("run")
-        if len(names) != 2:
-            raise UserError(f"expected two runs to compare, got {len(names)}")
-        return [self.folder.get(name).snapshot(with_records=True) for name in names]
+    def compare_overlay(self, request: Request) -> Response:
+        first, last = (_number(request, key) for key in ("first", "last"))
+        compared, index = self._compared(request), request.path_params["index"]
+        return HTMLResponse(compared_overlay(compared, index, first or 0, last))
+
+    def _compared(self, request: Request) -> list[Compared]:
+        chosen = [name.rpartition("/") for name in request.query_params.getlist("e")]
+        names = dict.fromkeys((*request.query_params.getlist("run"), *(one[0] for one in chosen)))
+        found: list[Compared] = []
+        for name in names:
+            snapshot = self.folder.get(name).snapshot(with_records=True)
+            numbers = [int(n) for run, _, n in chosen if run == name and n.isdecimal()]
+            found.append(Compared(snapshot, tuple(dict.fromkeys(numbers))))
+        if not found:
+            raise UserError("there is nothing to compare: choose runs in the list of searches")
+        return found
 
     async def run_events(self, request: Request) -> Response:
         followed = await run_sync(self.folder.get, request.path_params["run"])

@@ -10,7 +10,7 @@ from pathlib import Path
 from asia.errors import UserError
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Follower, in_use, ledger_of
-from asia.ledger.events import Evaluated, Proposed
+from asia.ledger.events import Evaluated, Noted, Proposed
 from asia.ledger.index import Brief, brief
 from asia.ledger.run import Run
 from asia.problem.load import load_lock
@@ -49,8 +49,9 @@ class Snapshot:
         found = {
             line.event.experiment
             for line in self.run.lines[count:]
-            if isinstance(line.event, Proposed | Evaluated)
+            if isinstance(line.event, Proposed | Evaluated | Noted)
         }
+        found.discard(0)
         return sorted(found, reverse=True)
 
 

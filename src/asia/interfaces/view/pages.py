@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import getpass
 import hashlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import quote, urlencode
@@ -16,22 +16,23 @@ from asia._text import one_line
 from asia.agents.registry import reads_notes
 from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
-from asia.ledger.events import TestedModel
+from asia.ledger.events import Evaluated
 from asia.ledger.evidence import evidence_of, settings_of_run
-from asia.ledger.run import alarms, model_to_use, tested_model
+from asia.ledger.run import alarms
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
-from asia.report.page.html import Html, join, said, table, tag
+from asia.report.page.html import Html, join, said, tag
 from asia.report.page.sections import SECTIONS
-from asia.report.page.sections.experiments import experiment_story, progress_figure
-from asia.report.page.sections.verdict import held_out_overlays, stamp
+from asia.report.page.sections.experiments import (
+    experiment_story,
+    progress_figure,
+    status_of,
+    tag_labels,
+)
+from asia.report.page.sections.verdict import held_out_overlays
 from asia.report.page.subject import Detail, Subject
 from asia.report.page.svg import (
-    NARROW,
-    WIDE,
-    BestSoFar,
-    draw_best,
     draw_overlay,
     overlay_legend,
 )
@@ -94,14 +95,14 @@ def experiment_page(snapshot: Snapshot, number: int, token: str) -> str:
     """The page of an experiment. Raises UserError where there is none of that number."""
     name, experiment = snapshot.run.name, snapshot.run.view.experiment(number)
     address = run_address(name)
-    holder = tag(
+    part = tag(
         "div",
         experiment_part(snapshot, number),
-        data_stream=f"{address}/events",
-        data_mark=snapshot.mark,
         data_refresh=f"{address}/experiments/{number}/part",
         data_only=number,
     )
+    stream = {"data_stream": f"{address}/events", "data_mark": snapshot.mark}
+    holder = tag("div", part, note_form(name, number), **stream)
     title = f"#{experiment.number:02d} {experiment.proposed.title[:80]}"
     return whole_page(title, (("Searches", "/"), (name, address)), (holder,), token)
 
@@ -117,11 +118,11 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
     subject = replace(snapshot.subject, detail=detail)
     run, store = subject.run, subject.run.store
     e, address = subject.view.experiment(number), run_address(subject.run.name)
-    status = e.result.status if e.result else "running"
+    status = status_of(subject, e)
     label = tag("span", status, class_=f"status {status}")
     title = tag("h1", subject.name(e), " ", said(e.proposed.title, 200))
     value = join(("V ", tag("b", subject.v(e)))) if e.score else None
-    links = [
+    links: list[Html] = [
         tag("a", text, href=f"{address}/experiments/{other}", rel=rel)
         for other, text, rel in (
             (e.number - 1, "‹ previous", "prev"),
@@ -129,12 +130,21 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
         )
         if 1 <= other <= len(subject.view.experiments)
     ]
+    best = subject.view.best
+    if e.score is not None and best is not None and best.number != e.number:
+        chosen = [("e", f"{run.name}/{number}") for number in (best.number, e.number)]
+        links.append(tag("a", "overlay on the best", href=f"/compare?{urlencode(chosen)}"))
 
     overlays = held_out_overlays(subject, e)
     simulations = None
     if subject.problem is not None and overlays:
         boxes = [
-            zoomable(snapshot, e.number, k, len(one.measured)) for k, one in enumerate(overlays)
+            zoomable(
+                f"{address}/experiments/{e.number}/overlays/{k}",
+                draw_overlay(subject.problem, one),
+                len(one.measured),
+            )
+            for k, one in enumerate(overlays)
         ]
         text = tag("p", "Drag across a picture to see a part of it.")
         simulations = join((text, overlay_legend(), tag("div", *boxes, class_="grid")))
@@ -165,9 +175,15 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
     return join(parts)
 
 
-def zoomable(snapshot: Snapshot, number: int, index: int, count: int) -> Html:
-    """An overlay with buttons to see a part of it."""
-    name = f"overlay-{snapshot.run.name}-{number}-{index}"
+def zoomable(address: str, drawn: Html, count: int) -> Html:
+    """An overlay with buttons to see a part of it.
+
+    Args:
+        address: where other parts of it are
+        drawn: all of it
+        count: number of its samples
+    """
+    name = f"overlay-{digest_of(address)}"
     buttons = [
         tag(
             "button",
@@ -188,10 +204,10 @@ def zoomable(snapshot: Snapshot, number: int, index: int, count: int) -> Html:
     ]
     return tag(
         "div",
-        tag("div", overlay_part(snapshot, number, index), class_="drawn", id=name),
+        tag("div", drawn, class_="drawn", id=name),
         tag("div", *buttons, class_="tools", role="group", aria_label="Part of the record"),
         class_="zoomable",
-        data_overlay=f"{run_address(snapshot.run.name)}/experiments/{number}/overlays/{index}",
+        data_overlay=address,
         data_count=count,
     )
 
@@ -227,9 +243,7 @@ def runs_page(folder: Path, listed: Sequence[ListedRun], digest: str, token: str
         tag("div", runs_table(listed), id="list"),
         tag(
             "p",
-            tag("button", "Compare two runs", type="submit", disabled=True, id="two"),
-            " ",
-            tag("span", "Choose two runs.", id="two-words"),
+            tag("button", "Compare the chosen runs", type="submit", disabled=True, id="chosen"),
         ),
         action="/compare",
         method="get",
@@ -261,7 +275,8 @@ def runs_table(listed: Sequence[ListedRun]) -> Html:
             "input", type="checkbox", name="run", value=one.name, aria_label=f"choose {one.name}"
         )
         link = tag("a", said(one.name), href=run_address(one.name))
-        cells = [tag("td", choose), tag("th", link, scope="row", class_="words")]
+        labels = None if one.brief is None else tag_labels(one.brief.view.tags())
+        cells = [tag("td", choose), tag("th", link, " ", labels, scope="row", class_="words")]
         if one.brief is None:
             trouble = said(f"cannot be read: {one.trouble}")
             cells.append(tag("td", trouble, colspan=7, class_="words"))
@@ -287,123 +302,6 @@ def state_mark(state: str, *, paused: bool = False) -> Html:
     """Write the state of a search as a label."""
     text = f"{state}, to pause" if paused else state
     return tag("span", text, class_=f"state {state}")
-
-
-# Two runs side by side.
-
-
-def comparison_page(pair: Sequence[Snapshot], token: str) -> str:
-    """The page of two runs."""
-    names = [one.run.name for one in pair]
-    query = urlencode([("run", name) for name in names])
-    streams = [
-        tag(
-            "span",
-            data_stream=f"{run_address(one.run.name)}/events",
-            data_mark=one.mark,
-            hidden=True,
-        )
-        for one in pair
-    ]
-    part = tag("div", comparison_part(pair), data_refresh=f"/compare/part?{query}")
-    header = tag("header", tag("h1", "Comparison"))
-    return whole_page(" and ".join(names), (("Searches", "/"),), (header, *streams, part), token)
-
-
-def comparison_part(pair: Sequence[Snapshot]) -> Html:
-    """Write the content of the page."""
-    subjects = [one.subject for one in pair]
-    v_names = {one.view.v_name for one in subjects}
-    warning = None
-    if len({(s.view.started.problem, s.view.started.protocol_digest) for s in subjects}) > 1:
-        warning = "The runs have different problems or protocols: do not compare their V."
-    elif len(v_names) > 1:
-        warning = "V was computed under different rules in the two runs: do not compare it."
-    if warning is not None:
-        warning = tag("p", warning, class_="trouble")
-
-    searches = [
-        BestSoFar(
-            one.run.name,
-            tuple((e.number, e.score.value) for e in one.view.bests if e.score is not None),
-            max((e.number for e in one.view.finished), default=0),
-        )
-        for one in subjects
-    ]
-    axis = v_names.pop() if len(v_names) == 1 else "V"
-    alt = "Best V so far of both runs over the experiments."
-    drawings = [
-        tag("div", draw_best(searches, axis, alt, size), class_=name)
-        for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
-    ]
-
-    winners: list[Html] = []
-    for snapshot in pair:
-        subject, name = snapshot.subject, snapshot.run.name
-        best = subject.view.best
-        title = tag("h3", said(name))
-        if best is None:
-            winners.append(tag("div", title, tag("p", "There is no score yet.")))
-            continue
-        address = f"{run_address(name)}/experiments/{best.number}"
-        link = tag("a", subject.name(best), " ", said(best.proposed.title), href=address)
-        boxes = [
-            zoomable(snapshot, best.number, k, len(overlay.measured))
-            for k, overlay in enumerate(held_out_overlays(subject, best))
-        ]
-        winners.append(tag("div", title, tag("p", link, ", V ", subject.v(best)), *boxes))
-
-    columns = tag("div", *winners, class_="columns")
-    parts = (
-        section("figures", "Figures", warning, _comparison_table(subjects)),
-        section("curves", "Best so far", tag("figure", *drawings)),
-        section("winners", "The best candidates", overlay_legend(), columns),
-    )
-    return join(parts)
-
-
-def _comparison_table(subjects: Sequence[Subject]) -> Html:
-    def verdict(subject: Subject) -> Html:
-        text, kind = stamp(subject)
-        return tag("span", text, class_=f"stamp small {kind}")
-
-    def best(subject: Subject) -> Html:
-        found = subject.view.best
-        return subject.v(found) if found is not None else tag("span", "no score")
-
-    def reference(subject: Subject, name: str) -> Html:
-        found = subject.reference(name)
-        if found is None:
-            return tag("span", "none")
-        return subject.number(found[0], "outcome.value", "error")
-
-    def tested(subject: Subject) -> Html:
-        """The test score of the model to use, once the test was opened."""
-        opened, named = subject.view.unsealed, model_to_use(subject.view)
-        if opened is None or named is None:
-            return tag("span", "not opened")
-        place = named.model if getattr(opened, named.model) is not None else "ensemble"
-        if not isinstance(tested_model(opened, named.model), TestedModel):
-            return tag("span", "no answer")
-        return subject.number(opened, f"{place}.scores.0.value", "sig4")
-
-    references = dict.fromkeys(one.name for subject in subjects for one in subject.view.references)
-    rows: list[tuple[str, Callable[[Subject], Html]]] = [
-        ("state", lambda s: state_mark(s.run.state)),
-        ("verdict", verdict),
-        ("problem", lambda s: said(s.view.started.problem)),
-        ("agent", lambda s: said(s.view.started.agent)),
-        ("seed", lambda s: s.number(s.view.started, "seed", "text")),
-        ("isolation", lambda s: said(s.view.started.isolation_words)),
-        ("experiments", lambda s: s.over("evaluated", "experiment", "count", "count")),
-        ("evaluation time", lambda s: s.over("evaluated", "seconds", "sum", "duration")),
-        ("V, the best", best),
-        *((f"V, {name}", partial(reference, name=name)) for name in references),
-        ("error on the sealed test", tested),
-    ]
-    head = ["", *(tag("a", said(s.run.name), href=run_address(s.run.name)) for s in subjects)]
-    cells = [(text, *map(cell, subjects)) for text, cell in rows]
-    return tag("div", table(head, cells, "Both runs"), class_="both")
 
 
 # The list of experiments: short rows, the last one first.
@@ -463,6 +361,8 @@ class Chosen:
         p, store = e.proposed, subject.run.store
         parts = [f"#{e.number:02d}", p.title, p.family, p.hypothesis, p.expected]
         parts.append(describe_result(e, subject.view))
+        parts += subject.view.tags(e.number)
+        parts += [one.text for one in subject.view.noted if one.experiment == e.number]
         if store.kept:
             parts.append(store.text(p.source))
             if e.result is not None and e.result.output:
@@ -477,12 +377,13 @@ def _kind(e: Experiment) -> str:
 
 def experiment_row(subject: Subject, e: Experiment) -> Html:
     """Write one experiment on one line."""
-    status = e.result.status if e.result else "running"
+    status, labels = status_of(subject, e), tag_labels(subject.view.tags(e.number))
     reason = tag("span", said(decision_text(e, subject.view), 300), class_="why")
     link = tag(
         "a",
         tag("span", subject.name(e), class_="id"),
-        tag("span", said(e.proposed.title, 120), " ", reason, class_="what"),
+        tag("span", said(e.proposed.title, 120), " ", labels, class_="what"),
+        reason,
         tag("span", status, class_=f"status {status}"),
         tag("span", subject.v(e) if e.score else "", class_="value"),
         href=f"{run_address(subject.run.name)}/experiments/{e.number}",
@@ -522,6 +423,37 @@ def experiment_rows(
 
 # These are written here, so that they can change line by line.
 _OWN: Final = ("progress", "experiments")
+TABS: Final = ("linear", "control", "certificate")
+"""Keys of the sections that have a page of their own, where the run has them."""
+
+
+def tabs(snapshot: Snapshot, here: str = "") -> Html | None:
+    """Links to the pages of a run; None where it has one page."""
+    found = {"": "Search"}
+    for one in SECTIONS:
+        if one.key in TABS and one.write(snapshot.subject) is not None:
+            found[one.key] = one.title
+    if len(found) == 1:
+        return None
+    address = run_address(snapshot.run.name)
+    links = [
+        tag("a", title, href=f"{address}/{key}".rstrip("/"),
+            aria_current="page" if key == here else None)
+        for key, title in found.items()
+    ]  # fmt: skip
+    return tag("nav", *links, class_="tabs", aria_label="Pages of the run")
+
+
+def tab_page(snapshot: Snapshot, key: str, token: str) -> str:
+    """The page of a tab. Raises UserError where the run has nothing for it."""
+    found = next((one for one in SECTIONS if one.key == key and key in TABS), None)
+    inner = None if found is None else found.write(snapshot.subject)
+    name = snapshot.run.name
+    if found is None or inner is None:
+        raise UserError(f"run '{name}' has no page '{key}'")
+    header = tag("header", tag("h1", said(name)))
+    main = header, tabs(snapshot, key), section(key, found.title, inner)
+    return whole_page(f"{name}: {found.title}", (("Searches", "/"),), main, token)
 
 
 def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
@@ -532,9 +464,11 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         "problem ", said(start.problem), " · agent ", said(start.agent), " · seed ",
         subject.number(start, "seed", "text"), " · isolation ", said(start.isolation_words),
     )  # fmt: skip
-    header = tag("header", tag("h1", said(name)), tag("p", *text))
+    header = tag(
+        "header", tag("h1", said(name)), tag("p", *text, " ", tag_labels(subject.view.tags()))
+    )
     own = [one for key in _OWN for one in SECTIONS if one.key == key]
-    others = [one for one in SECTIONS if one.key not in _OWN]
+    others = [one for one in SECTIONS if one.key not in (*_OWN, *TABS)]
     links = [tag("li", tag("a", one.title, href=f"#{one.key}")) for one in (*own, *others)]
     curve = tag(
         "div",
@@ -549,7 +483,7 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
             ("in order:", "order", ORDERS, chosen.order),
         )
     ]
-    where = "searches titles, rationale, sources and printed output"
+    where = "searches titles, rationale, tags, notes, sources and printed output"
     words = tag("input", name="words", type="search", value=chosen.words, title=where)
     choose = tag(
         "form",
@@ -568,6 +502,9 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         role="region",
         aria_label="Experiments",
     )
+    overlay = tag(
+        "a", "Overlay and compare experiments", href=f"/compare?{urlencode({'run': name})}"
+    )
     # The page asks for the other sections when it is there.
     later = [
         section(
@@ -579,7 +516,9 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
     ]
     main = (
         header,
+        tabs(snapshot),
         tag("div", now_panel(snapshot), id="now"),
+        note_form(name),
         steering_panel(
             name,
             running=snapshot.run.state == "running",
@@ -587,7 +526,7 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         ),
         tag("nav", tag("ul", *links), aria_label="Sections"),
         section("progress", "Progress of the search", curve),
-        section("experiments", "Experiments", choose, listed),
+        section("experiments", "Experiments", choose, listed, tag("p", overlay)),
         *later,
     )
     holder = tag(
@@ -660,9 +599,37 @@ def steering_panel(name: str, *, running: bool, deaf: str = "") -> Html:
             ("stop", "Stop after this experiment"),
         )
     ]
-    answer = tag("p", id="steered", role="status")
+    answer = tag("p", role="status")
     summary = tag("summary", "Steer this search")
     inner = tag("div", note, tag("p", *buttons, class_="buttons"), answer)
+    return tag("details", summary, inner, class_="steering", data_at=run_address(name))
+
+
+def note_form(name: str, number: int = 0) -> Html:
+    """Form for a note for people, and for tags. number: the experiment; 0 for the run."""
+    fields = (
+        ("text", "Note, or reason of the tags", "", True),
+        ("tags", "Tags to add", "words with a space between them", False),
+        ("removed", "Tags to remove", "", False),
+        ("author", "Author", "", True),
+    )
+    inputs: list[Html] = []
+    for key, label, hint, required in fields:
+        value = getpass.getuser() if key == "author" else None
+        given = {"name": key, "placeholder": hint or None, "value": value, "required": required}
+        inputs.append(tag("label", label, " ", tag("input", maxlength=4000, **given)))
+    form = tag(
+        "form",
+        *inputs,
+        tag("input", type="hidden", name="experiment", value=number),
+        tag("button", "Record the note", type="submit"),
+        data_post="note",
+        class_="note",
+    )
+    what = "this experiment" if number else "this run"
+    answer = tag("p", role="status")
+    inner = tag("div", tag("p", "For people: agents do not see it."), form, answer)
+    summary = tag("summary", f"Note or tag {what}")
     return tag("details", summary, inner, class_="steering", data_at=run_address(name))
 
 
@@ -670,7 +637,8 @@ def section_part(snapshot: Snapshot, key: str) -> Html | None:
     """Write the content of a section; None if the run has nothing for it, or there is no such
     section.
     """
-    found = next((one for one in SECTIONS if one.key == key and key not in _OWN), None)
+    others = (*_OWN, *TABS)
+    found = next((one for one in SECTIONS if one.key == key and key not in others), None)
     inner = None if found is None else found.write(snapshot.subject)
     return None if inner is None else to_pages(inner, snapshot.run.name)
 
@@ -707,7 +675,9 @@ def run_news(snapshot: Snapshot, count: int, *, first: bool) -> Changed:
     subject, view = snapshot.subject, snapshot.run.view
     changed = [view.experiment(number) for number in snapshot.changed_since(count)]
     rows = [{"number": e.number, "html": experiment_row(subject, e)} for e in changed]
-    ended = [e for e in changed if e.result is not None]
+    lines = snapshot.run.lines[count:]
+    judged = {one.event.experiment for one in lines if isinstance(one.event, Evaluated)}
+    ended = [e for e in changed if e.number in judged]
     spoken = ""
     if ended and not first:
         result, score = ended[0].result, ended[0].score

@@ -15,7 +15,7 @@ from asia.errors import UserError
 from asia.interfaces.view.followed import FollowedRun, RunFolder, Snapshot
 from asia.interfaces.view.pages import FIRST, Changed, list_news, run_news
 from asia.ledger.run import Run
-from asia.search.steering import Steering
+from asia.search.steering import Steering, note_for_people
 
 # Server-sent events: what is new on a page, from the line of the ledger on that it shows.
 
@@ -85,8 +85,15 @@ class Streams:
 
 
 def tell(run: Run, what: str, text: str) -> str:
-    """Execute the command `what` (steer, pause, continue or stop), with `text` as the note of
-    steer. Return its effect as a sentence. Raises UserError if it cannot be executed."""
+    """Execute the command `what` (steer, note, pause, continue or stop). Return its effect as a
+    sentence.
+
+    Args:
+        text: the note of steer; of note the fields in JSON
+
+    Raises:
+        UserError: if it cannot be executed
+    """
     steering, running = Steering(run.directory), run.state == "running"
     if what == "steer":
         steering.steer(text)
@@ -95,12 +102,22 @@ def tell(run: Run, what: str, text: str) -> str:
         if reads_notes(run.view.started):
             return noted
         return f"{noted}; the agent '{agent}' does not read notes, so the note is only recorded"
+    if what == "note":
+        try:
+            fields = {key: str(value) for key, value in dict(json.loads(text)).items()}
+            author, reason, number = fields["author"], fields["text"], int(fields["experiment"])
+        except (ValueError, TypeError, KeyError):
+            raise UserError("expected the fields author, text and experiment of a note") from None
+        tags, removed = (fields.get(key, "").split() for key in ("tags", "removed"))
+        if note_for_people(run, author, reason, number, tags, removed):
+            return "recorded in the ledger"
+        return "the running command records it at its next step"
     if what == "continue":
         words = "the search continues" if steering.paused else "the search was not paused"
         steering.go_on()
         return words
     if what not in ("pause", "stop"):
-        raise UserError(f"no '{what}'; there is: steer, pause, continue, stop")
+        raise UserError(f"no '{what}'; there is: steer, note, pause, continue, stop")
     if not running:
         raise UserError(f"run '{run.name}' is {run.state}: there is nothing to {what}")
     if what == "pause":

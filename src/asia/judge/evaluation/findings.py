@@ -44,6 +44,11 @@ class Fitted:
     """The largest address space of the worker before its first case."""
     compile_seconds: float
     """Time in which JAX traced and compiled before the first case."""
+    numbers: int | None
+    """Count of the numbers in the model; None if not known."""
+    simulate_seconds: float
+    """Processor time of the second simulation of the training records; of the first where it is
+    slow."""
 
 
 def fold_result(
@@ -95,6 +100,8 @@ def fold_result(
         held_out_residuals=held_out,
         checks=checks,
         failed=tuple(failed),
+        numbers=fitted.numbers,
+        sample_seconds=fitted.simulate_seconds / sum(map(len, fitted.train_y_hat)),
     )
     return FoldResult(
         score, fitted.model, fitted.y_hat, fitted.reply.curve, evidence, fitted.reply.seconds,

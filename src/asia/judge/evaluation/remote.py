@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import cache, partial
 from itertools import chain
 
+from asia._timer import Activity
 from asia.candidate import Context, imported_libraries
 from asia.errors import CandidateError, SandboxError, UserError
 from asia.judge.evaluation.findings import Fitted
@@ -45,6 +46,8 @@ from asia.problem.protocol import ProtocolRule
 
 _LOOK_SECONDS = 0.5
 _KEPT_SECONDS = 60.0
+# Processor time of a simulation of the training records from which on it is not repeated.
+_SLOW_SECONDS = 2.0
 
 OpenWorker = Callable[[frozenset[str], Limits], AbstractContextManager[Worker]]
 
@@ -74,9 +77,15 @@ def fit_fold(
             parameters, model = worker.parameters(), worker.dump()
             # Before the first case: later a candidate could let held-out values decide on them.
             memory, compiling = worker.peak_memory_mb, worker.compile_seconds()
+            numbers = worker.numbers()
             # Before the held-out cases too: the residuals on the training records are reported.
             inside = whole(data.train, data.rule)
             train_y_hat = simulate_training(worker.simulate_known, inside, data.rule.horizon)
+            first = simulating = worker.spent[Activity.SIMULATE][1]
+            # The first one also compiles and loads: a second one shows the time of a sample.
+            if first < _SLOW_SECONDS:
+                simulate_training(worker.simulate_known, inside, data.rule.horizon)
+                simulating = worker.spent[Activity.SIMULATE][1] - first
             blocks, (first, *others) = data.blocks, data.sessions
             found = simulate_each(worker, blocks, first, data.secret)
         for session in others:
@@ -87,7 +96,9 @@ def fit_fold(
     except CandidateError as error:
         return FoldAnswer(error, printed)
     y_hat = tuple(found[i] for i in range(len(data.cases)))
-    fitted = Fitted(reply, model, parameters, y_hat, train_y_hat, memory, compiling)
+    fitted = Fitted(
+        reply, model, parameters, y_hat, train_y_hat, memory, compiling, numbers, simulating
+    )  # fmt: skip
     return FoldAnswer(fitted, printed)
 
 

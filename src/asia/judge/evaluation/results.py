@@ -58,6 +58,12 @@ class FoldFindings:
     where these checks failed."""
     failed: Annotated[tuple[str, ...], Field(exclude_if=lambda value: not value)] = ()
     """Diagnostics that raised an exception, a line each."""
+    numbers: int | None = None
+    """Count of the numbers in the fitted model, as the worker reported before its first case; None
+    if not known, and in older ledgers."""
+    sample_seconds: float | None = None
+    """Processor time to simulate a sample of the training records, compiled before; None in older
+    ledgers."""
 
 
 @dataclass(frozen=True)

@@ -168,6 +168,8 @@ def _parts(answer: FoldAnswer) -> tuple[dict[str, Any], list[Blob]]:
         "parameters": result.parameters,
         "memory_mb": result.memory_mb,
         "compile_seconds": result.compile_seconds,
+        "numbers": result.numbers,
+        "simulate_seconds": result.simulate_seconds,
         "train": len(result.train_y_hat),
     }
     raw = (
@@ -231,6 +233,8 @@ def _answer(
             train_y_hat=tuple(y_hat[len(data.shapes) :]),
             memory_mb=None if memory is None else float(memory),
             compile_seconds=float(head["compile_seconds"]),
+            numbers=None if head["numbers"] is None else int(head["numbers"]),
+            simulate_seconds=float(head["simulate_seconds"]),
         )
     spent = {Activity(k): (float(a), float(b)) for k, (a, b) in head["spent"].items()}
     return FoldAnswer(result, head["printed"], head["machine"], head["isolation"], spent)

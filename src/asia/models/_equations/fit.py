@@ -47,6 +47,11 @@ class FittedEquations:
     x0: Array | None = None
     """Initial states (S, nx) of the records as the fit cut them; None in older models."""
 
+    @property
+    def n_parameters(self) -> int:
+        """Number of fitted parameters."""
+        return self.z.size
+
 
 def fit(
     structure: GreyBoxStructure, segments: RecordSegments, method: LevenbergMarquardt, seed: int

@@ -25,7 +25,7 @@ from asia.problem.physics import (
     parse_expression,
 )
 
-_VOID = frozenset({"meta", "br", "line", "path", "circle", "rect"})
+_VOID = frozenset({"meta", "br", "input", "line", "path", "circle", "rect"})
 
 
 class Html(str):
@@ -46,7 +46,7 @@ def tag(name: str, /, *children: str | None, **attributes: object) -> Html:
         words.append(plain if value is True else f'{plain}="{escape(printable(str(value)))}"')
     opening = f"<{' '.join(words)}>"
     if name in _VOID:
-        return Html(opening if name in ("meta", "br") else f"{opening[:-1]}/>")
+        return Html(opening if name in ("meta", "br", "input") else f"{opening[:-1]}/>")
     return Html(f"{opening}{join(children)}</{name}>")
 
 
@@ -237,6 +237,7 @@ FORMS: Final[dict[str, Callable[[Any], str]]] = {
     "share": lambda v: f"{100 * v:.1f} %",
     "signed_share": lambda v: f"{100 * v:+.1f} %",
     "signed_error": lambda v: f"{v:+.4f}" if 5e-5 <= abs(v) < 1e4 or v == 0 else f"{v:+.1e}",
+    "micro": lambda v: f"{1e6 * v:.3g}",
     "times": lambda v: f"{v:.2g}" if v < 100 else f"{v:.0f}",
     "number": lambda v: f"#{v:02d}",
     "count": lambda v: f"{v:d}",
@@ -265,6 +266,7 @@ RULES: Final[dict[str, Callable[[Sequence[Any]], Any]]] = {
     "count": len,
     "sum": lambda v: math.fsum(v) if any(isinstance(x, float) for x in v) else sum(v),
     "least": min,
+    "greatest": max,
     "ratio": lambda values: values[0] / values[1],
     "jackknife": lambda values: jackknife_error(values[0], values[1:]),
     "folds_low": lambda values: _by_folds(values)[0],

@@ -50,10 +50,15 @@ class Scale:
             return [self.low]
         rough = (self.high - self.low) / most
         unit = 10.0 ** math.floor(math.log10(rough))
-        step = next(unit * k for k in (1, 2, 5, 10) if unit * k >= rough)
-        first = math.ceil(self.low / step - 1e-9)
-        last = math.floor(self.high / step + 1e-9)
-        return [round(k * step, 12) + 0.0 for k in range(first, last + 1)]
+        found: list[float] = []
+        # Steps of at least `rough`; a smaller one where that leaves a single number.
+        for step in (unit * k for k in (10, 5, 2, 1, 0.5)):
+            if step < rough and len(found) > 1:
+                break
+            first = math.ceil(self.low / step - 1e-9)
+            last = math.floor(self.high / step + 1e-9)
+            found = [round(k * step, 12) + 0.0 for k in range(first, last + 1)]
+        return found
 
 
 def written(value: float) -> str:
@@ -175,17 +180,17 @@ def _across(y: float, across: Scale, name: str) -> Html:
     return tag("path", d=line, class_=name)
 
 
-def _grid(across: Scale, up: Scale, size: Size, axis: str) -> Html:
-    """Both axes with their numbers. axis: name of V."""
+def _grid(across: Scale, up: Scale, size: Size, axis: str, below: str = "experiment") -> Html:
+    """Both axes with their numbers. axis: name of V; below: name of the horizontal axis."""
     parts: list[Html] = []
     for value in up.ticks():
         y = up.at(value)
         parts.append(_across(y, across, "grid"))
         parts.append(_label(across.start - 8, y + 4, written(value), "end"))
     for value in across.ticks(8):
-        if value == round(value) and value >= 1:
-            parts.append(_label(across.at(value), up.start + 17, f"{value:g}"))
-    parts.append(_label((across.start + across.end) / 2, size.height - 6, "experiment"))
+        if below != "experiment" or (value == round(value) and value >= 1):
+            parts.append(_label(across.at(value), up.start + 17, written(value)))
+    parts.append(_label((across.start + across.end) / 2, size.height - 6, below))
     parts.append(_label(6, 14, axis, "start", "name"))
     return join(parts)
 
@@ -225,20 +230,28 @@ def _marker(point: Point, across: Scale, up: Scale) -> Html:
     value = "" if point.value is None else f", V {error_value(point.value)}"
     title = f"#{point.number:02d} {point.status}{value}: {one_line(point.title, 80)}"
     name = "kept" if point.best else "other"
-    if point.value is None:
-        mark = _cross(x, up.end - 6)
-    elif point.value > up.high:
-        y = up.at(point.value)
-        mark = tag("path", d=f"M{rounded(x - 5)} {rounded(y + 4)}h10l-5 -9z", class_=name)
-    else:
-        y = up.at(point.value)
-        mark = tag("circle", cx=rounded(x), cy=rounded(y), r="4.5", class_=name)
+    mark = _cross(x, up.end - 6) if point.value is None else _dot(x, point.value, up, name)
     return tag("g", tag("title", title), mark)
 
 
-def _tags(points: Sequence[Point], across: Scale, up: Scale, size: Size) -> Html:
-    """Names at the improvements, where there is room: the last one first, then the largest."""
-    scored = [(p, across.at(p.number), up.at(p.value)) for p in points if p.value is not None]
+def _dot(x: float, value: float, up: Scale, name: str) -> Html:
+    """A circle, or a triangle at the upper edge for a value above it."""
+    y = up.at(value)
+    if value > up.high:
+        return tag("path", d=f"M{rounded(x - 5)} {rounded(y + 4)}h10l-5 -9z", class_=name)
+    return tag("circle", cx=rounded(x), cy=rounded(y), r="4.5", class_=name)
+
+
+def _tags(
+    points: Sequence[Point], across: Scale, up: Scale, size: Size, at: Sequence[float] = ()
+) -> Html:
+    """Names at the improvements, where there is room: the last one first, then the largest. at:
+    places on the horizontal axis; default: the numbers of the points."""
+    scored = [
+        (p, across.at(x), up.at(p.value))
+        for p, x in zip(points, at or [p.number for p in points], strict=True)
+        if p.value is not None
+    ]
     bests = [one for one in scored if one[0].best]
     chosen = [*bests[-1:], *bests[:-1]][:_MOST_TAGS]
     texts = [f"#{point.number:02d}" for point, _, _ in chosen]
@@ -257,8 +270,66 @@ def _tags(points: Sequence[Point], across: Scale, up: Scale, size: Size) -> Html
     )
 
 
-LINES = ("best", "best second")
-"""Classes of the lines of `draw_best`, in the order of the searches."""
+@dataclass(frozen=True)
+class Traded:
+    """An experiment in a picture of V against a cost."""
+
+    number: int
+    title: str
+    value: float
+    """V."""
+    cost: float
+
+
+def front_of(points: Sequence[Traded]) -> list[Traded]:
+    """Return the points that no other one beats in V and in cost, the cheapest first."""
+    found: list[Traded] = []
+    for point in sorted(points, key=lambda p: (p.cost, p.value)):
+        if not found or point.value < found[-1].value:
+            found.append(point)
+    return found
+
+
+def draw_tradeoff(points: Sequence[Traded], axis: str, below: str, alt: str, size: Size) -> Html:
+    """Draw V against a cost on logarithmic axes, with the front that nothing dominates.
+
+    Args:
+        points: the experiments, all with a positive cost
+        axis: name of V
+        below: name of the cost, with its unit
+        alt: the picture in words
+        size: for a wide or a narrow screen
+    """
+    front = front_of(points)
+    cheap, dear = (f(p.cost for p in points) for f in (min, max))
+    # Results far above the front are clipped to the upper edge.
+    low, high = front[-1].value, min(max(p.value for p in points), 20 * front[-1].value or 1.0)
+    across = Scale(cheap / 1.3, dear * 1.3, 54, size.width - 40, log=True)
+    up = Scale(max(low, 1e-12) / 1.3, max(high, low) * 1.3 or 1.0, size.height - 40, 26.0, log=True)
+    drawn: list[Html | None] = [_grid(across, up, size, axis, below)]
+    others = [p for p in points if p not in front]
+    places = [(f"{rounded(across.at(p.cost))} {rounded(up.at(p.value))}", p) for p in others]
+    if len(others) > _MANY:
+        drawn.append(tag("path", d="".join(f"M{at}h0" for at, _ in places), class_="crowd"))
+        others = []
+    line = "".join(
+        f"{'V' if k else 'M'}{'' if k else f'{rounded(across.at(p.cost))} '}"
+        f"{rounded(up.at(p.value))}H{rounded(across.at(q.cost) if q else across.end)}"
+        for k, (p, q) in enumerate(zip(front, [*front[1:], None], strict=True))
+    )
+    drawn.append(tag("path", d=line, class_="best"))
+    for point in (*others, *front):
+        text = f"#{point.number:02d} V {error_value(point.value)}, {below} {point.cost:.3g}: "
+        mark = _dot(across.at(point.cost), point.value, up, "kept" if point in front else "other")
+        drawn.append(tag("g", tag("title", text + one_line(point.title, 80)), mark))
+    shown = [Point(p.number, p.value, "", p.title, best=True) for p in front]
+    drawn.append(_tags(shown, across, up, size, [p.cost for p in front]))
+    return _progress_svg(drawn, alt, size)
+
+
+def series(number: int) -> str:
+    """Class of the line of a run or an experiment, from 0 on: five colours, then dashes."""
+    return f"series{number % 5} dash{number // 5 % 3}"
 
 
 @dataclass(frozen=True)
@@ -271,8 +342,8 @@ class BestSoFar:
 
 
 def draw_best(searches: Sequence[BestSoFar], axis: str, alt: str, size: Size) -> Html:
-    """The best V so far of at most `len(LINES)` searches, as step lines. axis: name of V; alt: the
-    picture in words."""
+    """The best V so far of each search as step lines. axis: name of V; alt: the picture in
+    words."""
     values = [value for one in searches for _, value in one.kept] or [1.0]
     most = max([one.experiments for one in searches], default=1) or 1
     across = Scale(0.5, most + 0.5, 54, size.width - 12)
@@ -280,11 +351,11 @@ def draw_best(searches: Sequence[BestSoFar], axis: str, alt: str, size: Size) ->
     log = high > _LOG_FROM * low > 0
     up = Scale(low / 1.35 if log else 0.0, high * 1.15 or 1.0, size.height - 40, 26.0, log=log)
     drawn: list[Html | None] = [_grid(across, up, size, axis)]
-    for one, name in zip(searches, LINES, strict=False):
+    for k, one in enumerate(searches):
         if one.kept:
-            end = across.at(one.experiments + 0.5)
-            drawn.append(tag("path", d=_steps(one.kept, across, up, end), class_=name))
-    keys = [(name, said(one.name)) for one, name in zip(searches, LINES, strict=False)]
+            path = _steps(one.kept, across, up, across.at(one.experiments + 0.5))
+            drawn.append(tag("path", d=path, class_=f"line steps {series(k)}"))
+    keys = [(series(k), said(one.name)) for k, one in enumerate(searches)]
     return join((_progress_svg(drawn, alt, size), legend(keys)))
 
 
@@ -361,6 +432,7 @@ class Overlay:
         measured, simulated: (H, ny).
         skip: samples at the start that do not count.
         band: lower and upper edges (H, ny) of the output bands.
+        others: further simulations (H, ny).
     """
 
     title: Html
@@ -371,6 +443,7 @@ class Overlay:
     simulated: Array
     skip: int = 0
     band: tuple[Array, Array] | None = None
+    others: tuple[Array, ...] = ()
 
     def cut(self, first: int, last: int) -> Overlay:
         """Return the part between two samples, counted from its start and clipped to it; at least
@@ -385,6 +458,7 @@ class Overlay:
             simulated=self.simulated[begin:end],
             skip=max(0, min(self.skip, end) - begin),
             band=None if self.band is None else (self.band[0][begin:end], self.band[1][begin:end]),
+            others=tuple(one[begin:end] for one in self.others),
         )
 
 
@@ -397,12 +471,18 @@ def overlay_legend(*, banded: bool = False) -> Html:
 def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
     """Measured against simulated output, with a strip of errors below."""
     signal = problem.outputs[overlay.channel]
-    y, y_hat = (side[:, overlay.channel] for side in (overlay.measured, overlay.simulated))
+    y, y_hat, *others = (
+        side[:, overlay.channel] for side in (overlay.measured, overlay.simulated, *overlay.others)
+    )
+    names = [series(k) for k in range(1 + len(others))] if others else ["model"]
     unit = time_unit(problem.sampling_time * (overlay.first + len(y)))
     step = problem.sampling_time / unit.seconds
-    low, high = _limits(y, y_hat)
+    low, high = _limits(y, y_hat, *others)
     upper = Scale(low, high, _HEIGHT, 0)
-    most = float(np.nanmax(np.abs(y - y_hat), initial=0.0)) or 1.0
+    errors = [y - one for one in (y_hat, *others)]
+    # Of several, one that is far off does not hide the others.
+    sizes = sorted(float(np.nanmax(np.abs(error), initial=0.0)) for error in errors)
+    most = min(sizes[-1], 5 * sizes[0]) or sizes[-1] or 1.0
     strip = Scale(-most, most, _STRIP, 0)
     band = around = None
     if overlay.band is not None:
@@ -420,7 +500,13 @@ def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
         _plot(
             upper,
             band,
-            [_line("measured", y, upper), _line("model", y_hat, upper)],
+            [
+                _line("measured", y, upper),
+                *(
+                    _line(name, one, upper)
+                    for name, one in zip(names, (y_hat, *others), strict=True)
+                ),
+            ],
             shade=shade,
             class_="plot",
             role="img",
@@ -430,7 +516,10 @@ def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
         _plot(
             strip,
             around,
-            [_line("error", y - y_hat, strip)],
+            [
+                _line(name if others else "error", one, strip)
+                for name, one in zip(names, errors, strict=True)
+            ],
             3,
             class_="plot strip",
             aria_hidden="true",
@@ -495,8 +584,13 @@ def draw_check(check: DrawnCheck) -> Html:
     """The curves of a validation check with their names, and the band that chance stays within."""
     # Logarithmic axes leave out what is not above 0.
     log = check.name in LOGARITHMIC_CHECKS
+    log_x = log or check.name == "phase"
     lines = [
-        [(x, y) for x, y in zip(curve.x, curve.y, strict=True) if not log or (x > 0 and y > 0)]
+        [
+            (x, y)
+            for x, y in zip(curve.x, curve.y, strict=True)
+            if (x > 0 or not log_x) and (y > 0 or not log)
+        ]
         for curve in check.curves
     ]
     every = [point for line in lines for point in line]
@@ -504,8 +598,8 @@ def draw_check(check: DrawnCheck) -> Html:
         return tag("figure", tag("figcaption", said(check.name)), tag("p", "Nothing to draw."))
     bands = [curve.band for curve in check.curves if curve.band is not None]
     edges = [edge for band in bands for edge in (-band, band)]
-    low, high = _range([x for x, _ in every], 0.0, log=log)
-    across, percent = Scale(low, high, 0, _WIDTH, log), Scale(low, high, 0, 100, log)
+    low, high = _range([x for x, _ in every], 0.0, log=log_x)
+    across, percent = Scale(low, high, 0, _WIDTH, log_x), Scale(low, high, 0, 100, log_x)
     up = Scale(*_range([*(y for _, y in every), *edges], _MARGIN, log=log), _HEIGHT, 0, log)
     band = None
     if bands:
@@ -545,6 +639,33 @@ def draw_check(check: DrawnCheck) -> Html:
         *_below(percent, check.axes[0], 6, whole=whole),
         class_="curves panel",
     )
+
+
+def draw_poles(models: Sequence[tuple[str, Sequence[complex], Sequence[complex]]]) -> Html:
+    """Poles as crosses and zeros as circles of models in the z-plane, with the unit circle. models:
+    name, poles and zeros of each."""
+    reach = max([1.1, *(abs(z) for _, poles, zeros in models for z in (*poles, *zeros))])
+    reach = min(reach, 2.0)
+    side = 300.0
+    across, up = Scale(-reach, reach, 8, side - 8), Scale(-reach, reach, side - 8, 8)
+    unit = (across.end - across.start) / (2 * reach)
+    axes = f"M{across.start} {up.at(0)}H{across.end}M{across.at(0)} {up.start}V{up.end}"
+    drawn: list[Html] = [
+        tag("path", d=axes, class_="grid"),
+        tag("circle", cx=across.at(0), cy=up.at(0), r=rounded(unit), class_="level"),
+    ]
+    for k, (_, poles, zeros) in enumerate(models):
+        for z in poles:
+            x, y = rounded(across.at(z.real) - 4), rounded(up.at(z.imag) - 4)
+            drawn.append(tag("path", d=f"M{x} {y}l8 8m0 -8l-8 8", class_=f"line {series(k)}"))
+        for z in zeros:
+            x, y = rounded(across.at(z.real)), rounded(up.at(z.imag))
+            drawn.append(tag("circle", cx=x, cy=y, r="4.5", class_=f"line {series(k)}"))
+    figure = tag("svg", *drawn, viewBox=f"0 0 {side:g} {side:g}", class_="poles", role="img",
+                 aria_label="Poles and zeros in the z-plane; the text has the poles")  # fmt: skip
+    keys = legend([(series(k), said(name, 80)) for k, (name, _, _) in enumerate(models)])
+    title = tag("figcaption", "poles (crosses), zeros (circles) and the unit circle")
+    return tag("figure", title, keys, figure, class_="curves panel")
 
 
 def _range(values: Sequence[float], margin: float, *, log: bool) -> tuple[float, float]:
@@ -615,7 +736,8 @@ def draw_lanes(rows: Sequence[LineageRow]) -> tuple[Html, int]:
             if x0 != x1:
                 path = f"M{x0} {y0}V{turn}C{x0} {turn + 20} {x1} {turn + 14} {x1} {y1}"
             edges.append(tag("path", d=path, class_="edge won" if row.winning else "edge"))
-        kind = {"keep": "kept", "discard": "other", "inconclusive": "other"}.get(row.status)
+        scored = "discard", "inconclusive", "running", "unfinished"
+        kind = "kept" if row.status == "keep" else "other" if row.status in scored else None
         dots.append(tag("circle", cx=x1, cy=y1, r="5", class_=kind) if kind else _cross(x1, y1))
     width, height = (max(at.values(), default=0) + 1) * _LANE + 8, ROW * len(rows)
     drawing = tag(

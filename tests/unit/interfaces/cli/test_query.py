@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
 from asia.ledger.run import open_run
 
-from .conftest import Searched, command_line
+from .conftest import Done, Searched, command_line
 
 
 def test_rows_are_those_of_the_ledger(searched: Searched) -> None:
@@ -31,6 +32,26 @@ def test_rows_are_those_of_the_ledger(searched: Searched) -> None:
     assert heads.split() == ["title", "V"]
     assert row.startswith(best.proposed.title)
     assert row.endswith(f"{best.score.value:.5g}")
+
+
+def test_notes_and_tags_of_people_are_printed_and_found(searched: Searched, tmp_path: Path) -> None:
+    copied = shutil.copytree(searched.directory, tmp_path / "made")
+
+    def note(*words: object) -> Done:
+        return command_line("note", copied, *words, "--runs", tmp_path)
+
+    assert note("slow valve", "--experiment", 1, "--tag", "odd", "--author", "Ada").code == 0
+    assert note("for the paper", "--tag", "paper").code == 0
+    assert note("--tag", "paper").code == 2
+    assert note("no such experiment", "--experiment", 99).code == 2
+    first, second = note().out.splitlines()
+    assert first.endswith("#01  Ada: +odd slow valve")
+    assert second.endswith(": +paper for the paper")
+    assert json.loads(note("--experiment", 1, "--json").out)["tags"] == ["odd"]
+    sql = "select number, author, text from experiments join notes on number = experiment"
+    done = command_line("query", f"{sql} where tags = 'odd'", "--runs", tmp_path, "--json")
+    assert json.loads(done.out) == {"number": 1, "author": "Ada", "text": "slow valve"}
+    assert command_line("verify", copied).code == 0
 
 
 def test_a_folder_without_runs_and_an_unreadable_run(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -37,6 +38,21 @@ def make_run(directory: Path, problem: Problem, outcomes=OUTCOMES, **further: ob
     directory.mkdir(parents=True)
     (directory / "problem.lock.toml").write_text(lock_text(problem, Seal(None, None)), "utf-8")
     return write_run(directory, problem, outcomes, **further)
+
+
+def write_linear(directory: Path) -> None:
+    """What `asia linear` and `asia control` write next to the ledger."""
+    curve = {"name": "mean", "x": [0.01, 0.1], "y": [2.0, 0.5]}
+    panels = [
+        {"name": name, "axes": ["frequency [Hz]", name], "curves": [curve]}
+        for name in ("frequency response", "phase")
+    ]
+    poles = [{"real": 0.9, "imag": 0.1}, {"real": 0.9, "imag": -0.1}]
+    found = {"text": ["pole 0.9", ATTACK], "drawn": panels}
+    for folder, more in (("linear", {"points": [{"at": "mean", "poles": poles, "zeros": []}]}),
+                         ("control", {})):  # fmt: skip
+        (directory / folder).mkdir()
+        (directory / folder / f"{folder}.json").write_text(json.dumps({**found, **more}))
 
 
 @pytest.fixture

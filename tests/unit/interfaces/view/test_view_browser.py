@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from urllib.parse import urlsplit
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -17,17 +17,24 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
+from asia.ledger.verification import verify
 from asia.problem.problem import Problem
 from asia.report import write_page
 from tests.unit.report.made_up import append_experiment
 
-from .conftest import ATTACK, make_run
+from .conftest import ATTACK, make_run, write_linear
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
 SIZES = {"wide": {"width": 1280, "height": 900}, "phone": {"width": 390, "height": 844}}
-PAGES = ("/", "/runs/made", "/runs/made/experiments/2", "/compare?run=made&run=other")
+PAGES = (
+    "/",
+    "/runs/made",
+    "/runs/made/experiments/2",
+    "/compare?run=other&e=made/1&e=made/2",
+    "/runs/made/linear",
+)
 
 # A busy machine is slow.
 expect.set_options(timeout=60_000)
@@ -91,6 +98,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture
 def server(runs: Path, problem: Problem) -> Iterator[Server]:
     make_run(runs / "other", problem, (("only", 0.25),))
+    write_linear(runs / "made")
     server = Server(runs)
     server.start()
     yield server
@@ -176,28 +184,41 @@ def test_the_list_of_runs_moves(server: Server, watched: Watched, problem: Probl
         expect(page.locator("#list .state.running")).to_have_count(1)
         expect(page.get_by_label("choose made")).to_be_checked()
     page.get_by_label("choose other").check()
-    page.get_by_role("button", name="Compare two runs").click()
+    page.get_by_role("button", name="Compare the chosen runs").click()
     expect(page.get_by_role("heading", level=1)).to_have_text("Comparison")
+    page.locator(".chooser summary").get_by_text("made").click()
+    page.get_by_label("#04").check()
+    page.get_by_role("button", name="Show the chosen").click()
+    query = parse_qs(urlsplit(page.url).query)
+    assert {name: sorted(values) for name, values in query.items()} == {
+        "run": ["made", "other"],
+        "e": ["made/2", "made/4", "other/1"],
+    }
+    expect(page.locator("#overlays .legend span.said")).to_have_count(3)
+    box = page.locator(".zoomable").first
+    whole = box.locator("path.series2").first.get_attribute("d")
+    box.get_by_role("button", name="zoom in").click()
+    expect(box.locator("path.series2").first).not_to_have_attribute("d", whole or "")
     assert watched.complaints == []
 
 
 def test_a_search_is_steered_with_the_keyboard_alone(server: Server, watched: Watched) -> None:
     page = watched.page
     page.goto(server.at("/runs/made"))
-    page.locator(".steering summary").focus()
+    page.get_by_text("Steer this search").focus()
     page.keyboard.press("Enter")
     page.keyboard.press("Tab")
     page.keyboard.type("the pump saturates at 8 V")
     page.keyboard.press("Tab")
     page.keyboard.press("Enter")
-    expect(page.locator("#steered")).to_contain_text("noted")
+    expect(page.locator(".steering [role=status]").last).to_contain_text("noted")
     (note,) = (server.runs / "made" / "control").glob("steer-*.txt")
     assert note.read_text() == "the pump saturates at 8 V"
     expect(page.get_by_role("button", name="Stop after")).to_be_disabled()
     with Chain(server.runs / "made" / "ledger.jsonl"):
         page.once("dialog", lambda dialog: dialog.accept())
         page.get_by_role("button", name="Stop after").click()
-        expect(page.locator("#steered")).to_contain_text("stops after")
+        expect(page.locator(".steering [role=status]").last).to_contain_text("stops after")
     assert (server.runs / "made" / "control" / "stop").exists()
 
 
@@ -254,3 +275,27 @@ def test_pages_fit_the_screen_and_are_accessible(
     assert found == []
     assert watched.complaints == []
     assert watched.hosts <= {f"127.0.0.1:{server.port}", ""}
+
+
+def test_an_experiment_is_tagged_with_the_keyboard_alone(server: Server, watched: Watched) -> None:
+    page = watched.page
+    page.goto(server.at("/runs/made/experiments/2"))
+    expect(page.locator("#connection")).to_have_text("live")
+    page.get_by_text("Note or tag this experiment").focus()
+    page.keyboard.press("Enter")
+    for text in ("it diverges <b>late</b>", "unstable again", "", "Ada"):
+        page.keyboard.press("Tab")
+        page.keyboard.type(text)
+    page.keyboard.press("Enter")
+    expect(page.locator("#story")).to_contain_text("+unstable +again it diverges <b>late</b>")
+    expect(page.locator("#story .label")).to_have_text(["unstable", "again"])
+    page.get_by_label("Tags to remove").fill("missing")
+    page.get_by_label("Note, or reason").fill("no such tag")
+    page.keyboard.press("Enter")
+    expect(page.locator(".steering [role=status]")).to_have_text(
+        "there is no tag 'missing' to remove"
+    )
+    page.goto(server.at("/runs/made"))
+    expect(page.locator("#e2 .label").first).to_have_text("unstable")
+    expect(page.locator("#notes li")).to_contain_text("#02 +unstable +again it diverges")
+    assert verify(server.runs / "made", ledger_alone=True).records == 13

@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from asia.report.page.svg import NARROW, WIDE, BestSoFar, Point, draw_best, draw_progress
+from asia.report.page.svg import (
+    NARROW,
+    WIDE,
+    BestSoFar,
+    Point,
+    Traded,
+    draw_best,
+    draw_progress,
+    draw_tradeoff,
+    front_of,
+)
 
 
 def points(count: int) -> list[Point]:
@@ -36,11 +47,28 @@ def test_each_experiment_of_a_short_search_has_its_title() -> None:
     assert "h0" not in drawn
 
 
-def test_two_searches_are_two_lines() -> None:
+def test_searches_are_lines_of_their_own() -> None:
     first = BestSoFar("<first>", ((1, 1.0), (4, 0.5)), 8)
     drawn = draw_best([first, BestSoFar("none", (), 0)], "V", "alt", WIDE)
-    assert drawn.count('class="best"') == 1
-    assert 'class="best second"' not in drawn
+    assert drawn.count('class="line steps series0 dash0"') == 1
+    assert 'class="line steps series1' not in drawn
     assert "&lt;first&gt;" in drawn
-    both = draw_best([first, BestSoFar("other", ((1, 20.0),), 2)], "V", "alt", WIDE)
-    assert 'class="best second"' in both
+    six = draw_best([first] * 5 + [BestSoFar("other", ((1, 20.0),), 2)], "V", "alt", WIDE)
+    assert 'class="line steps series4 dash0"' in six
+    assert 'class="line steps series0 dash1"' in six
+
+
+def test_nothing_has_less_of_both_than_a_point_of_the_front() -> None:
+    rng = np.random.default_rng(0)
+    many = [Traded(n, f"title {n}", *rng.uniform(0.1, 1.0, 2).tolist()) for n in range(600)]
+    front = front_of(many)
+    for p in many:
+        beaten = [q for q in many if q.value <= p.value and q.cost <= p.cost and q is not p]
+        assert (p in front) is (not beaten)
+    drawn = draw_tradeoff(many, "V", "seconds of fit", "alt", WIDE)
+    assert drawn.count('class="kept"') == len(front)
+    assert drawn.count("h0") == len(many) - len(front)
+    few = draw_tradeoff([*front, Traded(601, "<far>", 100.0, 5.0)], "V", "cost", "alt", NARROW)
+    assert few.count("<title>") == len(front) + 1
+    assert few.count("h10l-5 -9z") == 1
+    assert "&lt;far&gt;" in few

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -19,13 +20,13 @@ from asia.ledger.chain import Chain
 from asia.ledger.events import Evaluated, Leg, Proposed
 from asia.ledger.run import open_run
 from asia.problem.problem import Problem
-from asia.report.page.page import audit
+from asia.report.page.page import audit, page_of
 from tests.unit.report.made_up import append_test
 
-from .conftest import ATTACK, TOKEN, make_run
+from .conftest import ATTACK, TOKEN, make_run, write_linear
 
 POST = {"x-asia-token": TOKEN}
-PAIR = "/compare?run=made&run=made"
+PAIR = "/compare?run=made&e=made/4"
 SECTIONS = ("verdict", "model", "accuracy", "test", "use", "integrity", "reproduce")
 
 
@@ -56,6 +57,24 @@ def test_the_page_of_a_run_has_its_experiments_the_last_one_first(client: TestCl
         ("1", "kept"),
     ]
     assert 'href="/runs/made/experiments/4"' in page
+    assert re.findall(r'class="why"><span class="said">([^<]*)', page) == [
+        "V 40.0 % above #02",
+        "the simulation diverged to NaN or infinity: constrain stability, bound the states or "
+        "lower the learning rate",
+        "V 44.4 % below #01",
+        "the first with a score",
+    ]
+
+
+def test_an_experiment_of_an_interrupted_search_does_not_run(
+    client: TestClient, runs: Path
+) -> None:
+    with Chain(runs / "made" / "ledger.jsonl") as chain:
+        source = Store(runs / "made" / "artifacts").put(b"# unfinished\n")
+        words = "because", "lower", source, "5"
+        chain.append(Proposed(5, None, "explore", "family", "unfinished", *words))
+        assert '<span class="status running">running' in client.get("/runs/made/rows").text
+    assert '<span class="status unfinished">unfinished' in client.get("/runs/made/rows").text
 
 
 @pytest.mark.parametrize(
@@ -161,16 +180,58 @@ def test_a_part_of_a_simulation_is_drawn_again(client: TestClient) -> None:
     assert client.get("/runs/made/experiments/3/overlays/0").status_code == 404
 
 
-def test_two_runs_stand_side_by_side(client: TestClient, runs: Path, problem: Problem) -> None:
-    make_run(runs / "other", problem, (("only", 0.25),))
-    page = client.get("/compare?run=made&run=other").text
-    assert page.count('data-stream="/runs/') == 2
-    assert page.count('class="zoomable"') == 4
-    assert "0.2500" in page
-    assert "0.5000" in page
+def test_any_number_of_runs_and_experiments_is_compared(
+    client: TestClient, runs: Path, problem: Problem
+) -> None:
+    for name, value in (("other", 0.25), ("third", 0.125)):
+        make_run(runs / name, problem, (("only", value),))
+    page = client.get("/compare?run=made&run=other&run=third").text
+    assert page.count('data-stream="/runs/') == 3
+    assert page.count('class="zoomable"') == 2
+    assert all(value in page for value in ("0.5000", "0.2500", "0.1250"))
     assert "do not compare" not in page
-    assert client.get("/compare?run=made").status_code == 404
-    assert client.get("/compare?run=made&run=none").status_code == 404
+    assert page.count('class="line steps series2 dash0"') == 2
+    overlaid = page.split('id="overlays"')[1]
+    assert re.findall(r'class="line (measured|series\d)', overlaid)[:4] == [
+        "measured", "series0", "series1", "series2",
+    ]  # fmt: skip
+    query = "e=made/1&e=made/4&e=other/1"
+    page = client.get(f"/compare?{query}").text
+    chosen = re.findall(r'value="(\w+/\d)" checked', page)
+    assert sorted(chosen) == ["made/1", "made/4", "other/1"]
+    assert 'data-refresh="/compare/part?run=made&amp;e=made%2F1' in page
+    part = client.get(f"/compare/overlays/1?{query}&first=100&last=110").text
+    lines = re.findall(r'd="M([^"]*)" class="line series', part)
+    assert [line.count("L") for line in lines] == [10] * 6
+    assert client.get(f"/compare/overlays/2?{query}").status_code == 404
+    failed = client.get("/compare?e=made/3").text
+    assert ("No chosen experiment has a score" in failed, "zoomable" in failed) == (True, False)
+    for wrong in ("run=made&run=none", "e=made/9", "e=none/1", ""):
+        assert client.get(f"/compare?{wrong}").status_code == 404, wrong
+
+
+def test_linear_model_and_control_have_pages_where_the_run_has_them(
+    client: TestClient, runs: Path
+) -> None:
+    assert 'class="tabs"' not in client.get("/runs/made").text
+    assert client.get("/runs/made/linear").status_code == 404
+    write_linear(runs / "made")
+    for address, here in (("/runs/made", "Search"), ("/runs/made/linear", "Linear models"),
+                          ("/runs/made/control", "Control")):  # fmt: skip
+        page = client.get(address).text
+        assert re.findall(r'href="(/runs/made[a-z/]*)"[^>]*>([A-Z][a-z ]+)</a>', page)[:3] == [
+            ("/runs/made", "Search"),
+            ("/runs/made/linear", "Linear models"),
+            ("/runs/made/control", "Control"),
+        ]
+        assert re.findall(r'aria-current="page">([^<]+)<', page) == [here]
+    page = client.get("/runs/made/linear").text
+    assert page.count("l8 8m0 -8l-8 8") == 2  # poles
+    assert ("&lt;script&gt;" in page, "<script>document" in page) == (True, False)
+    assert client.get("/runs/made/sections/linear").status_code == 204
+    assert client.get("/runs/made/certificate").status_code == 404
+    (runs / "made" / "linear" / "linear.json").write_text("{}")
+    assert "run asia linear again" in client.get("/runs/made/linear").text
 
 
 def test_runs_of_other_problems_are_not_compared_without_a_word(
@@ -251,6 +312,43 @@ def test_a_note_reaches_the_search(client: TestClient, runs: Path) -> None:
     assert note.read_text() == "the pump saturates"
     assert client.post("/runs/made/steer", content=" ", headers=POST).status_code == 409
     assert client.post("/runs/made/steer", content="x" * 30_000, headers=POST).status_code == 409
+
+
+def test_a_note_for_people_is_in_the_ledger_and_on_the_pages(
+    client: TestClient, runs: Path
+) -> None:
+    note = {"author": "Ada", "text": ATTACK, "experiment": "2", "tags": "odd again", "removed": ""}
+
+    def send(**changes: str) -> tuple[int, str]:
+        body = json.dumps({**note, **changes})
+        answer = client.post("/runs/made/note", content=body, headers=POST)
+        return answer.status_code, answer.json()["words"]
+
+    assert send() == (200, "recorded in the ledger")
+    assert send(experiment="0", tags="", text="for the paper") == (200, "recorded in the ledger")
+    assert send(tags="", removed="odd", text="no longer")[0] == 200
+    for bad, words in (
+        ({"author": " "}, "the author has 1 to 80 characters"),
+        ({"text": ""}, "a note or a reason has 1 to 4000 characters"),
+        ({"tags": "<b>"}, "'<b>' is no tag"),
+        ({"experiment": "7"}, "has no experiment 7"),
+        ({"experiment": "x"}, "expected the fields author"),
+        ({"removed": "odd"}, "there is no tag 'odd' to remove"),
+    ):
+        code, answer = send(**bad)
+        assert (code, words in answer) == (409, True), answer
+    run = open_run(runs / "made")
+    assert [(one.author, one.experiment) for one in run.view.noted] == [
+        ("Ada", 2), ("Ada", 0), ("Ada", 2),
+    ]  # fmt: skip
+    assert run.view.tags(2) == ("again",)
+    row = client.get("/runs/made/rows?words=again").text
+    assert re.findall(r'<li id="e(\d)"', row) == ["2"]
+    assert '<span class="label"><span class="said">again</span></span>' in row
+    part = client.get("/runs/made/sections/notes").text
+    assert ("for the paper" in part, "onerror=" in part, "<img" in part) == (True, True, False)
+    page = page_of(run)
+    assert ("for the paper" in page, "<img" in page) == (True, False)
 
 
 def test_a_running_search_is_paused_and_stopped(client: TestClient, runs: Path) -> None:

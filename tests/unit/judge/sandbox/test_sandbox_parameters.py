@@ -1,5 +1,7 @@
 """Named parameters and prints: taken before a case is seen, bounded, and never a reason to fail."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.errors import CandidateError, SandboxError
 from asia.judge.sandbox.worker.figures import (
     PARAMETERS,
+    count_numbers,
     pack_estimates,
     pack_parameters,
     unpack_estimates,
@@ -206,6 +209,31 @@ def fit(trajectories, context):
             one._spent["fit"] = [VALUE, 0.0]
     return Model()
 """
+
+
+def test_numbers_of_a_model_are_counted_once_each_and_settings_are_none():
+    weights = np.zeros((3, 4))
+    shared = SimpleNamespace(weights=weights, again=weights, order=3, name="x", kept=True, f=len)
+    model = SimpleNamespace(parts=[shared, shared], gain=0.5, lags=np.arange(5), m={"a": 1.5})
+    assert count_numbers(model, {}) == 12 + 1 + 1
+    assert count_numbers(SimpleNamespace(inner=SimpleNamespace(n_parameters=6, z=0.1)), {}) == 6
+
+
+@pytest.mark.parametrize(
+    ("offered", "expected"),
+    [("0.5", 1), ("[0.5, 1.5]", 2), ("type('M', (), {'n_parameters': -1})()", None)],
+)
+def test_a_model_without_a_count_has_none(worker, case, offered, expected):
+    with worker() as one:
+        one.fit(
+            source("pass").replace("Model(offered)", f"Model({offered})"),
+            case.trajectories,
+            case.context,
+        )
+        assert one.numbers() == expected
+        one.simulate(case.past_u, case.past_y, case.u)
+        with pytest.raises(SandboxError, match="before them"):
+            one.numbers()
 
 
 @pytest.mark.parametrize("value", ["1e9", "float('nan')", "-1.0"])

@@ -106,7 +106,9 @@ async function fill(part) {
   const used = part.contains(document.activeElement) && document.activeElement !== document.body;
   if (html === shown.get(part) || (used && shown.has(part))) return;
   const open = all("details", part).map((d) => d.open);
+  const chosen = one("input:checked", part)?.id;
   part.replaceChildren(elements(html));
+  if (chosen && one(`#${chosen}`)) one(`#${chosen}`).checked = true;
   if (shown.has(part)) all("details", part).forEach((d, k) => { if (k < open.length) d.open = open[k]; });
   shown.set(part, html);
 }
@@ -194,10 +196,10 @@ function follow(place) {
 
 // ---- a person's word
 
-async function tell(what, text) {
-  const place = one("#steered");
+async function tell(element, text) {
+  const panel = element.closest("[data-at]"), place = one("[role=status]", panel);
   try {
-    const answer = await fetch(`${one(".steering").dataset.at}/${what}`, {
+    const answer = await fetch(`${panel.dataset.at}/${element.dataset.post}`, {
       method: "POST",
       headers: { "X-ASIA-Token": one("meta[name=asia-token]").content },
       body: text,
@@ -215,7 +217,8 @@ document.addEventListener("submit", async (event) => {
   const form = event.target;
   if (!form.dataset.post) return;
   event.preventDefault();
-  if (await tell(form.dataset.post, form.elements.text.value)) form.reset();
+  const fields = Object.fromEntries(new FormData(form));
+  if (await tell(form, form.dataset.post === "note" ? JSON.stringify(fields) : fields.text)) form.reset();
 });
 
 document.addEventListener("click", (event) => {
@@ -225,19 +228,13 @@ document.addEventListener("click", (event) => {
   const what = button.dataset.post;
   if (!what) return;
   if (what === "stop" && !confirm("Stop the search after this experiment?")) return;
-  tell(what, "");
+  tell(button, "");
 });
 
-// ---- two runs side by side
+// ---- runs to compare
 
-const two = one("#two");
-if (two) {
-  document.addEventListener("change", () => {
-    const count = all("input[name=run]:checked").length;
-    two.disabled = count !== 2;
-    one("#two-words").textContent = count === 2 ? "" : `Choose two runs: ${count} chosen.`;
-  });
-}
+const compare = one("#chosen");
+if (compare) document.addEventListener("change", () => (compare.disabled = !one("input[name=run]:checked")));
 
 if (rows) {
   form.addEventListener("input", atMost(150, choose));

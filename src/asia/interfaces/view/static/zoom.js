@@ -11,7 +11,8 @@ async function showPart(box, first, last) {
   box.dataset.first = begin;
   box.dataset.last = begin + length;
   mend(box);
-  const answer = await fetch(`${box.dataset.overlay}?first=${begin}&last=${begin + length}`);
+  const query = box.dataset.overlay.includes("?") ? "&" : "?";
+  const answer = await fetch(`${box.dataset.overlay}${query}first=${begin}&last=${begin + length}`);
   const html = await answer.text();
   // A later request may have been answered first.
   if (!answer.ok || Number(box.dataset.first) !== begin || Number(box.dataset.last) !== begin + length) return;

@@ -188,7 +188,7 @@ class _Session:
         self._asking = threading.Lock()
         self._compiling = compilation.Meter()
         self._programs = compilation.Programs(self._program)
-        sys.meta_path.insert(0, compilation.JaxFinder(self._compiling, self._programs))
+        sys.meta_path.insert(0, compilation.PreparingFinder(self._compiling, self._programs))
 
     def serve(self) -> NoReturn:
         self._reply(wire.ReplyKind.STARTED)
@@ -200,6 +200,7 @@ class _Session:
             "has_steps": self._has_steps,
             "dump": lambda: self._pickled(self._model),
             "parameters": self._parameters,
+            "numbers": self._numbers,
             "estimates": self._estimates,
             "lower": self._lower,
             "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
@@ -343,6 +344,13 @@ class _Session:
         offered = getattr(self._model, "parameters", None)
         try:
             return figures.pack_parameters(offered() if callable(offered) else offered)
+        except Exception:  # noqa: BLE001 - the border to candidate code
+            return b""
+
+    def _numbers(self) -> bytes:
+        """Count of the numbers in the fitted model; nothing where it cannot be counted."""
+        try:
+            return figures.count_numbers(self._model, {}).to_bytes(8, "little")
         except Exception:  # noqa: BLE001 - the border to candidate code
             return b""
 

@@ -63,6 +63,33 @@ def unpack_parameters(body: bytes) -> tuple[tuple[str, float], ...]:
     return tuple(found.items())
 
 
+def count_numbers(value: Any, seen: dict[int, Any]) -> int:
+    """Count the floating-point numbers in a fitted model, each object once.
+
+    Args:
+        value: the model, or a part of it. A part with a number `n_parameters` counts as that.
+        seen: objects that were counted, by their id
+    """
+    if isinstance(value, float | complex):
+        return 1
+    if value is None or isinstance(value, int | str | bytes | type) or id(value) in seen:
+        return 0
+    seen[id(value)] = value
+    if isinstance(known := getattr(value, "n_parameters", None), int):
+        return known
+    if hasattr(value, "dtype") and hasattr(value, "size"):
+        return int(value.size) if getattr(value.dtype, "kind", "") in ("f", "c") else 0
+    if isinstance(value, Mapping):
+        parts: list[Any] = list(value.values())
+    elif isinstance(value, list | tuple | set | frozenset):
+        parts = list(value)
+    else:
+        names = {name for kind in type(value).__mro__ for name in getattr(kind, "__slots__", ())}
+        parts = [getattr(value, name, None) for name in {*getattr(value, "__dict__", ()), *names}]
+        parts = [one for one in parts if not callable(one) or hasattr(one, "__dataclass_fields__")]
+    return sum(count_numbers(one, seen) for one in parts)
+
+
 def pack_estimates(offered: Any) -> bytes:
     """Those of an `asia.candidate.ParameterEstimates`. Raises where it is none."""
     rows: Sequence[Any] = list(offered.parameters)[:PARAMETERS]

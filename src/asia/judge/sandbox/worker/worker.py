@@ -221,9 +221,13 @@ class Worker:
 
     def simulate_known(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """As `simulate`, by the model's own `simulate`: for cases that it was fitted to."""
+        return _finite(self.simulate_unchecked(past_u, past_y, u))
+
+    def simulate_unchecked(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """As `simulate_known`, with NaN or infinity where the model diverges."""
         deadline = self._begin_cases()
         with self._clock.activity(Activity.SIMULATE):
-            return _finite(self._whole(past_u, past_y, u, deadline))
+            return self._whole(past_u, past_y, u, deadline)
 
     def _begin_cases(self) -> float:
         self._need_model()
@@ -308,6 +312,12 @@ class Worker:
             return unpack_estimates(body) if body else None
         except ValueError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
+
+    def numbers(self) -> int | None:
+        """Return the count of the numbers in the fitted model, as the worker reports it; None where
+        it cannot be counted. Call it before any case, as `parameters`."""
+        body = self._reply_before_cases("numbers", FRAME_HEAD.size)
+        return int.from_bytes(body, "little") if body else None
 
     def compile_seconds(self) -> float:
         """Return JAX's time for tracing and compiling in the fit, as the worker reports it, at most

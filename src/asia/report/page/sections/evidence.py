@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -36,7 +37,7 @@ from asia.report.page.html import (
     write_number,
 )
 from asia.report.page.subject import Section, Subject, used_no_test
-from asia.report.page.svg import draw_check
+from asia.report.page.svg import draw_check, draw_poles
 
 # The ablation: contributions of the changes to the gain of the winner.
 
@@ -216,6 +217,8 @@ def _write_identified(subject: Subject) -> Html | None:
         head = ["parameter", "value", "unit", "standard error", "standard error by folds",
                 "interval", "interval decided by", "remark"]  # fmt: skip
         rows = [_parameter(run, found, k) for k in range(len(found.parameters))]
+        kept = [k for k in range(len(head)) if k in (0, 1) or any(row[k] for row in rows)]
+        head, rows = [head[k] for k in kept], [[row[k] for k in kept] for row in rows]
         own = "" if found.library else ", as the candidate's own code reports them"
         parts.append(table(head, rows, f"Parameters, fitted to all training records{own}"))
         parts += [tag("p", tag("b", said(line), ".")) for line in interval_lines(found)]
@@ -252,7 +255,7 @@ def _parameter(run: Run, found: IdentifiedModel, number: int) -> list[str | None
     return [
         said(fitted.name),
         _number(run, f"{at}.value", fitted.value, "sig5"),
-        said(fitted.unit),
+        said(fitted.unit) if fitted.unit else None,
         error,
         by_folds,
         _interval(run, at, one),
@@ -375,23 +378,46 @@ _MOST_BYTES = 4_000_000
 _DRAWN: TypeAdapter[tuple[DrawnCheck, ...]] = TypeAdapter(tuple[DrawnCheck, ...])
 
 
-def _write_linear(subject: Subject) -> Html | None:
-    path = subject.run.directory / LINEAR_FILE
+CONTROL_FILE: Final = Path("control", "control.json")
+"""File of `asia control` in the folder of a run."""
+
+
+def _complex(values: Sequence[Mapping[str, float]]) -> list[complex]:
+    return [complex(one["real"], one["imag"]) for one in values]
+
+
+def _write_command(subject: Subject, file: Path, command: str) -> Html | None:
+    """Text and pictures that a command wrote next to the ledger; None without its file."""
+    path = subject.run.directory / file
     if not path.exists():
         return None
-    remedy = "run asia linear again"
+    remedy = f"run {command} again"
     content = read_file(path, remedy) if path.stat().st_size <= _MOST_BYTES else b""
     try:
         found = json.loads(content)
         lines, drawn = "\n".join(found["text"]), _DRAWN.validate_python(found["drawn"])
+        planes = [
+            (str(one["at"]), _complex(one["poles"]), _complex(one["zeros"]))
+            for one in found.get("points", ())
+        ]
     except (ValueError, TypeError, LookupError):
-        return tag("p", f"{LINEAR_FILE} is no file of this version: {remedy}.")
-    note = tag("p", "Written by ", tag("code", "asia linear"), ". The ledger does not record it.")
-    text = tag("pre", lines, tabindex="0", role="region", aria_label="Linear models")
-    return join((note, text, tag("div", *map(draw_check, drawn), class_="grid")))
+        return tag("p", f"{file} is no file of this version: {remedy}.")
+    note = tag("p", "Written by ", tag("code", command), ". The ledger does not record it.")
+    text = region("pre", tag("code", lines), label=f"Output of {command}")
+    panels = [*map(draw_check, drawn), *([draw_poles(planes)] if planes else [])]
+    return join((note, text, tag("div", *panels, class_="grid")))
 
 
-LINEAR = Section("linear", "Linear models", _write_linear)
+def _complex(values: list[dict[str, float]]) -> list[complex]:
+    return [complex(z["real"], z["imag"]) for z in values]
+
+
+LINEAR = Section(
+    "linear", "Linear models", partial(_write_command, file=LINEAR_FILE, command="asia linear")
+)
+CONTROL = Section(
+    "control", "Control", partial(_write_command, file=CONTROL_FILE, command="asia control")
+)
 
 
 # The certificate: what `asia certify` wrote next to the ledger.
@@ -418,8 +444,8 @@ def _write_certificate(subject: Subject) -> Html | None:
         "p", "Written by ", tag("code", "asia certify"), ". The ledger does not record it. ",
         tag("code", "asia certify --check"), " proves it again.",
     )  # fmt: skip
-    text = tag("pre", "\n".join(f"{a:16}{b}" for a, b in rows), tabindex="0", role="region",
-               aria_label="Certificate")  # fmt: skip
+    code = tag("code", "\n".join(f"{a:16}{b}" for a, b in rows))
+    text = region("pre", code, label="Certificate")
     return join((note, text))
 
 

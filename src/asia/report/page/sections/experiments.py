@@ -2,31 +2,54 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
 
 from asia.judge.scoring.outcome import Score
+from asia.ledger.artifacts import Store
 from asia.ledger.text import error_line, phase_text
 from asia.ledger.view import Experiment
 from asia.problem.problem import is_described
 from asia.report.page.code import change, python
-from asia.report.page.html import Html, equations, facts, join, region, said, table, tag
+from asia.report.page.html import (
+    RULES,
+    Html,
+    equations,
+    facts,
+    join,
+    region,
+    said,
+    table,
+    tag,
+    write_number,
+)
 from asia.report.page.subject import Section, Subject, result_of
 from asia.report.page.svg import (
     NARROW,
     WIDE,
     LineageRow,
     Point,
+    Traded,
     draw_lanes,
     draw_progress,
+    draw_tradeoff,
+    front_of,
     legend,
 )
 
 # All experiments: expectation, result, and change of the source.
 
 
-def _status(e: Experiment) -> str:
-    return e.result.status if e.result else "running"
+def status_of(subject: Subject, e: Experiment) -> str:
+    """Return the status of an experiment; one without a result does not run in a search that was
+    interrupted."""
+    if e.result is not None:
+        return e.result.status
+    return "running" if subject.run.state == "running" else "unfinished"
 
 
 def _write(subject: Subject) -> Html | None:
@@ -43,7 +66,7 @@ def _write(subject: Subject) -> Html | None:
 
 
 def _experiment(subject: Subject, e: Experiment) -> Html:
-    status = _status(e)
+    status = status_of(subject, e)
     title = tag(
         "summary",
         tag("span", subject.name(e), class_="id"),
@@ -85,6 +108,8 @@ def experiment_story(subject: Subject, e: Experiment) -> Html:
         ("agent", said(p.agent) if p.agent else None),
         ("V of the folds", folds),
         ("duration", None if result is None else subject.number(result, "seconds", "duration")),
+        ("tags", tag_labels(subject.view.tags(e.number))),
+        ("notes", noted_list(subject, e.number)),
     )
     parts: list[Html | None] = [facts(pairs)]
     if e.failure is not None:
@@ -92,6 +117,32 @@ def experiment_story(subject: Subject, e: Experiment) -> Html:
         if line := error_line(e.failure.detail):
             parts.append(region("pre", tag("code", line), label="error"))
     return join((*parts, _change(subject, e)))
+
+
+def tag_labels(names: Sequence[str]) -> Html | None:
+    """Tags of users; None without any."""
+    return join([tag("span", said(one), class_="label") for one in names], " ") if names else None
+
+
+def noted_list(subject: Subject, number: int | None = None) -> Html | None:
+    """Notes of users on one experiment, or on the run and all its experiments; None without any."""
+    items: list[Html] = []
+    for one in subject.view.noted:
+        if number is not None and one.experiment != number:
+            continue
+        place = None
+        if number is None and one.experiment:
+            name = subject.number(one, "experiment", "number")
+            place = join((tag("a", name, href=f"#e{one.experiment}"), " "))
+        changes = " ".join((*(f"+{t}" for t in one.tags), *(f"−{t}" for t in one.removed)))
+        time = subject.run.lines[subject.place(one)].time[:16].replace("T", " ")
+        author = tag("span", said(f"{one.author}, {time} UTC"), class_="by")
+        text = tag("span", said(f"{changes} {one.text}".strip(), 4000))
+        items.append(tag("li", place, text, " ", author))
+    return tag("ul", *items, class_="noted") if items else None
+
+
+NOTES = Section("notes", "Notes and tags", noted_list)
 
 
 def _seen(subject: Subject, e: Experiment) -> Html | str:
@@ -141,16 +192,16 @@ def _write_lineage(subject: Subject) -> Html | None:
     items: list[Html] = []
     for e in shown:
         won, parent = e.number in subject.lineage, e.proposed.parent
-        rows.append(LineageRow(e.number, parent, _status(e), won))
+        rows.append(LineageRow(e.number, parent, status_of(subject, e), won))
         made_from = None
         if parent is not None:
             source = subject.number(e.proposed, "parent", "number")
             made_from = tag("span", " derived from ", source, class_="unseen")
         title = tag("a", subject.name(e), " ", said(e.proposed.title, 80), href=f"#e{e.number}")
-        value = tag("span", subject.v(e) if e.score else _status(e), class_="value")
+        value = tag("span", subject.v(e) if e.score else status_of(subject, e), class_="value")
         items.append(tag("li", title, made_from, value, class_="won" if won else None))
     drawing, width = draw_lanes(rows)
-    text = "The thick line leads from the first candidate to the winner."
+    text = "The thick line leads to the winner. A filled circle is a kept candidate."
     listed = tag("ol", *items, style=f"padding-left:{width}px")
     return join((tag("p", text), tag("div", drawing, listed, class_="lineage")))
 
@@ -165,8 +216,17 @@ def _write_problem(subject: Subject) -> Html | None:
     text = "" if subject.problem is None else subject.problem.description
     if not is_described(text):
         return None
-    paragraphs = re.split(r"\n\s*\n", text.strip())
-    return join([tag("p", said(one, 4000)) for one in paragraphs])
+    # Headings and lists of Markdown; all else is plain text.
+    lines = re.sub(r"(?m)^(#+ .*)$", r"\n\1\n", text.strip())
+    parts: list[Html] = []
+    for one in filter(str.strip, re.split(r"\n\s*\n", lines)):
+        items = re.split(r"(?m)^\s*[-*] +", one)
+        if start := items[0].strip():
+            is_title = start.startswith("#")
+            parts.append(tag("h3" if is_title else "p", said(start.lstrip("# "), 4000)))
+        if items[1:]:
+            parts.append(tag("ul", *(tag("li", said(item, 4000)) for item in items[1:])))
+    return join(parts)
 
 
 PROBLEM = Section("problem", "The problem", _write_problem)
@@ -274,6 +334,90 @@ def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
         ("best", "best so far"),
     ]
     return tag("figure", *drawings, legend(kinds))
+
+
+# V against the cost of a model, with the front that nothing dominates.
+
+
+@lru_cache(maxsize=20_000)
+def _costs(artifacts: Path, findings: str) -> tuple[float | None, float | None]:
+    """Count of numbers and seconds of a sample, from the findings of a fold."""
+    found = json.loads(Store(artifacts).get(findings))
+    return found.get("numbers"), found.get("sample_seconds")
+
+
+COSTS: Final = (
+    ("numbers in the model", "numbers", "greatest", "count"),
+    ("microseconds a sample", "sample_seconds", "least", "micro"),
+    ("seconds of fit", "fit_seconds", "sum", "sig3"),
+)
+"""Name, field of a fold, rule over the folds, and form of each cost."""
+
+
+def cost_of(subject: Subject, e: Experiment, axis: int) -> tuple[float, Html] | None:
+    """A cost of an experiment over its folds, as a number and for the page; None if not known."""
+    _, field, rule, form = COSTS[axis]
+    folds = result_of(e).folds
+    if field == "fit_seconds":
+        values: list[float | None] = [fold.fit_seconds for fold in folds]
+        sources = [f"{subject.place(result_of(e))}:folds.{k}.{field}" for k in range(len(folds))]
+    elif any(fold.findings is None for fold in folds) or not subject.run.store.kept:
+        return None
+    else:
+        folder = subject.run.directory / "artifacts"
+        values = [_costs(folder, str(fold.findings))[axis] for fold in folds]
+        sources = [f"{fold.findings}:{field}" for fold in folds]
+    known = [value for value in values if value]
+    if not known or len(known) < len(values):
+        return None
+    return RULES[rule](known), write_number(known, " ".join(sources), rule, form)
+
+
+def _write_tradeoff(subject: Subject) -> Html | None:
+    scored = [e for e in subject.view.finished if e.score is not None]
+    choices: list[Html] = []
+    figures: list[Html] = []
+    fronts: dict[int, Experiment] = {}
+    for axis, (name, *_) in enumerate(COSTS):
+        points = [
+            Traded(e.number, e.proposed.title, e.score.value, found[0])
+            for e in scored
+            if e.score is not None and (found := cost_of(subject, e, axis)) is not None
+        ]
+        if len(points) < 2:
+            continue
+        fronts |= {p.number: subject.view.experiment(p.number) for p in front_of(points)}
+        alt = f"{subject.view.v_name} against {name}; the table below has the front."
+        shown = name if axis != 1 else "µs a sample (processor time)"
+        drawings = [
+            tag("div", draw_tradeoff(points, subject.view.v_name, shown, alt, size), class_=kind)
+            for size, kind in ((WIDE, "wide"), (NARROW, "narrow"))
+        ]
+        box = tag("input", type="radio", name="axis", id=f"axis{axis}", checked=not choices)
+        choices.append(tag("label", box, " ", name))
+        figures.append(tag("figure", *drawings, class_=f"axis{axis}"))
+    if not figures:
+        return None
+    rows = [
+        [
+            tag("a", subject.name(e), " ", said(e.proposed.title, 80), href=f"#e{number}"),
+            subject.v(e),
+            *(None if (found := cost_of(subject, e, axis)) is None else found[1]
+              for axis in range(len(COSTS))),
+        ]
+        for number, e in sorted(fronts.items())
+    ]  # fmt: skip
+    head = ["candidate", subject.view.v_name, *(name for name, *_ in COSTS)]
+    keys = [("kept best", "no other candidate has less of both"), ("other", "others")]
+    return join((
+        tag("fieldset", tag("legend", "V against"), *choices, class_="axes"),
+        *figures,
+        legend(keys),
+        table(head, rows, "Candidates that no other one beats in V and in a cost"),
+    ))  # fmt: skip
+
+
+TRADEOFF = Section("tradeoff", "Trade-offs", _write_tradeoff)
 
 
 PROGRESS = Section("progress", "Progress of the search", _write_progress)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 
 from asia._text import one_line
@@ -82,9 +83,9 @@ def _false_scores(subject: Subject) -> Iterator[str]:
     found = alarms(view)
     below = view.below_truth(best.score.value)
     if len(found) > below:
-        yield "the test error is far above V, so V is no measure of this model"
+        yield "The test error is far above V, so V is no measure of this model."
     if below:
-        yield "V is below that of the simulated truth, so the candidate contains held-out data"
+        yield "V is below that of the simulated truth, so the candidate contains held-out data."
 
 
 def stamp(subject: Subject) -> tuple[str, str]:
@@ -182,8 +183,9 @@ def _test(subject: Subject) -> Html:
     place = use if getattr(opened, use) is not None else "ensemble"
     value = tag("b", subject.number(opened, f"{place}.scores.0.value", "sig4"))
     label = said(find_metric(model.scores[0].metric).label)
-    units = {s.unit for s in subject.problem.outputs} if subject.problem else set[str]()
-    unit = join((" ", said(units.pop()))) if len(units) == 1 else None
+    units = {s.unit for s in subject.problem.outputs} if subject.problem else {""}
+    known = units.pop() if len(units) == 1 else ""
+    unit = join((" ", said(known))) if known else None
     text = "On the sealed test, which this run opened after the search, its "
     return join((text, label, " is ", value, unit, "."))
 
@@ -325,12 +327,14 @@ def _write_tested(subject: Subject) -> Html | None:
     opened = subject.view.unsealed
     if opened is None:
         return None
-    how = join((subject.number(opened, "skip", "count"), " samples of each record are left out"))
+    how: Html | None = None
     if opened.horizon is not None:
-        how = join(("windows of ", subject.number(opened, "horizon", "count"), " samples"))
-    parts = [
-        tag("p", "This run opened the test records once, after the search had ended: ", how, ".")
-    ]
+        how = join((" It is scored in windows of ",
+                    subject.number(opened, "horizon", "count"), " samples."))  # fmt: skip
+    elif opened.skip:
+        how = join((" The first ", subject.number(opened, "skip", "count"),
+                    " samples of each record do not count."))  # fmt: skip
+    parts = [tag("p", "This run opened the test records once, after the search had ended.", how)]
     found = final_models(opened)
     failed = [text for _, text, model in found if not isinstance(model, TestedModel)]
     models = [(key, text, model) for key, text, model in found if isinstance(model, TestedModel)]
@@ -488,37 +492,47 @@ def _accuracy_table(subject: Subject, best: Experiment) -> Html:
 def _fold_name(subject: Subject, fold: int) -> Html:
     names = subject.view.started.folds
     number = tag("span", f"{fold + 1}", class_="fixed")
-    return join((number, ": ", said(names[fold]))) if fold < len(names) else number
+    if fold >= len(names):
+        return number
+    # The block says nothing that the samples do not.
+    return join((number, ": ", said(re.sub(r"^block \d+ of \d+: (?=samples)", "", names[fold]))))
 
 
-def held_out_overlays(subject: Subject, experiment: Experiment) -> list[Overlay]:
+def held_out_overlays(
+    subject: Subject, experiment: Experiment, others: Sequence[tuple[Subject, Experiment]] = ()
+) -> list[Overlay]:
     """Return the simulations of an experiment's fold models on their held-out data, lowest fit
     first: the first block of a fold, or its best and its worst window. None without a score or the
     data.
+
+    Args:
+        others: experiments with a score and with the same folds, whose simulations lie over these
     """
     problem, score, folds = subject.problem, experiment.score, subject.folds
     if problem is None or score is None:
         return []
     outputs = fold_outputs(subject.run.store, experiment, folds)
+    beside = [fold_outputs(other.run.store, e, folds) for other, e in others]
     overlays: list[Overlay] = []
     for channel in lowest(worst_fits(score), max(1, MOST_PANELS // len(folds))):
-        for fold, y_hat in zip(folds, outputs, strict=True):
-            chosen = [("held-out part", 0)]
+        for k, (fold, y_hat) in enumerate(zip(folds, outputs, strict=True)):
+            chosen = [("", 0)]
             if problem.protocol.kind == "windows":
                 found = representative_windows(
                     [block.y for block in fold.held_out], y_hat, fold.scale
                 )
-                chosen = [(f"{word} window", index) for word, index in found if word != "median"]
+                chosen = [(f"{word} window of ", i) for word, i in found if word != "median"]
             for what, index in chosen:
                 block = fold.held_out[index]
                 overlays.append(
                     Overlay(
-                        title=join((f"{what} of fold ", _fold_name(subject, fold.index))),
-                        alt=f"{what} of fold {fold.index + 1}",
+                        title=join((f"{what}fold ", _fold_name(subject, fold.index))),
+                        alt=f"{what}fold {fold.index + 1}",
                         channel=channel,
                         first=block.start,
                         measured=block.y,
                         simulated=y_hat[index],
+                        others=tuple(each[k][index] for each in beside),
                     )
                 )
     return overlays

@@ -1,0 +1,92 @@
+"""Pictures of the pages of asia view, for the documentation.
+
+python benchmarks/machinery/pages.py RUNS RUN [--real RUN] [--out docs/img/pages] [--browser PATH]
+
+Starts `asia view` on the folder RUNS and opens its pages in a headless Chromium: the page of RUN,
+its experiments, trade-offs, comparison and tabs at 1280 pixels in light, some of them on a phone in
+dark. --real: a search on measured data, for the curve of the first page. Prints the files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from playwright.sync_api import Browser, expect, sync_playwright
+
+SIZES = {
+    "": ({"width": 1280, "height": 860}, "light"),
+    "-phone": ({"width": 390, "height": 844}, "dark"),
+}
+"""End of the name, screen and scheme."""
+
+
+def main() -> None:
+    """Take all pictures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("runs", type=Path)
+    parser.add_argument("run")
+    parser.add_argument("--real", default="")
+    parser.add_argument("--out", type=Path, default=Path("docs/img/pages"))
+    parser.add_argument("--browser", default=shutil.which("chromium"))
+    given = parser.parse_args()
+    page, real = f"/runs/{given.run}", f"/runs/{given.real}"
+    # Name, address, section to show (none: the top of the page).
+    pictures = [
+        ("run", page, ""),
+        ("experiments", page, "experiments"),
+        ("trade-offs", page, "tradeoff"),
+        ("experiment", f"{page}/experiments/3", ""),
+        ("overlay", f"/compare?e={given.run}/2&e={given.run}/4&e={given.run}/8", "overlays"),
+        ("linear", f"{page}/linear", ""),
+        *([("search", real, "progress")] if given.real else []),
+    ]
+    asia = str(Path(sys.executable).parent / "asia")
+    command = [asia, "view", str(given.runs), "--port", "0"]
+    given.out.mkdir(parents=True, exist_ok=True)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            address = process.stdout.readline().split()[1]
+            with sync_playwright() as playwright:
+                browser = playwright.chromium.launch(
+                    executable_path=given.browser, args=["--no-sandbox"]
+                )
+                for end in SIZES:
+                    kept = ("run", "experiments") if end else [name for name, *_ in pictures]
+                    chosen = [one for one in pictures if one[0] in kept]
+                    take(browser, address, chosen, given.out, end)
+        finally:
+            process.terminate()
+
+
+def take(
+    browser: Browser, address: str, pictures: list[tuple[str, str, str]], out: Path, end: str
+) -> None:
+    """Take pictures on one screen."""
+    size, scheme = SIZES[end]
+    context = browser.new_context(viewport=size, color_scheme=scheme)  # pyright: ignore
+    page = context.new_page()
+    page.goto(address)
+    host = address.partition("/?")[0]
+    for name, path, section in pictures:
+        page.goto(host + path)
+        waiting = page.locator("section:not([hidden]) [data-part]:empty")
+        expect(waiting).to_have_count(0, timeout=60_000)
+        file = out / f"view-{name}{end}.png"
+        if section in ("progress", "overlays", "tradeoff"):
+            page.locator(f"#{section}").screenshot(path=file)
+        else:
+            if section:
+                page.evaluate(f"document.querySelector('#{section}').scrollIntoView()")
+            page.wait_for_timeout(700)
+            page.screenshot(path=file)
+        print(file)
+    context.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,285 @@
+"""Comparison of runs, and of experiments whose simulations lie over the same measured outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from urllib.parse import urlencode
+
+from asia.errors import UserError
+from asia.interfaces.view.followed import Snapshot
+from asia.interfaces.view.pages import run_address, section, state_mark, whole_page, zoomable
+from asia.ledger.events import TestedModel
+from asia.ledger.run import model_to_use, tested_model
+from asia.ledger.view import Experiment
+from asia.problem.problem import Problem
+from asia.report.page.html import Html, join, said, table, tag
+from asia.report.page.sections.experiments import COSTS, cost_of, status_of, tag_labels
+from asia.report.page.sections.verdict import held_out_overlays, stamp
+from asia.report.page.subject import Subject, result_of
+from asia.report.page.svg import (
+    NARROW,
+    WIDE,
+    BestSoFar,
+    Overlay,
+    draw_best,
+    draw_overlay,
+    legend,
+    series,
+)
+
+_MOST_CHOICES = 40
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A run of a comparison, with the numbers of its chosen experiments; () for its best."""
+
+    snapshot: Snapshot
+    numbers: tuple[int, ...] = ()
+
+    @property
+    def subject(self) -> Subject:
+        """Its subject."""
+        return self.snapshot.subject
+
+    @property
+    def name(self) -> str:
+        """Name of the run."""
+        return self.snapshot.run.name
+
+    @cached_property
+    def experiments(self) -> tuple[Experiment, ...]:
+        """The chosen experiments. Raises UserError where one is not there."""
+        view = self.subject.view
+        best = () if view.best is None else (view.best,)
+        return tuple(view.experiment(n) for n in self.numbers) or best
+
+    @property
+    def query(self) -> list[tuple[str, str]]:
+        """The part of the address that names it."""
+        return [("run", self.name), *(("e", f"{self.name}/{n}") for n in self.numbers)]
+
+
+def comparison_page(compared: Sequence[Compared], token: str) -> str:
+    """The page of a comparison."""
+    streams = [
+        tag(
+            "span",
+            data_stream=f"{run_address(one.name)}/events",
+            data_mark=one.snapshot.mark,
+            hidden=True,
+        )
+        for one in compared
+    ]
+    part = tag("div", comparison_part(compared), data_refresh=f"/compare/part?{_query(compared)}")
+    header = tag("header", tag("h1", "Comparison"))
+    trail = [("Searches", "/"), *((one.name, run_address(one.name)) for one in compared[:3])]
+    title = ", ".join(one.name for one in compared)
+    return whole_page(title, trail, (header, *streams, part, _chooser(compared)), token)
+
+
+def _query(compared: Sequence[Compared]) -> str:
+    return urlencode([pair for one in compared for pair in one.query])
+
+
+def comparison_part(compared: Sequence[Compared]) -> Html:
+    """Write the content of the page."""
+    subjects = [one.subject for one in compared]
+    axes = {one.view.v_name for one in subjects}
+    warning = None
+    if len({(s.view.started.problem, s.view.started.protocol_digest) for s in subjects}) > 1:
+        warning = "The runs have different problems or protocols: do not compare their V."
+    elif len(axes) > 1:
+        warning = "V was computed under different rules in the runs: do not compare it."
+    if warning is not None:
+        warning = tag("p", warning, class_="trouble")
+    curves = None
+    if len(subjects) > 1:
+        searches = [
+            BestSoFar(
+                one.run.name,
+                tuple((e.number, e.score.value) for e in one.view.bests if e.score is not None),
+                max((e.number for e in one.view.finished), default=0),
+            )
+            for one in subjects
+        ]
+        axis, alt = axes.pop() if len(axes) == 1 else "V", "Best V so far over the experiments."
+        drawings = [
+            tag("div", draw_best(searches, axis, alt, size), class_=name)
+            for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
+        ]
+        curves = tag("figure", *drawings)
+    parts = (
+        section("figures", "Runs", warning, _runs_table(subjects)),
+        section("curves", "Best so far", curves),
+        section("chosen", "Experiments", _experiments_table(compared)),
+        section("overlays", "Measured and simulated", _overlays(compared)),
+    )
+    return join(parts)
+
+
+def _together(compared: Sequence[Compared]) -> list[list[tuple[int, Subject, Experiment]]]:
+    """Chosen experiments with a score in groups with the same held-out outputs, each with its
+    number in the comparison."""
+    groups: dict[tuple[str, ...], list[tuple[int, Subject, Experiment]]] = {}
+    every = [(one.subject, e) for one in compared for e in one.experiments]
+    for number, (subject, e) in enumerate(every):
+        start = subject.view.started
+        key = start.problem, start.protocol_digest, *start.folds
+        if e.score is not None and subject.problem is not None:
+            groups.setdefault(key, []).append((number, subject, e))
+    return list(groups.values())
+
+
+def _drawn(compared: Sequence[Compared]) -> list[tuple[Problem, Overlay, tuple[int, ...]]]:
+    """Every overlay, with the numbers of its experiments in the comparison."""
+    found: list[tuple[Problem, Overlay, tuple[int, ...]]] = []
+    for group in _together(compared):
+        (_, subject, first), *others = group
+        assert subject.problem is not None
+        numbers = tuple(number for number, _, _ in group)
+        overlays = held_out_overlays(subject, first, [one[1:] for one in others])
+        found += [(subject.problem, one, numbers) for one in overlays]
+    return found
+
+
+def _overlays(compared: Sequence[Compared]) -> Html:
+    """The simulations of the chosen experiments over the measured outputs, group by group."""
+    labels = [f"{one.name} #{e.number:02d}" for one in compared for e in one.experiments]
+    parts: list[Html] = []
+    boxes: list[Html] = []
+    drawn = _drawn(compared)
+    for index, (problem, overlay, numbers) in enumerate(drawn):
+        boxes.append(
+            zoomable(
+                f"/compare/overlays/{index}?{_query(compared)}",
+                draw_overlay(problem, overlay),
+                len(overlay.measured),
+            )
+        )
+        if index + 1 == len(drawn) or drawn[index + 1][2] != numbers:
+            keys = [("measured", "measured")]
+            # A single simulation and its error have colours of their own.
+            names = [series(k) for k in range(len(numbers))] if len(numbers) > 1 else ["model"]
+            keys += [(name, said(labels[n])) for name, n in zip(names, numbers, strict=True)]
+            keys += [("error", "error")] if len(numbers) == 1 else []
+            parts += [legend(keys), tag("div", *boxes, class_="grid")]
+            boxes = []
+    missing = [one for one in compared if one.snapshot.trouble]
+    parts += [
+        tag("p", said(f"{one.name}: no simulations, {one.snapshot.trouble}", 600), class_="trouble")
+        for one in missing
+    ]
+    return join(parts) if parts else tag("p", "No chosen experiment has a score.")
+
+
+def compared_overlay(
+    compared: Sequence[Compared], index: int, first: int, last: int | None
+) -> Html:
+    """Samples `first` to `last` of an overlay, drawn. Raises UserError where there is none."""
+    drawn = _drawn(compared)
+    if not 0 <= index < len(drawn):
+        raise UserError(f"the comparison has no picture {index}")
+    problem, one, _ = drawn[index]
+    return draw_overlay(problem, one.cut(first, len(one.measured) - 1 if last is None else last))
+
+
+def _experiments_table(compared: Sequence[Compared]) -> Html | None:
+    rows: list[list[str | None]] = []
+    for one in compared:
+        for e in one.experiments:
+            subject = one.subject
+            address = f"{run_address(one.name)}/experiments/{e.number}"
+            title = join((subject.name(e), " ", said(e.proposed.title, 80)))
+            labels = tag_labels(subject.view.tags(e.number))
+            status = status_of(subject, e)
+            places = range(len(e.score.folds)) if e.score else ()
+            folds = [subject.number(result_of(e), f"outcome.folds.{k}.value", "error")
+                     for k in places]  # fmt: skip
+            costs = [cost_of(subject, e, k) if e.result else None for k in range(len(COSTS))]
+            rows.append([
+                join((said(one.name), " ", tag("a", title, href=address), " ", labels)),
+                tag("span", status, class_=f"status {status}"),
+                subject.v(e) if e.score else "no score",
+                join(folds, ", "),
+                *(None if cost is None else cost[1] for cost in costs),
+            ])  # fmt: skip
+    head = ["experiment", "status", "V", "V of the folds", *(name for name, *_ in COSTS)]
+    return table(head, rows, "Chosen experiments") if rows else None
+
+
+def _chooser(compared: Sequence[Compared]) -> Html:
+    """Form with the experiments of lowest V of each run, and those that are chosen."""
+    lists: list[Html] = []
+    for one in compared:
+        scored = sorted(
+            (e for e in one.subject.view.finished if e.score is not None),
+            key=lambda e: e.score.value if e.score else 0.0,
+        )[:_MOST_CHOICES]
+        scored += [e for e in one.experiments if e not in scored]
+        boxes = [
+            tag("li", tag("label",
+                tag("input", type="checkbox", name="e", value=f"{one.name}/{e.number}",
+                    checked=e in one.experiments),
+                " ", one.subject.name(e), " ", said(e.proposed.title, 80), " ",
+                one.subject.v(e) if e.score else None,
+            ))
+            for e in scored
+        ]  # fmt: skip
+        title = tag("summary", said(one.name))
+        kept = tag("input", type="hidden", name="run", value=one.name)
+        lists.append(tag("details", title, kept, tag("ul", *boxes), open=len(compared) == 1))
+    button = tag("button", "Show the chosen experiments", type="submit")
+    form = tag("form", *lists, button, action="/compare", method="get", class_="chooser")
+    chooser = section("choose", "Choose experiments", form)
+    assert chooser is not None
+    return chooser
+
+
+def _runs_table(subjects: Sequence[Subject]) -> Html:
+    def verdict(subject: Subject) -> Html:
+        text, kind = stamp(subject)
+        return tag("span", text, class_=f"stamp small {kind}")
+
+    def best(subject: Subject) -> Html:
+        found = subject.view.best
+        return subject.v(found) if found is not None else tag("span", "no score")
+
+    def reference(subject: Subject, name: str) -> Html:
+        found = subject.reference(name)
+        if found is None:
+            return tag("span", "none")
+        return subject.number(found[0], "outcome.value", "error")
+
+    def tested(subject: Subject) -> Html:
+        """The test score of the model to use, once the test was opened."""
+        opened, named = subject.view.unsealed, model_to_use(subject.view)
+        if opened is None or named is None:
+            return tag("span", "not opened")
+        place = named.model if getattr(opened, named.model) is not None else "ensemble"
+        if not isinstance(tested_model(opened, named.model), TestedModel):
+            return tag("span", "no answer")
+        return subject.number(opened, f"{place}.scores.0.value", "sig4")
+
+    references = dict.fromkeys(one.name for subject in subjects for one in subject.view.references)
+    rows: list[tuple[str, Callable[[Subject], Html]]] = [
+        ("state", lambda s: state_mark(s.run.state)),
+        ("verdict", verdict),
+        ("tags", lambda s: tag_labels(s.view.tags()) or tag("span")),
+        ("problem", lambda s: said(s.view.started.problem)),
+        ("agent", lambda s: said(s.view.started.agent)),
+        ("seed", lambda s: s.number(s.view.started, "seed", "text")),
+        ("isolation", lambda s: said(s.view.started.isolation_words)),
+        ("experiments", lambda s: s.over("evaluated", "experiment", "count", "count")),
+        ("evaluation time", lambda s: s.over("evaluated", "seconds", "sum", "duration")),
+        ("V, the best", best),
+        *((f"V, {name}", partial(reference, name=name)) for name in references),
+        ("error on the sealed test", tested),
+    ]
+    head = ["", *(tag("a", said(s.run.name), href=run_address(s.run.name)) for s in subjects)]
+    if not any(s.view.tags() for s in subjects):
+        rows = [row for row in rows if row[0] != "tags"]
+    cells = [(text, *map(cell, subjects)) for text, cell in rows]
+    return tag("div", table(head, cells, "Compared runs"), class_="both")
