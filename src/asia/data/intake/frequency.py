@@ -98,14 +98,6 @@ def read_frequency_response(path: Path) -> FrequencyRecord:
     )  # fmt: skip
 
 
-def has_frequency_response(path: Path) -> bool:
-    """Whether a file looks like a frequency response, not like a record in time."""
-    if path.suffix.casefold() in (".mat", ".npz"):
-        return True
-    names = [split_unit(n)[0].casefold() for n in file_format(path).columns(path)]
-    return any(name in _FREQUENCY for name in names)
-
-
 def _of_table(path: Path, table: FileTable) -> FrequencyRecord:
     frequency: Array | None = None
     pairs: dict[str, dict[str, Array]] = {}
