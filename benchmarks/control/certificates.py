@@ -24,7 +24,8 @@ from exports import ready, settings
 
 from asia.agents.library.registry import all_families
 from asia.analysis.certificate import certify
-from asia.lowering.evaluation import derivatives, evaluate
+from asia.lowering.derivatives import derivatives
+from asia.lowering.evaluation import evaluate
 from asia.lowering.linear import joined, split
 from asia.lowering.program import LoweredModel
 

@@ -80,6 +80,10 @@ def source_facts(source: str) -> SourceFacts:
     )
 
 
+# Types that annotations of such a source name, by module.
+_TYPES = {"collections.abc": "Sequence", "asia.candidate": "Context", "asia.problem": "Trajectory"}
+
+
 def _library_only(tree: ast.Module) -> bool:
     """A few kinds of statements and expressions are known to be harmless; no other one is."""
     families, methods = (
@@ -92,7 +96,7 @@ def _library_only(tree: ast.Module) -> bool:
         for module in ("asia.models", "asia.models.methods")
     )
     defined = {one.name for one in tree.body if isinstance(one, ast.FunctionDef)}
-    bound = families | methods | defined
+    bound = families | methods | defined | set(_TYPES.values())
     given = {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
     assigned = {
         node.id
@@ -144,15 +148,37 @@ def _library_only(tree: ast.Module) -> bool:
             case _:
                 return False
 
+    def names_type(node: ast.expr | None) -> bool:
+        match node:
+            case None:
+                return True
+            case ast.Name(id=name):
+                return name in _TYPES.values()
+            case ast.Attribute(value=ast.Name(id=name), attr=attr):
+                return name in families and attr[0] != "_"
+            case ast.Subscript(value=ast.Name(id="Sequence"), slice=inner):
+                return names_type(inner)
+            case _:
+                return False
+
     def allowed_outside(statement: ast.stmt) -> bool:
         match statement:
             case ast.ImportFrom(module="asia.models" | "asia.models.methods", level=0):
                 return True
-            case ast.FunctionDef(body=body, args=arguments):
+            case ast.ImportFrom(module=str(module), names=[ast.alias(name, None)], level=0):
+                return _TYPES.get(module) == name
+            case ast.FunctionDef(body=body, args=ast.arguments(args=plain), returns=returns):
                 # Nothing but plain arguments: all else is code that runs with the definition.
-                return ast.unparse(statement).startswith(
-                    f"def {statement.name}({', '.join(one.arg for one in arguments.args)}):"
-                ) and all(map(allowed, body))
+                words = [ast.unparse(one) for one in plain]
+                result = "" if returns is None else f" -> {ast.unparse(returns)}"
+                types = [returns, *(one.annotation for one in plain)]
+                return (
+                    ast.unparse(statement).startswith(
+                        f"def {statement.name}({', '.join(words)}){result}:"
+                    )
+                    and all(map(names_type, types))
+                    and all(map(allowed, body))
+                )
             case _:
                 return allowed(statement)
 

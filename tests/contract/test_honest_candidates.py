@@ -67,7 +67,13 @@ def record(name: str, dt: float) -> Trajectory:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("windows", [False, True], ids=["simulation", "windows"])
+@pytest.mark.parametrize(
+    "windows",
+    [
+        pytest.param(False, id="simulation"),
+        pytest.param(True, id="windows", marks=pytest.mark.long),
+    ],
+)
 @pytest.mark.parametrize("name", FITTED)
 def test_an_honest_candidate_is_scored_without_an_alarm(name: str, windows: bool) -> None:
     dt, most = FITTED[name]

@@ -14,6 +14,7 @@ from asia._plugins import load_target, parts_of
 from asia._text import one_line
 from asia.agents.bayes import BayesAgent
 from asia.agents.expert.agent import ExpertAgent
+from asia.agents.leading import LeadingAgent
 from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.settings import LlmSettings
 from asia.agents.random import SPACES, RandomAgent
@@ -59,6 +60,7 @@ AGENT_ROWS: tuple[AgentRow, ...] = (
     ),
     AgentRow("llm", "a language model behind a server", packages=("openai", "httpx2")),
     AgentRow("workspace", "candidates that are submitted from a folder"),
+    AgentRow("leading", "the candidates that led another search", reads_notes=False),
     AgentRow("mcp", "candidates that a client of the server submits"),
 )
 AGENTS: dict[str, Callable[[], Agent]] = {r.name: r.make for r in AGENT_ROWS if r.make is not None}
@@ -150,6 +152,8 @@ def recorded_agent(
     """
     if name == "llm":
         return LlmAgent(LlmSettings.from_record(settings), network=False)
+    if name == LeadingAgent.name:
+        return LeadingAgent.from_record(settings)
     if _CLASS in settings and name not in RESERVED:
         target = settings[_CLASS]
         installed = any(part.target == target for part in parts_of(GROUP))

@@ -12,6 +12,7 @@ import numpy as np
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.export.pipeline import measured
+from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Use
 from asia.ledger.run import Run, model_to_use, open_run
@@ -27,6 +28,7 @@ from asia.lowering.linear import (
 )
 from asia.lowering.program import LoweredModel
 from asia.problem.load import load_lock
+from asia.problem.problem import Problem
 from asia.search.run import LOCK, make_evaluator
 from asia.search.simulation import final_members, fold_models, loading_stored_models
 
@@ -129,26 +131,11 @@ def linearize(
         UserError: for a point that does not exist, and a model that has no step
     """
     opened = run if isinstance(run, Run) else open_run(Path(run))
-    use, notes = _chosen(opened, model)
-    problem = load_lock(opened.directory / LOCK)
-    evaluator = make_evaluator(problem, opened.view, isolation=isolation)
-    if use.isdigit():
-        member = fold_models(opened.view.experiment(int(use)))
-        names = member.models
-    else:
-        best = opened.view.best
-        assert best is not None
-        member = fold_models(best)
-        names = (*final_members(opened.view, "refit")[0].models, *member.models)
-    with loading_stored_models(opened.view):
-        models = [opened.store.get(name) for name in names]
-        found = evaluator.models.lowered(opened.store.text(member.source), models)
-    lowered: list[LoweredModel] = []
-    for one in found:
-        if isinstance(one, str):
-            raise UserError(f"run '{opened.name}': the model cannot be linearised: {one}")
-        lowered.append(measured(one, problem.preprocess, problem.inputs))
-    own, folds = lowered[0], lowered if use.isdigit() else lowered[1:]
+    found = step_models(opened, model, isolation)
+    problem, evaluator, use, notes = found.problem, found.evaluator, found.use, list(found.notes)
+    own, *folds = [
+        measured(one, problem.preprocess, problem.inputs) for one in (found.own, *found.folds)
+    ]
     records = evaluator.data.records
     blocks = evaluator.data.training_blocks[:_STARTS]
     windows = [(block.case.past_u, block.case.past_y, block.case.u) for block in blocks]
@@ -215,6 +202,52 @@ def linearize(
         opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
         tuple(records), noise,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class StepModels:
+    """Lowered models of a run: the one that is analysed, and those of the folds."""
+
+    use: str
+    """`refit`, or the number of an experiment, whose first fold model is the one."""
+    notes: tuple[str, ...]
+    """Sentences on the choice."""
+    problem: Problem
+    evaluator: Evaluator
+    own: LoweredModel
+    """For preprocessed signals."""
+    folds: tuple[LoweredModel, ...]
+    """Fold models of the same candidate."""
+
+
+def step_models(
+    run: Run, model: str | None, isolation: Isolation | None, parameters: Sequence[str] = ()
+) -> StepModels:
+    """Lower the model of a run and its fold models.
+
+    Args:
+        model, isolation: as in `linearize`
+        parameters: physical parameters that the last state of each model holds
+
+    Raises:
+        UserError: for a model that has no step
+    """
+    use, notes = _chosen(run, model)
+    problem = load_lock(run.directory / LOCK)
+    evaluator = make_evaluator(problem, run.view, isolation=isolation)
+    best = run.view.experiment(int(use)) if use.isdigit() else run.view.best
+    assert best is not None
+    member = fold_models(best)
+    own = member.models[0] if use.isdigit() else final_members(run.view, "refit")[0].models[0]
+    with loading_stored_models(run.view):
+        models = [run.store.get(name) for name in (own, *member.models)]
+        found = evaluator.models.lowered(run.store.text(member.source), models, parameters)
+    lowered: list[LoweredModel] = []
+    for one in found:
+        if isinstance(one, str):
+            raise UserError(f"run '{run.name}': the model cannot be lowered to steps: {one}")
+        lowered.append(one)
+    return StepModels(use, tuple(notes), problem, evaluator, lowered[0], tuple(lowered[1:]))
 
 
 def _chosen(run: Run, model: str | None) -> tuple[str, list[str]]:

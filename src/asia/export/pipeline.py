@@ -24,7 +24,7 @@ from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Use
 from asia.ledger.run import Run, model_to_use, open_run
-from asia.lowering.program import Builder, LoweredModel, Program
+from asia.lowering.program import Builder, LoweredModel, inlined
 from asia.problem.folds import Block, Case
 from asia.problem.load import load_lock
 from asia.search.run import LOCK, make_evaluator
@@ -73,15 +73,6 @@ def weighted_mean(parts: Sequence[tuple[float, LoweredModel]]) -> LoweredModel:
         initial.program(starts),
         step.program([total, *after]),
     )
-
-
-def inlined(build: Builder, program: Program, inputs: Sequence[int]) -> list[int]:
-    """Inline a program into another one and return the numbers of its outputs there."""
-    values = [*inputs, *(build.constant(c) for c in program.constants)]
-    for node in program.nodes:
-        operands = [values[i] for i in node.operands]
-        values.append(build.add(node.op, operands, node.attrs, node.body))
-    return [values[i] for i in program.outputs]
 
 
 # Page USE.md, which is written next to every target.

@@ -290,6 +290,16 @@ class Stack:
 
 
 @dataclass(frozen=True)
+class Feedback:
+    """Inputs that follow earlier outputs in the training records, without a [loop]."""
+
+    inputs: tuple[str, ...]
+    pole: float | None
+    """Largest modulus of the poles of a linear plant fitted by the prediction-error method, which
+    feedback does not bias; None where that fit failed."""
+
+
+@dataclass(frozen=True)
 class StressTest:
     """Simulation of a model on training inputs in other combinations."""
 
@@ -632,6 +642,9 @@ class Refitted:
     """Estimates of its parameters; None where it gives none, and in older ledgers."""
     stress: tuple[StressTest, ...] = ()
     """Stress tests in the order in which models were considered; () in older ledgers."""
+    feedback: Annotated[Feedback | None, _omitted(None)] = None
+    cause: Annotated[str, _omitted("")] = ""
+    """Why no candidate beats the mean of the output; "" where one does."""
     failed_checks: _FailedChecks = field(default=(), compare=False)
     event: Literal["refitted"] = "refitted"
 

@@ -162,7 +162,9 @@ class Usability:
 
 # Ratios of V to that of the mean or of the linear model from which on a model is not, or hardly,
 # better; of the largest to the smallest V of the folds, and of other seeds, that are doubtful.
-_NO_BETTER, _FOLDS_APART, _SEEDS_APART = 0.95, 4.0, 2.0
+NO_BETTER, _FOLDS_APART, _SEEDS_APART = 0.95, 4.0, 2.0
+# Largest pole from which on a plant under feedback is called unstable.
+_UNSTABLE = 1.01
 # Difference between fold models on the training records, in standard deviations of the output.
 _MODELS_APART = 0.5
 
@@ -188,19 +190,30 @@ def usability(view: SearchView) -> Usability | None:
     worse = [
         k + 1 for k, own in enumerate(values) if mean is not None and own >= mean.folds[k].value
     ]
-    if mean is not None and (worse or value >= _NO_BETTER * mean.value):
+    if mean is not None and (worse or value >= NO_BETTER * mean.value):
         where = f" in fold {', '.join(map(str, worse))}" if worse else ""
         wrong.append(
             f"It is {'worse' if worse else 'no better'} than the mean of the output{where} "
             f"(V {value:.3g}, mean {mean.value:.3g})."
         )
-        remark = view.experiments[-1].proposed.remark
         wrong.append(
-            remark
+            (refitted.cause if refitted is not None else "")
+            or view.experiments[-1].proposed.remark
             or "Do the inputs act on the outputs? Was the plant in closed loop? Is it unstable? "
             "Read the output of asia check. For an unstable plant use short windows: "
             'kind = "windows" in [protocol].'
         )
+    if refitted is not None and (loop := refitted.feedback) is not None:
+        many = len(loop.inputs) > 1
+        who = f"Input{'s' * many} {', '.join(loop.inputs)} follow{'s' * (not many)} earlier outputs"
+        help = "Name the measured reference in [loop]."
+        if loop.pole is not None and loop.pole > _UNSTABLE:
+            wrong.append(
+                f"{who}, and the plant between them is unstable (largest pole {loop.pole:.3g}): a "
+                f"controller holds it, and this model describes both. {help}"
+            )
+        else:
+            doubts.append(f"{who}: in closed loop the model may describe the controller. {help}")
     test = refitted.stress[-1] if refitted is not None and refitted.stress else None
     failed = refitted.failed_checks if refitted is not None else ()
     if any("stress simulation" in line for line in failed):
@@ -218,7 +231,7 @@ def usability(view: SearchView) -> Usability | None:
                 wrong.append(f"The check '{check.name}' {ends}{cause}.")
     if linear is not None and value > linear.value:
         doubts.append(f"It is worse than a linear model (V {value:.3g}, {linear.value:.3g}).")
-    elif linear is not None and value > _NO_BETTER * linear.value and best.proposed.family not in (
+    elif linear is not None and value > NO_BETTER * linear.value and best.proposed.family not in (
         "linear", "arx",
     ):  # fmt: skip
         doubts.append(f"It is hardly better than a linear model (V {linear.value:.3g}).")

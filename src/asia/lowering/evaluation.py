@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -14,42 +13,18 @@ from asia.lowering.program import BINARY, REDUCTIONS, UNARY, Attributes, Lowered
 
 def evaluate(program: Program, inputs: Sequence[Array]) -> list[Array]:
     """Compute the outputs of a program for these inputs."""
-    return _evaluated(program, inputs, np.float64)
-
-
-def derivatives(program: Program, inputs: Sequence[Array]) -> tuple[Array, Array]:
-    """Outputs (m,) of a program, one after the other, and their exact derivatives (m, n) by all
-    numbers of the inputs: imaginary parts of steps too small to change the real ones. At a corner
-    of a function the derivative is that of the side that the function takes."""
-    step = 1e-30
-    columns: list[Array] = []
-    flat: list[Any] = [np.asarray(x, np.complex128) for x in inputs]
-    for which, values in enumerate(flat):
-        for place in range(values.size):
-            moved = values.copy()
-            moved.reshape(-1)[place] += 1j * step
-            found = _evaluated(program, [*flat[:which], moved, *flat[which + 1 :]], np.complex128)
-            columns.append(np.concatenate([np.reshape(y, -1) for y in found]).imag / step)
-    here = np.concatenate([np.reshape(y, -1) for y in evaluate(program, inputs)])
-    return here, np.stack(columns, axis=1) if columns else np.zeros((len(here), 0))
-
-
-def _evaluated(
-    program: Program, inputs: Sequence[Any], kind: type[np.float64 | np.complex128]
-) -> list[Array]:
-    values: list[object] = [*(np.asarray(x, kind) for x in inputs), *program.constants]
-    computed = _COMPUTED if kind is np.float64 else _COMPLEX
+    values: list[object] = [*(np.asarray(x, np.float64) for x in inputs), *program.constants]
     with np.errstate(all="ignore"):
         for node in program.nodes:
             read: list[object] = [values[i] for i in node.operands]
             if node.op == "loop":
                 assert node.body is not None
-                values.append(_looped(node.body, node.attrs, [np.asarray(v) for v in read], kind))
+                values.append(_looped(node.body, node.attrs, [np.asarray(v) for v in read]))
             elif node.op == "part":
                 parts: Sequence[Array] = read[0]  # pyright: ignore[reportAssignmentType]
                 values.append(parts[node.attrs[0]])
             else:
-                values.append(np.asarray(computed[node.op](node.attrs, *read), kind))
+                values.append(np.asarray(_COMPUTED[node.op](node.attrs, *read), np.float64))
     return [np.asarray(values[i]) for i in program.outputs]
 
 
@@ -72,18 +47,13 @@ def simulate(model: LoweredModel, past_u: Array, past_y: Array, u: Array) -> Arr
     return result
 
 
-def _looped(
-    body: Program,
-    attrs: Attributes,
-    values: Sequence[Array],
-    kind: type[np.float64 | np.complex128],
-) -> list[Array]:
+def _looped(body: Program, attrs: Attributes, values: Sequence[Array]) -> list[Array]:
     length, same, carried = attrs
     fixed, carry = values[:same], list(values[same : same + carried])
     rows = values[same + carried :]
     stacked: list[list[Array]] = [[] for _ in body.outputs[carried:]]
     for k in range(length):
-        found = _evaluated(body, [*fixed, *carry, *(r[k] for r in rows)], kind)
+        found = evaluate(body, [*fixed, *carry, *(r[k] for r in rows)])
         carry = found[:carried]
         for place, value in zip(stacked, found[carried:], strict=True):
             place.append(value)
@@ -158,56 +128,6 @@ _COMPUTED: dict[str, Callable[..., Array]] = {
     "slice": _slice,
     "pick": _pick,
     "pad": _pad,
-}
-
-
-def _chosen(condition: Callable[..., Any]) -> Callable[..., Any]:
-    """The first or the second operand, by a comparison of their real parts."""
-    return lambda attrs, a, b: np.where(condition(np.real(a), np.real(b)), a, b)
-
-
-def _element(pick: Callable[..., Any]) -> Callable[..., Any]:
-    """The element over axes whose real part is the largest or smallest."""
-
-    def reduced(attrs: Attributes, x: Any) -> Any:
-        kept = [axis for axis in range(x.ndim) if axis not in attrs]
-        rows = x.transpose([*kept, *attrs]).reshape(*(x.shape[axis] for axis in kept), -1)
-        return np.take_along_axis(rows, pick(rows.real, axis=-1)[..., None], -1)[..., 0]
-
-    return reduced
-
-
-def _real(name: str) -> Callable[..., Any]:
-    return lambda attrs, *x: _COMPUTED[name](attrs, *map(np.real, x))
-
-
-def _angle(attrs: Attributes, y: Any, x: Any) -> Any:
-    turned = (np.imag(y) * np.real(x) - np.real(y) * np.imag(x)) / (
-        np.real(x) ** 2 + np.real(y) ** 2
-    )
-    return np.arctan2(np.real(y), np.real(x)) + 1j * turned
-
-
-def _power(attrs: Attributes, base: Any, exponent: Any) -> Any:
-    a, b = np.real(base), np.real(exponent)
-    value = np.power(a, b)
-    by_exponent = np.where(a > 0, value * np.log(np.where(a > 0, a, 1.0)) * np.imag(exponent), 0.0)
-    by_base = np.where(np.imag(base) != 0, b * np.power(a, b - 1.0) * np.imag(base), 0.0)
-    return value + 1j * (by_base + by_exponent)
-
-
-# The same operations on numbers with an infinitesimal imaginary part.
-_COMPLEX: dict[str, Callable[..., Any]] = {
-    **_COMPUTED,
-    **{op: _real(op) for op in ("sign", "floor", "isfinite", "lt", "le", "gt", "ge", "eq", "ne")},
-    "abs": lambda attrs, x: np.where(np.real(x) < 0, -x, x),
-    "max": _chosen(np.greater_equal),
-    "min": _chosen(np.less_equal),
-    "rmax": _element(np.argmax),
-    "rmin": _element(np.argmin),
-    "atan2": _angle,
-    "pow": _power,
-    "select": lambda attrs, c, a, b: np.where(np.real(c) != 0, a, b),
 }
 
 

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from asia.data.trajectory import Array
 from asia.errors import UserError
-from asia.lowering.evaluation import derivatives, evaluate
+from asia.lowering.derivatives import derivatives, jacobian
+from asia.lowering.evaluation import evaluate
 from asia.lowering.program import LoweredModel
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
@@ -216,12 +217,12 @@ def operating_points(
         the points where the states rest; empty where there is none (an integrator, a limit cycle)
     """
     found: list[OperatingPoint] = []
-    n = sum(math.prod(shape) for shape in model.states)
+    n, sloped = sum(math.prod(shape) for shape in model.states), jacobian(model.step)
     for start in starts:
         x, inputs = settle(model, start, u), np.array(u, np.float64)
         for _ in range(_NEWTON):
-            here, slopes = derivatives(model.step, [*split(model, x), inputs])
-            outputs, after = here[: model.ny], here[model.ny :]
+            outputs, *states, slopes = evaluate(sloped, [*split(model, x), inputs])
+            after = joined(states)
             wrong, matrix = after - x, slopes[model.ny :] - np.eye(n, n + model.nu)
             if y is None:
                 matrix = matrix[:, :n]

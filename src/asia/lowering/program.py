@@ -384,6 +384,15 @@ class Builder:
         return self._known[key]
 
 
+def inlined(build: Builder, program: Program, inputs: Sequence[int]) -> list[int]:
+    """Inline a program into another one and return the numbers of its outputs there."""
+    values = [*inputs, *(build.constant(c) for c in program.constants)]
+    for node in program.nodes:
+        operands = [values[i] for i in node.operands]
+        values.append(build.add(node.op, operands, node.attrs, node.body))
+    return [values[i] for i in program.outputs]
+
+
 # Neutral elements of the operations: for each operand, the value of the other one with which the
 # result equals the operand.
 _NEUTRAL = {

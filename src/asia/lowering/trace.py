@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from asia.errors import UserError
 from asia.lowering import wire
 from asia.lowering.program import BINARY, UNARY, Builder, LoweredModel, Program, Shape, ShapeError
 
@@ -460,8 +461,15 @@ _RULES: dict[str, Rule] = {
 # Tracing runs where the candidate runs; the result is bytes, which `wire` reads in the parent.
 
 
-def lowered_bytes(model: object, n_past_u: int, n_past_y: int, nu: int, ny: int) -> bytes:
-    """Lower a model; return it packed by `wire.pack`, or the reason why it cannot be lowered."""
+def lowered_bytes(
+    model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int, parameters: Sequence[str] = ()
+) -> bytes:
+    """Lower a model; return it packed by `wire.pack`, or the reason why it cannot be lowered.
+
+    Args:
+        parameters: names of parameters that the last state of the program holds, by the model's own
+            `with_parameters(names)`, which returns such a step model
+    """
     import jax
 
     # Set before the model makes arrays of its numbers.
@@ -472,8 +480,15 @@ def lowered_bytes(model: object, n_past_u: int, n_past_y: int, nu: int, ny: int)
             "asia.candidate.StepModel"
         )
     try:
+        if parameters:
+            if not callable(getattr(model, "with_parameters", None)):
+                raise CannotLowerError(
+                    f"{type(model).__name__} has no parameters that can change in time "
+                    "(with_parameters); a grey-box model has"
+                )
+            model = model.with_parameters(tuple(parameters))
         return wire.pack(lowered(model, n_past_u, n_past_y, nu, ny))
-    except CannotLowerError as error:
+    except (CannotLowerError, UserError) as error:
         return wire.pack_refusal(str(error))
     except ShapeError as error:
         return wire.pack_refusal(f"the steps do not fit together: {error}")

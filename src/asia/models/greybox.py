@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from asia._text import suggestion
 from asia.candidate import Context, ParameterEstimates
 from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
-from asia.models._arrays import AnyArray
+from asia.models._arrays import AnyArray, namespace
 from asia.models._equations.additions import NO_PRIORS, parameter_priors
 from asia.models._equations.config import Config, GreyBoxStructure, Range
 from asia.models._equations.extension import extended
@@ -74,7 +75,7 @@ class GreyBox:
         Raises:
             ValueError: before training.
         """
-        return self._cases(u).initial(past_u, past_y, u)
+        return self.steps(u).initial(past_u, past_y, u)
 
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
         """Advance by one sample, see `asia.candidate.StepModel`.
@@ -82,11 +83,28 @@ class GreyBox:
         Raises:
             ValueError: before training.
         """
-        return self._cases(u).step(state, u)
+        return self.steps(u).step(state, u)
 
-    def _cases(self, like: AnyArray) -> CaseSteps:
+    def steps(self, like: AnyArray) -> CaseSteps:
+        """The steps with arrays of the library of `like`. Raises ValueError before training."""
         fitted = self._trained()
         return CaseSteps.of(self.structure, fitted.scales, fitted.prior, fitted.z, like)
+
+    def with_parameters(self, names: Sequence[str]) -> _SteppedParameters:
+        """The model with these physical parameters as its last state, where an observer can change
+        them.
+
+        Raises:
+            UserError: for an unknown name.
+        """
+        known = self.structure.equations.parameters
+        for name in names:
+            if name not in known:
+                raise UserError(
+                    f"parameter '{name}' is unknown{suggestion(name, known)} (the equations have "
+                    f"{', '.join(known)})"
+                )
+        return _SteppedParameters(self, tuple(known.index(name) for name in names))
 
     def parameters(self) -> dict[str, float]:
         """Physical parameters, and those of the additions that have a physical meaning: limits
@@ -139,6 +157,33 @@ class GreyBox:
         if self.fitted is None:
             raise ValueError("grey-box: the model is not trained; call greybox.train first")
         return self.fitted
+
+
+@dataclass(frozen=True)
+class _SteppedParameters:
+    """Step model whose state is that of the equations and (B, p) parameters, which stay."""
+
+    model: GreyBox
+    places: tuple[int, ...]
+
+    def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
+        xp, cases = namespace(u), self.model.steps(u)
+        nominal = cases.effect.parameters[np.array(self.places)].T
+        return cases.initial(past_u, past_y, u), xp.repeat(nominal, len(u), axis=0)
+
+    def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
+        (x, line), chosen = state
+        xp, cases = namespace(u), self.model.steps(u)
+        found: list[Any] = []
+        # The equations have one set of parameters for all cases, so each case goes alone.
+        for i in range(len(u)):
+            values = list(cases.effect.parameters)
+            for column, place in enumerate(self.places):
+                values[place] = chosen[i : i + 1, column]
+            one = replace(cases, effect=cases.effect._replace(parameters=xp.stack(values)))
+            found.append(one.step((x[i : i + 1], line[i : i + 1]), u[i : i + 1]))
+        own = tuple(xp.concatenate([after[k] for after, _ in found]) for k in range(2))
+        return (own, chosen), xp.concatenate([y for _, y in found])
 
 
 def build(config: Config, context: Context) -> GreyBox:

@@ -57,6 +57,7 @@ from asia.models._numerics.training_records import (
     shortened,
     stretches,
 )
+from asia.models._reuse import reused
 from asia.models._steps import TrainableModel, first_of_line, through_line
 
 # Samples for the choice of order and delay, which takes dozens of fits; this many distinguish
@@ -372,6 +373,18 @@ def select(
     """Choose delay and order on part of the records: the smallest delay within 1 % of the least
     error, and the smallest order whose error is within the tolerance of the least."""
     part = _selection(records, context, config)
+    time = context.sampling_time, context.n_past_u, context.n_past_y, context.horizon
+    return reused(
+        "selection",
+        (part, time, config, refinement),
+        lambda _: _selected(part, context, config, refinement),
+        context.log,
+    )
+
+
+def _selected(
+    part: ScaledData, context: Context, config: Config, refinement: Refinement
+) -> Selection:
     delay, order, held = config.delay, config.order, config.integrators
     delay_errors: dict[int, float] = {}
     order_errors: dict[int, float] = {}
@@ -416,7 +429,10 @@ def fit_records(
         max(1000, _JACOBIAN_NUMBERS // numbers),
         2 * past_length(context) + 100 * order,
     )
-    found = fit(late, order, refinement, context.log)
+    found = reused(
+        "linear", (late, order, refinement), lambda log: fit(late, order, refinement, log),
+        context.log,
+    )  # fmt: skip
     found = refined_under_noise(late, found, refinement, context.sampling_time, context.log)
     return found, delay, late
 

@@ -512,9 +512,20 @@ def _missing_line(problem: Problem) -> str:
     return f"missing outputs, in samples, left out of fit and V: {', '.join(found)}"
 
 
+def feedback_pairs(problem: Problem) -> list[tuple[Signal, Signal]]:
+    """Inputs that follow earlier values of outputs, where [loop] does not explain them."""
+    records = _first_samples(problem)
+    return [
+        (given, output)
+        for i, given in enumerate(problem.inputs)
+        if problem.loop is None or problem.loop.inputs == "measured"
+        for j, output in enumerate(problem.outputs)
+        if _both_move(records, i, j) and find_feedback(records, i, j)
+    ]
+
+
 def data_doubts(problem: Problem) -> list[Doubt]:
     """Sentences on feedback, and on drift, steps, outliers and missing-value codes."""
-    records = _first_samples(problem)
     doubts = [
         Doubt(
             f"input {given.name} follows earlier values of output {output.name}: it may come from "
@@ -523,10 +534,7 @@ def data_doubts(problem: Problem) -> list[Doubt]:
             0.6,
             "an open loop, or known random signals added to the inputs",
         )
-        for i, given in enumerate(problem.inputs)
-        if problem.loop is None or problem.loop.inputs == "measured"
-        for j, output in enumerate(problem.outputs)
-        if _both_move(records, i, j) and find_feedback(records, i, j)
+        for given, output in feedback_pairs(problem)
     ]
     for i, given in enumerate(problem.inputs):
         values = np.concatenate([r.u[:, i] for r in problem.train])

@@ -284,6 +284,68 @@ def _sensitivities(
     return np.concatenate(rows) if len(rows) * len(model.observation) > columns // 3 else None
 
 
+_SUBSTEPS, _SETTLING = 2, 3_000
+
+
+def parameter_changes(
+    physics: Physics,
+    signals: tuple[Sequence[str], Sequence[str]],
+    values: Mapping[str, float],
+    directions: Array,
+    u: Array,
+    rest: tuple[Array, Array],
+    sampling_time: float,
+) -> Array:
+    """Derivatives of the outputs along changes of the parameters, by complex steps through a
+    Runge-Kutta scheme of order four; the states are at rest before.
+
+    Args:
+        signals: names of inputs and outputs
+        values: of all parameters
+        directions: changes (q, p), in the order of the physics section
+        u: inputs (B, H, nu)
+        rest: input (nu,) and output (ny,) before
+        sampling_time: s
+
+    Returns:
+        (q, B, H, ny), not finite where the equations diverge
+    """
+    model = _Equations(physics, *signals)
+    size, cases = len(directions), len(u)
+    theta = np.array([values[name] for name in physics.parameters])[:, None]
+    theta = theta + 1j * _STEP * directions.T
+    step = sampling_time / _SUBSTEPS
+
+    def after(x: ComplexArray, held: Array, parameters: Any) -> ComplexArray:
+        """States (nx, columns) a sample later."""
+        for _ in range(_SUBSTEPS):
+            k1 = model.values(model.dynamics, x, held, parameters)
+            k2 = model.values(model.dynamics, x + 0.5 * step * k1, held, parameters)
+            k3 = model.values(model.dynamics, x + 0.5 * step * k2, held, parameters)
+            k4 = model.values(model.dynamics, x + step * k3, held, parameters)
+            x = x + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        return x
+
+    known = dict(zip(signals[1], rest[1], strict=True))
+    typical = float(np.median(np.abs(rest[1]))) or 1.0
+    # States that are outputs begin there.
+    seen = {physics.observation.get(name, name): value for name, value in known.items()}
+    first = [[seen.get(name, typical)] * size for name in physics.states]
+    x: ComplexArray = np.array(first, np.complex128)
+    with np.errstate(all="ignore"):
+        for _ in range(_SETTLING):
+            before, x = x, after(x, rest[0][:, None], theta)
+            if np.abs(x - before).max() <= 1e-9 * (1.0 + np.abs(x).max()):
+                break
+        x, theta = np.tile(x, (1, cases)), np.tile(theta, (1, cases))
+        found = np.empty((u.shape[1], len(signals[1]), size * cases))
+        for k in range(u.shape[1]):
+            held = np.repeat(u[:, k].T, size, axis=1)
+            found[k] = model.values(model.observation, x, held, theta).imag / _STEP
+            x = after(x, held, theta)
+    return found.reshape(u.shape[1], -1, cases, size).transpose(3, 2, 0, 1)
+
+
 def _rational(values: Array) -> list[Fraction] | None:
     """Small fractions that these numbers are, or None."""
     found = [Fraction(float(v)).limit_denominator(4) for v in values]

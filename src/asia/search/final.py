@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Sequence
-from contextlib import ExitStack
+from collections.abc import Collection, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -14,8 +14,9 @@ from asia._diagnostic import diagnostic
 from asia.agents.library.recipe import MODELS, read_recipe
 from asia.candidate import ParameterEstimates
 from asia.data.trajectory import Array
-from asia.errors import CandidateError, Reason
+from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
+from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.results import (
     SUSPICIOUS_RATIO,
     Evaluation,
@@ -27,13 +28,24 @@ from asia.judge.evaluation.results import (
 )
 from asia.judge.scoring.outcome import Failure, score_fold
 from asia.ledger.artifacts import Store
-from asia.ledger.events import Again, RefitCheck, RefitStart, Refitted, Stack, StackMember
+from asia.ledger.events import (
+    Again,
+    Feedback,
+    RefitCheck,
+    RefitStart,
+    Refitted,
+    Stack,
+    StackMember,
+)
 from asia.ledger.evidence import put_estimates
 from asia.ledger.run import ModelToUse
 from asia.ledger.text import error_line, error_value
 from asia.ledger.view import Experiment, SearchView
+from asia.models import linear
+from asia.problem.check import feedback_pairs
 from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
+from asia.problem.problem import Problem, prepared
 from asia.search.literal_check import LiteralCheckFunction
 from asia.search.stress import StressRoom, bounded_model
 
@@ -315,94 +327,23 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
     return ModelToUse("ensemble", why)
 
 
-# Greedy selection of weighted ensembles (Caruana et al., ICML 2004): members are added with
-# replacement, each time the one that lowers the error of the mean most; bagged over random halves
-# of the candidates, and drawn towards the best one.
+# Few folds say little about weights that are fitted to them: weights by V alone predict as well.
 
 
 MOST_MEMBERS = 8
-MOST_CANDIDATES = 24
-_BAGS, _LEAST_BAG = 12, 5
-_ADDITIONS = 12
-_LEAST_WEIGHT = 0.02
-# Few folds say little about weights: this share stays with the best candidate. Without it a member
-# that is good where it was judged spoils the mean elsewhere.
-_SHARE_OF_BEST = 0.5
-
-Shortfall = Callable[[Array, Array, Array], float]
-"""y (S, ny), y_hat (S, ny), scale (ny,) -> the metric as it enters V."""
+# V of a member at most, relative to the best one.
+NEAR = 1.5
 
 
-@dataclass(frozen=True)
-class HeldOutPart:
-    """Held-out part of one fold with the simulation of each candidate's model."""
-
-    y: Array
-    """Measured outputs (S, ny)."""
-    y_hat: Array
-    """Simulated outputs (n, S, ny) of n candidates."""
-    scale: Array
-    """Standard deviations (ny,) of the outputs."""
-    values: tuple[float, ...]
-    """The part of this fold in the V of each candidate."""
-
-
-def select_weights(parts: Sequence[HeldOutPart], shortfall: Shortfall) -> Array:
-    """Weights (n,) of the candidates, not negative, sum 1, at most `MOST_MEMBERS` above 0: those
-    of the weighted mean with a low error, mean over the given folds. Only they are looked at."""
-    count = len(parts[0].values)
-    pool = candidates([part.values for part in parts])
-    size = max((len(pool) + 1) // 2, _LEAST_BAG)
-    random = np.random.default_rng(0)
-    weights = np.zeros(count)
-    for _ in range(_BAGS if size < len(pool) else 1):
-        bag = sorted(random.permutation(pool)[:size].tolist())
-        weights += _greedy(parts, shortfall, bag, count)
-    weights *= (1.0 - _SHARE_OF_BEST) / weights.sum()
-    weights[pool[0]] += _SHARE_OF_BEST
-    # At most so many, and none that is negligible.
-    kept = np.argsort(-weights, kind="stable")[:MOST_MEMBERS]
-    capped = np.zeros_like(weights)
-    capped[kept] = np.where(weights[kept] >= _LEAST_WEIGHT, weights[kept], 0.0)
-    return capped / capped.sum()
-
-
-def candidates(values: Sequence[Sequence[float]]) -> list[int]:
-    """Places of those that may be members, the best first. values: of each fold, one a candidate.
-    A mean gains little from one that is far worse than the best."""
-    mean = np.mean(values, axis=0)
-    ranked = np.argsort(mean, kind="stable")[:MOST_CANDIDATES]
-    return [int(one) for one in ranked if mean[one] <= 2.0 * mean[ranked[0]]]
-
-
-def nested_weights(parts: Sequence[HeldOutPart], shortfall: Shortfall) -> tuple[Array, ...]:
-    """Return for each fold the weights that are selected on the other folds."""
-    return tuple(
-        select_weights([*parts[:k], *parts[k + 1 :]], shortfall) for k in range(len(parts))
-    )
-
-
-def _greedy(
-    parts: Sequence[HeldOutPart], shortfall: Shortfall, bag: Sequence[int], count: int
-) -> Array:
-    """The best mean met on the way of always adding the member that lowers the error most."""
-    sums = [np.zeros_like(part.y) for part in parts]
-    chosen: list[int] = []
-    best, best_length = np.inf, 1
-
-    def value(added: int, length: int) -> float:
-        pairs = zip(parts, sums, strict=True)
-        each = [shortfall(p.y, (s + p.y_hat[added]) / length, p.scale) for p, s in pairs]
-        return float(np.mean(each))
-
-    for length in range(1, _ADDITIONS + 1):
-        values = [value(one, length) for one in bag]
-        place = int(np.argmin(values))
-        chosen.append(bag[place])
-        sums = [s + part.y_hat[bag[place]] for s, part in zip(sums, parts, strict=True)]
-        if values[place] < best:
-            best, best_length = values[place], length
-    return np.bincount(chosen[:best_length], minlength=count) / best_length
+def stack_weights(values: Array) -> Array:
+    """Weights (n,) of the candidates by their parts of V (folds, n): inverse to the fourth power of
+    V for those near the best one, at most `MOST_MEMBERS`, and 0 for the others."""
+    mean = np.maximum(values.mean(axis=0), np.finfo(float).tiny)
+    ranked = np.argsort(mean, kind="stable")[:MOST_MEMBERS]
+    near = ranked[mean[ranked] <= NEAR * mean[ranked[0]]]
+    weights = np.zeros(len(mean))
+    weights[near] = (mean[ranked[0]] / mean[near]) ** 4
+    return weights / weights.sum()
 
 
 def make_stack(
@@ -431,38 +372,22 @@ def _stack_of(
     """Weights from all folds, V from weights that the judged fold had no part in."""
     if not scored:
         return None
-    # Only those that can be members by the folds of any of the selections are read.
     values = np.array([[fold.value for fold in e.score.folds] for e in scored if e.score]).T
-    selections = [values, *(np.delete(values, k, axis=0) for k in range(len(values)))]
-    eligible = sorted({place for part in selections for place in candidates(part.tolist())})
-    if len(eligible) < 2:
-        return None
-    experiments = [scored[place] for place in eligible]
-    shortfall = find_metric(metric).shortfall
-
-    def simulated(e: Experiment, fold: Fold) -> Array:
-        return np.concatenate(_held_out_answers(store, e, fold))
-
-    parts: list[HeldOutPart] = []
-    for fold in evaluator.data.folds:
-        y = np.concatenate([block.y for block in fold.held_out])
-        # Weights need few samples; V of the stack is computed on all of them.
-        thin = slice(None, None, -(-len(y) // 2000))
-        y_hat = np.stack([simulated(e, fold)[thin] for e in experiments])
-        of_fold = tuple(values[fold.index, eligible].tolist())
-        parts.append(HeldOutPart(y[thin], y_hat, fold.scale, of_fold))
-    weights = select_weights(parts, shortfall)
+    weights = stack_weights(values)
     if np.count_nonzero(weights) < 2:
         return None
+    shortfall = find_metric(metric).shortfall
     judged: list[float] = []
-    for fold, nested in zip(evaluator.data.folds, nested_weights(parts, shortfall), strict=True):
+    for fold in evaluator.data.folds:
+        nested = stack_weights(np.delete(values, fold.index, axis=0))
         y = np.concatenate([block.y for block in fold.held_out])
         y_hat = np.zeros_like(y)
         for place in np.flatnonzero(nested).tolist():
-            y_hat += nested[place] * simulated(experiments[place], fold)
+            answers = _held_out_answers(store, scored[place], fold)
+            y_hat += nested[place] * np.concatenate(answers)
         judged.append(shortfall(y, y_hat, fold.scale))
     order = [k for k in np.argsort(-weights, kind="stable").tolist() if weights[k] > 0]
-    members = tuple(StackMember(experiments[k].number, float(weights[k])) for k in order)
+    members = tuple(StackMember(scored[k].number, float(weights[k])) for k in order)
     return Stack(members, float(np.mean(judged)), tuple(judged))
 
 
@@ -498,6 +423,7 @@ def _held_out_answers(store: Store, experiment: Experiment, fold: Fold) -> Answe
 
 
 def refit_winner(
+    problem: Problem,
     evaluator: Evaluator,
     view: SearchView,
     best: Experiment,
@@ -576,7 +502,30 @@ def refit_winner(
         without = replace(FinalEvidence.of(best, refitted), stack=None)
         second = choose_model(without).model
         refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)
+    with diagnostic("feedback on the inputs", failed):
+        refitted = replace(refitted, feedback=undeclared_feedback(problem))
     return replace(refitted, failed_checks=tuple(failed))
+
+
+# Samples of the records whose plant is fitted where feedback is found.
+_LOOP_SAMPLES = 5000
+
+
+def undeclared_feedback(problem: Problem) -> Feedback | None:
+    """Feedback on the training records that [loop] does not name; None where none is found."""
+    names = dict.fromkeys(given.name for given, _ in feedback_pairs(problem))
+    if not names or problem.loop is not None:
+        return None
+    longest = max(prepared(problem, problem.train), key=len)[:_LOOP_SAMPLES]
+    context = search_context(problem, 0)
+    # The controller may answer at once, the plant does not.
+    config = linear.Config(loop="direct", delay=1)
+    pole: float | None = None
+    with suppress(UserError, ValueError, np.linalg.LinAlgError):
+        fitted = linear.train(linear.build(config, context), [longest], context).fitted
+        if fitted is not None and fitted.system.order:
+            pole = fitted.system.radius
+    return Feedback(tuple(names), pole)
 
 
 def _kept_estimates(store: Store, checked: CheckedRefit, source: str) -> str | None:

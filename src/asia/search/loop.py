@@ -11,10 +11,12 @@ from pathlib import Path
 
 from asia._diagnostic import diagnostic
 from asia._timer import Activity, ActivityTimer
+from asia.agents.expert.diagnosis import why_nothing_helps
 from asia.agents.relay import agent_of_leg
 from asia.agents.view import (
     Agent,
     AgentStoppedError,
+    AgentView,
     Attached,
     Closing,
     InterruptedWaitError,
@@ -40,6 +42,7 @@ from asia.ledger.events import (
 )
 from asia.ledger.exports import write_exports
 from asia.ledger.index import refresh
+from asia.ledger.run import NO_BETTER
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.problem import Problem
 from asia.search.agent_views import KnownTrials, agent_view, as_bytes, digest, problem_facts
@@ -160,8 +163,18 @@ class Loop:
         if self.view.refitted is None and best is not None:
             with self.watch.activity(Activity.REFIT, swallows=True):
                 refitted = refit_winner(
-                    self.evaluator, self.view, best, self.store, metric, self.literal_examiner.check
+                    self.problem,
+                    self.evaluator,
+                    self.view,
+                    best,
+                    self.store,
+                    metric,
+                    self.literal_examiner.check,
                 )
+                assert best.score is not None
+                shown = self._shown()
+                if shown.mean is not None and best.score.value >= NO_BETTER * shown.mean:
+                    refitted = replace(refitted, cause=why_nothing_helps(shown))
             self.record(refitted)
         if self.view.guard_due:
             with self.watch.activity(Activity.GUARD, swallows=True):
@@ -175,6 +188,10 @@ class Loop:
             if noted is not None:
                 self.record(noted)
             path.unlink()
+
+    def _shown(self) -> AgentView:
+        """What an agent sees now."""
+        return agent_view(problem_facts(self.problem), self.view, self.store, self.known_trials)
 
     def _end(self, stopped: Stopped) -> None:
         """The end of the search, or of the leg of a relay that another one follows."""
@@ -258,9 +275,7 @@ class Loop:
                 if is_baseline:
                     phase, proposal = "baseline", _baseline(self.baseline)
                 else:
-                    shown = agent_view(
-                        problem_facts(self.problem), view, self.store, self.known_trials
-                    )
+                    shown = self._shown()
                     phase, proposal = shown.phase, self._proposer.propose(shown)
                 if proposal is None:
                     return Stopped("exhausted")

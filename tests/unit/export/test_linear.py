@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from asia.errors import UserError
 from asia.export.linear import LinearPoint
-from asia.lowering.evaluation import derivatives
+from asia.lowering.derivatives import derivatives
 from asia.lowering.linear import (
     LinearModel,
     OperatingPoint,

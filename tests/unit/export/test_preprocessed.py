@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -142,3 +143,41 @@ def test_what_cannot_be_exported_is_refused(run: Path, words: tuple[str, ...], s
     assert done.code == 2
     assert says in done.err
     assert not (run / "export").exists()
+
+
+@pytest.mark.slow
+def test_the_monitor_reads_what_was_measured_and_prints_an_observer(
+    run: Path, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.uniform(-1, 1, (200, 2)), 4, axis=0)
+    gain = np.where(np.arange(len(u)) < 500, 1.0, 0.6)
+    y = np.zeros(len(u))
+    for k in range(4, len(u)):
+        y[k] = 0.8 * y[k - 1] + 0.3 * gain[k] * u[k - 4, 0] + 0.1 * u[k - 1, 1]
+    y = 20.0 + 5.0 * y + 0.01 * rng.standard_normal(len(y))
+    start = np.datetime64("2026-03-02T08:00:00")
+    with (tmp_path / "week.csv").open("w") as file:
+        file.write("t,u1,u2,y\n")
+        for k, row in enumerate(np.column_stack([u, y]).tolist()):
+            file.write(f"{start + np.timedelta64(100 * k, 'ms')},{','.join(map(str, row))}\n")
+    words = (run.name, tmp_path / "week.csv", "--runs", run.parent, "--out", tmp_path)
+    done = command_line("monitor", *words, "--parameter", "gain(u1)")
+    assert done.code == 1, done.err
+    # The change comes 50 s after the start.
+    assert re.search(r"no longer valid since 2026-03-02 08:00:(4[5-9]|5[0-5])", done.out), done.out
+    assert done.out.count("no longer valid") == 1
+    assert re.search(r"gain\(u1\): 0\.(5[89]|6[012])", done.out), done.out
+    assert (tmp_path / "monitor.png").stat().st_size > 10_000
+    wrong = command_line("monitor", *words, "--parameter", "gain(u3)")
+    assert wrong.code == 2
+    assert "no signal 'u3'" in wrong.err
+    wrong = command_line("monitor", *words, "--parameter", "mass")
+    assert wrong.code == 2
+    assert "has no parameters that can change in time" in wrong.err
+    words = ("export", run.name, "--runs", run.parent, "--to", "c", "--out", tmp_path, "--observer")
+    done = command_line(*words, "--parameter", "offset(y)", "--json")
+    assert done.code == 0, done.err
+    _, facts = (json.loads(line) for line in done.out.splitlines())
+    assert facts["parity"]["c observer"] is None or facts["parity"]["c observer"] < 1e-9
+    assert "offset_y_" in (tmp_path / "c" / "observer" / "observer.h").read_text()

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from asia.lowering.derivatives import derivatives
 from asia.lowering.evaluation import simulate
 from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered, lowered_bytes
@@ -71,6 +72,41 @@ def test_a_lowered_step_computes_what_the_function_does(name: str) -> None:
     found = simulate(model, np.zeros((1, 2)), past_y, u)
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-14)
     assert not model.single
+
+
+FURTHER = {
+    "batched": lambda x, u: (
+        (jnp.stack([W * x, W + u[0]]) @ jnp.stack([W, W * u]))[1, 0], (x @ (W * u)) @ W
+    ),
+    "greatest": lambda x, u: (jnp.stack([x * u, x + u]).max(axis=0), jnp.outer(x, u).min(axis=1)),
+    "product": lambda x, u: (jnp.outer(x, u).prod(axis=0), jnp.stack([x, u * x, u]).prod(axis=0)),
+    "nested": lambda x, u: (
+        jax.lax.fori_loop(
+            0, 3, lambda i, v: jax.lax.fori_loop(0, 2, lambda j, w: jnp.tanh(w * u), v) + x, u
+        ), x,
+    ),
+    "rows": lambda x, u: jax.lax.scan(
+        lambda c, v: (jnp.sin(c) * v[0] + 0.1, (c * v, v)), x, W * x + u
+    ),
+    "transposed": lambda x, u: ((jnp.outer(x, u).T @ x)[::-1], jnp.outer(x, u)[:, 1]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [*STEPS, *FURTHER])
+def test_the_program_of_the_derivatives_agrees_with_jax(name: str) -> None:
+    step = (STEPS | FURTHER)[name]
+    if name == "rows":
+        step = lambda x, u, inner=step: (inner(x, u)[0], inner(x, u)[1][0].sum(axis=0))  # noqa: E731
+    x, u = np.array([0.31, -0.52]), np.array([0.7, 0.4])
+
+    def outputs(x, u):
+        after, y = step(x, u)
+        return jnp.concatenate([jnp.ravel(y), after])
+
+    expected = np.concatenate(jax.jacfwd(outputs, (0, 1))(x, u), axis=1)
+    values, slopes = derivatives(of(step).step, [x, u])
+    np.testing.assert_allclose(values, outputs(x, u), rtol=1e-12)
+    np.testing.assert_allclose(slopes, expected, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize(

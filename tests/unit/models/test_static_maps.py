@@ -57,7 +57,13 @@ def fitted(maps: static_maps.Config, training: list[Trajectory]) -> static_maps.
             same,
             10,
         ),
-        (static_maps.Config(input_map="odd"), lambda u: 8 * np.tanh(u / 8), same, 5),
+        pytest.param(
+            static_maps.Config(input_map="odd"),
+            lambda u: 8 * np.tanh(u / 8),
+            same,
+            5,
+            marks=pytest.mark.long,
+        ),
         (
             static_maps.Config(input_map="monotone"),
             lambda u: 8 * np.tanh(u / 8) + 0.1 * u,
@@ -65,12 +71,15 @@ def fitted(maps: static_maps.Config, training: list[Trajectory]) -> static_maps.
             5,
         ),
         (static_maps.Config(output_map="magnitude"), same, abs, 20),
-        (static_maps.Config(output_map="square"), same, np.square, 20),
-        (
+        pytest.param(
+            static_maps.Config(output_map="square"), same, np.square, 20, marks=pytest.mark.long
+        ),
+        pytest.param(
             static_maps.Config(output_map="monotone"),
             same,
             lambda z: 10 * np.tanh(z / 8) + 0.2 * z,
             4,
+            marks=pytest.mark.long,
         ),
     ],
 )

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from asia.analysis.monitor import INCREASE, Observer
 from asia.data.trajectory import Array, Signal
 from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed, TrainingWindow
@@ -57,6 +58,20 @@ NO_FLOAT = (
 def header(model: ExportModel) -> str:
     """Text of `model.h`."""
     low = model.lowered
+    return template(
+        "model.h",
+        TITLE=_plain(f"{model.problem}: {model.use} of run {model.name}"),
+        SIGNALS=_signal_rows(model),
+        SAMPLING_TIME=repr(model.sampling_time),
+        NU=low.nu,
+        NY=low.ny,
+        PAST_U=low.n_past_u,
+        PAST_Y=low.n_past_y,
+        STATES=max(sum(math.prod(s) for s in low.states), 1),
+    )
+
+
+def _signal_rows(model: ExportModel) -> str:
     rows = [
         f" * {side} {i}: {_plain(s.name)} {_plain(s.unit)}, trained from {a:g} to {b:g}"
         for side, signals, span in (
@@ -65,17 +80,7 @@ def header(model: ExportModel) -> str:
         )
         for i, (s, (a, b)) in enumerate(zip(signals, span.tolist(), strict=True))
     ]
-    return template(
-        "model.h",
-        TITLE=_plain(f"{model.problem}: {model.use} of run {model.name}"),
-        SIGNALS="\n".join(rows),
-        SAMPLING_TIME=repr(model.sampling_time),
-        NU=low.nu,
-        NY=low.ny,
-        PAST_U=low.n_past_u,
-        PAST_Y=low.n_past_y,
-        STATES=max(sum(math.prod(s) for s in low.states), 1),
-    )
+    return "\n".join(rows)
 
 
 def _names(signals: Sequence[Signal]) -> str:
@@ -597,18 +602,22 @@ def c_source(model: ExportModel) -> tuple[str, int]:
         _place("past_y", 0, (low.n_past_y, low.ny)),
         u,
     ]
+    parts = (
+        (low.initial, window, states), (low.output, [*states, u], [y]),
+        (low.update, [*states, u], states), (low.step, [*states, u], [y, *states]),
+    )  # fmt: skip
     functions = [
-        _function("init", low.initial, window, states, constants),
-        _function("output", low.output, [*states, u], [y], constants),
-        _function("update", low.update, [*states, u], states, constants),
-        _function("step", low.step, [*states, u], [y, *states], constants),
+        _function(head, *part, constants) for head, part in zip(_STEP_FUNCTIONS, parts, strict=True)
     ]
     body = "\n".join(text for text, _ in functions)
-    helpers = "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in body)
     title = re.sub(r"[^A-Za-z0-9 _.,:-]", "_", f"{model.problem}: {model.use} of run {model.name}")
-    top = [
-        f"/* {title}. */",
-        '#include "model.h"',
+    top = [f"/* {title}. */", '#include "model.h"', *_preamble(body, constants)]
+    return "\n".join([*top, body]), max(size for _, size in functions)
+
+
+def _preamble(body: str, constants: Constants) -> list[str]:
+    """Macros, constants and helpers that the functions use."""
+    return [
         "#include <math.h>",
         "",
         "#define R(x) ((asia_real)(x))",
@@ -620,22 +629,134 @@ def c_source(model: ExportModel) -> tuple[str, int]:
         "",
         *constants.used_in(body),
         "",
-        helpers,
+        "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in body),
     ]
-    return "\n".join([*top, body]), max(size for _, size in functions)
 
 
-_HEADS = {
-    "init": "void asia_init(asia_state *x, const asia_real *past_u, const asia_real *past_y, "
+_STEP_FUNCTIONS = (
+    "void asia_init(asia_state *x, const asia_real *past_u, const asia_real *past_y, "
     "const asia_real *u)",
-    "output": "void asia_output(const asia_state *x, const asia_real *u, asia_real *y)",
-    "update": "void asia_update(asia_state *x, const asia_real *u)",
-    "step": "void asia_step(asia_state *x, const asia_real *u, asia_real *y)",
-}
+    "void asia_output(const asia_state *x, const asia_real *u, asia_real *y)",
+    "void asia_update(asia_state *x, const asia_real *u)",
+    "void asia_step(asia_state *x, const asia_real *u, asia_real *y)",
+)
+_OBSERVER_FUNCTIONS = (
+    "static void observer_initial(double *z, const double *past_u, const double *past_y, "
+    "const double *u)",
+    "static void observer_output(const double *z, const double *u, double *y, double *slope)",
+    "static void observer_update(const double *z, const double *u, double *after, double *slope)",
+)
+
+
+def observer_files(model: ExportModel, observer: Observer) -> dict[str, bytes]:
+    """Print an extended Kalman filter: `observer.c`, `observer.h`, `observe.c`, `Makefile`.
+
+    Args:
+        model: names, units and ranges of the signals
+    """
+    low, n, constants = observer.low, observer.order, Constants()
+    z, u = _place("z", 0, (n,)), _place("u", 0, (low.nu,))
+    window = [_place("past_u", 0, (low.n_past_u, low.nu)),
+              _place("past_y", 0, (low.n_past_y, low.ny)), u]  # fmt: skip
+    parts = (
+        (low.initial, window, [z]),
+        (observer.output, [z, u], [_place("y", 0, (low.ny,)), _place("slope", 0, (low.ny, n))]),
+        (observer.update, [z, u],
+         [_place("after", 0, (n,)), _place("slope", 0, (n, n + low.nu))]),
+    )  # fmt: skip
+    body = "\n".join(
+        _function(head, *part, constants)[0]
+        for head, part in zip(_OBSERVER_FUNCTIONS, parts, strict=True)
+    )
+
+    def row(values: Sequence[float] | Array) -> str:
+        return ", ".join(number(float(v)) for v in values)
+
+    named = observer.parameters
+    values = ["{" + row([p.nominal, p.spread, p.low, p.high, p.floor]) + "}" for p in named] or [
+        "{0.0}"
+    ]
+    filled = template(
+        "observer.c",
+        START=row(observer.start),
+        DRIVE=row(observer.drive),
+        INPUT_NOISE=row(observer.noise.input),
+        OUTPUT_NOISE=row(observer.noise.output),
+        VALUES=", ".join(values),
+        FORGETTING=repr(observer.forgetting),
+        THRESHOLD=repr(observer.threshold),
+        DEVIATIONS=repr(observer.deviations),
+        FACTOR=repr(0.5 * (1.0 - 1.0 / INCREASE)),
+        LOSS=repr(0.5 * math.log(INCREASE)),
+    )
+    title = _plain(f"{model.problem}: {model.use} of run {model.name}")
+    source = [
+        f"/* {title}: observer. */",
+        '#include "observer.h"',
+        "#include <string.h>",
+        "#undef ASIA_FLOAT",
+        "typedef double asia_real;",
+        *_preamble(body, constants),
+        body,
+        filled,
+    ]
+    names = [_plain(p.name) for p in named]
+    printed = [f"{_plain(s.name)}_expected" for s in model.outputs] + ["nis", "statistic"]
+    printed += [column for name in names for column in (name, f"{name}_deviation")] + ["since"]
+    made = template(
+        "observer.h",
+        TITLE=title,
+        SIGNALS=_signal_rows(model),
+        SAMPLING_TIME=repr(model.sampling_time),
+        NU=low.nu,
+        NY=low.ny,
+        PAST_U=low.n_past_u,
+        PAST_Y=low.n_past_y,
+        N=n,
+        P=len(named),
+        THRESHOLD=f"{observer.threshold:.4g}",
+        PARAMETERS=", ".join(names) or "none",
+    )
+    columns = _names((*model.inputs, *model.outputs))
+    makefile = template("Makefile").replace("model", "observer").replace("main", "observe")
+    return {
+        "observer.c": "\n".join(source).encode(),
+        "observer.h": made.encode(),
+        "observe.c": template("observe.c", COLUMNS=columns, PRINTED=",".join(printed)).encode(),
+        "Makefile": makefile.encode(),
+    }
+
+
+def observed(
+    compiler: str, folder: Path, windows: Sequence[TrainingWindow], width: int
+) -> tuple[list[Array], float]:
+    """Compile the files of `observer_files` and run them on windows: results (H, width) as
+    `observer_harness.c` writes them, and the seconds of all."""
+    with tempfile.TemporaryDirectory(prefix="asia-c-") as made:
+        harness, library = Path(made) / "harness.c", Path(made) / "observer.so"
+        harness.write_text(template("observer_harness.c"))
+        words = [*FLAGS, "-fPIC", "-shared", f"-I{folder}", str(folder / "observer.c")]
+        words += [str(harness), "-o", str(library), "-lm"]
+        compile_c(compiler, words, Path(made), "C")
+        run = ctypes.CDLL(str(library)).asia_observe
+        run.argtypes = [*[ctypes.POINTER(ctypes.c_double)] * 5, ctypes.c_long]
+        run.restype = None
+        found: list[Array] = []
+        seconds = 0.0
+        for window in windows:
+            each = window.past_u, window.past_y, window.u, window.y
+            arrays = [np.ascontiguousarray(a, np.float64) for a in each]
+            arrays.append(np.empty((len(window.u), width)))
+            pointers = [a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in arrays]
+            begin = time.perf_counter()
+            run(*pointers, len(window.u))
+            seconds += time.perf_counter() - begin
+            found.append(arrays[-1])
+        return found, seconds
 
 
 def _function(
-    name: str, program: Program, inputs: list[Value], outputs: list[Value], constants: Constants
+    head: str, program: Program, inputs: list[Value], outputs: list[Value], constants: Constants
 ) -> tuple[str, int]:
     code = Statements(constants)
     found = code.run(program, inputs)
@@ -643,15 +764,13 @@ def _function(
     kept = [code.own(value) for value in found]
     for target, value in zip(outputs, kept, strict=True):
         code.copy(target.at, value.at, math.prod(value.shape))
-    lines = [_HEADS[name], "{"]
+    lines = [head, "{"]
     if code.memory.size:
         lines.append(f"    asia_real w[{code.memory.size}];")
     if code.loops:
         lines.append(f"    int {', '.join(f'i{d}' for d in range(code.loops))};")
     text = "\n".join(code.lines)
-    unused = [
-        n for n in re.findall(r"\*(\w+)[,)]", _HEADS[name]) if not re.search(rf"\b{n}\b", text)
-    ]
+    unused = [n for n in re.findall(r"\*(\w+)[,)]", head) if not re.search(rf"\b{n}\b", text)]
     lines += [text, *(f"    (void){n};" for n in unused), "}", ""]
     return "\n".join(lines), code.memory.size
 

@@ -28,9 +28,11 @@ from asia.interfaces.cli import (
     demo,
     doctor,
     export,
+    extend,
     init,
     linear,
     models,
+    monitor,
     note,
     query,
     report,
@@ -44,6 +46,7 @@ from asia.interfaces.cli import (
 )
 from asia.interfaces.cli import check as _check
 from asia.interfaces.cli import control as _control
+from asia.interfaces.cli import next as _next
 from asia.interfaces.cli import run as _run
 from asia.interfaces.cli.options import with_groups
 
@@ -134,7 +137,10 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "unseal": unseal.unseal,
     "linear": linear.linear,
     "control": _control.control,
+    "monitor": monitor.monitor,
     "certify": certify.certify,
+    "next": _next.next_,
+    "extend": extend.extend,
     "export": export.export,
     "view": view.view,
 }
@@ -254,7 +260,7 @@ def main() -> None:
     except SystemExit as end:
         if end.code in (INTERRUPTED, TERMINATED):
             words = sys.argv[1:]
-            resumed = words[:1] in (["run"], ["bench"]) or words[:2] in (
+            resumed = words[:1] in (["run"], ["extend"], ["bench"]) or words[:2] in (
                 ["agent", "workspace"],
                 ["agent", "mcp"],
             )

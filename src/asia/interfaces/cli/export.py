@@ -39,6 +39,16 @@ def export(
         Path | None,
         typer.Option(help="Folder for one folder per target; default: export in the run."),
     ] = None,
+    observer: Annotated[
+        bool,
+        typer.Option(
+            "--observer", help="With --to c: also the observer of asia monitor, in observer."
+        ),
+    ] = False,
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(help="Parameter that the observer estimates, as for asia monitor."),
+    ] = None,
     isolation: CandidateLevel = None,
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
@@ -54,6 +64,8 @@ def export(
 
     if not to:
         raise UserError(f"--to is missing: one of {', '.join(target_names())}, or several")
+    if (observer or parameter) and ("c" not in to or not observer):
+        raise UserError("--observer belongs to --to c, and --parameter to --observer")
     directory, level = run_directory(runs, run), candidate_level(isolation)
     for one in write(directory, to, model, out, isolation=level):
         if json:
@@ -69,3 +81,20 @@ def export(
         for line in table(one.parity):
             say(line, file=stream)
         say(str(one.folder), file=stream)
+    if observer:
+        from asia.export.monitor import Monitor, export_observer
+
+        if model is not None and model != "refit" and not model.isdigit():
+            raise UserError(f"--observer: give --model refit or an experiment, not {model}")
+        found = Monitor(directory, parameter or (), model=model, isolation=level)
+        folder = (out or directory / "export") / "c" / "observer"
+        files, row = export_observer(found, folder)
+        if json:
+            facts = {"target": row.target, "files": [str(path) for path in files],
+                     "parity": {row.target: row.difference},
+                     "microseconds_per_step": {row.target: row.microseconds},
+                     "bytes": row.bytes}  # fmt: skip
+            say(jsonlib.dumps(facts, allow_nan=False))
+        stream = sys.stderr if json else sys.stdout
+        for line in (*table([row])[1:], str(folder)):
+            say(line, file=stream)

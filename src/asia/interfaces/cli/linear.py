@@ -18,7 +18,6 @@ from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
     CandidateLevel,
     Json,
-    RunName,
     Runs,
     candidate_level,
     run_directory,
@@ -30,14 +29,20 @@ _MOST_CURVES, _MOST_SAMPLES = 6, 5_000
 
 if TYPE_CHECKING:
     from asia.analysis.process import ProcessFit
-    from asia.data.trajectory import Signal
+    from asia.data.trajectory import Array, Signal
     from asia.export.linear import LinearPoint, LinearRun
     from asia.ledger.evidence import DrawnCheck
-    from asia.lowering.linear import ProcessModel
+    from asia.lowering.linear import LinearModel, ProcessModel
 
 
 def linear(
-    run: RunName = None,
+    run: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[RUN | FILE]",
+            help="Run (default: the newest), or a file with a measured frequency response.",
+        ),
+    ] = None,
     at: Annotated[
         list[str] | None,
         typer.Option(
@@ -69,12 +74,17 @@ def linear(
     json: Json = False,
 ) -> None:
     """Print order, poles, gains and delays of a model at operating points, and draw its Bode plot
-    and step response."""
+    and step response. With a file of a frequency response, fit a linear model to it."""
     from asia.export.linear import linearize
     from asia.report.files import save
     from asia.report.page.sections.evidence import LINEAR_FILE
     from asia.report.pictures.linear import draw_linear
 
+    if run is not None and Path(run).is_file():
+        if at or reduce or to_tf or continuous_time or model:
+            raise UserError(f"{run} is a file: the options of a run do not apply, only --out")
+        _of_file(Path(run), out, json=json)
+        return
     directory = run_directory(runs, run)
     found = linearize(directory, at or (), model, isolation=candidate_level(isolation))
     fitted = _fitted(found) if to_tf else []
@@ -107,6 +117,75 @@ def linear(
         say(line, file=stream)
     for path in files:
         say(f"file      {path}", file=stream)
+
+
+def _of_file(path: Path, out: Path | None, *, json: bool) -> None:
+    """Fit a linear model to a measured frequency response."""
+    from asia.analysis.frequency import fit_frequency_response
+    from asia.data.intake.frequency import read_frequency_response
+    from asia.report.files import save
+    from asia.report.pictures.linear import draw_frequency_response
+
+    record = read_frequency_response(path)
+    found = fit_frequency_response(record)
+    model, step = found.model, record.sampling_time
+    known = record.variance is not None
+    frequency, (ny, nu) = record.frequency, model.d.shape
+    kind = f"sampling time {step:g} s" if step else "continuous time"
+    lines = [
+        f"frequency response {record.name}: {_counted(len(frequency), 'frequency')} from "
+        f"{frequency[0]:.4g} to {frequency[-1]:.4g} Hz, {_counted(ny, 'output')}, "
+        f"{_counted(nu, 'input')}",
+        f"order     {model.order}, {kind}",
+        f"delay     {found.delay:.4g} s ({found.delay_band[0]:.4g} to {found.delay_band[1]:.4g} s)",
+        *_pole_lines(model, [None] * len(model.modes())),
+    ]
+    for i, one in enumerate(record.outputs):
+        for j, into in enumerate(record.inputs):
+            gains = [fold.gain[i, j] for fold, _ in found.folds] + [model.gain[i, j]]
+            lines.append(
+                f"gain      {one.name} by {into.name}: {model.gain[i, j]:.5g} (fold models "
+                f"{min(gains):.4g} to {max(gains):.4g})"
+            )
+    if known:
+        lines.append(
+            f"fit       the residual is {found.error:.3g} times its standard deviation, "
+            f"{found.held_out:.3g} times at held-out frequencies"
+        )
+        if found.held_out > 1.3:
+            lines.append("note      more than noise is left: the system is not linear, or larger")
+    else:
+        lines.append(
+            f"fit       relative error {found.error:.2%}, {found.held_out:.2%} at held-out "
+            "frequencies"
+        )
+    facts: dict[str, Any] = {
+        "file": str(path), "order": model.order, "sampling_time": step, "delay": found.delay,
+        "delay_band": found.delay_band, "A": model.a, "B": model.b, "C": model.c,
+        "D": model.d, "gain": model.gain, "error": found.error, "held_out_error": found.held_out,
+        "orders": found.tried, "text": lines,
+        "poles": [{"real": p.real, "imag": p.imag, "frequency_hz": f, "damping": z, "time_s": t}
+                  for p, f, z, t in model.modes()],
+        "zeros": [{"real": z.real, "imag": z.imag} for z in model.zeros],
+    }  # fmt: skip
+    folder = out or Path("linear")
+    folder.mkdir(parents=True, exist_ok=True)
+    text = jsonlib.dumps(_plain(facts), allow_nan=False)
+    (folder / "linear.json").write_text(text + "\n", "utf-8")
+    deviation = None if record.variance is None else np.sqrt(record.variance)
+    curves = [(found.model, found.delay), *found.folds]
+    failed: list[str] = []
+    draw = lambda: draw_frequency_response(  # noqa: E731
+        frequency, record.response, deviation, curves, record.inputs, record.outputs
+    )
+    files = [*save([("linear", draw)], folder, failed), folder / "linear.json"]
+    if json:
+        say(text)
+    stream = sys.stderr if json else sys.stdout
+    for line in (*lines, *(f"note      {one}" for one in failed)):
+        say(line, file=stream)
+    for file in files:
+        say(f"file      {file}", file=stream)
 
 
 def _drawn(run: LinearRun) -> list[DrawnCheck]:
@@ -244,21 +323,7 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
     yield ""
     yield f"at {point.name}: {values(run.inputs, model.u0)}; {values(run.outputs, model.y0)}{rest}"
     yield f"order     {model.order}, sampling time {step:g} s"
-    for (pole, frequency, damping, time), mode in zip(model.modes(), point.mode_bands, strict=True):
-        text = f"{pole.real:.6g}" + (f" +- {pole.imag:.6g}i" if pole.imag > 1e-12 else "")
-        if np.isnan(frequency):
-            yield f"pole      {text:<24} no continuous counterpart"
-        elif abs(pole - 1.0) < 1e-6:
-            yield f"pole      {text:<24} integrator"
-        else:
-            kind = "unstable" if abs(pole) > 1.0 else f"time constant {time:.4g} s"
-            sure = ["", ""]
-            if mode is not None:
-                sure = [f" ({low:.4g} to {high:.4g})" for low, high in zip(*mode, strict=True)]
-            yield (
-                f"pole      {text:<24} {frequency:.4g} Hz{sure[0]}, damping {damping:.3g}"
-                f"{sure[1] if pole.imag > 1e-12 else ''}, {kind}"
-            )
+    yield from _pole_lines(model, point.mode_bands)
     shown = [f"{z.real:.5g}" + (f"{z.imag:+.5g}i" if abs(z.imag) > 1e-12 else "")
              for z in model.zeros]  # fmt: skip
     if shown:
@@ -295,8 +360,33 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
         yield "continuous-time matrices are in linear.json"
 
 
+def _pole_lines(model: LinearModel, bands: Sequence[tuple[Array, Array] | None]) -> Iterator[str]:
+    """Yield a line for each mode, with the bands of frequency and damping where they are known."""
+    edge = 1.0 if model.sampling_time else 0.0
+    for (pole, frequency, damping, time), mode in zip(model.modes(), bands, strict=True):
+        text = f"{pole.real:.6g}" + (f" +- {pole.imag:.6g}i" if pole.imag > 1e-12 else "")
+        if np.isnan(frequency):
+            yield f"pole      {text:<24} no continuous counterpart"
+        elif abs(pole - edge) < 1e-6:
+            yield f"pole      {text:<24} integrator"
+        else:
+            kind = (
+                "unstable"
+                if (abs(pole) > 1.0 if edge else pole.real > 0.0)
+                else f"time constant {time:.4g} s"
+            )
+            sure = ["", ""]
+            if mode is not None:
+                sure = [f" ({low:.4g} to {high:.4g})" for low, high in zip(*mode, strict=True)]
+            yield (
+                f"pole      {text:<24} {frequency:.4g} Hz{sure[0]}, damping {damping:.3g}"
+                f"{sure[1] if pole.imag > 1e-12 else ''}, {kind}"
+            )
+
+
 def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
+    plural = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{count} {noun if count == 1 else plural}"
 
 
 def _polynomial(coefficients: Any) -> str:

@@ -122,19 +122,39 @@ def run(
     Exit code 3: the search is finished and no candidate has a score.
     """
 
+    from asia.problem.load import load_problem
+
+    options.check()
+    driver = make_driver(agent, space, models, llm, command)
+    timer = ActivityTimer()
+    with timer.activity(Activity.PREPARE):
+        loaded = options.applied(load_problem(problem))
+    search_and_print(
+        loaded, driver, options, engine, runs, sink=sink, json=json, profile=profile, timer=timer
+    )
+
+
+def search_and_print(
+    loaded: Problem,
+    driver: Driver,
+    options: SearchOptions,
+    engine: EngineOptions,
+    runs: Path,
+    *,
+    sink: Sequence[str] | None = None,
+    json: bool = False,
+    profile: bool = False,
+    timer: ActivityTimer,
+) -> None:
+    """Search a problem with an agent, print events and results; the exit code as for `run`."""
     from asia.agents.relay import RelayAgent
     from asia.interfaces.coding_agents.session import CommandAgent, search_with_agents
     from asia.judge.executors import make_executor
-    from asia.problem.load import load_problem
     from asia.report import write_report
     from asia.search.run import prepare, with_relay_budget
     from asia.search.sinks import open_sinks
 
-    options.check()
-    driver = _driver(agent, space, models, llm, command)
-    timer = ActivityTimer()
     with timer.activity(Activity.PREPARE):
-        loaded = options.applied(load_problem(problem))
         if options.experiments is None:
             loaded = with_relay_budget(loaded, driver.legs)
         ready = prepare(
@@ -197,7 +217,7 @@ class Driver:
     """The legs of a relay, the last one with the requested number of experiments."""
 
 
-def _driver(
+def make_driver(
     agent: str, space: str | None, models: ModelOptions, llm: LlmOptions, command: CommandOptions
 ) -> Driver:
     """Make the driver of an agent or a relay. Raises UserError for an option of another agent."""

@@ -57,6 +57,9 @@ from asia.problem.folds import Block, Fold, whole
 from asia.problem.protocol import ProtocolRule
 
 T = TypeVar("T")
+Simulator: TypeAlias = Callable[[Array, Array, Array], Array]
+"""Past inputs (B, n, nu), past outputs (B, n, ny) and inputs (B, H, nu) -> outputs (M, B, H, ny) of
+M models, not finite where one diverges."""
 _Ask: TypeAlias = Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[Suspicion]]
 
 _STRANGERS_ASKED = 4
@@ -151,6 +154,33 @@ class StoredModels:
 
         return self._workers.run([partial(answers, model) for model in models])
 
+    def with_simulators(
+        self, members: Sequence[tuple[str, Sequence[bytes]]], job: Callable[[Simulator], T]
+    ) -> T:
+        """Call `job` with a function that simulates cases with all models of all sources, in one
+        worker a source that stays open. For cases without measured outputs only. Raises
+        CandidateError."""
+
+        def run() -> T:
+            with ExitStack() as opened:
+                workers = [
+                    (opened.enter_context(self._loaded(source, models[0])), source, models)
+                    for source, models in members
+                ]
+
+                def simulate(past_u: Array, past_y: Array, u: Array) -> Array:
+                    found: list[Array] = []
+                    for worker, source, models in workers:
+                        for model in models:
+                            if len(models) > 1:
+                                worker.load(executed_source(source), model, self._data.context)
+                            found.append(worker.simulate_unchecked(past_u, past_y, u))
+                    return np.stack(found)
+
+                return job(simulate)
+
+        return self._workers.run([run])[0]
+
     def simulate_scored(
         self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
     ) -> list[tuple[Array, ...] | CandidateError]:
@@ -174,13 +204,20 @@ class StoredModels:
 
         return self._workers.run([partial(checked, model) for model in models])
 
-    def lowered(self, source: str, models: Sequence[bytes]) -> list[LoweredModel | str]:
+    def lowered(
+        self, source: str, models: Sequence[bytes], parameters: Sequence[str] = ()
+    ) -> list[LoweredModel | str]:
         """Models as programs that can be printed, each traced in a fresh worker; for one that
-        cannot be lowered, why. Raises CandidateError."""
+        cannot be lowered, why. Raises CandidateError.
+
+        Args:
+            parameters: names of parameters that the last state holds, see
+                `asia.lowering.trace.lowered`
+        """
 
         def lowered(model: bytes) -> LoweredModel | str:
             with self._loaded(source, model) as worker:
-                return worker.lowered(self._data.context)
+                return worker.lowered(self._data.context, parameters)
 
         return self._workers.run([partial(lowered, model) for model in models])
 

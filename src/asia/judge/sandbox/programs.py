@@ -1,7 +1,8 @@
-"""Programs that JAX compiled in one worker and that others load, so that each compiles once.
+"""Programs that JAX compiled in one worker and that others load, so that each compiles once, and
+results that the library computed there (`asia.models._reuse`).
 
-A program is a function of its key, which is a hash of the code and of the compiler. A worker gets
-one only by its key. Programs are taken only from workers that ran the library alone
+Each is a function of its key, which is a hash of all that it is made from. A worker gets one only
+by its key. Programs are taken only from workers that ran the library alone
 (`asia.candidate.library_only`): no candidate can plant one.
 """
 

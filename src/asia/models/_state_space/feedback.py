@@ -12,11 +12,13 @@ import numpy as np
 from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models._arrays import tree_size
+from asia.models._config import Progress
 from asia.models._least_squares import LevenbergMarquardt, solve_or_fit
 from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import ScaledData, ScaledTrajectory
+from asia.models._reuse import reused
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.model import FittedStateSpace, past_fit, window_samples
 from asia.models._state_space.structure import StateSpaceStructure
@@ -548,8 +550,14 @@ class _Fits:
             order, self.context.nu, self.context.ny, "state", "tanh", o.hidden, 2, o.channels,
             integrators=o.integrators,
         )  # fmt: skip
-        rng = np.random.default_rng(self.context.seed)
-        starts = feedback_starts(structure, core.found, core.records, self.method.starts, rng)
+        count, seed = self.method.starts, self.context.seed
+
+        def search(_: Progress) -> list[dict[str, Any]]:
+            rng = np.random.default_rng(seed)
+            return feedback_starts(structure, core.found, core.records, count, rng)
+
+        given = structure, core.found, core.records, count, seed
+        starts = reused("feedback", given, search, self.context.log)
         begin = [StateFit(core.found.x0, start, np.inf, np.zeros(0)) for start in starts]
         if self.options.pieces:
             begin = fit_segments(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from asia.data.trajectory import Array, Signal
 from asia.lowering.linear import LinearModel, corner_frequencies, settling_samples
@@ -98,4 +99,65 @@ def draw_linear(
     for axis in axes[-1][1:]:
         axis.set_axis_off()
     figure_legend(figure, axes[0][0].get_lines(), 3)
+    return figure
+
+
+def draw_frequency_response(
+    frequency: Array,
+    measured: NDArray[np.complex128],
+    deviation: Array | None,
+    models: Sequence[tuple[LinearModel, float]],
+    inputs: Sequence[Signal],
+    outputs: Sequence[Signal],
+) -> Figure:
+    """A row for each pair of output and input (four at most): measured and modelled gain and phase,
+    and the residual with the standard deviation of the measurement.
+
+    Args:
+        frequency: (F,) in Hz
+        measured: (F, ny, nu)
+        deviation: (F, ny, nu), where it is known
+        models: models with their delays in s: the whole one, then those of the folds
+    """
+    pairs = [(i, j) for i in range(len(outputs)) for j in range(len(inputs))][:_MOST_PAIRS]
+    figure = Figure(figsize=(1.35 * picture_width(), 1.0 + 2.3 * len(pairs)), layout="constrained")
+    axes = figure.subplots(len(pairs), 3, squeeze=False)
+    grid = np.unique(np.concatenate([np.geomspace(max(frequency[0], 1e-6 * frequency[-1]),
+                                                  frequency[-1], 600), frequency]))  # fmt: skip
+
+    def responses(at: Array) -> list[NDArray[np.complex128]]:
+        return [model.response(at) * np.exp(-2j * np.pi * at * delay)[:, None, None]
+                for model, delay in models]  # fmt: skip
+
+    fine, same = responses(grid), responses(frequency)[0]
+    for row, (i, j) in enumerate(pairs):
+        gain, phase, rest = axes[row]
+        gain.loglog(frequency, np.abs(measured[:, i, j]), ".", color=INK, ms=2.5, label="measured")
+        angle = np.degrees(np.unwrap(np.angle(measured[:, i, j])))
+        phase.semilogx(frequency, angle, ".", color=INK, ms=2.5)
+        for k, one in enumerate(fine):
+            curve = one[:, i, j]
+            style = {"color": ORANGE, "lw": 1.0 if k == 0 else 0.6, "alpha": 1.0 if k == 0 else 0.4}
+            label = ("model", "models of the folds")[min(k, 1)] if k < 2 else None
+            gain.loglog(grid, np.abs(curve), label=label, **style)
+            turned = np.degrees(np.unwrap(np.angle(curve)))
+            # The same turn as the measured phase.
+            turned += 360.0 * np.round(np.mean(np.interp(frequency, grid, -turned) + angle) / 360.0)
+            phase.semilogx(grid, turned, **style)
+        apart = np.abs(measured[:, i, j] - same[:, i, j])
+        rest.loglog(frequency, apart, ".", color=BLUE, ms=2.5, label="residual")
+        if deviation is not None:
+            rest.loglog(frequency, deviation[:, i, j], color=QUIET, lw=0.9,
+                        label="standard deviation of the measurement")  # fmt: skip
+        gain.set_title(plain(f"{outputs[i].name} by {inputs[j].name}: gain"))
+        phase.set_title("phase [degrees]")
+        rest.set_title("residual")
+        for axis in axes[row]:
+            axis.set_xlabel("frequency [Hz]")
+            axis.xaxis.set_major_formatter("{x:g}")
+            quiet_grid(axis)
+        for axis in (gain, rest):
+            axis.yaxis.set_major_formatter("{x:g}")
+    lines = [*axes[0][0].get_lines()[:3], *axes[0][2].get_lines()]
+    figure_legend(figure, lines, 3)
     return figure

@@ -49,14 +49,15 @@ def fit(trajectories, context):
 def test_a_program_is_compiled_once_and_gives_the_same_model(
     worker: Callable[..., Worker], case: Case
 ) -> None:
-    store, found, compiled = ProgramStore(), list[np.ndarray](), list[int]()
+    store, found, made = ProgramStore(), list[np.ndarray](), list[dict[str, bytes]]()
     for _ in range(2):
         with worker() as one:
             one.fit(OWN, case.trajectories, case.context, programs=store)
-            compiled.append(len(unpacked_programs(one._reply("programs", (), 1 << 23))))
+            made.append(unpacked_programs(one._reply("programs", (), 1 << 23)))
             found.append(one.simulate(case.past_u, case.past_y, case.u))
-    assert compiled[0] > 0
-    assert compiled[1] == 0
+    assert {key.partition("-")[0] for key in made[0]} >= {"selection", "linear"}
+    assert len(made[0]) > 2
+    assert not made[1]
     np.testing.assert_array_equal(found[0], found[1])
 
 
@@ -70,7 +71,9 @@ def test_no_candidate_plants_a_program(worker: Callable[..., Worker], case: Case
 
 
 def test_the_library_alone() -> None:
-    facts = problem_facts(load_problem("two_tanks_sim"))
+    problem = load_problem("two_tanks_sim")
+    facts = problem_facts(problem)
+    assert library_only(problem.baseline)
     for family in all_families():
         assert library_only(family.trial(facts).source(family.label)), family.name
 
@@ -104,6 +107,15 @@ def test_the_library_alone() -> None:
         "__builtins__ = {}",
         "neural_ss.Any()",
         "from asia.models.neural_ss import Config",
+        "from asia.candidate import Context as Sequence",
+        "from asia.candidate import Context, library_only",
+        "from collections.abc import Callable",
+        "from asia.problem import Trajectory\nTrajectory = 1",
+        "def other(x: neural_ss._x): return 1",
+        "def other(x: neural_ss.a.b): return 1",
+        "def other(x: Sequence[fit()]): return 1",
+        "def other(x: Context[1]): return 1",
+        "def other(x, /, y): return 1",
         "neural_ss.Config(order=fit)",
         "class Other: pass",
         "fit.train = 1",

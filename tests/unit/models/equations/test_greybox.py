@@ -93,6 +93,33 @@ def test_same_seed_gives_bitwise_the_same_model(duffing_context: Context) -> Non
     assert cloudpickle.dumps(one) == cloudpickle.dumps(two)
 
 
+def test_parameters_as_states_step_as_the_model_with_these_parameters(
+    duffing: greybox.GreyBox,
+) -> None:
+    names = ("c", "k")
+    changing = duffing.with_parameters(names)
+    cases = [split(duffing_record(60, seed)) for seed in (11, 12)]
+    past_u, past_y, u = (np.concatenate(part) for part in zip(*cases, strict=True))
+    plain = duffing.initial(past_u, past_y, u[:, 0])
+    state = changing.initial(past_u, past_y, u[:, 0])
+    known = duffing.parameters()
+    np.testing.assert_allclose(state[1], [[known[n] for n in names]] * 2)
+    for k in range(20):
+        plain, expected = duffing.step(plain, u[:, k])
+        state, y = changing.step(state, u[:, k])
+        np.testing.assert_allclose(y, expected, rtol=1e-12)
+    # Each case has its own value; a stiffer second case moves differently from there on.
+    chosen = state[1].copy()
+    chosen[1, 1] *= 1.3
+    changed, _ = changing.step((state[0], chosen), u[:, 20])
+    same, _ = duffing.step(plain, u[:, 20])
+    np.testing.assert_allclose(changed[0][0][0], same[0][0], rtol=1e-12)
+    assert np.abs(changed[0][0][1] - same[0][1]).max() > 1e-4
+    np.testing.assert_array_equal(changed[1], chosen)
+    with pytest.raises(UserError, match="parameter 'mass' is unknown"):
+        duffing.with_parameters(("mass",))
+
+
 def test_stays_finite_far_outside_the_training_range(duffing: greybox.GreyBox) -> None:
     past_u, past_y, u = split(duffing_record(80, 5))
     assert np.isfinite(duffing.simulate(1e3 * past_u, 1e3 * past_y, 1e4 * u)).all()

@@ -98,7 +98,7 @@ def test_a_plant_that_integrates_or_is_unstable(pole: float, method: LoopMethod)
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_reference_that_enters_at_the_plant() -> None:
     context = replace(CONTEXT, loop=replace(LOOP, enters="plant"))
     measured = record(0.8, 0, enters="plant")

@@ -2,105 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from asia.data import Array
 from asia.ledger.events import RefitCheck, RefitStart, Stack, StackMember
-from asia.search.final import (
-    MOST_CANDIDATES,
-    MOST_MEMBERS,
-    FinalEvidence,
-    HeldOutPart,
-    candidates,
-    choose_model,
-    nested_weights,
-    select_weights,
+from asia.search.final import MOST_MEMBERS, NEAR, FinalEvidence, choose_model, stack_weights
+
+values = arrays(
+    float, st.tuples(st.integers(1, 4), st.integers(1, 30)), elements=st.floats(0, 1e300)
 )
 
 
-def rmse(y: Array, y_hat: Array, scale: Array) -> float:
-    return float(np.mean(np.sqrt(np.mean((y - y_hat) ** 2, axis=0)) / scale))
-
-
-def part(random: np.random.Generator, count: int, samples: int = 20, ny: int = 2) -> HeldOutPart:
-    """Truth with errors that differ in size, and that candidates share in part."""
-    y = random.normal(size=(samples, ny))
-    shared = random.normal(size=(samples, ny))
-    sizes = random.uniform(0.05, 0.5, size=count)
-    y_hat = np.stack([y + s * (random.normal(size=y.shape) + shared) for s in sizes])
-    scale = y.std(axis=0)
-    return HeldOutPart(y, y_hat, scale, tuple(rmse(y, one, scale) for one in y_hat))
-
-
-numbers = st.integers(0, 2**32 - 1)
-
-
-@pytest.mark.slow
-@settings(max_examples=40, deadline=None)
-@given(seed=numbers, count=st.integers(1, 30), folds=st.integers(1, 3))
-def test_weights_are_shares_of_few_members(seed: int, count: int, folds: int) -> None:
-    random = np.random.default_rng(seed)
-    parts = [part(random, count) for _ in range(folds)]
-    weights = select_weights(parts, rmse)
-    assert weights.shape == (count,)
-    assert (weights >= 0).all()
+@given(values)
+def test_weights_are_shares_of_the_few_nearest_to_the_best(values: Array) -> None:
+    weights, mean = stack_weights(values), values.mean(axis=0)
     assert weights.sum() == pytest.approx(1.0)
     assert np.count_nonzero(weights) <= MOST_MEMBERS
-    assert (weights == select_weights(parts, rmse)).all()
+    assert weights[mean.argmin()] == weights.max() > 0
+    assert (weights[mean > 1.001 * NEAR * max(mean.min(), 1e-300)] == 0).all()
+    # None of lower V has less.
+    assert (np.diff(weights[np.argsort(mean, kind="stable")]) <= 1e-12).all()
 
 
-@pytest.mark.slow
-@settings(max_examples=25, deadline=None)
-@given(seed=numbers, count=st.integers(2, 12), folds=st.integers(2, 4), judged=st.integers(0, 3))
-def test_the_fold_that_is_judged_has_no_part_in_its_weights(
-    seed: int, count: int, folds: int, judged: int
-) -> None:
-    random = np.random.default_rng(seed)
-    parts = [part(random, count) for _ in range(folds)]
-    place = judged % folds
-    changed = list(parts)
-    changed[place] = part(random, count)
-    before, after = nested_weights(parts, rmse), nested_weights(changed, rmse)
-    assert (before[place] == after[place]).all()
-    left_out = [one for k, one in enumerate(parts) if k != place]
-    assert (before[place] == select_weights(left_out, rmse)).all()
-
-
-@settings(max_examples=25, deadline=None)
-@given(seed=numbers, count=st.integers(1, 5))
-def test_where_the_weights_come_from_few_candidates_do_not_lose_to_the_best_of_them(
-    seed: int, count: int
-) -> None:
-    parts = [part(np.random.default_rng(seed), count)]
-    weights = select_weights(parts, rmse)
-    mean = np.tensordot(weights, parts[0].y_hat, axes=1)
-    assert rmse(parts[0].y, mean, parts[0].scale) <= min(parts[0].values) + 1e-12
-
-
-def test_opposite_errors_share_what_is_left_of_the_weight_of_the_best() -> None:
-    y = np.sin(np.arange(50.0))[:, None]
-    error = np.cos(3 * np.arange(50.0))[:, None]
-    y_hat = np.stack([y + 0.1 * error, y - 0.101 * error, y + 0.15])
-    scale = y.std(axis=0)
-    parts = [HeldOutPart(y, y_hat, scale, tuple(rmse(y, one, scale) for one in y_hat))]
-    assert select_weights(parts, rmse) == pytest.approx([0.75, 0.25, 0.0])
-
-
-def test_the_best_alone_where_the_others_are_far_worse() -> None:
-    parts = [part(np.random.default_rng(0), 4)]
-    spoilt = replace(parts[0], values=(1e99, 0.1, 0.5, 1e300))
-    assert candidates([spoilt.values]) == [1]
-    assert select_weights([spoilt], rmse).tolist() == [0, 1, 0, 0]
-
-
-def test_no_more_than_so_many_candidates_are_tried() -> None:
-    values = np.linspace(1.0, 1.1, 2 * MOST_CANDIDATES)
-    assert candidates([values.tolist()]) == list(range(MOST_CANDIDATES))
+def test_weights_are_inverse_to_the_fourth_power_of_v() -> None:
+    found = stack_weights(np.array([[1.0, 2.0, 9.0], [1.0, 0.5, 9.0]]))
+    assert found == pytest.approx(np.array([1.25**4, 1.0, 0.0]) / (1.25**4 + 1.0))
+    assert stack_weights(np.array([[1e99, 0.1, 0.5, 1e300]])).tolist() == [0, 1, 0, 0]
+    assert stack_weights(np.zeros((2, 2))).tolist() == [0.5, 0.5]
 
 
 # The model to use.

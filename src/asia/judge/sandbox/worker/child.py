@@ -188,7 +188,7 @@ class _Session:
         self._asking = threading.Lock()
         self._compiling = compilation.Meter()
         self._programs = compilation.Programs(self._program)
-        sys.meta_path.insert(0, compilation.JaxFinder(self._compiling, self._programs))
+        sys.meta_path.insert(0, compilation.PreparingFinder(self._compiling, self._programs))
 
     def serve(self) -> NoReturn:
         self._reply(wire.ReplyKind.STARTED)
@@ -330,11 +330,13 @@ class _Session:
             state, y = model.step(state, u)
             self._reply(wire.ReplyKind.OK, _real(y, (rows, ny)).tobytes())
 
-    def _lower(self, n_past_u: int, n_past_y: int, nu: int, ny: int) -> bytes:
+    def _lower(
+        self, n_past_u: int, n_past_y: int, nu: int, ny: int, parameters: tuple[str, ...]
+    ) -> bytes:
         """Traced here, where the model's own code may run."""
         from asia.lowering.trace import lowered_bytes
 
-        return lowered_bytes(self._model, n_past_u, n_past_y, nu, ny)
+        return lowered_bytes(self._model, n_past_u, n_past_y, nu, ny, parameters)
 
     def _parameters(self) -> bytes:
         """Those that the model names. They are evidence and no part of the contract: a model

@@ -1,7 +1,8 @@
-"""JAX's compiler in a worker: programs that were compiled before, and the time it takes.
+"""What a worker can have from others: programs of JAX's compiler, with the time it takes, and
+results of the library's own computations.
 
-Runs in the worker, where a candidate can change all of it. JAX is prepared when it is imported, and
-never imported for it.
+Runs in the worker, where a candidate can change all of it. Modules are prepared when they are
+imported, and never imported for it.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from types import ModuleType
 from typing import Any
 
 _MONITORING, _CACHE = "jax.monitoring", "jax._src.compilation_cache"
+_REUSE = "asia.models._reuse"
 # What JAX's cache keeps in its module; with another version of JAX there is no cache.
 _CACHE_STATE = ("_cache", "_cache_initialized", "_cache_checked", "_cache_used")
 _TRACE, _COMPILE = 0, 1
@@ -54,12 +56,13 @@ class Meter:
 
 
 class Programs:
-    """Compiled programs, in place of the files in which JAX would cache them."""
+    """Compiled programs, in place of the files in which JAX would cache them, and results of
+    `asia.models._reuse`."""
 
     def __init__(self, find: Callable[[str], bytes | None]) -> None:
         """find: asks for a program by its key."""
         self.made: dict[str, bytes] = {}
-        """Programs that were compiled here."""
+        """Those that were made here."""
         self._find = find
 
     def get(self, key: str) -> bytes | None:
@@ -71,18 +74,18 @@ class Programs:
         self.made[key] = value
 
 
-class JaxFinder(importlib.abc.MetaPathFinder):
-    """Lets `meter` listen, and JAX use `programs`, as soon as it can."""
+class PreparingFinder(importlib.abc.MetaPathFinder):
+    """Lets `meter` listen, and JAX and the library use `programs`, as soon as they can."""
 
     def __init__(self, meter: Meter, programs: Programs) -> None:
-        self._after = {_MONITORING: self._listen, _CACHE: self._use}
+        self._after = {_MONITORING: self._listen, _CACHE: self._use, _REUSE: self._offer}
         self._meter, self._programs = meter, programs
         self._finding = False
 
     def find_spec(
         self, fullname: str, path: object = None, target: object = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """Return None for every module but two, which the other finders find."""
+        """Return None for every module but three, which the other finders find."""
         after = self._after.get(fullname)
         if after is None or self._finding:
             return None
@@ -112,3 +115,6 @@ class JaxFinder(importlib.abc.MetaPathFinder):
             for name in _CACHE_STATE[1:]:
                 setattr(module, name, True)
             module._cache = self._programs
+
+    def _offer(self, module: Any) -> None:
+        module.store = self._programs

@@ -221,9 +221,13 @@ class Worker:
 
     def simulate_known(self, past_u: Array, past_y: Array, u: Array) -> Array:
         """As `simulate`, by the model's own `simulate`: for cases that it was fitted to."""
+        return _finite(self.simulate_unchecked(past_u, past_y, u))
+
+    def simulate_unchecked(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """As `simulate_known`, with NaN or infinity where the model diverges."""
         deadline = self._begin_cases()
         with self._clock.activity(Activity.SIMULATE):
-            return _finite(self._whole(past_u, past_y, u, deadline))
+            return self._whole(past_u, past_y, u, deadline)
 
     def _begin_cases(self) -> float:
         self._need_model()
@@ -268,11 +272,13 @@ class Worker:
             self._channel.send_frame(frame, deadline, goes_on=False)
         return y.swapaxes(0, 1)
 
-    def lowered(self, context: Context) -> LoweredModel | str:
-        """The model as a program to be printed, or why there is none."""
+    def lowered(self, context: Context, parameters: Sequence[str] = ()) -> LoweredModel | str:
+        """The model as a program to be printed, or why there is none. parameters: as in
+        `asia.lowering.trace.lowered`."""
         sizes = context.n_past_u, context.n_past_y, context.nu, context.ny
         try:
-            return unpack_for(self._reply("lower", sizes, LARGEST_BYTES), sizes)
+            reply = self._reply("lower", (*sizes, tuple(parameters)), LARGEST_BYTES)
+            return unpack_for(reply, sizes)
         except FormatError as error:
             raise self._failure(Reason.UNSOLICITED, str(error)) from None
 

@@ -1,0 +1,79 @@
+"""Are order, modes and a hidden delay of frequency responses found?
+
+Flexible structures with two to four lightly damped modes and a delay, with 2 % noise of known
+variance; and the arm of a CD player (two inputs, two outputs), whose response is estimated from its
+training record by local polynomials.
+
+    python benchmarks/models/frequency.py [--systems 20] [--cd FOLDER]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from asia.analysis.frequency import fit_frequency_response
+from asia.data.frequency import frequency_response
+from asia.data.intake.frequency import FrequencyRecord
+from asia.data.trajectory import Signal
+from asia.problem.load import load_problem
+
+
+def structure(rng: np.random.Generator) -> tuple[FrequencyRecord, list[float], float]:
+    """A noisy response, its mode frequencies in Hz and its delay in s."""
+    count, f = int(rng.integers(2, 5)), np.geomspace(0.5, 60.0, 300)
+    modes = np.exp(np.linspace(np.log(2.0), np.log(30.0), count) + rng.uniform(-0.2, 0.2, count))
+    s, g, delay = 2j * np.pi * f, np.zeros(300, np.complex128), float(rng.uniform(0.002, 0.03))
+    for frequency in modes:
+        w, size = 2 * np.pi * frequency, rng.uniform(0.3, 1.0) * rng.choice([-1.0, 1.0])
+        g += size * w * w / (s * s + 2 * rng.uniform(0.004, 0.02) * w * s + w * w)
+    g = (g * np.exp(-s * delay))[:, None, None]
+    deviation = 0.02 * np.abs(g) + 0.002
+    noise = (rng.normal(size=g.shape) + 1j * rng.normal(size=g.shape)) / np.sqrt(2.0)
+    signals = (Signal("force"),), (Signal("tip"),)
+    record = FrequencyRecord("structure", f, g + deviation * noise, deviation**2, 0.0, *signals)
+    return record, modes.tolist(), delay
+
+
+def main() -> None:
+    """Print one row for the structures and one for the CD player."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--systems", type=int, default=20)
+    parser.add_argument("--cd", type=Path, help="folder of the problem cd_arm")
+    options = parser.parse_args()
+    begin, right, inside, apart, modes_off = time.process_time(), 0, 0, list[float](), list[float]()
+    for seed in range(options.systems):
+        record, modes, delay = structure(np.random.default_rng(seed))
+        found = fit_frequency_response(record)
+        right += found.model.order == 2 * len(modes)
+        inside += found.delay_band[0] <= delay <= found.delay_band[1]
+        apart.append(abs(found.delay - delay) / delay)
+        known = np.array([frequency for _, frequency, _, _ in found.model.modes()])
+        modes_off += [float(np.abs(known / one - 1.0).min()) for one in modes]
+    seconds = (time.process_time() - begin) / options.systems
+    print("| structures | right order | delay in its 95 % interval | median error of the delay | "
+          "95 % of the modes within | seconds each |")  # fmt: skip
+    print("|---|---|---|---|---|---|")
+    print(f"| {options.systems} | {right} | {inside} | {np.median(apart):.1%} | "
+          f"{np.quantile(modes_off, 0.95):.2%} | {seconds:.1f} |")  # fmt: skip
+    if options.cd is not None:
+        problem = load_problem(options.cd)
+        parts = [frequency_response(problem.train, k, None) for k in range(len(problem.outputs))]
+        known = [one for one in parts if one is not None]
+        response = np.stack([one.gain for one in known], axis=1)
+        every = max(len(response) // 400, 1)
+        record = FrequencyRecord(
+            "cd_arm", known[0].frequency[::every], response[::every], None, problem.sampling_time,
+            problem.inputs, problem.outputs,
+        )  # fmt: skip
+        found = fit_frequency_response(record)
+        print(f"\nCD player: {len(record.frequency)} frequencies, order {found.model.order}, delay "
+              f"{found.delay / problem.sampling_time:.2f} samples, relative error "
+              f"{found.error:.1%}, held out {found.held_out:.1%}")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,357 @@
+"""Linear models of measured frequency responses, with an open delay.
+
+Starts come from a subspace method, the model from weighted least squares of the response, the order
+from cross-validation over interleaved frequencies. Sources: McKelvey, Akcay and Ljung, IEEE Trans.
+Automatic Control 41, 1996 (subspace method); Pintelon and Schoukens, System Identification: A
+Frequency Domain Approach, 2nd ed., chapters 8 and 9.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asia.data.intake.frequency import ComplexArray, FrequencyRecord
+from asia.data.trajectory import Array
+from asia.errors import UserError
+from asia.lowering.linear import LinearModel
+
+_FOLDS, _LARGEST = 3, 24
+# A smaller order is taken while its held-out error is at most this much larger than the least one.
+_WORSE = 1.05
+# Steps to an end of the interval of the delay.
+_WIDENINGS = 14
+# Relative error that counts as none.
+_EXACT = 1e-7
+# Delays on the grid, and the longest one in turns of the phase at the highest frequency.
+_DELAYS, _TURNS = 16, 6.0
+# Frequencies that the delays are sought at.
+_COARSE = 150
+_FEW, _ITERATIONS = 15, 60
+# Raw unstable poles are kept where they lower the error to this part of that without.
+_UNSTABLE = 0.5
+
+
+@dataclass(frozen=True)
+class FrequencyFit:
+    """Linear model of a frequency response."""
+
+    record: FrequencyRecord
+    model: LinearModel
+    """Without the delay; in continuous time where the record is."""
+    delay: float
+    """In s, the same for all inputs and outputs."""
+    delay_band: tuple[float, float]
+    """Its 95 % interval in s, by the likelihood ratio."""
+    folds: tuple[tuple[LinearModel, float], ...]
+    """Models and delays without every third frequency."""
+    error: float
+    """Root of the mean squared error over its standard deviation, where the variance is known; else
+    relative to the response."""
+    held_out: float
+    """The same at frequencies that a fold did not see."""
+    tried: tuple[tuple[int, float], ...]
+    """Orders with their held-out errors."""
+
+    def response(self, frequency: Array) -> ComplexArray:
+        """Response (F, ny, nu) with the delay at frequencies in Hz."""
+        return delayed_response(self.model, self.delay, frequency)
+
+
+def delayed_response(model: LinearModel, delay: float, frequency: Array) -> ComplexArray:
+    """Response (F, ny, nu) of a model after a delay in s."""
+    turn = np.exp(-2j * math.pi * frequency * delay)
+    return model.response(frequency) * turn[:, None, None]
+
+
+@dataclass(frozen=True)
+class _System:
+    """Linear system in the variable of the data, and a delay in s."""
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    delay: float
+
+    def response(self, data: _Data) -> ComplexArray:
+        inside = data.p[:, None, None] * np.eye(len(self.a)) - self.a
+        plain = self.c @ np.linalg.solve(inside, self.b.astype(np.complex128)) + self.d
+        return plain * np.exp(-data.s * self.delay)[:, None, None]
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Response with weights at some frequencies."""
+
+    z: ComplexArray
+    """Points of the unit circle."""
+    p: ComplexArray
+    """Variable of the systems: z, or s over the middle of the frequencies in continuous time."""
+    s: ComplexArray
+    response: ComplexArray
+    weight: Array
+
+    def at(self, chosen: NDArray[np.bool_]) -> _Data:
+        return _Data(self.z[chosen], self.p[chosen], self.s[chosen], self.response[chosen],
+                     self.weight[chosen])  # fmt: skip
+
+    def error(self, system: _System) -> float:
+        apart = self.weight * (self.response - system.response(self))
+        size = float(np.sqrt(np.mean(np.abs(apart) ** 2)))
+        return size if math.isfinite(size) else math.inf
+
+    @property
+    def continuous(self) -> bool:
+        return self.p is not self.z and not np.array_equal(self.p, self.z)
+
+    def is_stable(self, system: _System) -> bool:
+        poles = np.linalg.eigvals(system.a)
+        return bool((poles.real < 0).all() if self.continuous else (np.abs(poles) < 1.0).all())
+
+
+def fit_frequency_response(record: FrequencyRecord, order: int | None = None) -> FrequencyFit:
+    """Fit a linear model with a delay.
+
+    Args:
+        order: number of states; None: by cross-validation
+
+    Raises:
+        UserError: for an order that the frequencies do not determine
+    """
+    w = 2.0 * math.pi * record.frequency
+    s = np.asarray(1j * w, np.complex128)
+    # Continuous time: the bilinear map to the unit circle, around the middle of the frequencies.
+    positive = w[w > 0]
+    middle = math.exp(float(np.log(positive).mean()))
+    z = (
+        np.exp(s * record.sampling_time) if record.sampling_time
+        else (1.0 + s / middle) / (1.0 - s / middle)
+    )  # fmt: skip
+    size = np.abs(record.response)
+    weight = (
+        1.0 / np.sqrt(record.variance) if record.variance is not None
+        else 1.0 / (size + 0.05 * np.median(size, axis=0))
+    )  # fmt: skip
+    p = z if record.sampling_time else s / middle
+    data = _Data(z, p, s, record.response, weight)
+    _, ny, nu = record.response.shape
+    most = min(_LARGEST, len(w) * min(ny, nu) // 4)
+    if order is not None and not 1 <= order <= most:
+        raise UserError(f"order is {order}, expected 1 to {most} for {len(w)} frequencies")
+    number = np.arange(len(w))
+    coarse = data.at(number % max(len(w) // _COARSE, 1) == 0)
+    parts = [(data.at(number % _FOLDS != k), data.at(number % _FOLDS == k)) for k in range(_FOLDS)]
+    scale = float(np.sqrt(np.mean((weight * size) ** 2)))
+
+    def held_out(n: int, delays: Sequence[float], strict: bool) -> tuple[float, list[_System]]:
+        folds = [_fitted(seen, n, delays, _FEW, strict) for seen, _ in parts]
+        errors = [held.error(one) for (_, held), one in zip(parts, folds, strict=True)]
+        return float(np.sqrt(np.mean(np.square(errors)))), folds
+
+    found: dict[int, tuple[float, list[_System]]] = {}
+    for n in [order] if order is not None else range(1, most + 1):
+        found[n] = held_out(n, _best_delays(coarse, n), strict=False)
+        best = min(found, key=lambda k: found[k][0])
+        # Beyond a clear minimum no larger order is tried.
+        if found[best][0] < _EXACT * scale or (n >= best + 4 and n >= 6):
+            break
+    enough = max(_WORSE * min(error for error, _ in found.values()), _EXACT * scale)
+    chosen = min(n for n, (error, _) in found.items() if error <= enough)
+    tried = tuple((n, error) for n, (error, _) in found.items())
+    # Without a direct path, where the response does not need one: it blurs the delay.
+    error, folds = found[chosen]
+    delays = [*_best_delays(data, chosen), *(one.delay for one in folds)]
+    without = held_out(chosen, delays, strict=True)
+    strict = without[0] <= max(_WORSE * error, _EXACT * scale)
+    error, folds = without if strict else (error, folds)
+    system = _fitted(data, chosen, delays, _ITERATIONS, strict)
+
+    def model(one: _System) -> LinearModel:
+        zeros = np.zeros(nu), np.zeros(ny)
+        if record.sampling_time:
+            return LinearModel(one.a, one.b, one.c, one.d, record.sampling_time, *zeros)
+        return LinearModel(middle * one.a, middle * one.b, one.c, one.d, 0.0, *zeros)
+
+    return FrequencyFit(
+        record, model(system), system.delay, _delay_band(data, system, strict),
+        tuple((model(one), one.delay) for one in folds), data.error(system), error, tried,
+    )  # fmt: skip
+
+
+def _fitted(
+    data: _Data, order: int, delays: Sequence[float], iterations: int, strict: bool
+) -> _System:
+    """The best starts for these delays, refined with the delay open."""
+    starts = [one for delay in delays for one in _starts(data, order, delay, strict)]
+    starts.sort(key=data.error)
+    refined = [_refined(data, one, iterations, strict) for one in starts[:2]]
+    best = min(refined, key=data.error)
+    stable = [one for one in refined if data.is_stable(one)]
+    calm = min(stable, key=data.error, default=best)
+    return calm if data.error(calm) * _UNSTABLE < data.error(best) else best
+
+
+def _delay_band(data: _Data, best: _System, strict: bool) -> tuple[float, float]:
+    """Delays up to where the other parameters no longer make up for them."""
+    count = data.response.size
+    cost = count * data.error(best) ** 2
+    parameters = len(best.a) * sum(best.d.shape) + best.d.size * (not strict) + 1
+    limit = cost * (1.0 + 1.92 / max(count - 0.5 * parameters, 1.0))
+    ends: list[float] = []
+    for sign in (-1.0, 1.0):
+        one, before, width = best, cost, sign * 0.05 / float(data.s.imag.max())
+        end = best.delay
+        for _ in range(_WIDENINGS):
+            end = max(one.delay + width, 0.0)
+            there = _refined(data, replace(one, delay=end), _FEW, strict, hold=True)
+            after = count * data.error(there) ** 2
+            if after >= limit:
+                share = math.sqrt(max(limit - before, 0.0) / (after - before))
+                end = one.delay + share * (end - one.delay)
+                break
+            if end == 0.0:
+                break
+            one, before, width = there, after, 1.5 * width
+        ends.append(end)
+    return ends[0], ends[1]
+
+
+def _best_delays(data: _Data, order: int) -> list[float]:
+    """Delays whose starts have the least errors."""
+    highest = float(data.s.imag.max())
+    grid = (2.0 * math.pi / highest * np.linspace(0.0, _TURNS, _DELAYS)).tolist()
+    errors = [
+        min((data.error(one) for one in _starts(data, order, delay)), default=math.inf)
+        for delay in grid
+    ]
+    return [grid[k] for k in np.argsort(errors)[:2]]
+
+
+def _starts(data: _Data, order: int, delay: float, strict: bool = False) -> list[_System]:
+    """Subspace estimate for a delay, and the same with stable poles."""
+    response = data.response * np.exp(data.s * delay)[:, None, None]
+    count, ny, nu = response.shape
+    rows = min(2 * order + 6, max(order + 2, count // (2 * nu)))
+    powers = data.z[:, None] ** np.arange(rows)
+    mean = data.weight.mean(axis=(1, 2))[:, None, None, None]
+    stacked = (mean * powers[:, :, None, None] * response[:, None]).reshape(count, rows * ny, nu)
+    inputs = (mean * powers[:, :, None, None] * np.eye(nu)).reshape(count, rows * nu, nu)
+    both = np.concatenate([inputs, stacked], axis=1).transpose(1, 0, 2).reshape(-1, count * nu)
+    real = np.concatenate([np.real(both), np.imag(both)], axis=1)
+    triangle = np.asarray(np.linalg.qr(real.T, mode="r"), np.float64).T
+    rest = triangle[rows * nu :, rows * nu :]
+    left, sizes, _ = np.linalg.svd(rest, full_matrices=False)
+    if len(sizes) < order or rows * ny - ny < order:
+        return []
+    seen = left[:, :order]
+    a = np.linalg.lstsq(seen[:-ny], seen[ny:], rcond=None)[0]
+    c = seen[:ny]
+    found: list[_System] = []
+    poles, ways = np.linalg.eig(a)
+    matrices: list[Any] = [a]
+    if np.abs(poles).max() >= 1.0 and np.linalg.cond(ways) < 1e8:
+        inside = np.where(
+            np.abs(poles) >= 1.0, 1.0 / np.maximum(np.abs(poles), 1.0 + 1e-6) ** 2, 1.0
+        )
+        matrices.append(np.real(ways @ np.diag(poles * inside) @ np.linalg.inv(ways)))
+    for matrix in matrices:
+        try:
+            if data.continuous:
+                matrix = np.linalg.inv(matrix + np.eye(order)) @ (matrix - np.eye(order))
+            b, d = _zeros_part(replace(data, response=response), matrix, c, strict)
+        except np.linalg.LinAlgError:
+            continue
+        found.append(_System(matrix, b, c, d, delay))
+    return found
+
+
+def _zeros_part(data: _Data, a: Array, c: Array, strict: bool) -> tuple[Array, Array]:
+    """B and D by weighted least squares; D is 0 where the system is strictly proper."""
+    n, (ny, nu) = len(a), data.response.shape[1:]
+    inside = np.linalg.inv(data.p[:, None, None] * np.eye(n) - a)
+    direct = np.broadcast_to((0.0 if strict else 1.0) * np.eye(ny), (len(data.p), ny, ny))
+    known = np.concatenate([c @ inside, direct], axis=2)
+    columns: list[Any] = []
+    for j in range(nu):
+        weight = data.weight[:, :, j]
+        left = (weight[..., None] * known).reshape(-1, n + ny)
+        right = (weight * data.response[:, :, j]).reshape(-1)
+        columns.append(
+            np.linalg.lstsq(
+                np.concatenate([left.real, left.imag]),
+                np.concatenate([right.real, right.imag]), rcond=1e-12,
+            )[0]
+        )  # fmt: skip
+    both = np.stack(columns, axis=1)
+    return both[:n], both[n:]
+
+
+def _refined(
+    data: _Data, start: _System, iterations: int, strict: bool, *, hold: bool = False
+) -> _System:
+    """Levenberg-Marquardt on all matrices and the delay, with exact derivatives.
+
+    Args:
+        strict: whether D stays 0
+        hold: whether the delay stays
+    """
+    n, nu = start.b.shape
+    ny = len(start.c)
+    pace = 1.0 / float(data.s.imag.max())
+
+    def system(theta: Array) -> _System:
+        a, b, c, d, delay = np.split(theta, np.cumsum([n * n, n * nu, ny * n, ny * nu]))
+        return _System(
+            a.reshape(n, n), b.reshape(n, nu), c.reshape(ny, n), (not strict) * d.reshape(ny, nu),
+            float(delay[0]) * pace,
+        )  # fmt: skip
+
+    def slopes(one: _System) -> Array:
+        inside = np.linalg.inv(data.p[:, None, None] * np.eye(n) - one.a)
+        turn = np.exp(-data.s * one.delay)[:, None, None]
+        left, right = (one.c @ inside) * turn, inside @ one.b
+        whole = left @ one.b + one.d * turn
+        count = len(data.p)
+        by_a = np.einsum("foi,fju->fouij", left, right).reshape(count, ny, nu, n * n)
+        by_b = np.einsum("foi,uv->fouiv", left, np.eye(nu)).reshape(count, ny, nu, n * nu)
+        by_c = np.einsum("op,fju->foupj", np.eye(ny), right * turn).reshape(count, ny, nu, ny * n)
+        by_d = np.einsum("op,uv,f->foupv", np.eye(ny), np.eye(nu), (not strict) * turn[:, 0, 0])
+        by_delay = (not hold) * (-data.s * pace)[:, None, None] * whole
+        parts = [by_a, by_b, by_c, by_d.reshape(count, ny, nu, ny * nu), by_delay[..., None]]
+        full = (data.weight[..., None] * np.concatenate(parts, axis=3)).reshape(-1, len(theta))
+        return np.concatenate([full.real, full.imag])
+
+    def residual(one: _System) -> Array:
+        apart = (data.weight * (data.response - one.response(data))).reshape(-1)
+        return np.concatenate([apart.real, apart.imag])
+
+    theta: Any = np.concatenate(
+        [start.a.ravel(), start.b.ravel(), start.c.ravel(), start.d.ravel(), [start.delay / pace]]
+    )
+    rest = residual(start)
+    cost, damping = float(rest @ rest), 1e-3
+    for _ in range(iterations):
+        jacobian = slopes(system(theta))
+        gram, gradient = jacobian.T @ jacobian, jacobian.T @ rest
+        before = cost
+        for _ in range(8):
+            ridge = damping * (np.diag(gram) + 1e-9 * np.diag(gram).max())
+            move = np.linalg.lstsq(gram + np.diag(ridge), gradient, rcond=None)[0]
+            trial = theta + move
+            trial[-1] = max(trial[-1], 0.0)
+            with np.errstate(all="ignore"):
+                there = residual(system(trial))
+                new = float(there @ there)
+            if math.isfinite(new) and new < cost:
+                theta, rest, cost, damping = trial, there, new, max(damping / 5.0, 1e-12)
+                break
+            damping *= 6.0
+        if cost > before * (1.0 - 1e-7):
+            break
+    return system(theta)

@@ -1,0 +1,91 @@
+"""Searches on records that no model can come from end with the cause."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asia.agents import ExpertAgent
+from asia.errors import UserError
+from asia.judge.evaluation.references import LINEAR
+from asia.ledger.run import Usability, usability
+from asia.problem.load import load_problem
+from asia.search.run import prepare, search
+from tests.unit.search.toy import write_problem
+
+SAMPLES = 1000
+
+
+def levels(rng: np.random.Generator, length: int) -> np.ndarray:
+    return np.repeat(rng.standard_normal(SAMPLES // length), length)
+
+
+def noise(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    return levels(rng, 10), rng.standard_normal(SAMPLES)
+
+
+def input_without_effect(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    y = np.zeros(SAMPLES)
+    for k in range(1, SAMPLES):
+        y[k] = 0.98 * y[k - 1] + 0.1 * rng.standard_normal()
+    return levels(rng, 10), y
+
+
+def unstable_plant(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A pendulum that a controller balances about a reference that is not recorded."""
+    reference, x = np.sign(levels(rng, 25)), np.zeros(2)
+    u, y = np.zeros(SAMPLES), np.zeros(SAMPLES)
+    for k in range(SAMPLES):
+        y[k] = x[0] + 0.02 * rng.standard_normal()
+        u[k] = -(6.0 * (x[0] - 0.5 * reference[k]) + 2.5 * x[1])
+        x = x + 0.1 * np.array([x[1], 3.0 * x[0] + u[k]])
+    return u, y
+
+
+def integrator(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A cart whose position a controller holds, with noise that the controller feeds back."""
+    reference, x = np.sign(levels(rng, 25)), 0.0
+    u, y = np.zeros(SAMPLES), np.zeros(SAMPLES)
+    for k in range(SAMPLES):
+        y[k] = x + 0.02 * rng.standard_normal()
+        u[k] = 1.5 * (reference[k] - y[k])
+        x += 0.1 * u[k] + 0.003 * rng.standard_normal()
+    return u, y
+
+
+def judged(directory: Path, u: np.ndarray, y: np.ndarray) -> Usability:
+    problem = write_problem(directory / "case", experiments=1, test=False)
+    table = np.stack([u, y], axis=1)
+    np.savetxt(problem / "train.csv", table, delimiter=",", header="u,y", comments="")
+    (problem / "baseline.py").write_text(LINEAR)
+    ready = prepare(load_problem(problem), ExpertAgent.name, seed=0, runs=directory / "runs")
+    found = usability(search(ready, ExpertAgent(), lambda event, view: None, lambda view: None))
+    assert found is not None
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.parametrize(
+    ("records", "kind", "cause"),
+    [
+        (noise, "not usable", "no input and no squared input has a significant effect"),
+        (input_without_effect, "not usable", "no input and no squared input has a significant"),
+        (unstable_plant, "not usable", "Input u follows earlier outputs, and the plant between"),
+        (integrator, "doubtful", "Input u follows earlier outputs: in closed loop"),
+    ],
+)
+def test_the_verdict_names_the_cause(
+    tmp_path: Path, records: object, kind: str, cause: str, seed: int
+) -> None:
+    assert callable(records)
+    found = judged(tmp_path, *records(np.random.default_rng(seed)))
+    assert found.kind == kind
+    assert any(cause in reason for reason in found.reasons), found.reasons
+
+
+def test_an_output_that_never_moves_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="'y' is 3 in every training sample"):
+        judged(tmp_path, levels(np.random.default_rng(0), 10), np.full(SAMPLES, 3.0))
