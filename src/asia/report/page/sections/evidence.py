@@ -408,10 +408,6 @@ def _write_command(subject: Subject, file: Path, command: str) -> Html | None:
     return join((note, text, tag("div", *panels, class_="grid")))
 
 
-def _complex(values: list[dict[str, float]]) -> list[complex]:
-    return [complex(z["real"], z["imag"]) for z in values]
-
-
 LINEAR = Section(
     "linear", "Linear models", partial(_write_command, file=LINEAR_FILE, command="asia linear")
 )
