@@ -264,9 +264,10 @@ class Judge:
         """Simulate inputs (B, H, nu) with all models, and judge them."""
         subject, reference = self.subject, self._reference
         simulated = subject.predict(inputs)[self.usable]
-        failed: Any = ~np.isfinite(simulated).all(axis=(0, 2, 3))
         every = -(-inputs.shape[1] // _MOST_SAMPLES)
         before, changes = reference.variance(), self._changes(inputs)
+        both = np.concatenate([simulated, changes])
+        failed: Any = ~np.isfinite(both).all(axis=(0, 2, 3))
         found: list[Judged] = []
         for k, u in enumerate(inputs):
             y = simulated[:, k]
@@ -278,7 +279,9 @@ class Judge:
             after = np.empty_like(before)
             for i in range(y.shape[2]):
                 own = unknown.covariance(unknown, i)
-                root = np.linalg.cholesky(own + np.eye(len(own)))
+                # Rounding of large entries must not make it indefinite.
+                noise = 1.0 + 1e-12 * np.trace(own)
+                root = np.linalg.cholesky(own + noise * np.eye(len(own)))
                 seen = np.linalg.solve(root, unknown.covariance(reference, i))
                 after[:, i] = np.maximum(before[:, i] - (seen**2).sum(axis=0), 0.0)
             gain = 0.5 * float(np.mean(np.log1p(before) - np.log1p(after)))

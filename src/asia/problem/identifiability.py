@@ -288,8 +288,9 @@ _SUBSTEPS, _SETTLING = 2, 3_000
 
 
 class ParameterChanges:
-    """Derivatives of simulated outputs along changes of the parameters, by complex steps through a
-    Runge-Kutta scheme of order four; the states are at rest before."""
+    """Effects of changes of the parameters on simulated outputs: half the difference between both
+    signs, so that a root at an empty tank counts no more than it changes. Runge-Kutta scheme of
+    order four; the states are at rest before."""
 
     def __init__(
         self,
@@ -311,12 +312,13 @@ class ParameterChanges:
         """
         self._model, self._step = _Equations(physics, *signals), sampling_time / _SUBSTEPS
         theta = np.array([values[name] for name in physics.parameters])[:, None]
-        self._theta = theta + 1j * _STEP * directions.T
+        self._theta = theta + np.concatenate([directions, -directions]).T
         typical = float(np.median(np.abs(rest[1]))) or 1.0
         # States that are outputs begin there.
         known = zip(signals[1], rest[1], strict=True)
         seen = {physics.observation.get(name, name): value for name, value in known}
-        first = [[seen.get(name, typical)] * len(directions) for name in physics.states]
+        columns = self._theta.shape[1]
+        first = [[seen.get(name, typical)] * columns for name in physics.states]
         x: ComplexArray = np.array(first, np.complex128)
         with np.errstate(all="ignore"):
             for _ in range(_SETTLING):
@@ -345,9 +347,10 @@ class ParameterChanges:
             for k in range(u.shape[1]):
                 held = np.repeat(u[:, k].T, size, axis=1)
                 seen = self._model.values(self._model.observation, x, held, theta)
-                found.append(seen.imag / _STEP)
+                found.append(seen.real)
                 x = self._after(x, held, theta)
-        return np.stack(found).reshape(len(found), -1, cases, size).transpose(3, 2, 0, 1)
+        y = np.stack(found).reshape(len(found), -1, cases, 2, size // 2)
+        return 0.5 * (y[..., 0, :] - y[..., 1, :]).transpose(3, 2, 0, 1)
 
 
 def _rational(values: Array) -> list[Fraction] | None:

@@ -152,9 +152,10 @@ TANK = Physics(
 
 
 def test_changes_by_parameters_are_those_of_the_equations() -> None:
-    values, u = {"a": 0.3, "b": 0.2}, np.full((2, 30, 1), 2.0)
+    values, u = {"a": 0.3, "b": 0.2}, np.full((3, 30, 1), 2.0)
     u[0, 10:] = 1.0
     u[1, 5:20] = 3.0
+    u[2, 5:] = 0.0  # It runs empty, where the derivative of the root has no bound.
     rest = np.full(1, 2.0), np.full(1, 2.0 * (0.2 * 2.0 / 0.3) ** 2)
     directions = np.array([[0.02, 0.0], [0.01, -0.03]])
     found = ParameterChanges(TANK, (["u"], ["y"]), values, directions, rest, 1.0)(u)
@@ -165,11 +166,11 @@ def test_changes_by_parameters_are_those_of_the_equations() -> None:
         for (now,) in u[case]:
             y.append(2.0 * x)
             for _ in range(400):
-                x += (-a * np.sqrt(x) + b * now) / 400
+                x += (-a * np.sqrt(max(x, 0.0)) + b * now) / 400
         return np.array(y)
 
     for q, (da, db) in enumerate(directions):
-        for case in range(2):
-            ends = [simulated(0.3 + s * da, 0.2 + s * db, case) for s in (1e-3, -1e-3)]
-            numeric = (ends[0] - ends[1]) / 2e-3
-            assert found[q, case, :, 0] == pytest.approx(numeric, abs=2e-3 * np.abs(numeric).max())
+        for case in range(3):
+            ends = [simulated(0.3 + s * da, 0.2 + s * db, case) for s in (1.0, -1.0)]
+            numeric = (ends[0] - ends[1]) / 2.0
+            assert found[q, case, :, 0] == pytest.approx(numeric, abs=5e-3 * np.abs(numeric).max())
