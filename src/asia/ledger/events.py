@@ -295,8 +295,7 @@ class Feedback:
 
     inputs: tuple[str, ...]
     pole: float | None
-    """Largest modulus of the poles of a linear plant fitted by the prediction-error method, which
-    feedback does not bias; None where that fit failed."""
+    """Largest modulus of the poles of a linear one-step model, where it is unstable."""
 
 
 @dataclass(frozen=True)

@@ -163,8 +163,6 @@ class Usability:
 # Ratios of V to that of the mean or of the linear model from which on a model is not, or hardly,
 # better; of the largest to the smallest V of the folds, and of other seeds, that are doubtful.
 NO_BETTER, _FOLDS_APART, _SEEDS_APART = 0.95, 4.0, 2.0
-# Largest pole from which on a plant under feedback is called unstable.
-_UNSTABLE = 1.01
 # Difference between fold models on the training records, in standard deviations of the output.
 _MODELS_APART = 0.5
 
@@ -207,7 +205,7 @@ def usability(view: SearchView) -> Usability | None:
         many = len(loop.inputs) > 1
         who = f"Input{'s' * many} {', '.join(loop.inputs)} follow{'s' * (not many)} earlier outputs"
         help = "Name the measured reference in [loop]."
-        if loop.pole is not None and loop.pole > _UNSTABLE:
+        if loop.pole is not None:
             wrong.append(
                 f"{who}, and the plant between them is unstable (largest pole {loop.pole:.3g}): a "
                 f"controller holds it, and this model describes both. {help}"

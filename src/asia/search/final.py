@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -12,11 +12,11 @@ import numpy as np
 
 from asia._diagnostic import diagnostic
 from asia.agents.library.recipe import MODELS, read_recipe
+from asia.agents.library.record_facts import relation
 from asia.candidate import ParameterEstimates
 from asia.data.trajectory import Array
-from asia.errors import CandidateError, Reason, UserError
+from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.results import (
     SUSPICIOUS_RATIO,
     Evaluation,
@@ -41,11 +41,11 @@ from asia.ledger.evidence import put_estimates
 from asia.ledger.run import ModelToUse
 from asia.ledger.text import error_line, error_value
 from asia.ledger.view import Experiment, SearchView
-from asia.models import linear
 from asia.problem.check import feedback_pairs
 from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
-from asia.problem.problem import Problem, prepared
+from asia.problem.problem import Problem
+from asia.search.agent_views import problem_facts
 from asia.search.literal_check import LiteralCheckFunction
 from asia.search.stress import StressRoom, bounded_model
 
@@ -507,25 +507,13 @@ def refit_winner(
     return replace(refitted, failed_checks=tuple(failed))
 
 
-# Samples of the records whose plant is fitted where feedback is found.
-_LOOP_SAMPLES = 5000
-
-
 def undeclared_feedback(problem: Problem) -> Feedback | None:
     """Feedback on the training records that [loop] does not name; None where none is found."""
     names = dict.fromkeys(given.name for given, _ in feedback_pairs(problem))
     if not names or problem.loop is not None:
         return None
-    longest = max(prepared(problem, problem.train), key=len)[:_LOOP_SAMPLES]
-    context = search_context(problem, 0)
-    # The controller may answer at once, the plant does not.
-    config = linear.Config(loop="direct", delay=1)
-    pole: float | None = None
-    with suppress(UserError, ValueError, np.linalg.LinAlgError):
-        fitted = linear.train(linear.build(config, context), [longest], context).fitted
-        if fitted is not None and fitted.system.order:
-            pole = fitted.system.radius
-    return Feedback(tuple(names), pole)
+    found = relation(problem_facts(problem))
+    return Feedback(tuple(names), found.pole if found.unstable else None)
 
 
 def _kept_estimates(store: Store, checked: CheckedRefit, source: str) -> str | None:

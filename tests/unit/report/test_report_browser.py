@@ -75,4 +75,4 @@ def test_the_page_fits_every_screen_and_complains_of_nothing(
     assert seen["wide"] == seen["room"]
     assert seen["loaded"] == 0
     assert seen["back"] == ("rgb(20, 23, 27)" if dark else "rgb(255, 255, 255)")
-    assert seen["sections"] == 10
+    assert seen["sections"] == 11
