@@ -73,6 +73,13 @@ class Transfer:
         held = np.polyval(self.num, s) / np.polyval(self.den, s)
         return np.asarray(held * np.exp(-self.delay * s), np.complex128)
 
+    @property
+    def own_settling(self) -> float | None:
+        """About the 2 % settling time of its own step response in s; None where it does not
+        settle."""
+        poles = np.roots(self.den).real
+        return 4.0 / float(-poles.max()) + self.delay if len(poles) and poles.max() < 0 else None
+
     def rational(self) -> Transfer:
         """The same with Pade's approximation of the dead time."""
         if not self.delay:

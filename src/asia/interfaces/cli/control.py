@@ -61,7 +61,10 @@ def control(
         float | None, typer.Option(help="Least phase margin in degrees; default: 45.")
     ] = None,
     settling: Annotated[
-        float | None, typer.Option(help="Longest 2 % settling time of a step in s.")
+        float | None,
+        typer.Option(
+            help="Longest 2 % settling time of a step in s; default: that of the plant itself."
+        ),
     ] = None,
     settling_least: Annotated[
         float | None, typer.Option(help="Shortest 2 % settling time in s, to spare the actuator.")
@@ -148,6 +151,9 @@ def control(
         loop = replace(loop, setpoint=setpoint)
     if loop.setpoint == loop.y0:
         raise UserError(f"--setpoint {loop.setpoint:g} is the output at the operating point")
+    own = loop.plants[0].own_settling
+    if settling is None and settling_least is None and own is not None:
+        wanted = replace(wanted, settling_max=own)
     made = design_in_simulation(loop, wanted, (low, high), rate or math.inf, seed)
     loop, found, each, controller = made.loop, made.design, made.figures, made.controller
     responses, judged, missed = made.responses, made.judged, made.missed
