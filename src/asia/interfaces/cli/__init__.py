@@ -33,6 +33,7 @@ from asia.interfaces.cli import (
     linear,
     models,
     monitor,
+    next_experiment,
     note,
     query,
     report,
@@ -46,7 +47,6 @@ from asia.interfaces.cli import (
 )
 from asia.interfaces.cli import check as _check
 from asia.interfaces.cli import control as _control
-from asia.interfaces.cli import next as _next
 from asia.interfaces.cli import run as _run
 from asia.interfaces.cli.options import with_groups
 
@@ -139,7 +139,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
     "control": _control.control,
     "monitor": monitor.monitor,
     "certify": certify.certify,
-    "next": _next.next_,
+    "next": next_experiment.next_,
     "extend": extend.extend,
     "export": export.export,
     "view": view.view,

@@ -13,7 +13,7 @@ import asia as library
 from asia.agents.leading import LeadingAgent, LeadingCandidate
 from asia.agents.registry import recorded_agent
 from asia.errors import UserError
-from asia.interfaces.cli.next import _kept, _named, _span  # pyright: ignore[reportPrivateUsage]
+from asia.interfaces.cli.next_experiment import _kept, _named, _span  # pyright: ignore[reportPrivateUsage]
 from asia.ledger.run import open_run
 from asia.search.extension import extended_problem, leading_experiments
 from tests.unit.interfaces.cli.conftest import command_line
