@@ -1,11 +1,11 @@
-"""Design of the next experiment: the input whose record tells most about what models do not know.
+"""Design of the next experiment: the input whose record reduces the uncertainty of the models most.
 
-What is not known of the output is a Gaussian process in units of the noise: its covariance between
+The model error of the output is a Gaussian process in units of the noise: its covariance between
 two samples is the product of the differences of the models there (fold models, and candidates of
 other families), and of the width of their error bands, times a kernel in the inputs and outputs
 around the samples. So a difference seen in one place says little about another place. Changes of
-physical parameters by their standard errors act everywhere. A record is judged by what is then
-still unknown on reference inputs within the limits: the mean reduction of the entropy of their
+physical parameters by their standard errors act everywhere. A record is judged by the uncertainty
+that it leaves on reference inputs within the limits: the mean reduction of the entropy of their
 outputs, and of that of the parameters (Bayesian D-optimality: Chaloner and Verdinelli, Statistical
 Science 10, 1995; localised ensembles: Houtekamer and Mitchell, Monthly Weather Review 129, 2001).
 Levels and switching times are sought by random changes of the best inputs so far, beginning with
@@ -115,7 +115,7 @@ class Subject:
     errors: Mapping[int, float]
     """V of each candidate."""
     noise: Array
-    """Standard deviation (ny,) of what no model explains."""
+    """Standard deviation (ny,) of the measurement noise."""
     limits: InputLimits
     keep: Array
     """Least and largest permitted output, (2, ny); infinite for none."""
@@ -154,8 +154,8 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class _Unknown:
-    """What is not known at samples of one input."""
+class _Uncertainty:
+    """Model error at samples of one input, as a Gaussian process in units of the noise."""
 
     place: Array
     """(N, features)"""
@@ -164,7 +164,7 @@ class _Unknown:
     everywhere: Array
     """(P, N, ny): those by parameters."""
 
-    def covariance(self, other: _Unknown, output: int) -> Array:
+    def covariance(self, other: _Uncertainty, output: int) -> Array:
         """(N, N of the other)."""
         a, b = self.place, other.place
         apart = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * a @ b.T
@@ -178,7 +178,7 @@ class _Unknown:
 
 
 class Judge:
-    """Judges inputs of one length by what their records leave unknown on reference inputs."""
+    """Judges inputs of one length by the uncertainty that remains on reference inputs."""
 
     def __init__(self, subject: Subject, samples: int, rise: float) -> None:
         """Raise UserError where all models diverge on the references."""
@@ -215,7 +215,7 @@ class Judge:
         self._scale = places.std(axis=0) + 1e-9
         every = -(-len(places) // _MOST_SAMPLES)
         changes = self._changes(inputs)
-        parts = [self._unknown(u, y[:, k], changes[:, k], every) for k, u in enumerate(inputs)]
+        parts = [self._uncertainty(u, y[:, k], changes[:, k], every) for k, u in enumerate(inputs)]
         centre = np.concatenate(
             [y[self._base, k].mean(axis=0)[::every] for k in range(len(inputs))]
         )
@@ -224,7 +224,7 @@ class Judge:
         inside = np.flatnonzero(np.all(permitted, axis=1))
         if len(inside) < 0.1 * len(centre):
             inside = np.arange(len(centre))
-        self._reference = _Unknown(
+        self._reference = _Uncertainty(
             np.concatenate([one.place for one in parts])[inside],
             np.concatenate([one.local for one in parts], axis=1)[:, inside],
             np.concatenate([one.everywhere for one in parts], axis=1)[:, inside],
@@ -250,15 +250,15 @@ class Judge:
             return np.zeros((0, *inputs.shape[:2], len(self.subject.noise)))
         return self.subject.changes(inputs)
 
-    def _unknown(self, u: Array, y: Array, changes: Array, every: int) -> _Unknown:
-        """What is not known at every so many samples of an input (H, nu)."""
+    def _uncertainty(self, u: Array, y: Array, changes: Array, every: int) -> _Uncertainty:
+        """Uncertainty at each `every`-th sample of an input (H, nu)."""
         subject = self.subject
         (place,) = self._places(u[None], y[:, None])
         apart = np.einsum("rm,mho->rho", self._contrasts, y)
         error = _DEVIATION * subject.reach(u, y[self._base].mean(axis=0))
         local = np.concatenate([apart, error[None]]) / subject.noise
         everywhere = changes / subject.noise
-        return _Unknown(place[::every] / self._scale, local[:, ::every], everywhere[:, ::every])
+        return _Uncertainty(place[::every] / self._scale, local[:, ::every], everywhere[:, ::every])
 
     def __call__(self, inputs: Array) -> list[Judged]:
         """Simulate inputs (B, H, nu) with all models, and judge them."""
@@ -275,18 +275,18 @@ class Judge:
                 nothing = np.full(y.shape[1:], np.nan)
                 found.append(Judged(u, y, nothing, nothing, 0.0, self.before, np.inf))
                 continue
-            unknown = self._unknown(u, y, changes[:, k], every)
+            record = self._uncertainty(u, y, changes[:, k], every)
             after = np.empty_like(before)
             for i in range(y.shape[2]):
-                own = unknown.covariance(unknown, i)
+                own = record.covariance(record, i)
                 # Rounding of large entries must not make it indefinite.
                 noise = 1.0 + 1e-12 * np.trace(own)
                 root = np.linalg.cholesky(own + noise * np.eye(len(own)))
-                seen = np.linalg.solve(root, unknown.covariance(reference, i))
+                seen = np.linalg.solve(root, record.covariance(reference, i))
                 after[:, i] = np.maximum(before[:, i] - (seen**2).sum(axis=0), 0.0)
             gain = 0.5 * float(np.mean(np.log1p(before) - np.log1p(after)))
-            if len(unknown.everywhere):
-                z = unknown.everywhere.reshape(len(unknown.everywhere), -1)
+            if len(record.everywhere):
+                z = record.everywhere.reshape(len(record.everywhere), -1)
                 gain += 0.5 * float(np.linalg.slogdet(np.eye(len(z)) + every * z @ z.T)[1]) / len(z)
             wide = subject.reach(u, y[self._base].mean(axis=0))
             lower, upper = y.min(axis=0) - wide, y.max(axis=0) + wide
@@ -463,7 +463,7 @@ class RunExperiment:
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
     sampling_time: float
-    """Of the models, s."""
+    """Sampling time of the models in s."""
     found: NextExperiment
     noise: Array
     """(ny,)"""

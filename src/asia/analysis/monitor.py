@@ -341,8 +341,8 @@ class Filter:
 
 
 def increments(nis: Array, count: int) -> Array:
-    """What a sample adds to Page's statistic: the logarithm of the likelihood ratio for innovations
-    whose variance is larger by `INCREASE`."""
+    """Increment of Page's statistic by a sample: the logarithm of the likelihood ratio for
+    innovations whose variance is larger by `INCREASE`."""
     return 0.5 * (1.0 - 1.0 / INCREASE) * nis - 0.5 * count * math.log(INCREASE)
 
 

@@ -190,7 +190,7 @@ class Loop:
             path.unlink()
 
     def _shown(self) -> AgentView:
-        """What an agent sees now."""
+        """View of the search for an agent."""
         return agent_view(problem_facts(self.problem), self.view, self.store, self.known_trials)
 
     def _end(self, stopped: Stopped) -> None:

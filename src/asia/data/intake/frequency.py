@@ -59,7 +59,7 @@ def read_frequency_response(path: Path) -> FrequencyRecord:
     """Read a measured frequency response.
 
     A table has a column `frequency` (or `f` in Hz, `omega` or `w` in rad/s; a unit in brackets
-    counts), and `real` and `imag`, or `magnitude` and `phase`; several responses are told apart by
+    counts), and `real` and `imag`, or `magnitude` and `phase`; with several responses the names are
     `OUTPUT/INPUT real`. Optional: `std` or `variance`. NumPy and MATLAB files have `frequency` and
     `response` (F, ny, nu), or the fields of a MATLAB frd or idfrd: `Frequency`, `ResponseData` (ny,
     nu, F), `FrequencyUnit`, `Ts`, `CovarianceData`.

@@ -186,7 +186,7 @@ def _facts(
     named: Sequence[tuple[str, Judged]],
     kept: dict[str, tuple[float, float]],
 ) -> dict[str, Any]:
-    """What is expected of the record, with the printed lines under `text`."""
+    """Content of next.json; `text` holds the printed lines."""
     found, numbers = made.found, made.found.members
     proposed = found.proposed
     best = numbers[0]

@@ -41,7 +41,7 @@ def make_run(directory: Path, problem: Problem, outcomes=OUTCOMES, **further: ob
 
 
 def write_linear(directory: Path) -> None:
-    """What `asia linear` and `asia control` write next to the ledger."""
+    """Pages of the files that `asia linear` and `asia control` write into the run."""
     curve = {"name": "mean", "x": [0.01, 0.1], "y": [2.0, 0.5]}
     panels = [
         {"name": name, "axes": ["frequency [Hz]", name], "curves": [curve]}

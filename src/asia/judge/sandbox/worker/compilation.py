@@ -1,5 +1,5 @@
-"""What a worker can have from others: programs of JAX's compiler, with the time it takes, and
-results of the library's own computations.
+"""Programs of JAX's compiler and results of the library's own computations that workers share, and
+the time that the compiler takes.
 
 Runs in the worker, where a candidate can change all of it. Modules are prepared when they are
 imported, and never imported for it.
