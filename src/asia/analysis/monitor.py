@@ -221,7 +221,6 @@ class Filter:
 
     def __init__(self, observer: Observer, method: Method = "ekf") -> None:
         self.observer, self.method = observer, method
-        self._running = False
 
     def start(self, past_u: Array, past_y: Array, u: Array) -> None:
         """Start from the past window and the first input (nu,)."""
