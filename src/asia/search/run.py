@@ -47,6 +47,7 @@ from asia.problem.protocol_table import check_feedback
 from asia.problem.seal import guard_digest, seal
 from asia.search.loop import Loop, OnEvent
 from asia.search.pending import check_steps_ahead, check_ways
+from asia.search.steering import RunningLosses
 
 # Environment that outcomes and prompts depend on: Python, packages, model library.
 
@@ -269,6 +270,7 @@ def search(
         check_same_search(view, prepared.started)
         level = Isolation(prepared.started.isolation)
         evaluator = make_evaluator(problem, view, executor, isolation=level)
+        evaluator.workers.on_loss = RunningLosses(directory)
         loop = Loop(
             problem=problem,
             baseline=problem.baseline or LINEAR,

@@ -32,10 +32,7 @@ from asia.report.page.sections.experiments import (
 )
 from asia.report.page.sections.verdict import held_out_overlays
 from asia.report.page.subject import Detail, Subject
-from asia.report.page.svg import (
-    draw_overlay,
-    overlay_legend,
-)
+from asia.report.page.svg import draw_loss, draw_overlay, overlay_legend
 
 # Frame of all pages: head, link back, state of the connection.
 
@@ -552,7 +549,13 @@ def now_panel(snapshot: Snapshot) -> Html:
     doing = None
     if view.running and snapshot.run.state == "running":
         each = [join((subject.name(e), " ", said(e.proposed.title, 60))) for e in view.running]
-        doing = join(each, ", ")
+        curves = [
+            tag("div", draw_loss(curve),
+                f"#{number:02d}, fold {fold}: loss {curve[-1][1]:.4g} at step {curve[-1][0]:g}")
+            for number, folds in sorted(snapshot.losses.items())
+            for fold, curve in sorted(folds.items())
+        ]  # fmt: skip
+        doing = join((join(each, ", "), tag("div", *curves, class_="losses") if curves else None))
     tiles: list[tuple[str, Html | None]] = [
         ("state", state_mark(snapshot.run.state, paused=snapshot.paused)),
         ("experiments", join((done, budget))),

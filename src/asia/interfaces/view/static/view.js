@@ -130,7 +130,8 @@ function connected(words, lost) {
   place.classList.toggle("lost", lost);
 }
 
-function news(data) {
+// isLedger: the ledger has new lines; else only figures of the running fit changed.
+function news(data, isLedger) {
   if (rows && chosen().size) data.rows.length && chooseAgain();
   else if (rows) for (const row of [...data.rows].reverse()) put(row);
   for (const [name, html] of Object.entries(data.parts)) {
@@ -142,7 +143,7 @@ function news(data) {
   }
   if (data.said) one("#live").textContent = data.said;
   if (data.rows.length) drawCurve();
-  fillAll();
+  if (isLedger) fillAll();
   const fresh = one("[data-refresh]");
   const only = Number(fresh?.dataset.only ?? NaN);
   if (fresh && data.rows.some((row) => Number.isNaN(only) || row.number === only)) refresh();
@@ -172,9 +173,10 @@ function follow(place) {
     source = new EventSource(`${place.dataset.stream}?mark=${encodeURIComponent(mark)}`);
     source.onopen = () => connected("live", false);
     source.addEventListener("news", (event) => {
+      const isLedger = mark !== event.lastEventId;
       mark = event.lastEventId;
       connected("live", false);
-      news(JSON.parse(event.data));
+      news(JSON.parse(event.data), isLedger);
     });
     source.addEventListener("anew", () => location.reload());
     source.addEventListener("trouble", (event) => connected(JSON.parse(event.data).words, true));
