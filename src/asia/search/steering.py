@@ -118,26 +118,26 @@ class RunningLosses:
         self._path.unlink(missing_ok=True)
         self._lock = threading.Lock()
         self._written = -_LOSS_SECONDS
-        self._curves: dict[str, FoldLosses] = {}
+        self.curves: dict[str, FoldLosses] = {}
 
     def __call__(self, source: str, fold: int, step: float, loss: float) -> None:
         """Take the loss of a fit, from any thread."""
         with self._lock:
             digest = source_digest(source)
-            folds = self._curves.setdefault(digest, {})
+            folds = self.curves.setdefault(digest, {})
             curve = folds.setdefault(fold, [])
             if curve and step <= curve[-1][0]:
                 curve.clear()
             curve.append((step, loss))
             if len(curve) > _LOSS_POINTS:
                 del curve[1:-1:2]
-            if len(self._curves) > _FITS_SHOWN:
-                del self._curves[next(iter(self._curves))]
+            if len(self.curves) > _FITS_SHOWN:
+                del self.curves[next(iter(self.curves))]
             if time.monotonic() - self._written >= _LOSS_SECONDS:
                 self._written = time.monotonic()
                 # A full disk is the ledger's to report.
                 with contextlib.suppress(UserError):
-                    write_whole(self._path, _CURVES.dump_json(self._curves), durable=False)
+                    write_whole(self._path, _CURVES.dump_json(self.curves), durable=False)
 
 
 def running_losses(directory: Path, view: SearchView) -> dict[int, FoldLosses]:
