@@ -6,13 +6,14 @@ import hashlib
 import importlib.metadata
 import math
 import platform
+import re
 import secrets
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import get_args
+from typing import Final, get_args
 
 from asia._plugins import parts
 from asia.agents.registry import packages_of
@@ -140,6 +141,13 @@ class Prepared:
     """The first line of the ledger, as it would be written now."""
     resumes: bool
     """True if the run exists already."""
+
+
+RUN_NAME: Final = re.compile(r"(?!\d+$)\w[\w.+-]*")
+RUN_NAME_RULE: Final = (
+    "expected letters, digits and . _ + - that begin with a letter or digit and are not a number "
+    "alone"
+)
 
 
 def run_name(problem: Problem, agent: str, seed: int) -> str:

@@ -44,14 +44,16 @@ from asia.interfaces.view.pages import (
     experiment_rows,
     overlay_part,
     progress_part,
+    run_address,
     run_page,
     runs_page,
     runs_table,
     section_part,
+    start_form,
     tab_page,
     whole_page,
 )
-from asia.interfaces.view.streams import Streams, tell
+from asia.interfaces.view.streams import AGENTS, Streams, problem_choices, start_run, tell
 from asia.report.page.html import said, tag
 from asia.report.page.page import page_style
 
@@ -69,6 +71,7 @@ def make_app(folder: RunFolder, streams: Streams, token: str) -> Starlette:
     routes = [
         Route("/", pages.listed),
         Route("/events", pages.list_events),
+        Route("/runs", pages.start, methods=["POST"]),
         Route("/static/{name}", pages.static),
         Route("/compare", pages.compare),
         Route("/compare/part", pages.compare_part),
@@ -102,7 +105,8 @@ class _Pages:
     def listed(self, request: Request) -> Response:
         listed = self.folder.listed()
         digest = digest_of(runs_table(listed))
-        return HTMLResponse(runs_page(self.folder.folder, listed, digest, self.token))
+        start = start_form(list(problem_choices()), AGENTS)
+        return HTMLResponse(runs_page(self.folder.folder, listed, digest, self.token, start))
 
     def run(self, request: Request) -> Response:
         return HTMLResponse(run_page(self._snapshot(request), self.token, _chosen(request)))
@@ -170,13 +174,12 @@ class _Pages:
         messages = self.streams.of_list(self.folder, _mark(request))
         return StreamingResponse(messages, media_type="text/event-stream")
 
+    async def start(self, request: Request) -> Response:
+        words, name = await run_sync(start_run, self.folder.folder, await _sent_text(request))
+        return JSONResponse({"words": words, "address": run_address(name)})
+
     async def steer(self, request: Request) -> Response:
-        body = b""
-        async for part in request.stream():
-            body += part
-            if len(body) > _LONGEST_BODY:
-                raise UserError(f"a note has at most {_LONGEST_BODY} bytes")
-        text = body.decode("utf-8", "replace")
+        text = await _sent_text(request)
         snapshot = await run_sync(self._snapshot, request)
         words = await run_sync(tell, snapshot.run, request.path_params["what"], text)
         return JSONResponse({"words": words})
@@ -197,6 +200,15 @@ class _Pages:
         main = (tag("h1", "This cannot be shown"), tag("p", said(words, 1000)))
         page = whole_page("Not shown", (("Searches", "/"),), main, self.token)
         return HTMLResponse(page, 404)
+
+
+async def _sent_text(request: Request) -> str:
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > _LONGEST_BODY:
+            raise UserError(f"a note has at most {_LONGEST_BODY} bytes")
+    return body.decode("utf-8", "replace")
 
 
 def _chosen(request: Request) -> Chosen:

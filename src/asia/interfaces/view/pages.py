@@ -226,8 +226,30 @@ def overlay_part(
 # The list of runs.
 
 
-def runs_page(folder: Path, listed: Sequence[ListedRun], digest: str, token: str) -> str:
-    """The page with the list of the runs of a folder."""
+def start_form(problems: Sequence[str], agents: Sequence[str]) -> Html:
+    """Form that starts a search on one of the problems with one of the agents."""
+    selects = [
+        tag("label", label, " ", tag("select", *_options(dict(zip(all_, all_, strict=True)), all_[0]),
+                                     name=key))
+        for label, key, all_ in (("Problem", "problem", problems), ("Agent", "agent", agents))
+    ]  # fmt: skip
+    numbers = [
+        tag("label", label, " ", tag("input", name=key, type="number", value=value, min=low,
+                                     required=True))
+        for label, key, value, low in (("Experiments", "experiments", 10, 1), ("Seed", "seed", 0, 0))
+    ]  # fmt: skip
+    name = tag("input", name="name", maxlength=80, placeholder="PROBLEM-AGENT-sSEED")
+    button = tag("button", "Start the search", type="submit")
+    fields = *selects, *numbers, tag("label", "Name ", name), button
+    form = tag("form", *fields, data_post="runs", class_="note")
+    inner = tag("div", form, tag("p", role="status"))
+    return tag("details", tag("summary", "Start a search"), inner, class_="steering", data_at="")
+
+
+def runs_page(
+    folder: Path, listed: Sequence[ListedRun], digest: str, token: str, start: Html
+) -> str:
+    """The page with the list of the runs of a folder. start: the form that starts a search."""
     header = tag("header", tag("p", "ASIA view", class_="kind"), tag("h1", "Searches"))
     words = tag(
         "p",
@@ -247,13 +269,14 @@ def runs_page(folder: Path, listed: Sequence[ListedRun], digest: str, token: str
         data_stream="/events",
         data_mark=digest,
     )
-    return whole_page("Searches", (), (header, words, form), token)
+    return whole_page("Searches", (), (header, words, start, form), token)
 
 
 def runs_table(listed: Sequence[ListedRun]) -> Html:
     """A row a run."""
     if not listed:
-        return tag("p", "There is no run yet. Start one with: ", tag("code", "asia run PROBLEM"))
+        command = tag("code", "asia run PROBLEM")
+        return tag("p", "There is no run yet. Start one above, or with ", command, ".")
     head = [tag("th", tag("span", "choose", class_="unseen"), scope="col")]
     for text, kind in (
         ("run", "words"),

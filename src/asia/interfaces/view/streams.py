@@ -1,12 +1,15 @@
-"""Server-sent events, and steering from the live view."""
+"""Server-sent events, and what users do from the live view: steering and starting searches."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import tempfile
 import time
 from collections.abc import AsyncIterator, Callable
 from functools import partial
+from pathlib import Path
+from typing import Final
 
 from anyio.to_thread import run_sync
 
@@ -14,7 +17,11 @@ from asia.agents.registry import reads_notes
 from asia.errors import UserError
 from asia.interfaces.view.followed import FollowedRun, RunFolder, Snapshot
 from asia.interfaces.view.pages import FIRST, Changed, list_news, run_news
+from asia.interfaces.workspace.process import runs as searching
+from asia.interfaces.workspace.process import start_process
 from asia.ledger.run import Run
+from asia.problem.load import builtin_problems, load_problem
+from asia.search.run import RUN_NAME, RUN_NAME_RULE, run_name
 from asia.search.steering import Steering, note_for_people
 
 # Server-sent events: what is new on a page, from the line of the ledger on that it shows.
@@ -79,6 +86,60 @@ class Streams:
                 beaten = time.monotonic()
                 yield ": still here\n\n"
             await asyncio.sleep(pause)
+
+
+# Start of a search, as `asia run` starts it.
+
+
+AGENTS: Final = ("expert", "random", "bayes")
+"""Agents that a page may start: they need no key and run no program of others."""
+
+
+def problem_choices() -> dict[str, Path | str]:
+    """Problems that a page may start a search on, by name: the built-in ones, and the folders with
+    a problem.toml in the folder where `asia view` was started."""
+    own = {path.parent.name: path.parent.resolve() for path in Path().glob("*/problem.toml")}
+    return {**{name: name for name in builtin_problems()}, **dict(sorted(own.items()))}
+
+
+def start_run(runs: Path, text: str) -> tuple[str, str]:
+    """Start `asia run` in the background. It goes on after `asia view` ends.
+
+    Args:
+        runs: the folder of runs
+        text: the fields problem, agent, experiments, seed and name in JSON
+
+    Returns:
+        its effect as a sentence, and the name of the run
+
+    Raises:
+        UserError: if it cannot be started, with the message of `asia run`
+    """
+    problems = problem_choices()
+    try:
+        fields = {key: str(value).strip() for key, value in dict(json.loads(text)).items()}
+        problem, agent = problems[fields["problem"]], fields["agent"]
+        experiments, seed = int(fields["experiments"]), int(fields["seed"])
+        if agent not in AGENTS or experiments < 1 or seed < 0:
+            raise ValueError(text)
+    except (ValueError, TypeError, KeyError):
+        raise UserError(
+            f"expected one of the listed problems, an agent ({', '.join(AGENTS)}), at least 1 "
+            "experiment, and a seed of at least 0"
+        ) from None
+    name = fields.get("name") or run_name(load_problem(problem), agent, seed)
+    if not RUN_NAME.fullmatch(name):
+        raise UserError(f"'{name}' is no name of a run: {RUN_NAME_RULE}")
+    directory = runs.resolve() / name
+    if searching(directory):
+        raise UserError(f"run '{name}' is running: choose another seed or name")
+    words = ["asia", "run", str(problem), "--agent", agent, "--name", name]
+    words += ["--experiments", str(experiments), "--seed", str(seed), "--runs", str(runs.resolve())]
+    with tempfile.NamedTemporaryFile(prefix="asia-run-") as log:
+        start_process(words, directory, Path(log.name))
+    if searching(directory):
+        return f"the search '{name}' runs", name
+    return f"run '{name}' has all its experiments: ask for more of them to continue it", name
 
 
 # Notes and orders to a search, as `asia steer` gives them.

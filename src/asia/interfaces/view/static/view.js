@@ -207,7 +207,9 @@ async function tell(element, text) {
       body: text,
     });
     const kind = answer.headers.get("content-type") ?? "";
-    place.textContent = kind.includes("json") ? (await answer.json()).words : await answer.text();
+    const found = kind.includes("json") ? await answer.json() : { words: await answer.text() };
+    place.textContent = found.words;
+    if (found.address) location.assign(found.address);
     return answer.ok;
   } catch {
     place.textContent = "not sent: there is no connection";
@@ -220,7 +222,10 @@ document.addEventListener("submit", async (event) => {
   if (!form.dataset.post) return;
   event.preventDefault();
   const fields = Object.fromEntries(new FormData(form));
-  if (await tell(form, form.dataset.post === "note" ? JSON.stringify(fields) : fields.text)) form.reset();
+  const button = one("[type=submit]", form);
+  button.disabled = true;
+  if (await tell(form, form.dataset.post === "steer" ? fields.text : JSON.stringify(fields))) form.reset();
+  button.disabled = false;
 });
 
 document.addEventListener("click", (event) => {
