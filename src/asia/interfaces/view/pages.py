@@ -228,20 +228,20 @@ def overlay_part(
 
 def start_form(problems: Sequence[str], agents: Sequence[str]) -> Html:
     """Form that starts a search on one of the problems with one of the agents."""
-    selects = [
-        tag("label", label, " ", tag("select", *_options(dict(zip(all_, all_, strict=True)), all_[0]),
-                                     name=key))
-        for label, key, all_ in (("Problem", "problem", problems), ("Agent", "agent", agents))
-    ]  # fmt: skip
-    numbers = [
-        tag("label", label, " ", tag("input", name=key, type="number", value=value, min=low,
-                                     required=True))
-        for label, key, value, low in (("Experiments", "experiments", 10, 1), ("Seed", "seed", 0, 0))
-    ]  # fmt: skip
+    fields: list[Html] = []
+    for label, key, words in (("Problem", "problem", problems), ("Agent", "agent", agents)):
+        options = [tag("option", word) for word in words]
+        fields.append(tag("label", label, " ", tag("select", *options, name=key)))
+    for label, key, value, least in (
+        ("Experiments", "experiments", 10, 1),
+        ("Seed", "seed", 0, 0),
+    ):
+        number = tag("input", name=key, type="number", value=value, min=least, required=True)
+        fields.append(tag("label", label, " ", number))
     name = tag("input", name="name", maxlength=80, placeholder="PROBLEM-AGENT-sSEED")
     button = tag("button", "Start the search", type="submit")
-    fields = *selects, *numbers, tag("label", "Name ", name), button
-    form = tag("form", *fields, data_post="runs", class_="note")
+    fields.append(tag("label", "Name ", name))
+    form = tag("form", *fields, button, data_post="runs", class_="note")
     inner = tag("div", form, tag("p", role="status"))
     return tag("details", tag("summary", "Start a search"), inner, class_="steering", data_at="")
 

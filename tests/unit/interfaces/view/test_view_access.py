@@ -46,6 +46,64 @@ def test_another_host_is_refused_with_the_token_too(client: TestClient, host: st
     assert client.get("/", headers={"host": "localhost:8731"}).status_code == 200
 
 
+def post_start(client: TestClient, **fields: object) -> Response:
+    """Ask for a search; the page sends all fields as text."""
+    given = {"problem": "two_tanks_sim", "agent": "expert", "experiments": 1, "seed": 0, **fields}
+    headers = {"x-asia-token": TOKEN, "origin": "http://127.0.0.1:8731"}
+    return client.post("/runs", content=json.dumps(given), headers=headers)
+
+
+def test_a_start_needs_the_token_in_its_header_and_the_own_origin(
+    client: TestClient, runs: Path
+) -> None:
+    body = json.dumps({"problem": "two_tanks_sim", "agent": "expert", "experiments": 1, "seed": 0})
+    foreign = {"x-asia-token": TOKEN, "origin": "http://other.example"}
+    far = {"x-asia-token": TOKEN, "host": "asia.example:8731"}
+    for headers, status in (({}, 403), (foreign, 403), (far, 421)):
+        assert client.post("/runs", content=body, headers=headers).status_code == status
+    assert [path.name for path in runs.iterdir()] == ["made"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"problem": "/etc"}, "one of the listed problems"),
+        ({"agent": "command:sh"}, "an agent (expert, random, bayes)"),
+        ({"experiments": 0}, "at least 1 experiment"),
+        ({"seed": "x"}, "a seed of at least 0"),
+        ({"name": "../elsewhere"}, "'../elsewhere' is no name of a run"),
+        ({"name": "made"}, "the search did not start: "),
+    ],
+)
+def test_a_start_that_asia_run_refuses_is_refused_with_a_reason(
+    client: TestClient, runs: Path, fields: dict[str, object], words: str
+) -> None:
+    answer = post_start(client, **fields)
+    assert (answer.status_code, words in answer.json()["words"]) == (409, True), answer.text
+    assert [path.name for path in runs.iterdir()] == ["made"]
+
+
+def test_a_start_on_a_run_that_is_running_is_refused(client: TestClient, runs: Path) -> None:
+    with Chain(runs / "made" / "ledger.jsonl"):
+        answer = post_start(client, name="made")
+    assert (answer.status_code, "is running" in answer.json()["words"]) == (409, True)
+
+
+@pytest.mark.slow
+def test_a_search_starts_from_the_page_and_stops_on_demand(client: TestClient, runs: Path) -> None:
+    answer = post_start(client, experiments=50, name="from-the-page")
+    assert answer.json()["address"] == "/runs/from-the-page"
+    directory = runs / "from-the-page"
+    try:
+        assert open_run(directory).state == "running"
+        assert "from-the-page" in client.get("/").text
+    finally:
+        pid = process_of(directory)
+        os.kill(pid, signal.SIGTERM)
+        wait_for_end(directory)
+    assert open_run(directory).view.budget == 50
+
+
 @pytest.mark.parametrize("what", ["steer", "pause", "continue", "stop"])
 def test_a_word_to_the_search_needs_the_token_in_its_header(
     client: TestClient, runs: Path, what: str
