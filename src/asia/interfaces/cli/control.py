@@ -254,7 +254,7 @@ def _limits(text: str | None, name: str) -> tuple[float, float]:
     return low, high
 
 
-def _loop(directory: str, at: str | None, model: str | None, isolation: Any) -> Loop:
+def _loop(directory: str, at: str | None, number: str | None, isolation: Any) -> Loop:
     """Plants of the model and the fold models of a run: continuous-time transfer functions for the
     design, nonlinear models for the simulation."""
     from asia.analysis.control import Loop, SimulatedPlant, Transfer
@@ -262,7 +262,7 @@ def _loop(directory: str, at: str | None, model: str | None, isolation: Any) -> 
     from asia.lowering.evaluation import evaluate
     from asia.lowering.linear import continuous, joined, split
 
-    found = linearize(directory, [at] if at else (), model, isolation=isolation)
+    found = linearize(directory, [at] if at else (), number, isolation=isolation)
     if len(found.inputs) != 1 or len(found.outputs) != 1:
         raise UserError(
             f"the model has {len(found.inputs)} inputs and {len(found.outputs)} outputs: a "

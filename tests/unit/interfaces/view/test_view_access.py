@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
 import stat
+import time
 from pathlib import Path
 
 import pytest
+from httpx import Response
 from starlette.testclient import TestClient
 
 from asia.interfaces.view.app import kept_token, token_path
+from asia.ledger.chain import Chain
+from asia.ledger.run import open_run
 
 from .conftest import TOKEN
 
@@ -90,18 +97,24 @@ def test_a_start_on_a_run_that_is_running_is_refused(client: TestClient, runs: P
 
 
 @pytest.mark.slow
-def test_a_search_starts_from_the_page_and_stops_on_demand(client: TestClient, runs: Path) -> None:
+def test_a_search_starts_from_the_page_as_a_process_of_its_own(
+    client: TestClient, runs: Path
+) -> None:
     answer = post_start(client, experiments=50, name="from-the-page")
-    assert answer.json()["address"] == "/runs/from-the-page"
-    directory = runs / "from-the-page"
-    try:
-        assert open_run(directory).state == "running"
-        assert "from-the-page" in client.get("/").text
-    finally:
-        pid = process_of(directory)
-        os.kill(pid, signal.SIGTERM)
-        wait_for_end(directory)
-    assert open_run(directory).view.budget == 50
+    assert (answer.status_code, answer.json()["address"]) == (200, "/runs/from-the-page")
+    run = open_run(runs / "from-the-page")
+    assert (run.state, run.view.budget, run.view.started.agent) == ("running", 50, "expert")
+    assert post_start(client, name="from-the-page").status_code == 409
+    words = str(runs.resolve()).encode()
+    commands = Path("/proc").glob("[0-9]*/cmdline")
+    (pid,) = (
+        int(path.parent.name)
+        for path in commands
+        if b"from-the-page\0" in (line := path.read_bytes()) and words in line
+    )
+    os.kill(pid, signal.SIGTERM)
+    while open_run(run.directory).state == "running":
+        time.sleep(0.1)
 
 
 @pytest.mark.parametrize("what", ["steer", "pause", "continue", "stop"])
