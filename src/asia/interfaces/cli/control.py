@@ -296,7 +296,7 @@ def _loop(directory: str, at: str | None, number: str | None, isolation: Any) ->
         for label, step, x in zip(labels, steps, starts, strict=True)
     ]
     if len(steps) > 2:
-        simulated.append(SimulatedPlant("mean of folds", steps[1:], starts[1:], late))
+        simulated.append(SimulatedPlant("fold mean", steps[1:], starts[1:], late))
     y = np.concatenate([record.measured_y[:, 0] for record in found.records])
     u = np.concatenate([record.u[:, 0] for record in found.records])
     y0, noise = float(point.at.y[0]), float(found.noise[0])
