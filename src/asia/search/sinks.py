@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, Protocol, Self, cast
@@ -141,9 +142,7 @@ class MlflowSink:
     the problem, metrics by number of the experiment; at the end results.tsv and report.html."""
 
     def __init__(self, directory: Path, view: SearchView) -> None:
-        from mlflow import MlflowClient
-
-        self.directory, self.client = directory, MlflowClient()
+        self.directory, self.client = directory, import_module("mlflow").MlflowClient()
         problem, place = view.started.problem, str(directory.resolve())
         found = self.client.get_experiment_by_name(problem)
         there = found.experiment_id if found else self.client.create_experiment(problem)
@@ -187,15 +186,13 @@ class TrackioSink:
     number of the experiment. trackio keeps them on this machine."""
 
     def __init__(self, directory: Path, view: SearchView) -> None:
-        import trackio
-
         start = view.started
         # What was sent is kept with the run: trackio has no public way to ask for it.
         self.kept = directory / "control" / "trackio.json"
         self.sent: set[int] = set()
         if self.kept.is_file():
             self.sent = set(map(int, json.loads(self.kept.read_bytes())))
-        self.run = trackio.init(
+        self.run = import_module("trackio").init(
             start.problem, name=start.run, config=_facts(view), resume="allow", embed=False
         )
         self._send(view)

@@ -12,8 +12,13 @@ from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import quote, urlencode
 
+import numpy as np
+from numpy.typing import NDArray
+
 from asia._text import one_line
+from asia.agents.library.recipe import read_recipe
 from asia.agents.registry import reads_notes
+from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.ledger.events import Evaluated
@@ -22,7 +27,7 @@ from asia.ledger.run import alarms
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
-from asia.report.page.html import Html, join, said, tag
+from asia.report.page.html import Html, fixed, join, said, table, tag
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.experiments import (
     experiment_story,
@@ -445,6 +450,8 @@ def experiment_rows(
 _OWN: Final = ("progress", "experiments")
 TABS: Final = ("linear", "control", "certificate")
 """Keys of the sections that have a page of their own, where the run has them."""
+IMPORTANCE: Final = ("importance", "Settings")
+"""Key and title of a section that the report does not have."""
 
 
 def tabs(snapshot: Snapshot, here: str = "") -> Html | None:
@@ -488,8 +495,10 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         "header", tag("h1", said(name)), tag("p", *text, " ", tag_labels(subject.view.tags()))
     )
     own = [one for key in _OWN for one in SECTIONS if one.key == key]
-    others = [one for one in SECTIONS if one.key not in (*_OWN, *TABS)]
-    links = [tag("li", tag("a", one.title, href=f"#{one.key}")) for one in (*own, *others)]
+    others = [(one.key, one.title) for one in SECTIONS if one.key not in (*_OWN, *TABS)]
+    others.insert([key for key, _ in others].index("tradeoff") + 1, IMPORTANCE)
+    named = [*((one.key, one.title) for one in own), *others]
+    links = [tag("li", tag("a", title, href=f"#{key}")) for key, title in named]
     curve = tag(
         "div",
         progress_part(subject),
@@ -528,11 +537,9 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
     # The page asks for the other sections when it is there.
     later = [
         section(
-            one.key,
-            one.title,
-            tag("div", class_="later", data_part=f"{run_address(name)}/sections/{one.key}"),
+            key, title, tag("div", class_="later", data_part=f"{run_address(name)}/sections/{key}")
         )
-        for one in others
+        for key, title in others
     ]
     main = (
         header,
@@ -664,9 +671,86 @@ def section_part(snapshot: Snapshot, key: str) -> Html | None:
     section.
     """
     others = (*_OWN, *TABS)
+    if key == IMPORTANCE[0]:
+        return importance_part(snapshot)
     found = next((one for one in SECTIONS if one.key == key and key not in others), None)
     inner = None if found is None else found.write(snapshot.subject)
     return None if inner is None else to_pages(inner, snapshot.run.name)
+
+
+# Settings that go with a low V: a one-way analysis of variance for each setting of a family.
+
+
+_LEAST_EXPERIMENTS = 12
+_PERMUTATIONS = 999
+_MOST_LEVELS = 3
+
+
+def share_of_variance(groups: NDArray[Any], values: Array, seed: int = 0) -> tuple[float, float]:
+    """Share of the variance of values (n,) between their groups (n,), corrected for the number of
+    groups, and the probability of as large a share by chance (permutation test)."""
+
+    def between(numbers: Array) -> float:
+        parts = [numbers[groups == group] for group in known]
+        return sum(len(part) * (part.mean() - numbers.mean()) ** 2 for part in parts)
+
+    known = np.unique(groups)
+    total = ((values - values.mean()) ** 2).sum()
+    n, k = len(values), len(known)
+    if k < 2 or k >= n or not total > 0:
+        return 0.0, 1.0
+    rng, observed = np.random.default_rng(seed), between(values)
+    chance = [between(rng.permutation(values)) for _ in range(_PERMUTATIONS)]
+    p = (1 + sum(one >= observed * (1 - 1e-12) for one in chance)) / (1 + _PERMUTATIONS)
+    return max(0.0, 1 - (1 - observed / total) * (n - 1) / (n - k)), p
+
+
+def importance_part(snapshot: Snapshot) -> Html | None:
+    """Write the share of the variance of log V that each setting of a family explains; None where
+    no family has enough experiments."""
+    run = snapshot.run
+    families: dict[str, list[tuple[dict[str, object], float]]] = {}
+    for e in run.view.finished if run.store.kept else ():
+        recipe = read_recipe(run.store.text(e.proposed.source))
+        if recipe is not None and e.score is not None and 0 < e.score.value < np.inf:
+            settings: dict[str, object] = dict((*recipe.config, *recipe.options, *recipe.maps))
+            families.setdefault(recipe.family, []).append((settings, np.log(e.score.value)))
+    rows: list[tuple[str, str, int, int, float, float]] = []
+    for family, tried in sorted(families.items()):
+        if len(tried) < _LEAST_EXPERIMENTS:
+            continue
+        values = np.array([value for _, value in tried])
+        for name in dict.fromkeys(key for settings, _ in tried for key in settings):
+            levels = [settings.get(name, "default") for settings, _ in tried]
+            known = {repr(level) for level in levels}
+            groups = np.unique([repr(level) for level in levels], return_inverse=True)[1]
+            if len(known) > _MOST_LEVELS:
+                if not all(isinstance(level, int | float) for level in levels):
+                    continue
+                # Many numbers: equally large groups in their order.
+                order = np.searchsorted(np.sort(levels), levels)  # pyright: ignore
+                groups = order * _MOST_LEVELS // len(order)
+            if len(known) > 1:
+                found = share_of_variance(groups, values)
+                rows.append((family, name, len(known), len(tried), *found))
+    if not rows:
+        return None
+    # Holm's correction for the number of settings.
+    rows.sort(key=lambda row: row[-1])
+    p = np.maximum.accumulate([row[-1] * (len(rows) - k) for k, row in enumerate(rows)])
+    cells = [
+        [said(f"{family} {name}"), *(fixed(text) for text in (
+            f"{levels}", f"{count}", f"{100 * share:.0f} %", f"{min(chance, 1):.2g}"))]
+        for (family, name, levels, count, share, _), chance in zip(rows, p.tolist(), strict=True)
+    ]  # fmt: skip
+    text = (
+        "Share of the variance of log V between experiments of one family with different values of "
+        "a setting, corrected for the number of values. p: probability of as large a share by "
+        "chance, corrected for the number of settings. The agent chose the values: settings that it "
+        "changed together share their effect."
+    )
+    head = ["setting", "values", "experiments", "share of the variance", "p"]
+    return join((tag("p", text), table(head, cells, "Settings of the families")))
 
 
 def progress_part(subject: Subject) -> Html:
