@@ -746,8 +746,8 @@ def importance_part(snapshot: Snapshot) -> Html | None:
     text = (
         "Share of the variance of log V between experiments of one family with different values of "
         "a setting, corrected for the number of values. p: probability of as large a share by "
-        "chance, corrected for the number of settings. The agent chose the values: settings that it "
-        "changed together share their effect."
+        "chance, corrected for the number of settings. The agent chose the values: settings that "
+        "it changed together share their effect."
     )
     head = ["setting", "values", "experiments", "share of the variance", "p"]
     return join((tag("p", text), table(head, cells, "Settings of the families")))
