@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from importlib.util import find_spec
@@ -80,7 +81,9 @@ class Sinks:
         """Code of another package: its failure is never the search's, and is said once on
         stderr."""
         try:
-            yield
+            # The output of the command belongs to the command.
+            with redirect_stdout(sys.stderr):
+                yield
         except Exception as error:  # noqa: BLE001 - the boundary itself
             if name not in self._failed:
                 self._failed.add(name)
@@ -120,7 +123,7 @@ def _facts(view: SearchView) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _unsent(view: SearchView, sent: set[int]) -> Generator[tuple[int, str, dict[str, float]]]:
+def unsent(view: SearchView, sent: set[int]) -> Generator[tuple[int, str, dict[str, float]]]:
     """Number, title and figures of each experiment with a result that was not sent; it counts as
     sent from now on."""
     for e in view.finished:
@@ -162,12 +165,17 @@ class MlflowSink:
         self._send(view)
 
     def _send(self, view: SearchView) -> None:
-        for number, title, figures in _unsent(view, self.sent):
-            for key, value in figures.items():
-                self.client.log_metric(self.run, key, value, step=number)
-            self.client.set_tag(self.run, f"experiment_{number:04d}", title)
-        if view.best is not None:
-            self.client.set_tag(self.run, "best", f"#{view.best.number:02d}")
+        entities, now = import_module("mlflow.entities"), int(1000 * time.time())
+        for number, title, figures in unsent(view, self.sent):
+            best = "none" if view.best is None else f"#{view.best.number:02d}"
+            tags = {f"experiment_{number:04d}": title, "best": best}
+            self.client.log_batch(
+                self.run,
+                metrics=[
+                    entities.Metric(key, value, now, number) for key, value in figures.items()
+                ],
+                tags=[entities.RunTag(key, text) for key, text in tags.items()],
+            )
 
     def event(self, event: Event, view: SearchView) -> None:
         """See `Sink`."""
@@ -198,7 +206,7 @@ class TrackioSink:
         self._send(view)
 
     def _send(self, view: SearchView) -> None:
-        for number, title, figures in _unsent(view, self.sent):
+        for number, title, figures in unsent(view, self.sent):
             self.run.log({**figures, "candidate": title}, step=number)
         write_whole(self.kept, json.dumps(sorted(self.sent)).encode(), durable=False)
 
@@ -219,7 +227,10 @@ def find_sink(name: str) -> OpenSink:
     known = {part.name: part for part in parts_of("asia.sinks")}
     if name in _SINKS:
         if find_spec(name) is None:
-            raise UserError(f"--sink {name} needs {name}: pip install {name}")
+            raise UserError(
+                f"--sink {name} needs the extra tracking: pip install '.[tracking]' in a clone of "
+                "ASIA"
+            )
         return _SINKS[name]
     if name in known:
         sink = known[name].load()

@@ -499,7 +499,7 @@ def main(tools: WorkspaceTools) -> NoReturn:
         "--vary",
         action="append",
         metavar="NAME=VALUES",
-        help="V for values of a setting: order=2,3",
+        help="values of a setting: order=2,3",
     )
     add("--why", action="store_true", help="parts of the error, modes, missing terms")
     add("--plot", action="store_true", help="draw simulation and residuals into plots/")
@@ -550,6 +550,8 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
             seconds = sum(one.seconds for one in tried)
             mean = combine([one.score for one in tried]).value
             say(f"V {mean:.6f} {name} (folds {each}; fit {seconds:.1f} s)", flush=True)
+        if not own:
+            say("the lowest V of many variants is optimistic: --blocks N has folds of your own")
         return
     found = tools.evaluate(options.candidate, folds)
     whole = not own and len(found) == len(tools.folds)
