@@ -118,6 +118,7 @@ def test_without_sinks_nothing_is_added(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", ["mlflow", "trackio"])
 def test_the_sinks_of_asia_pass_the_suite(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
