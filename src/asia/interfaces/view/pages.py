@@ -579,12 +579,13 @@ def now_panel(snapshot: Snapshot) -> Html:
     doing = None
     if view.running and snapshot.run.state == "running":
         each = [join((subject.name(e), " ", said(e.proposed.title, 60))) for e in view.running]
-        curves = [
-            tag("div", draw_loss(curve),
-                f"#{number:02d}, fold {fold}: loss {curve[-1][1]:.4g} at step {curve[-1][0]:g}")
-            for number, folds in sorted(snapshot.losses.items())
-            for fold, curve in sorted(folds.items())
-        ]  # fmt: skip
+        curves: list[Html] = []
+        for number, folds in sorted(snapshot.losses.items()):
+            name = f"#{number:02d}, " if len(view.running) > 1 else ""
+            for fold, curve in sorted(folds.items()):
+                step, loss = curve[-1]
+                words = tag("span", f"{name}fold {fold}: loss {loss:.4g} at step {step:g}")
+                curves.append(tag("p", draw_loss(curve), words))
         doing = join((join(each, ", "), tag("div", *curves, class_="losses") if curves else None))
     tiles: list[tuple[str, Html | None]] = [
         ("state", state_mark(snapshot.run.state, paused=snapshot.paused)),

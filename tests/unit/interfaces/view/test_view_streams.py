@@ -133,7 +133,7 @@ def test_the_loss_of_a_running_fit_is_sent_without_a_new_line(runs: Path, proble
 
         first, second = asyncio.run(asyncio.wait_for(story(), 60))
     assert "loss" not in first["data"]["parts"]["now"]
-    assert "#05, fold 2: loss 0.125 at step 40" in second["data"]["parts"]["now"]
+    assert "<span>fold 2: loss 0.125 at step 40</span>" in second["data"]["parts"]["now"]
     assert (second["id"], second["data"]["rows"]) == (first["id"], [])
 
 
