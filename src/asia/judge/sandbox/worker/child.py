@@ -281,7 +281,7 @@ class _Session:
         import numpy as np
 
         with self._asking:
-            if self._fitting:
+            if self._fitting and os.getpid() == self._pid:
                 self._reply(wire.ReplyKind.LOSS, np.array([step, loss], "<f8").tobytes())
 
     def _validation_score(self, model: Model) -> float:
