@@ -53,7 +53,7 @@ from asia.interfaces.view.pages import (
     tab_page,
     whole_page,
 )
-from asia.interfaces.view.streams import AGENTS, Streams, problem_choices, start_run, tell
+from asia.interfaces.view.streams import Starter, Streams, tell
 from asia.report.page.html import said, tag
 from asia.report.page.page import page_style
 
@@ -65,9 +65,12 @@ _STATIC: Final = ("view.css", "view.js", "zoom.js", "icon.svg")
 _LONGEST_BODY: Final = 20_000
 
 
-def make_app(folder: RunFolder, streams: Streams, token: str) -> Starlette:
-    """Return the web application for a folder of runs. `TokenOnly` must wrap it."""
-    pages = _Pages(folder, streams, token)
+def make_app(
+    folder: RunFolder, streams: Streams, token: str, starter: Starter | None = None
+) -> Starlette:
+    """Return the web application for a folder of runs. `TokenOnly` must wrap it. starter: what
+    starts searches; None where the pages start none."""
+    pages = _Pages(folder, streams, token, starter)
     routes = [
         Route("/", pages.listed),
         Route("/events", pages.list_events),
@@ -98,6 +101,7 @@ class _Pages:
     streams: Streams
     token: str
     """Token that a page sends with a command of the user."""
+    starter: Starter | None
 
     def _snapshot(self, request: Request, *, with_records: bool = False) -> Snapshot:
         return self.folder.get(request.path_params["run"]).snapshot(with_records=with_records)
@@ -105,7 +109,7 @@ class _Pages:
     def listed(self, request: Request) -> Response:
         listed = self.folder.listed()
         digest = digest_of(runs_table(listed))
-        start = start_form(list(problem_choices()), AGENTS)
+        start = self.starter and start_form(self.starter.problems, self.starter.agents)
         return HTMLResponse(runs_page(self.folder.folder, listed, digest, self.token, start))
 
     def run(self, request: Request) -> Response:
@@ -175,7 +179,10 @@ class _Pages:
         return StreamingResponse(messages, media_type="text/event-stream")
 
     async def start(self, request: Request) -> Response:
-        words, name = await run_sync(start_run, self.folder.folder, await _sent_text(request))
+        if self.starter is None:
+            raise UserError("these pages start no searches: use asia run")
+        text = await _sent_text(request)
+        words, name = await run_sync(self.starter.start, self.folder.folder, text)
         return JSONResponse({"words": words, "address": run_address(name)})
 
     async def steer(self, request: Request) -> Response:

@@ -252,7 +252,7 @@ def start_form(problems: Sequence[str], agents: Sequence[str]) -> Html:
 
 
 def runs_page(
-    folder: Path, listed: Sequence[ListedRun], digest: str, token: str, start: Html
+    folder: Path, listed: Sequence[ListedRun], digest: str, token: str, start: Html | None
 ) -> str:
     """The page with the list of the runs of a folder. start: the form that starts a search."""
     header = tag("header", tag("p", "ASIA view", class_="kind"), tag("h1", "Searches"))
@@ -281,7 +281,7 @@ def runs_table(listed: Sequence[ListedRun]) -> Html:
     """A row a run."""
     if not listed:
         command = tag("code", "asia run PROBLEM")
-        return tag("p", "There is no run yet. Start one above, or with ", command, ".")
+        return tag("p", "There is no run yet. Start one with ", command, ".")
     head = [tag("th", tag("span", "choose", class_="unseen"), scope="col")]
     for text, kind in (
         ("run", "words"),

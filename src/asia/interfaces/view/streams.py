@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-import tempfile
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Protocol
 
 from anyio.to_thread import run_sync
 
@@ -17,11 +16,7 @@ from asia.agents.registry import reads_notes
 from asia.errors import UserError
 from asia.interfaces.view.followed import FollowedRun, RunFolder, Snapshot
 from asia.interfaces.view.pages import FIRST, Changed, list_news, run_news
-from asia.interfaces.workspace.process import runs as searching
-from asia.interfaces.workspace.process import start_process
 from asia.ledger.run import Run
-from asia.problem.load import builtin_problems, load_problem
-from asia.search.run import RUN_NAME, RUN_NAME_RULE, run_name
 from asia.search.steering import Steering, note_for_people
 
 # Server-sent events: what is new on a page, from the line of the ledger on that it shows.
@@ -88,58 +83,36 @@ class Streams:
             await asyncio.sleep(pause)
 
 
-# Start of a search, as `asia run` starts it.
+# Start of a search. What starts it is given to the pages: they import nothing that opens a test.
 
 
-AGENTS: Final = ("expert", "random", "bayes")
-"""Agents that a page may start: they need no key and run no program of others."""
+class Starter(Protocol):
+    """Starts searches for the pages."""
 
+    @property
+    def problems(self) -> Sequence[str]:
+        """Names of the problems to choose from."""
+        ...
 
-def problem_choices() -> dict[str, Path | str]:
-    """Problems that a page may start a search on, by name: the built-in ones, and the folders with
-    a problem.toml in the folder where `asia view` was started."""
-    own = {path.parent.name: path.parent.resolve() for path in Path().glob("*/problem.toml")}
-    return {**{name: name for name in builtin_problems()}, **dict(sorted(own.items()))}
+    @property
+    def agents(self) -> Sequence[str]:
+        """Names of the agents to choose from."""
+        ...
 
+    def start(self, runs: Path, text: str) -> tuple[str, str]:
+        """Start a search in a process of its own.
 
-def start_run(runs: Path, text: str) -> tuple[str, str]:
-    """Start `asia run` in the background. It goes on after `asia view` ends.
+        Args:
+            runs: the folder of runs
+            text: the fields problem, agent, experiments, seed and name in JSON
 
-    Args:
-        runs: the folder of runs
-        text: the fields problem, agent, experiments, seed and name in JSON
+        Returns:
+            its effect as a sentence, and the name of the run
 
-    Returns:
-        its effect as a sentence, and the name of the run
-
-    Raises:
-        UserError: if it cannot be started, with the message of `asia run`
-    """
-    problems = problem_choices()
-    try:
-        fields = {key: str(value).strip() for key, value in dict(json.loads(text)).items()}
-        problem, agent = problems[fields["problem"]], fields["agent"]
-        experiments, seed = int(fields["experiments"]), int(fields["seed"])
-        if agent not in AGENTS or experiments < 1 or seed < 0:
-            raise ValueError(text)
-    except (ValueError, TypeError, KeyError):
-        raise UserError(
-            f"expected one of the listed problems, an agent ({', '.join(AGENTS)}), at least 1 "
-            "experiment, and a seed of at least 0"
-        ) from None
-    name = fields.get("name") or run_name(load_problem(problem), agent, seed)
-    if not RUN_NAME.fullmatch(name):
-        raise UserError(f"'{name}' is no name of a run: {RUN_NAME_RULE}")
-    directory = runs.resolve() / name
-    if searching(directory):
-        raise UserError(f"run '{name}' is running: choose another seed or name")
-    words = ["asia", "run", str(problem), "--agent", agent, "--name", name]
-    words += ["--experiments", str(experiments), "--seed", str(seed), "--runs", str(runs.resolve())]
-    with tempfile.NamedTemporaryFile(prefix="asia-run-") as log:
-        start_process(words, directory, Path(log.name))
-    if searching(directory):
-        return f"the search '{name}' runs", name
-    return f"run '{name}' has all its experiments: ask for more of them to continue it", name
+        Raises:
+            UserError: if it cannot be started
+        """
+        ...
 
 
 # Notes and orders to a search, as `asia steer` gives them.
