@@ -109,7 +109,8 @@ class _Pages:
     def listed(self, request: Request) -> Response:
         listed = self.folder.listed()
         digest = digest_of(runs_table(listed))
-        start = self.starter and start_form(self.starter.problems, self.starter.agents)
+        given = self.starter
+        start = None if given is None else start_form(given.problems, given.agents)
         return HTMLResponse(runs_page(self.folder.folder, listed, digest, self.token, start))
 
     def run(self, request: Request) -> Response:
