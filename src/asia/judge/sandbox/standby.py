@@ -70,14 +70,15 @@ class StandbyWorkers:
         with self._lock:
             used = [one for one in self._waiting if one.used and one.libraries >= libraries]
             fresh = [o for o in self._waiting if not o.used and o.libraries <= libraries]
-            if used and library_only:
+            again = library_only and bool(used)
+            if again:
                 found = min(used, key=lambda one: len(one.libraries))
             else:
                 found = max(fresh, key=lambda one: len(one.libraries), default=None)
-                if not self._closed and libraries not in self._failed:
-                    self._start_next(libraries)
             if found is not None:
                 self._waiting.remove(found)
+            if not (again or self._closed or libraries in self._failed):
+                self._start_next(libraries)
         if found is None:
             return None
         if found.worker.exception() is None:
