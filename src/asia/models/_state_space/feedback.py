@@ -433,7 +433,7 @@ _LINEAR, _FUNCTIONS = ("a", "b", "c", "d", "offset"), ("f", "read", "act")
 # Share of the iterations that every start gets, and number of starts that are continued.
 _TRIED, _GO_ON = 0.25, 2
 # Samples up to which compiling a program takes longer than running it with more states.
-_WIDENED = 4000
+_WIDENED = 10_000
 
 
 class LinearCore(NamedTuple):
