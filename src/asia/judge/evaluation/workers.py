@@ -207,9 +207,11 @@ class WorkerRunner:
                 finally:
                     self._open.discard(worker)
             finally:
+                if not again:
+                    worker.close()
                 for activity, (wall, processor) in worker.spent.items():
                     self.stopwatch.add(activity, wall, processor)
                 if not (again and ready and worker.renew() and ready.give_back(worker, libraries)):
                     worker.close()
-                    if worker.left_behind is not None:
-                        self.left_behind.append(worker.left_behind)
+                if worker.left_behind is not None:
+                    self.left_behind.append(worker.left_behind)

@@ -257,6 +257,11 @@ def test_a_worker_that_ran_the_library_alone_serves_only_the_library(
             again.simulate(case.past_u, case.past_y, case.u)
         assert library_fit(again, case) == before
         assert again.peak_memory_mb is None or again.peak_memory_mb > again._peak_before
+        assert again.renew()
+        assert ahead.give_back(again, JAX)
+        again.abort()
+        again._process.process.wait()
+        assert ahead.take(JAX, library_only=True) is None
 
 
 def test_a_worker_near_its_memory_limit_or_ended_is_not_used_again(

@@ -428,10 +428,11 @@ class Worker:
         """Wait until the process is ready, so that its start does not count as fit time.
 
         Raises:
-            SandboxError: when the worker does not start
+            SandboxError: when the worker does not start, or has ended while it waited
         """
-        if self._ready:
+        if self._ready and self._process.running():
             return
+        self._ready = False
         try:
             with self._clock.activity(Activity.START):
                 head = self._channel.receive_head(time.monotonic() + _START_SECONDS)
