@@ -65,19 +65,22 @@ class StandbyWorkers:
         those needed next.
 
         Args:
-            library_only: the candidate calls the library alone, so that a used worker will do
+            library_only: the candidate calls the library alone: a used worker will do, one is
+                started where none waits, and none is started for the next, which gets this one
         """
         with self._lock:
+            startable = not (self._closed or libraries in self._failed)
             used = [one for one in self._waiting if one.used and one.libraries >= libraries]
             fresh = [o for o in self._waiting if not o.used and o.libraries <= libraries]
-            again = library_only and bool(used)
-            if again:
+            if library_only and used:
                 found = min(used, key=lambda one: len(one.libraries))
             else:
                 found = max(fresh, key=lambda one: len(one.libraries), default=None)
             if found is not None:
                 self._waiting.remove(found)
-            if not (again or self._closed or libraries in self._failed):
+            elif library_only and startable:
+                found = self._started(libraries)
+            if startable and not library_only:
                 self._start_next(libraries)
         if found is None:
             return None
@@ -120,8 +123,10 @@ class StandbyWorkers:
             self._waiting.remove(one)
             self._starter.submit(_end, one.worker)
         for _ in range(self._most - sum(one.libraries == libraries for one in fresh)):
-            started = self._starter.submit(self._open, libraries)
-            self._waiting.append(_Waiting(libraries, started))
+            self._waiting.append(self._started(libraries))
+
+    def _started(self, libraries: frozenset[str]) -> _Waiting:
+        return _Waiting(libraries, self._starter.submit(self._open, libraries))
 
 
 def _end(worker: Future[Worker]) -> None:
