@@ -20,6 +20,7 @@ from asia._syntax import syntax_tree
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import CandidateError, Reason
 from asia.problem.physics import Physics
+from asia.problem.plant import Plant
 from asia.problem.symmetry import Symmetry
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ class Context:
     """Name of the metric that V is computed with."""
     physics: Physics | None = None
     """Equations from the problem file."""
+    plant: Plant | None = None
+    """Simulator of the user's own, from the problem file."""
     seed: int = 0
     """Seed for one search, fold and repeat, the same for every candidate."""
     deadline: float = float("inf")

@@ -22,6 +22,7 @@ from asia.problem.folds import least_samples, require_length
 from asia.problem.held_back import divided
 from asia.problem.lock import check_digests
 from asia.problem.physics import check_physics
+from asia.problem.plant import load_plant
 from asia.problem.problem import Problem, TestSource, prepared
 from asia.problem.protocol_table import check_protocol, with_groups
 from asia.problem.schema import LockFile, ProblemFile, ProblemTables
@@ -155,10 +156,12 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         check_physics(physics, inputs, outputs)
     check_symmetry(file.symmetry, inputs, outputs, physics)
     done.check(inputs)
-    if physics is not None and (done.detrend or done.scale):
+    plant = file.plant and load_plant(file.plant, root, inputs, outputs)
+    if (physics or plant) and (done.detrend or done.scale):
+        written = "[physics] is" if physics else "[plant] is"
         raise UserError(
-            "preprocess.detrend and preprocess.scale change the signals that [physics] is written "
-            "in: leave them out, or the equations"
+            f"preprocess.detrend and preprocess.scale change the signals that {written} written "
+            f"in: leave them out, or the {'equations' if physics else 'simulator'}"
         )
     if isinstance(file.data.guard, int) and done:
         raise UserError("[preprocess] is for measured records: leave it out for a simulated source")
@@ -208,6 +211,7 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         protocol=rule,
         budget=file.budget,
         physics=physics,
+        plant=plant,
         truth=None if done else truth,
         preprocess=done,
         recorded=channels if done else None,

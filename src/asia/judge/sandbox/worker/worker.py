@@ -158,6 +158,8 @@ class Worker:
         its `validation_score` by one that asks `score`, whose time counts as the fit's. JAX loads
         compiled `programs`; those that a source of the library alone compiles are added."""
         late = Reason.FIT_TIMEOUT
+        if context.plant is not None:
+            context.plant.unpack()
         self._start()
         deadline = time.monotonic() + self._limits.fit_seconds
         context = replace(context, deadline=min(context.deadline, deadline))
@@ -187,7 +189,8 @@ class Worker:
             curve = np.frombuffer(self._body(head, deadline, late), "<f8").astype(np.float64)
             self._ny, self._model_loaded = context.ny, True
             self.printed = self._channel.take_output()
-            if programs is not None and library_only(source):
+            # A simulator is code of the user's own, which could plant a program.
+            if programs is not None and context.plant is None and library_only(source):
                 self._take_programs(programs)
             return FitReply(curve.reshape(-1, 2), self.printed, seconds)
 
