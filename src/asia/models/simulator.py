@@ -445,11 +445,11 @@ def train(
 
 def _draws(error: _SimulationError, count: int, seed: int) -> Array:
     """Starting points (count, n), the middle of the ranges first; initial states in the middle."""
-    from scipy.stats import qmc
-
+    random = np.random.default_rng(seed)
     points = np.full((count, error.size), 0.5)
-    sampler = qmc.LatinHypercube(error.count, rng=np.random.default_rng(seed))
-    points[1:, : error.count] = sampler.random(count - 1)
+    for column in points[1:, : error.count].T:
+        # A Latin hypercube.
+        column[:] = (random.permutation(count - 1) + random.uniform(size=count - 1)) / (count - 1)
     return points
 
 
@@ -544,8 +544,9 @@ class SimulatorProbe:
     found: dict[str, float]
 
     def parameters(self) -> dict[str, float]:
-        """`seconds` of a simulation, `failed` share of draws, `gradient` 1 where finite differences
-        are reliable, and for each parameter its share in directions that no output shows."""
+        """`seconds` of a simulation, `failed` share of draws and, where there is time,
+        `gradient`, 1 where finite differences are reliable, and for each parameter its share in
+        directions that no output shows."""
         return self.found
 
     def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
@@ -573,6 +574,8 @@ def probe(trajectories: Sequence[Trajectory], context: Context) -> SimulatorProb
             f"[plant] {context.plant and context.plant.label} returned other outputs for the same "
             "arguments: use a fixed seed, and keep no state between calls"
         )
+    # Differences take up to 30 simulations for each unknown.
+    affordable = 30 * error.size * seconds < 0.3 * (context.deadline - begin)
     half = len(record) // 2
     changed = record.u.copy()
     changed[half:] = changed[half:][::-1] + record.u.std(axis=0)
@@ -587,20 +590,16 @@ def probe(trajectories: Sequence[Trajectory], context: Context) -> SimulatorProb
     for draw in draws:
         with contextlib.suppress(SimulatorError):
             model.run(record.u, draw[: error.count], draw[error.count :])
-            if len(shares) < 2:
+            if len(shares) < 2 and affordable:
                 shares.append(_lost(error.jacobian(draw, 1e-3))[: error.count])
             continue
         failed += 1
-    lost = np.min(shares, axis=0) if shares else np.zeros(error.count)
-    names = zip(model.plant.parameters, lost.tolist(), strict=True)
-    return SimulatorProbe(
-        {
-            "seconds": seconds,
-            "failed": failed / len(draws),
-            "gradient": float(error.reliable_step(middle) is not None),
-            **{f"lost {name}"[:48]: share for name, share in names},
-        }
-    )
+    found = {"seconds": seconds, "failed": failed / len(draws)}
+    if shares:
+        names = zip(model.plant.parameters, np.min(shares, axis=0).tolist(), strict=True)
+        found |= {f"lost {name}"[:48]: share for name, share in names}
+        found["gradient"] = float(error.reliable_step(middle) is not None)
+    return SimulatorProbe(found)
 
 
 def _lost(jacobian: Array) -> Array:

@@ -61,7 +61,13 @@ class Family:
     @property
     def kind(self) -> Kind:
         """Kind of the family: built on the problem's equations, of few parameters, or a network."""
-        return "equations" if self.needs & {"physics", "plant"} else "network" if self.seeds else "classical"
+        return (
+            "equations"
+            if self.needs & {"physics", "plant"}
+            else "network"
+            if self.seeds
+            else "classical"
+        )
 
     @property
     def place(self) -> tuple[int, float, float, str]:

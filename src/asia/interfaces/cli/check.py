@@ -25,14 +25,16 @@ def check(
     from asia.problem.load import load_problem
     from asia.problem.seal import seal
     from asia.report import draw_problem
-    from asia.search.run import check_baseline
+    from asia.judge.evaluation.dry_runs import check_plant
+    from asia.search.run import check_baseline, level_here
 
     loaded = load_problem(problem)
     check_baseline(loaded)
     make_folds(loaded.train, loaded.protocol)
     in_workspace = is_workspace(Path(problem))
     report = check_problem(loaded, seal(loaded), in_workspace=in_workspace)
-    for line in (*report.lines(), *judge_data(loaded, report).lines()):
+    simulator = check_plant(loaded, level_here()) if loaded.plant else []
+    for line in (*report.lines(), *simulator, *judge_data(loaded, report).lines()):
         say(line)
     if not draw:
         return
