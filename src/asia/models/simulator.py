@@ -14,6 +14,7 @@ Comput. 21, 1999; Storn and Price, J. Global Optimization 11, 1997.
 from __future__ import annotations
 
 import contextlib
+import ctypes.util
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -272,10 +273,14 @@ def _unit_function(
     plant: Plant, inputs: tuple[str, ...], outputs: tuple[str, ...], sampling_time: float
 ) -> SimulateFunction:
     """Simulate an FMU with a communication step of one sample; inputs are held."""
+    # fmpy asks a compiler for the C library, which no sandbox runs; None is this process, with it.
+    find, ctypes.util.find_library = ctypes.util.find_library, lambda name: None
     try:
         from fmpy import read_model_description, simulate_fmu
     except ImportError as error:
         raise SimulatorError("an FMU needs fmpy: pip install 'asia[fmu]'") from error
+    finally:
+        ctypes.util.find_library = find
 
     folder = str(plant.folder)
     described: Any = read_model_description(folder, validate=False)

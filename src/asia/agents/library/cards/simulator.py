@@ -60,7 +60,7 @@ CARD = Card(
                 options=(OneOf("iterations", (20, 40)), OneOf("starts", (2, 4, 8))),
             ),
             small=(("iterations", 3), ("starts", 1)),
-            timing=Timing(start=0.5, unit=1e-5),
+            timing=Timing(start=0.1, unit=1e-6),
             extendable=True,
         ),
     ),
