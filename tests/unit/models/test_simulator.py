@@ -97,6 +97,7 @@ def test_a_simulator_that_rounds_is_calibrated_without_gradients(tmp_path: Path)
         assert value == pytest.approx(TRUTH[name], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_residual_is_learned_on_top(tmp_path: Path) -> None:
     # The simulator knows one of the two lags of the plant.
     problem = load_problem(write(tmp_path, noise=0.01))
@@ -183,6 +184,7 @@ def test_a_bad_simulator_ends_in_one_sentence(tmp_path: Path, body: str, message
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_parameters_without_separate_effect_are_named(tmp_path: Path) -> None:
     twice = LAG.replace('params["gain"]', '(params["gain"] + params["tau"])').replace(
         '/ params["tau"]', "/ 4.0"
