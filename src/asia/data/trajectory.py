@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TypeGuard
+from typing import Literal, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ class Signal:
 
     name: str
     unit: str = ""
+    role: Literal["scheduling"] | None = None
+    """"scheduling": a measured input that the coefficients of linear models may follow."""
 
     @property
     def label(self) -> str:

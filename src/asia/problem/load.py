@@ -149,6 +149,11 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
             raise UserError(
                 f"signal '{name}' is named {count} times among inputs, outputs and references"
             )
+    if any(s.role for s in file.outputs) or all(s.role for s in file.inputs):
+        raise UserError(
+            "role = 'scheduling' belongs to an input that is measured, and at least one other "
+            "input must act on the system"
+        )
     physics, done, rule = file.physics, file.preprocess, file.protocol.rule()
     if loop is not None and done:
         raise UserError("[preprocess] changes the signals of the [loop]: leave one of them out")
