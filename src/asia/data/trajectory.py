@@ -26,8 +26,10 @@ class Signal:
 
     name: str
     unit: str = ""
-    role: Literal["scheduling"] | None = None
-    """"scheduling": a measured input that the coefficients of linear models may follow."""
+    role: Literal["scheduling", "time_step"] | None = None
+    """"scheduling": a measured input that the coefficients of linear models may follow.
+    "time_step": an input that holds the time in s from each sample to the next, of records that are
+    not sampled regularly."""
 
     @property
     def label(self) -> str:

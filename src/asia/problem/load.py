@@ -30,6 +30,16 @@ from asia.problem.symmetry import check_symmetry
 from asia.problem.toml import read_table
 
 _FILE = "problem.toml"
+_IRREGULAR = '''"""First model of irregular samples: the given equations, fitted."""
+
+from asia.models import {family}
+from asia.models.methods import LevenbergMarquardt
+
+
+def fit(trajectories, context):
+    model = {family}.build({family}.Config(), context)
+    return {family}.train(model, trajectories, context, LevenbergMarquardt(30, starts=4))
+'''
 _BUILTIN = Path(str(resources.files("asia"))) / "problems"
 
 
@@ -69,8 +79,11 @@ def load_problem(name_or_path: str | Path, guard_share: float | None = None) -> 
     baseline = text(None, "baseline.py")
     notes, strategies = text(file.notes, "") or "", text(file.strategies, "") or ""
     root = path.resolve().parent
+    found = _assemble(file, root)
+    if baseline is None and found.channels.time_step is not None:
+        baseline = _IRREGULAR.format(family="greybox" if found.physics else "simulator")
     return replace(
-        _assemble(file, root),
+        found,
         name=file.name or root.name,
         description=description,
         baseline=baseline,
@@ -132,6 +145,21 @@ def _find(name_or_path: str | Path) -> Path:
     )
 
 
+def _check_irregular(file: ProblemTables) -> None:
+    """Raise UserError for tables that need one sampling time."""
+    if [s.role for s in file.inputs].count("time_step") > 1:
+        raise UserError("role = 'time_step' is given twice: keep one such input")
+    if file.physics is None and file.plant is None:
+        raise UserError(
+            "role = 'time_step' keeps irregular samples, which only equations in [physics] or a "
+            "simulator in [plant] can be integrated to: add one, or leave this input out to have "
+            "the records resampled"
+        )
+    for table, given in (("[preprocess]", file.preprocess), ("[loop]", file.loop)):
+        if given:
+            raise UserError(f"{table} needs one sampling time: leave it out with irregular samples")
+
+
 def _assemble(file: ProblemTables, root: Path) -> Problem:
     """Check the tables against each other and read the training records; the texts are left out.
 
@@ -150,10 +178,9 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
                 f"signal '{name}' is named {count} times among inputs, outputs and references"
             )
     if any(s.role for s in file.outputs) or all(s.role for s in file.inputs):
-        raise UserError(
-            "role = 'scheduling' belongs to an input that is measured, and at least one other "
-            "input must act on the system"
-        )
+        raise UserError("a role belongs to an input, and at least one input must have none")
+    if channels.time_step is not None:
+        _check_irregular(file)
     physics, done, rule = file.physics, file.preprocess, file.protocol.rule()
     if loop is not None and done:
         raise UserError("[preprocess] changes the signals of the [loop]: leave one of them out")

@@ -10,7 +10,7 @@ from asia.problem.symmetry import of_signals
 
 Trait = Literal[
     "physics", "parameters", "windows", "measured", "short", "long", "several", "symmetric",
-    "integrating", "plant", "scheduling",
+    "integrating", "plant", "scheduling", "irregular",
 ]  # fmt: skip
 
 
@@ -21,7 +21,7 @@ def traits(facts: Facts) -> frozenset[Trait]:
     samples to fit; several: more than one output; symmetric: a symmetry of inputs and outputs alone
     is declared; integrating: an output drifts with the sum of the inputs, and whole records are
     simulated; plant: a simulator of the user's own is given;
-    scheduling: an input is a scheduling signal."""
+    scheduling: an input is a scheduling signal; irregular: an input holds the time step."""
     physics = facts.physics
     inputs, outputs = [s.name for s in facts.inputs], [s.name for s in facts.outputs]
     if physics is None:
@@ -33,7 +33,8 @@ def traits(facts: Facts) -> frozenset[Trait]:
         "physics": physics is not None,
         "parameters": physics is not None and bool(physics.parameters),
         "plant": facts.plant is not None,
-        "scheduling": any(s.role for s in facts.inputs),
+        "scheduling": any(s.role == "scheduling" for s in facts.inputs),
+        "irregular": any(s.role == "time_step" for s in facts.inputs),
         "windows": facts.horizon is not None,
         "measured": measured,
         "short": facts.fit_samples <= 2_000,

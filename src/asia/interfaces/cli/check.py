@@ -34,7 +34,10 @@ def check(
     in_workspace = is_workspace(Path(problem))
     report = check_problem(loaded, seal(loaded), in_workspace=in_workspace)
     simulator = check_plant(loaded, level_here()) if loaded.plant else []
-    for line in (*report.lines(), *simulator, *judge_data(loaded, report).lines()):
+    # A verdict needs a linear model.
+    regular = loaded.channels.time_step is None
+    verdict = judge_data(loaded, report).lines() if regular else []
+    for line in (*report.lines(), *simulator, *verdict):
         say(line)
     if not draw:
         return

@@ -37,7 +37,7 @@ def _linear(facts: Facts) -> Recipe:
 
 def _scheduled(facts: Facts) -> Arguments:
     """Affine coefficients where there is a scheduling signal."""
-    return (("scheduling", 1),) if any(s.role for s in facts.inputs) else ()
+    return (("scheduling", 1),) if any(s.role == "scheduling" for s in facts.inputs) else ()
 
 
 def _level_weight(at: Situation) -> float:

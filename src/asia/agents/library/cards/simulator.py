@@ -51,6 +51,7 @@ CARD = Card(
             use="the simulator of the problem file, calibrated",
             base=10,
             needs=frozenset({"plant"}),
+            irregular=True,
             start=lambda _: Recipe("simulator", (), LM, (("iterations", 30), ("starts", 3))),
             space=lambda _: Space(
                 config=(
