@@ -61,11 +61,11 @@ class Wanted:
     """Column whose value names the experiment of a row."""
     columns: tuple[str, ...] = ()
     """Names of the columns of a file without a header."""
+    progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
+    """Callback for the progress of a long read, in words."""
     time_step: int | None = None
     """Place among the inputs of the time to the next sample, which is computed; records are then
     taken as they were sampled."""
-    progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
-    """Callback for the progress of a long read, in words."""
 
     @property
     def names(self) -> tuple[str, ...]:

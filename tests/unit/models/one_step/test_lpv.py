@@ -30,8 +30,8 @@ def record(seed: int, samples: int = 400, noise: float = 0.01) -> Trajectory:
     for k in range(1, samples):
         pole, gain = 0.7 + 0.25 * p[k], 1 - 0.5 * p[k]
         y[k] = pole * y[k - 1] + gain * u[k - 1] - 0.2 * p[k]
-    return Trajectory(np.column_stack([u, p]), y[:, None] + noise * random.normal(size=(samples, 1)),
-                      1.0)  # fmt: skip
+    y += noise * random.normal(size=samples)
+    return Trajectory(np.column_stack([u, p]), y[:, None], 1.0)
 
 
 def error(config: arx.Config, method: LeastSquares | LevenbergMarquardt) -> float:
