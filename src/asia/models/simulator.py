@@ -43,7 +43,7 @@ SimulateFunction: TypeAlias = Callable[[Array, Mapping[str, float], Mapping[str,
 # Steps of differences, in units of a range; the first whose derivatives agree with those of steps
 # three times as large is taken.
 _STEPS = (1e-4, 1e-3, 1e-2, 3e-2)
-_AGREEMENT = 0.1
+_AGREEMENT, _WIDE = 0.1, _STEPS[2:]
 # Error, in standard deviations of the output, that stands for a simulation that failed.
 _FAILED = 1e3
 # Points drawn for each start of a search.
@@ -84,6 +84,7 @@ class _Calibration:
     z: Array  # Parameters (P,)
     starts: Array  # Initial states of each training record (R, Q)
     step: float  # Step of differences
+    reliable: bool  # Whether these are derivatives
     scale: Array  # Standard deviation of each output (ny,)
     error: Array  # Standard deviation of its residual (ny,)
     center: Array  # Mean of past windows (F,)
@@ -146,9 +147,15 @@ class Simulator:
 
     def estimates(self, trajectories: Sequence[Trajectory], context: Context) -> ParameterEstimates:
         """Estimate the uncertainty of the parameters from the records of the fit; initial states
-        are estimated with them."""
+        are estimated with them.
+
+        Raises:
+            ValueError: if finite differences of the simulator are no derivatives.
+        """
         del context
         fitted, count = self._trained(), len(self.plant.parameters)
+        if not fitted.reliable:
+            raise ValueError("finite differences of the simulator are unreliable")
         error = _SimulationError(self, trajectories)
         theta = np.concatenate([fitted.z, fitted.starts.ravel()])
         parts = error.jacobians(theta, fitted.step)
@@ -287,11 +294,15 @@ def _unit_function(
     # A unit of ASIA gives the output of a sample after the step.
     late = int(described.generationTool == "ASIA")
     kind = "CoSimulation" if described.coSimulation is not None else "ModelExchange"
-    table = np.dtype([("time", np.float64), *((name, np.float64) for name in inputs)])
+    driven = [v for v in described.modelVariables if v.causality == "input"]
+    table = np.dtype([("time", np.float64), *((v.name, np.float64) for v in driven)])
 
     def simulate(u: Array, parameters: Mapping[str, float], initial: Mapping[str, float]) -> Array:
         signals = np.zeros(len(u) + late, table)
         signals["time"] = np.arange(len(signals)) * sampling_time
+        for v in driven:
+            # Inputs that no record has: parameters, or their start values.
+            signals[v.name] = parameters.get(v.name, float(v.start or 0.0))
         for name, column in zip(inputs, u.T, strict=True):
             signals[name] = np.append(column, column[-1:])[: len(signals)]
         rows: Any = simulate_fmu(
@@ -422,17 +433,20 @@ def train(
     if error.failure is not None and costs.min() >= 0.99 * _FAILED**2:
         raise error.failure
     best = points[np.argsort(costs, kind="stable")]
-    step = None if model.config.search == "global" else error.reliable_step(best[0])
-    if model.config.search == "gradient":
-        step = step or _STEPS[-1]
-    if step is None:
-        theta = _evolved(error, best[0], method, context)
-        theta = min(theta, _descended(error, theta, _STEPS[-1], method), key=error.cost)
+    reliable = error.reliable_step(best[0])
+    step = reliable or _STEPS[-1]
+    if model.config.search == "global" or (model.config.search == "auto" and not reliable):
+        # Wide differences smooth over small jumps, and find where to search without them.
+        found = [_descended(error, p, s, method) for s in _WIDE for p in best[: method.starts]]
+        theta = _evolved(error, min(found, key=error.cost), method, context)
+        found = [theta, *(_descended(error, theta, s, method) for s in _WIDE)]
+        theta = min(found, key=error.cost)
     else:
         found = [_descended(error, p, step, method) for p in best[: method.starts]]
         theta = min(found, key=error.cost)
     context.log(float(method.iterations), error.cost(theta))
-    model = replace(model, fitted=_calibration(model, error, theta, step or _STEPS[-1]))
+    found = _calibration(model, error, theta, step)
+    model = replace(model, fitted=replace(found, reliable=reliable is not None))
     assert model.fitted is not None
     if model.config.residual is None:
         return model
@@ -506,7 +520,7 @@ def _calibration(
     starts, before, count = error.starts(theta), model.n_past, error.initial
     features = before * len(model.inputs) + model.n_past_y * len(model.outputs)
     plain = _Calibration(
-        theta[: error.count], starts, step, error.scale, noise, np.zeros(features),
+        theta[: error.count], starts, step, True, error.scale, noise, np.zeros(features),
         np.ones(features), np.zeros((1 + features, count)), np.full(count, 0.5),
     )  # fmt: skip
     mean = starts.mean(axis=0) if count else np.zeros(0)

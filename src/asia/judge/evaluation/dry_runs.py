@@ -232,7 +232,7 @@ def check_plant(problem: Problem, isolation: Isolation) -> list[str]:
     if not found["gradient"]:
         lines.append(
             "simulator: finite differences are unreliable, as the simulator rounds or chooses its "
-            "steps: the search goes without gradients, and intervals are rough"
+            "steps: the search goes without gradients, and only the folds show how sure it is"
         )
     lost = [name for name in plant.parameters if found.get(f"lost {name}"[:48], 0) > _LOST]
     verb = "has no effect" if len(lost) == 1 else "cannot be told apart"
