@@ -56,8 +56,6 @@ class Context:
     """Name of the metric that V is computed with."""
     physics: Physics | None = None
     """Equations from the problem file."""
-    plant: Plant | None = None
-    """Simulator of the user's own, from the problem file."""
     seed: int = 0
     """Seed for one search, fold and repeat, the same for every candidate."""
     deadline: float = float("inf")
@@ -82,6 +80,8 @@ class Context:
     fit; the units are then `std`."""
     loop: Loop | None = None
     """Feedback loop of the records, whose `reference` it names; None for open loop."""
+    plant: Plant | None = None
+    """Simulator of the user's own, from the problem file."""
 
     @property
     def nu(self) -> int:

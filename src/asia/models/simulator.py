@@ -285,7 +285,9 @@ def _unit_function(
     try:
         from fmpy import read_model_description, simulate_fmu
     except ImportError as error:
-        raise SimulatorError("an FMU needs fmpy: pip install '.[fmu]' in a clone of ASIA") from error
+        raise SimulatorError(
+            "an FMU needs fmpy: pip install '.[fmu]' in a clone of ASIA"
+        ) from error
     finally:
         ctypes.util.find_library = find
 

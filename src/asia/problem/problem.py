@@ -88,8 +88,6 @@ class Problem:
     protocol: ProtocolRule
     budget: Budget
     physics: Physics | None = None
-    plant: Plant | None = None
-    """Simulator of the user's own."""
     baseline: str | None = None
     """Source of the problem's own first candidate."""
     truth: tuple[Array, ...] | None = None
@@ -113,6 +111,8 @@ class Problem:
     """Samples after which the inputs repeat, as declared."""
     loop: Loop | None = None
     """Feedback loop in which the training records were taken."""
+    plant: Plant | None = None
+    """Simulator of the user's own."""
 
     @classmethod
     def from_arrays(
