@@ -20,7 +20,7 @@ from asia.problem.plant import Plant
 from asia.problem.problem import Problem
 from asia.problem.seal import seal
 from asia.search.agent_views import problem_facts
-from asia.search.run import level_here
+from asia.search.run import level_here, prepare
 
 LAG = """
 from scipy.signal import lfilter
@@ -79,7 +79,7 @@ def held_inside(model: Any, problem: Problem) -> None:
 
 def test_parameters_of_a_simulator_are_found_with_their_intervals(tmp_path: Path) -> None:
     problem = load_problem(write(tmp_path))
-    model = calibrated(problem, LevenbergMarquardt(iterations=20, starts=2))
+    model = calibrated(problem, LevenbergMarquardt(iterations=12))
     held_inside(model, problem)
     # The state at the start of a record is that record's own.
     record = problem.train[1]
@@ -185,6 +185,14 @@ def test_a_bad_simulator_ends_in_one_sentence(tmp_path: Path, body: str, message
 
 
 @pytest.mark.slow
+def test_a_search_does_not_begin_with_a_bad_simulator(tmp_path: Path) -> None:
+    write(tmp_path, "def simulate(u, params, x0, dt):\n    return params['mass'] * u\n", 20)
+    with pytest.raises(UserError, match="failed at tau=5, gain=0, start=0: KeyError: 'mass'"):
+        prepare(load_problem(tmp_path), "expert", seed=1, runs=tmp_path / "runs")
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.slow
 def test_parameters_without_separate_effect_are_named(tmp_path: Path) -> None:
     twice = LAG.replace('params["gain"]', '(params["gain"] + params["tau"])').replace(
         '/ params["tau"]', "/ 4.0"
@@ -235,7 +243,7 @@ u1 = { min = -5.0, max = 5.0, unit = "V" }
     assert isinstance(problem.plant, Plant)
     # In the sandbox too, from the folder that workers may read.
     assert "determines every parameter" in check_plant(problem, level_here())[-1]
-    fitted = calibrated(problem, LevenbergMarquardt(iterations=8))
+    fitted = calibrated(problem, LevenbergMarquardt(iterations=4))
     found = fitted.estimates(problem.train, search_context(problem, 1)).parameters
     for one in found:
         assert one.low < truth[one.name] < one.high
