@@ -192,8 +192,7 @@ class Worker:
             curve = np.frombuffer(self._body(head, deadline, late), "<f8").astype(np.float64)
             self._ny, self._model_loaded = context.ny, True
             self.printed = self._channel.take_output()
-            # A simulator is code of the user's own, which could plant a program.
-            if programs is not None and context.plant is None and library_only(source):
+            if programs is not None and library_only(source):
                 self._take_programs(programs)
             return FitReply(curve.reshape(-1, 2), self.printed, seconds)
 
