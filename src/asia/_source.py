@@ -85,13 +85,15 @@ _TYPES = {"collections.abc": "Sequence", "asia.candidate": "Context", "asia.prob
 
 
 def _library_only(tree: ast.Module) -> bool:
-    """A few kinds of statements and expressions are known to be harmless; no other one is."""
+    """A few kinds of statements and expressions are known to be harmless; no other one is. The
+    family `simulator` runs code of the user's own."""
     families, methods = (
         {
             alias.asname or alias.name
             for statement in tree.body
             if isinstance(statement, ast.ImportFrom) and statement.module == module
             for alias in statement.names
+            if alias.name != "simulator"
         }
         for module in ("asia.models", "asia.models.methods")
     )

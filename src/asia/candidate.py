@@ -20,6 +20,7 @@ from asia._syntax import syntax_tree
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import CandidateError, Reason
 from asia.problem.physics import Physics
+from asia.problem.plant import Plant
 from asia.problem.symmetry import Symmetry
 
 if TYPE_CHECKING:
@@ -79,6 +80,8 @@ class Context:
     fit; the units are then `std`."""
     loop: Loop | None = None
     """Feedback loop of the records, whose `reference` it names; None for open loop."""
+    plant: Plant | None = None
+    """Simulator of the user's own, from the problem file."""
 
     @property
     def nu(self) -> int:

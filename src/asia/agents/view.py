@@ -14,6 +14,7 @@ from asia.ledger.events import Event, Exchanged, Phase, Status, StopReason
 from asia.problem.feedback import Loop
 from asia.problem.metrics import TrainingLoss, find_metric
 from asia.problem.physics import Physics
+from asia.problem.plant import Plant
 from asia.problem.protocol import EarlyStopping
 from asia.problem.symmetry import Symmetry
 
@@ -50,6 +51,7 @@ class Facts:
         symmetry: changes of the signals that leave the system's laws as they are
         linear: order and delay of the best linear model, where all folds have the same
         loop: feedback loop in which the records were taken
+        plant: simulator of the user's own
     """
 
     description: str
@@ -72,6 +74,7 @@ class Facts:
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
     linear: tuple[int, int] | None = None
     loop: Loop | None = None
+    plant: Plant | None = None
 
     @property
     def past(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -62,7 +62,7 @@ class Preprocess:
     def signals(self, signals: Sequence[Signal]) -> tuple[Signal, ...]:
         """Return the signals with their units in a fit: `std`, of its training records, where they
         are scaled."""
-        return tuple(Signal(s.name, "std") if self.scale else s for s in signals)
+        return tuple(replace(s, unit="std") if self.scale else s for s in signals)
 
     def length(self, samples: int) -> int:
         """Return the length after preprocessing of a record of `samples` samples."""

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TypeGuard
+from typing import Literal, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,10 @@ class Signal:
 
     name: str
     unit: str = ""
+    role: Literal["scheduling", "time_step"] | None = None
+    """"scheduling": a measured input that the coefficients of linear models may follow.
+    "time_step": an input that holds the time in s from each sample to the next, of records that are
+    not sampled regularly."""
 
     @property
     def label(self) -> str:

@@ -272,21 +272,40 @@ class LagChoice:
     """Greatest delay tried."""
     tolerance: float = 0.03
     """Relative tolerance of the root mean squared error."""
+    scheduling: int = 0
+    """Degree of the coefficients in the scheduling signals."""
 
 
 def linear_run(
-    records: ScaledData, lags: Lags, context: Context, ridge: float, margin: float
+    records: ScaledData,
+    lags: Lags,
+    context: Context,
+    ridge: float,
+    margin: float,
+    scheduling: int = 0,
 ) -> PolynomialRun:
     """Fit an ARX model by ridge regression, limited to the training range widened by `margin`
-    times."""
-    ny, nu = records[0].y.shape[1], records[0].u.shape[1]
-    terms = all_terms(lags.outputs * ny + lags.inputs * nu, 1)
+    times. Its coefficients are polynomials of degree `scheduling` in the newest scheduling
+    signals."""
+    terms = _linear_terms(lags, context, scheduling)
     x, y = equations(records, lags, terms)
     theta = solve(x.T @ x, x.T @ y, ridge)
     model = Polynomial(terms, theta, np.ones(theta.shape, bool))
     return PolynomialRun(
         model, fit_history(records, lags, context), OutputRange.of(records, margin)
     )
+
+
+def _linear_terms(lags: Lags, context: Context, degree: int) -> Terms:
+    """Each regressor and the constant, times every product of scheduling signals up to a degree."""
+    own = lags.outputs * context.ny
+    places = [j for j, s in enumerate(context.inputs) if s.role == "scheduling"]
+    if not (degree and places):
+        return all_terms(own + lags.inputs * context.nu, 1)
+    driven = [j for j in range(lags.inputs * context.nu) if j % context.nu not in places]
+    factors = np.array([0, *(1 + own + j for j in places)])[all_terms(len(places), degree)]
+    plain = [0, *range(1, own + 1), *(1 + own + j for j in driven)]
+    return np.array([[k, *factor] for factor in factors for k in plain], dtype=np.intp)
 
 
 def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lags:
@@ -296,7 +315,7 @@ def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lag
     delay = choice.delay
     if delay is None:
         few = [Lags(min(2, highest), min(2, highest), d) for d in range(choice.max_delay + 1)]
-        delay = _best_lags(part, context, few, 0.01).delay
+        delay = _best_lags(part, context, few, 0.01, choice.scheduling).delay
     counts = range(1, highest + 1)
     numbers = product(
         counts if choice.outputs is None else (choice.outputs,),
@@ -307,7 +326,7 @@ def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lag
         return lags[0]
     ny, nu = context.ny, context.nu
     lags.sort(key=lambda item: item.outputs * ny + item.inputs * nu)
-    return _best_lags(part, context, lags, choice.tolerance)
+    return _best_lags(part, context, lags, choice.tolerance, choice.scheduling)
 
 
 def candidate_lags(records: ScaledData, context: Context, choice: LagChoice) -> list[Lags]:
@@ -360,14 +379,18 @@ def usable(records: ScaledData, lags: Lags) -> None:
 
 
 def _best_lags(
-    records: ScaledData, context: Context, lags: Sequence[Lags], tolerance: float
+    records: ScaledData,
+    context: Context,
+    lags: Sequence[Lags],
+    tolerance: float,
+    scheduling: int,
 ) -> Lags:
     longest = max(lags, key=lambda item: item.memory)
     usable(records, longest)
     errors = left_out_error(
         records,
         context,
-        lambda kept: [linear_run(kept, item, context, 1e-7, 10.0) for item in lags],
+        lambda kept: [linear_run(kept, item, context, 1e-7, 10.0, scheduling) for item in lags],
         2 * past_length(context) + 4 * longest.memory,
     )
     return lags[int(np.argmax(errors <= errors.min() + 2 * np.log1p(tolerance)))]

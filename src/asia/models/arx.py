@@ -3,7 +3,10 @@
 y[k] = sum_i A_i y[k-i] + sum_j B_j u[k-delay-j] + c. "arx" fits the equation by least squares;
 "oe" goes on from there to the least simulation error, where noise on the measured outputs no
 longer biases the coefficients. Lags the past window is too short for come from a regression on it.
-Source: Ljung, System Identification, 2nd ed., sections 4.2 and 10.2.
+With a scheduling signal p the coefficients can be polynomials in p[k-delay] (a linear
+parameter-varying model).
+Sources: Ljung, System Identification, 2nd ed., sections 4.2 and 10.2; Bamieh and Giarre, Int. J.
+Robust Nonlinear Control 12(9), 2002 (LPV).
 """
 
 from __future__ import annotations
@@ -60,11 +63,14 @@ class Config:
     """Greatest number of lags tried where `na` or `nb` is None."""
     max_delay: int = 10
     """Greatest delay tried where `delay` is None, in samples."""
+    scheduling: int = 0
+    """Degree of the coefficients in the inputs with `role = "scheduling"`: 1 is affine; 0 takes
+    these as inputs like any other."""
 
     def __post_init__(self) -> None:
         check_choice(self, "structure", ("arx", "oe"))
         check_at_least(1, self, "na", "nb", "max_order")
-        check_at_least(0, self, "delay", "max_delay")
+        check_at_least(0, self, "delay", "max_delay", "scheduling")
 
 
 def train(
@@ -90,13 +96,13 @@ def train(
     check(trajectories, context)
     scaling = Scaling.of(trajectories)
     records = scaled(trajectories, scaling)
-    choice = LagChoice(c.na, c.nb, c.delay, c.max_order, c.max_delay)
+    choice = LagChoice(c.na, c.nb, c.delay, c.max_order, c.max_delay, scheduling=c.scheduling)
     lags = choose_lags(records, context, choice)
     usable(records, lags)
 
     def fit(records: ScaledData, ridge: float) -> PolynomialRun:
         # Outputs of an unstable model are limited to ten widths of the training range.
-        return linear_run(records, lags, context, ridge, 10.0)
+        return linear_run(records, lags, context, ridge, 10.0, c.scheduling)
 
     ridge = method.ridge if isinstance(method, LeastSquares) else None
     if ridge is None:

@@ -33,6 +33,9 @@ from asia.problem.physics import Bounds
 
 __all__ = ["Config", "GreyBox", "build", "train"]
 
+# Greatest factor on the substeps, for long gaps between irregular samples.
+_MOST_SUBSTEPS = 20
+
 
 @dataclass(frozen=True)
 class GreyBox:
@@ -217,7 +220,13 @@ def build(config: Config, context: Context) -> GreyBox:
         n_past_u=context.n_past_u,
         n_past_y=context.n_past_y,
         priors=priors,
+        time_step=next((i for i, s in enumerate(context.inputs) if s.role == "time_step"), None),
     )
+    if structure.time_step is not None and (config.input_delay or config.discover):
+        raise UserError(
+            "greybox.Config: input_delay and discover need one sampling time: leave them out with "
+            "irregular samples"
+        )
     return GreyBox(replace(structure, measured=_is_measured(structure, context)))
 
 
@@ -252,8 +261,25 @@ def train(
     mean squared normalised error plus the ridge.
     """
     segments = cut_segments(model.structure, trajectories, context.horizon)
+<<<<<<< HEAD
     structure = extended(model.structure, segments)
     fitted = fit(structure, segments, method, context.seed, context.log)
+=======
+    structure = model.structure
+    if structure.time_step is not None:
+        if method.noise_model != "white":
+            raise UserError(
+                "greybox.train: noise_model needs one sampling time: leave it out with irregular "
+                "samples"
+            )
+        # As many substeps as keep the longest at the length that a regular one would have.
+        longest = max(float(t.u[:, structure.time_step].max()) for t in trajectories)
+        more = int(np.clip(np.ceil(longest / structure.sampling_time), 1, _MOST_SUBSTEPS))
+        config = replace(structure.config, substeps=more * structure.config.substeps)
+        structure = replace(structure, config=config)
+    structure = extended(structure, segments)
+    fitted = fit(structure, segments, method, context.seed)
+>>>>>>> linear7
     if structure.config.discover:
         from asia.models._equations.discovery import discover
 

@@ -134,10 +134,20 @@ class CheckReport:
     def lines(self) -> list[str]:
         """The report as plain text."""
         problem, rule, physics = self.problem, self.problem.protocol, self.problem.physics
+        place = problem.channels.time_step
         lines = [f"problem {problem.name}, sampled every {problem.sampling_time:g} s"]
-        lines += map(_signal_line, self.signals)
+        if place is not None:
+            steps = np.concatenate([t.u[:, place] for t in problem.train])
+            lines = [
+                f"problem {problem.name}, sampled irregularly, every {steps.min():.3g} to "
+                f"{steps.max():.3g} s, median {np.median(steps):.3g} s: equations are integrated "
+                "from sample to sample, and inputs are held; spectra, delays, feedback and a "
+                "linear model need one sampling time and are left out"
+            ]
+        lines += [_signal_line(s, irregular=place is not None) for s in self.signals]
         lines += [
-            f"record {t.name}: {len(t)} samples, {len(t) * t.sampling_time:g} s"
+            f"record {t.name}: {len(t)} samples, "
+            f"{len(t) * t.sampling_time if place is None else t.u[:, place].sum():g} s"
             for t in problem.train
         ]
         lines += [_missing_line(problem), *delay_lines(problem), *response_lines(problem)]
@@ -207,10 +217,12 @@ def check_problem(problem: Problem, seal: Seal, *, in_workspace: bool = False) -
             for i, s in enumerate(problem.outputs)
         ),
     )
-    doubts = [d for s in signals for d in _signal_doubts(s)]
-    doubts += _collinear_inputs(problem)
-    doubts += data_doubts(problem)
-    doubts += _repeated_inputs(problem)
+    doubts: list[Doubt] = []
+    if problem.channels.time_step is None:
+        doubts += [d for s in signals for d in _signal_doubts(s)]
+        doubts += _collinear_inputs(problem)
+        doubts += data_doubts(problem)
+        doubts += _repeated_inputs(problem)
     if not is_described(problem.description):
         text = "there is no description: agents that read know nothing of the system"
         doubts.append(Doubt(text, 0.05))
@@ -267,9 +279,14 @@ def _signal_check(
     )
 
 
-def _signal_line(s: SignalCheck) -> str:
+def _signal_line(s: SignalCheck, *, irregular: bool) -> str:
     if s.constant:
         return f"{s.role} {s.signal.label}: constant at {s.minimum:.4g}"
+    if irregular:
+        return (
+            f"{s.role} {s.signal.label}: {s.minimum:.4g} to {s.maximum:.4g}, std {s.std:.4g}, "
+            f"at the extremes {s.at_minimum + s.at_maximum:.1%}"
+        )
     at_least = ">= " if s.excitation_order == _HIGHEST_ORDER else ""
     order = f", practical excitation order {at_least}{s.excitation_order}"
     return (
@@ -444,8 +461,9 @@ def input_delays(problem: Problem) -> tuple[InputDelay, ...]:
 
 def _first_samples(problem: Problem) -> list[Trajectory]:
     """Whole records up to a number of samples, at least the start of the first; none where a record
-    is too short for a correlation."""
-    if min(len(r) for r in problem.train) < _SHORTEST:
+    is too short for a correlation, or not sampled regularly."""
+    irregular = problem.channels.time_step is not None
+    if irregular or min(len(r) for r in problem.train) < _SHORTEST:
         return []
     kept: list[Trajectory] = []
     # With many pairs of signals the beginning of the records has to do.
@@ -724,10 +742,13 @@ def check_period(records: Sequence[Trajectory], period: int | None) -> None:
 
 
 def responses(problem: Problem) -> tuple[FrequencyResponse | None, ...]:
-    """Return the frequency response of each output; None for an output with too little data.
+    """Return the frequency response of each output; None for an output with too little data, or
+    samples that are not regular.
 
     A declared or detected period is used where there is one.
     """
+    if problem.channels.time_step is not None:
+        return (None,) * len(problem.outputs)
     period = problem.period or find_period(problem.train)
     return tuple(frequency_response(problem.train, k, period) for k in range(len(problem.outputs)))
 

@@ -22,6 +22,7 @@ from asia.problem.folds import least_samples, require_length
 from asia.problem.held_back import divided
 from asia.problem.lock import check_digests
 from asia.problem.physics import check_physics
+from asia.problem.plant import load_plant
 from asia.problem.problem import Problem, TestSource, prepared
 from asia.problem.protocol_table import check_protocol, with_groups
 from asia.problem.schema import LockFile, ProblemFile, ProblemTables
@@ -29,6 +30,16 @@ from asia.problem.symmetry import check_symmetry
 from asia.problem.toml import read_table
 
 _FILE = "problem.toml"
+_IRREGULAR = '''"""First model of irregular samples: the given equations, fitted."""
+
+from asia.models import {family}
+from asia.models.methods import LevenbergMarquardt
+
+
+def fit(trajectories, context):
+    model = {family}.build({family}.Config(), context)
+    return {family}.train(model, trajectories, context, LevenbergMarquardt(30, starts=4))
+'''
 _BUILTIN = Path(str(resources.files("asia"))) / "problems"
 
 
@@ -68,8 +79,11 @@ def load_problem(name_or_path: str | Path, guard_share: float | None = None) -> 
     baseline = text(None, "baseline.py")
     notes, strategies = text(file.notes, "") or "", text(file.strategies, "") or ""
     root = path.resolve().parent
+    found = _assemble(file, root)
+    if baseline is None and found.channels.time_step is not None:
+        baseline = _IRREGULAR.format(family="greybox" if found.physics else "simulator")
     return replace(
-        _assemble(file, root),
+        found,
         name=file.name or root.name,
         description=description,
         baseline=baseline,
@@ -131,6 +145,21 @@ def _find(name_or_path: str | Path) -> Path:
     )
 
 
+def _check_irregular(file: ProblemTables) -> None:
+    """Raise UserError for tables that need one sampling time."""
+    if [s.role for s in file.inputs].count("time_step") > 1:
+        raise UserError("role = 'time_step' is given twice: keep one such input")
+    if file.physics is None and file.plant is None:
+        raise UserError(
+            "role = 'time_step' keeps irregular samples, which only equations in [physics] or a "
+            "simulator in [plant] can be integrated to: add one, or leave this input out to have "
+            "the records resampled"
+        )
+    for table, given in (("[preprocess]", file.preprocess), ("[loop]", file.loop)):
+        if given:
+            raise UserError(f"{table} needs one sampling time: leave it out with irregular samples")
+
+
 def _assemble(file: ProblemTables, root: Path) -> Problem:
     """Check the tables against each other and read the training records; the texts are left out.
 
@@ -148,6 +177,10 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
             raise UserError(
                 f"signal '{name}' is named {count} times among inputs, outputs and references"
             )
+    if any(s.role for s in file.outputs) or all(s.role for s in file.inputs):
+        raise UserError("a role belongs to an input, and at least one input must have none")
+    if channels.time_step is not None:
+        _check_irregular(file)
     physics, done, rule = file.physics, file.preprocess, file.protocol.rule()
     if loop is not None and done:
         raise UserError("[preprocess] changes the signals of the [loop]: leave one of them out")
@@ -155,10 +188,12 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         check_physics(physics, inputs, outputs)
     check_symmetry(file.symmetry, inputs, outputs, physics)
     done.check(inputs)
-    if physics is not None and (done.detrend or done.scale):
+    plant = file.plant and load_plant(file.plant, root, inputs, outputs)
+    if (physics or plant) and (done.detrend or done.scale):
+        written = "[physics] is" if physics else "[plant] is"
         raise UserError(
-            "preprocess.detrend and preprocess.scale change the signals that [physics] is written "
-            "in: leave them out, or the equations"
+            f"preprocess.detrend and preprocess.scale change the signals that {written} written "
+            f"in: leave them out, or the {'equations' if physics else 'simulator'}"
         )
     if isinstance(file.data.guard, int) and done:
         raise UserError("[preprocess] is for measured records: leave it out for a simulated source")
@@ -208,6 +243,7 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         protocol=rule,
         budget=file.budget,
         physics=physics,
+        plant=plant,
         truth=None if done else truth,
         preprocess=done,
         recorded=channels if done else None,

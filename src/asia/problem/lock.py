@@ -113,6 +113,7 @@ def lock_text(problem: Problem, seal: Seal) -> str:
         "protocol": protocol_table(problem.protocol),
         "budget": asdict(problem.budget),
         "physics": None if problem.physics is None else asdict(problem.physics),
+        "plant": problem.plant and problem.plant.table,
         "preprocess": asdict(problem.preprocess) if problem.preprocess else None,
         "symmetry": {k: dict(v) for k, v in problem.symmetry.items()} or None,
         "loop": loop_table(problem.loop),
@@ -134,7 +135,7 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
     except (OSError, ValueError, RecursionError) as error:
         raise UserError(f"cannot read {path}: {error}") from error
     now = dict(_flat(tomllib.loads(lock_text(problem, seal))))
-    moved = {"data.train", "data.test", "data.guard", "data.sealed.file", *_TEXTS}
+    moved = {"data.train", "data.test", "data.guard", "data.sealed.file", "plant.source", *_TEXTS}
     keys = [k for k in {**before, **now} if k not in moved and before.get(k) != now.get(k)]
     return tuple(Difference(k, before.get(k), now.get(k)) for k in keys)
 
@@ -142,7 +143,7 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
 def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
     """Raise UserError that names every part whose digest is not the expected one."""
     found = _digests(problem, None)
-    parts = (*_TEXTS, "physics", "symmetry", "protocol")
+    parts = (*_TEXTS, "physics", "plant", "symmetry", "protocol")
     changed = [f"the {part}" for part in parts if found[part] != getattr(expected, part)]
     train = found["train"]
     if len(train) != len(expected.train):
@@ -166,6 +167,7 @@ def _digests(problem: Problem, test: str | None) -> dict[str, Any]:
         "strategies": text_digest(problem.strategies) if problem.strategies else None,
         "baseline": None if problem.baseline is None else text_digest(problem.baseline),
         "physics": None if problem.physics is None else physics_digest(problem.physics),
+        "plant": problem.plant and problem.plant.digest,
         "symmetry": symmetry_digest(problem.symmetry) if problem.symmetry else None,
         "protocol": protocol_digest(problem),
     }

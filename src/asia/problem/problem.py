@@ -19,6 +19,7 @@ from asia.problem.budget import Budget
 from asia.problem.feedback import Loop, loop_table
 from asia.problem.folds import least_samples
 from asia.problem.physics import Physics
+from asia.problem.plant import Plant
 from asia.problem.protocol import ProtocolRule
 from asia.problem.protocol_table import ProtocolTable, groups_table, protocol_table
 from asia.problem.symmetry import Symmetry
@@ -110,6 +111,8 @@ class Problem:
     """Samples after which the inputs repeat, as declared."""
     loop: Loop | None = None
     """Feedback loop in which the training records were taken."""
+    plant: Plant | None = None
+    """Simulator of the user's own."""
 
     @classmethod
     def from_arrays(
@@ -280,6 +283,7 @@ def training_text(problem: Problem, names: Sequence[str]) -> str:
         "protocol": protocol_table(problem.protocol),
         "budget": {"fit_seconds": budget.fit_seconds, "memory_mb": budget.memory_mb},
         "physics": None if problem.physics is None else asdict(problem.physics),
+        "plant": problem.plant and {**problem.plant.table, "source": problem.plant.label},
         # The records were delayed and thinned out before they were written.
         "preprocess": {
             name: True for name in ("detrend", "scale") if getattr(problem.preprocess, name)

@@ -18,6 +18,7 @@ from asia.data.trajectory import Signal
 from asia.problem.budget import Budget
 from asia.problem.feedback import Loop
 from asia.problem.physics import Physics
+from asia.problem.plant import PlantTable
 from asia.problem.protocol_table import ProtocolTable
 
 _STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -49,6 +50,7 @@ class ProblemTables:
     protocol: ProtocolTable = field(default_factory=ProtocolTable)
     budget: Budget = field(default_factory=Budget)
     physics: Physics | None = None
+    plant: PlantTable | None = None
     preprocess: Annotated[Preprocess, BeforeValidator(without_numbers)] = field(
         default_factory=Preprocess
     )
@@ -81,6 +83,7 @@ class DigestTable:
     strategies: str | None = None
     baseline: str | None = None
     physics: str | None = None
+    plant: str | None = None
     symmetry: str | None = None
     protocol: str
 

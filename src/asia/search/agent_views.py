@@ -38,6 +38,7 @@ def problem_facts(problem: Problem) -> Facts:
         past_inputs=rule.past_inputs,
         past_outputs=rule.past_outputs,
         physics=problem.physics,
+        plant=problem.plant,
         horizon=rule.horizon,
         metric=rule.metric,
         early_stopping=rule.early_stopping,

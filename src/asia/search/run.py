@@ -21,6 +21,7 @@ from asia.agents.relay import check_relay_budget, relay_budget
 from asia.agents.view import Agent
 from asia.candidate import check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
+from asia.judge.evaluation.dry_runs import check_plant
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.references import LINEAR
@@ -204,7 +205,9 @@ def prepare(
     found = _probed(isolation)
     check_run_is_hidden(problem, directory, found.level)
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
-    if resumes:
+    if not resumes:
+        check_plant(problem, found.level)
+    else:
         # The budget may grow. A run from before there were retests goes on by its ledger's rule.
         different = [
             one

@@ -15,7 +15,22 @@ from asia.agents.view import Facts
 from asia.candidate import Context
 from asia.data.trajectory import Signal, Trajectory
 from asia.models import methods
+from asia.problem.plant import Plant, Unknown
 from asia.testing.candidate import check_candidate, tank, tank_context
+
+_TANK = Plant(
+    source="tank.py:simulate",
+    parameters={"k1": Unknown(0.05, 5.0), "k2": Unknown(0.05, 5.0)},
+    initial={"level": Unknown(0.0, 5.0)},
+    code=b"""
+def simulate(u, params, x0, dt):
+    level, y = x0["level"], []
+    for (flow,) in u:
+        y.append(level)
+        level = max(level + dt * (params["k2"] * flow - params["k1"] * level**0.5), 0.0)
+    return y
+""",
+)
 
 
 def check_family(row: Family) -> None:
@@ -58,8 +73,10 @@ def check_recipe(recipe: Recipe) -> None:
 
 def family_problem(row: Family) -> tuple[Trajectory, Context]:
     """A leaking tank or, for families of several outputs, the tank and the integral of its
-    level."""
+    level; for those that need one, with a simulator of the tank."""
     record, context = tank(), tank_context()
+    if "plant" in row.needs:
+        context = replace(context, plant=_TANK)
     if "several" not in row.needs:
         return record, context
     y = np.concatenate([np.cumsum(record.y, axis=0) * record.sampling_time, record.y], axis=1)
@@ -73,4 +90,5 @@ def smallest_source(row: Family, record: Trajectory, context: Context) -> str:
 
 
 def _facts(record: Trajectory, context: Context) -> Facts:
-    return Facts("", context.inputs, context.outputs, 0.1, (record,), 5, 5, context.physics)
+    known = context.inputs, context.outputs, 0.1, (record,), 5, 5, context.physics
+    return Facts("", *known, plant=context.plant)

@@ -29,6 +29,7 @@ from asia.agents.library.gains import gain_factor
 from asia.agents.library.move import Move, Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families, family
+from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import overfit
 from asia.agents.view import AgentStoppedError, AgentView, Proposal, Running, Trial
 
@@ -46,6 +47,8 @@ PATIENCE = 0.85
 STATIC = 1.5
 # A first fit that takes so many times the median of the others, and seconds, waits for cheap ones.
 SLOW, SLOW_SECONDS = 4.0, 30.0
+# Settings that need one sampling time.
+_COUNTED_IN_SAMPLES = ("input_delay", "discover", "noise_model")
 _CHOSEN_BY_FIT = frozenset({"order", "delay", "na", "nb"})
 
 
@@ -253,6 +256,9 @@ def refinements(view: AgentView) -> Iterator[Option]:
 
 def _moved(at: Situation, move: Move) -> Proposal | None:
     recipe = move.change(at)
+    counted = recipe.maps or any(map(recipe.get, _COUNTED_IN_SAMPLES))
+    if "irregular" in traits(at.facts) and counted:
+        return None
     if not is_new(at.view, at.row, recipe):
         return None
     # None leaves an order or a delay to the fit, and is the default of other settings.

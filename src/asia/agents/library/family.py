@@ -55,13 +55,21 @@ class Family:
     """Whether moves can add missing effects, so that it leads although a black box is better."""
     stopped_by_score: frozenset[str] = frozenset()
     """Methods, besides the gradient methods, that can stop by the score on the held-out part."""
+    irregular: bool = False
+    """Whether it can use records that are not sampled regularly."""
     package: str = MODELS
     """The package that candidates import it from."""
 
     @property
     def kind(self) -> Kind:
         """Kind of the family: built on the problem's equations, of few parameters, or a network."""
-        return "equations" if "physics" in self.needs else "network" if self.seeds else "classical"
+        return (
+            "equations"
+            if self.needs & {"physics", "plant"}
+            else "network"
+            if self.seeds
+            else "classical"
+        )
 
     @property
     def place(self) -> tuple[int, float, float, str]:
@@ -89,7 +97,8 @@ class Family:
     def suits(self, facts: Facts) -> bool:
         """Return whether the family can be used on the problem at all."""
         found = traits(facts)
-        return self.needs <= found and not self.unfit & found
+        sampled = self.irregular or "irregular" not in found
+        return self.needs <= found and not self.unfit & found and sampled
 
     def aptness(self, facts: Facts) -> float:
         """The base and the points of the problem's traits."""

@@ -10,7 +10,7 @@ from asia.problem.symmetry import of_signals
 
 Trait = Literal[
     "physics", "parameters", "windows", "measured", "short", "long", "several", "symmetric",
-    "integrating",
+    "integrating", "plant", "scheduling", "irregular",
 ]  # fmt: skip
 
 
@@ -20,7 +20,8 @@ def traits(facts: Facts) -> frozenset[Trait]:
     equations, the past window is one output sample; short, long: at most 2000 or at least 20 000
     samples to fit; several: more than one output; symmetric: a symmetry of inputs and outputs alone
     is declared; integrating: an output drifts with the sum of the inputs, and whole records are
-    simulated."""
+    simulated; plant: a simulator of the user's own is given;
+    scheduling: an input is a scheduling signal; irregular: an input holds the time step."""
     physics = facts.physics
     inputs, outputs = [s.name for s in facts.inputs], [s.name for s in facts.outputs]
     if physics is None:
@@ -31,6 +32,9 @@ def traits(facts: Facts) -> frozenset[Trait]:
     found: dict[Trait, bool] = {
         "physics": physics is not None,
         "parameters": physics is not None and bool(physics.parameters),
+        "plant": facts.plant is not None,
+        "scheduling": any(s.role == "scheduling" for s in facts.inputs),
+        "irregular": any(s.role == "time_step" for s in facts.inputs),
         "windows": facts.horizon is not None,
         "measured": measured,
         "short": facts.fit_samples <= 2_000,

@@ -22,6 +22,7 @@ from asia.data.trajectory import Signal
 from asia.ledger.text import error_line
 from asia.problem.metrics import find_metric, metric_label
 from asia.problem.physics import Physics
+from asia.problem.plant import Plant
 from asia.problem.problem import correction_lines, prior_lines, symmetry_lines
 from asia.problem.symmetry import Symmetry
 
@@ -166,6 +167,7 @@ def briefing(facts: Facts) -> str:
         "Signals": "\n".join(signal_lines(facts)),
         "Judgement": "\n".join(_judgement(facts)),
         "Equations": "" if facts.physics is None else "\n".join(equations(facts.physics)),
+        "Simulator": "" if facts.plant is None else "\n".join(simulator(facts.plant)),
         "Symmetry": "\n".join(symmetries(facts.symmetry)),
         "Training records": "\n".join(_records(facts)),
         "Contract": contract,
@@ -239,6 +241,14 @@ def equations(physics: Physics) -> Iterator[str]:
         yield from _listed(title, (f"{name}: {one_line(e, 400)}" for name, e in found.items()))
     yield from _listed("prior knowledge, mean +- standard deviation", prior_lines(physics))
     yield from _listed("corrections, 0 in the equations as they stand", correction_lines(physics))
+
+
+def simulator(plant: Plant) -> Iterator[str]:
+    """Yield the simulator of the problem file and its unknowns, a line each."""
+    yield f"simulator: {one_line(plant.label, 100)}, calibrated by `asia.models.simulator`"
+    for title, table in (("parameters", plant.parameters), ("initial states", plant.initial)):
+        ranges = (f"{k}: {p.min:g} to {p.max:g} {p.unit}".rstrip() for k, p in table.items())
+        yield from _listed(f"{title}, unknown", ranges)
 
 
 def symmetries(symmetry: Symmetry) -> Iterator[str]:

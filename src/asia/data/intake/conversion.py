@@ -248,7 +248,8 @@ def take_in(
                 name = part.name
                 if name == path.stem and stems[name] > 1:
                     name = f"{path.resolve().parent.name}/{name}"
-                found.append(replace(part, name=name, is_file=part.where == str(path)))
+                part = replace(part, name=name, is_file=part.where == str(path))
+                found.append(part if own.time_step is None else _as_sampled(part, own.time_step))
     known = [part.name for part in found]
     for name in (*(only or ()), *without):
         if name not in known:
@@ -263,9 +264,28 @@ def take_in(
             "to train on"
         )
     asked = asked or wanted
+    if asked.time_step is not None:
+        before, after = asked.inputs[: asked.time_step], asked.inputs[asked.time_step :]
+        asked = replace(asked, inputs=(*before, "time step", *after))
     _check_values(kept, asked, ", ".join(map(str, paths)))
     made = make_records(kept, use, sampling_time, least)
     return replace(made, units=found_units, inputs=asked.inputs, outputs=asked.outputs)
+
+
+def _as_sampled(part: TablePart, place: int) -> TablePart:
+    """Insert the time to the next sample among the inputs, at this place; the last sample gets the
+    median. Raises UserError for time stamps that do not increase."""
+    if part.timestamps is None or len(part.timestamps) < 2:
+        raise UserError(f"{part.where}: irregular sampling needs a column with time stamps")
+    cuts = runs(part.timestamps, part.where, part.first_line, IGNORE_STAMPS)
+    if len(cuts) > 1:
+        raise UserError(
+            f"{part.where}, line {part.first_line + cuts[1].start}: time goes back; put records "
+            "into files of their own, or name experiment_column"
+        )
+    steps = np.diff(part.timestamps)
+    steps = np.append(steps, np.median(steps))
+    return replace(part, u=np.insert(part.u, place, steps, axis=1), timestamps=None)
 
 
 def _check_values(found: Sequence[TablePart], wanted: Wanted, where: str) -> None:

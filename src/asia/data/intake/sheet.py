@@ -63,6 +63,9 @@ class Wanted:
     """Names of the columns of a file without a header."""
     progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
     """Callback for the progress of a long read, in words."""
+    time_step: int | None = None
+    """Place among the inputs of the time to the next sample, which is computed; records are then
+    taken as they were sampled."""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -86,10 +86,12 @@ class RecordFiles(Source):
 
     def _take(self, paths: tuple[Path, ...], channels: Channels, use: Use, **chosen: Any) -> Intake:
         inputs, outputs = channels.names
-        wanted = replace(self.reading, inputs=tuple(inputs), outputs=tuple(outputs))
+        place = channels.time_step
+        measured = tuple(name for i, name in enumerate(inputs) if i != place)
+        wanted = replace(self.reading, inputs=measured, outputs=tuple(outputs), time_step=place)
         least = channels.least if use == "train" else 1
         found = take_in(paths, wanted, use, channels.sampling_time, least, **chosen)
-        if (found.inputs, found.outputs) != (wanted.inputs, wanted.outputs):
+        if (len(found.inputs), found.outputs) != (len(inputs), wanted.outputs):
             raise UserError(
                 f"{paths[0]}: a signal is a matrix with several columns: name the columns "
                 f"{', '.join((*found.inputs, *found.outputs))} in problem.toml"

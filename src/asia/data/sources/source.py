@@ -35,6 +35,11 @@ class Channels:
         """Names of the inputs, and of the outputs."""
         return [s.name for s in self.inputs], [s.name for s in self.outputs]
 
+    @property
+    def time_step(self) -> int | None:
+        """Place of the input that holds the time to the next sample; None for one sampling time."""
+        return next((i for i, s in enumerate(self.inputs) if s.role == "time_step"), None)
+
 
 @dataclass(frozen=True)
 class SourceData:

@@ -21,18 +21,23 @@ def check(
     """Print the data and the protocol of a problem, judge the data, and draw them."""
     from asia.analysis.data_verdict import judge_data
     from asia.interfaces.workspace.workspace import is_workspace
+    from asia.judge.evaluation.dry_runs import check_plant
     from asia.problem.check import check_problem
     from asia.problem.load import load_problem
     from asia.problem.seal import seal
     from asia.report import draw_problem
-    from asia.search.run import check_baseline
+    from asia.search.run import check_baseline, level_here
 
     loaded = load_problem(problem)
     check_baseline(loaded)
     make_folds(loaded.train, loaded.protocol)
     in_workspace = is_workspace(Path(problem))
     report = check_problem(loaded, seal(loaded), in_workspace=in_workspace)
-    for line in (*report.lines(), *judge_data(loaded, report).lines()):
+    simulator = check_plant(loaded, level_here()) if loaded.plant else []
+    # A verdict needs a linear model.
+    regular = loaded.channels.time_step is None
+    verdict = judge_data(loaded, report).lines() if regular else []
+    for line in (*report.lines(), *simulator, *verdict):
         say(line)
     if not draw:
         return

@@ -7,7 +7,7 @@ import textwrap
 from enum import Enum
 
 from asia.agents.library.pages import families_page
-from asia.agents.llm.prompt import MODEL_RULES, equations, ladder_rule, symmetries
+from asia.agents.llm.prompt import MODEL_RULES, equations, ladder_rule, simulator, symmetries
 from asia.candidate import installed_libraries
 from asia.data.trajectory import Signal
 from asia.problem.metrics import metric_label
@@ -286,6 +286,10 @@ def _physics(problem: Problem) -> str:
         if given:
             use += " `context.symmetry` has the symmetries."
         given = [*equations(problem.physics), *given]
+    if problem.plant is not None:
+        given = [*simulator(problem.plant), *given]
+        others = use if problem.physics or problem.symmetry else ""
+        use = f"`context.plant` has the simulator. {others}"
     if not given:
         return ""
     # Headings with what is indented below them on the same line, where it fits; else on indented

@@ -231,6 +231,8 @@ def write_folder(
     references = problem.loop.reference if problem.loop else ()
     signals = (*problem.inputs, *problem.outputs, *references)
     write_file(folder, "problem.toml", training_text(problem, names))
+    if problem.plant is not None:
+        (folder / problem.plant.label.partition(":")[0]).write_bytes(problem.plant.code)
     write_file(folder, "tools.py", TOOLS.replace("{seed}", str(seed)))
     for name, trajectory in zip(names, problem.train, strict=True):
         # Time first; empty where an output was not measured.

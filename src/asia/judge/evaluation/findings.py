@@ -153,6 +153,7 @@ def search_context(problem: Problem, seed: int) -> Context:
         horizon=rule.horizon,
         metric=rule.metric,
         physics=problem.physics,
+        plant=problem.plant,
         symmetry=problem.symmetry,
         detrend=problem.preprocess.detrend,
         scale=problem.preprocess.scale,

@@ -89,8 +89,8 @@ def score_references(
     evaluator: Evaluator, metric: str, truth: Sequence[Array] | None, known: Set[str]
 ) -> Iterator[Reference]:
     """Training mean, last output held, for windows constant velocity where the past window or
-    another output gives one, best linear model; for simulated problems also the noise-free
-    truth, whose V is the noise floor.
+    another output gives one, best linear model where samples are regular; for simulated problems
+    also the noise-free truth, whose V is the noise floor.
 
     Names in `known` are passed over.
 
@@ -123,7 +123,8 @@ def score_references(
     for name, simulate in simulations.items():
         if name not in known:
             yield Reference(name, score(simulate))
-    if LINEAR_REFERENCE not in known:
+    irregular = any(s.role == "time_step" for s in evaluator.data.context.inputs)
+    if LINEAR_REFERENCE not in known and not irregular:
         yield best_linear(evaluator)
     if truth is not None and TRUTH not in known:
         yield Reference(

@@ -170,6 +170,8 @@ class GreyBoxStructure:
     problem_states: int | None = None
     """Number of states of the problem file's equations, which come first; None is all."""
     priors: ParameterPriors = NO_PRIORS  # Prior knowledge of the parameters
+    time_step: int | None = None
+    """Input that holds the time to the next sample; None for one sampling time."""
     shown: tuple[tuple[int, int], ...] | None = None
     """`measured_states` where the observation has been changed."""
 

@@ -207,9 +207,9 @@ def equations(physics: Physics, inputs: Sequence[str], outputs: Sequence[str]) -
     )
 
 
-def runge_kutta(derivative: Derivative, x: AnyArray, u: AnyArray, step: float) -> AnyArray:
-    """Advance states x (nx, ...) by one classical fourth-order Runge-Kutta step, in s, with inputs
-    u (nu, ...) held."""
+def runge_kutta(derivative: Derivative, x: AnyArray, u: AnyArray, step: AnyArray) -> AnyArray:
+    """Advance states x (nx, ...) by one classical fourth-order Runge-Kutta step, a number or (...)
+    in s, with inputs u (nu, ...) held."""
     k1 = derivative(x, u)
     k2 = derivative(x + 0.5 * step * k1, u)
     k3 = derivative(x + 0.5 * step * k2, u)

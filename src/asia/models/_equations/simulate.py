@@ -171,9 +171,14 @@ def sample_by_sample(
     advance them by one sample with inputs (nu, R, S)."""
     xp, confine = namespace(effect.parameters), _confinement(structure, scales, effect)
     derivative, substeps = _derivative(structure, scales, effect), structure.config.substeps
-    step = structure.sampling_time / substeps
+    irregular = structure.time_step
 
     def advance(x: AnyArray, u: AnyArray) -> AnyArray:
+        whole = structure.sampling_time
+        if irregular is not None:
+            whole = xp.maximum(u[irregular], 0.0)
+        step = whole / substeps
+
         def once(x: AnyArray) -> AnyArray:
             moved = runge_kutta(derivative, x, u, step)
             return confine(xp.where(xp.isfinite(moved), moved, x))

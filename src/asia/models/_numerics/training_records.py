@@ -109,6 +109,12 @@ def check(trajectories: Sequence[Trajectory], context: Context) -> None:
     """
     if not trajectories:
         raise UserError("no training records: a model needs at least one trajectory")
+    if any(s.role == "time_step" for s in context.inputs):
+        raise UserError(
+            "the records are not sampled regularly, and this family counts in samples: use "
+            "greybox, hybrid or simulator, or leave out the input with role 'time_step' to have "
+            "the records resampled"
+        )
     for t in trajectories:
         if t.u.shape[1] != context.nu or t.y.shape[1] != context.ny:
             raise UserError(

@@ -227,6 +227,7 @@ CARD = Card(
             base=10,
             points=(("windows", -4), ("measured", -2)),
             needs=frozenset({"physics"}),
+            irregular=True,
             start=_start,
             space=_space,
             small=(("iterations", 3), ("starts", 1)),

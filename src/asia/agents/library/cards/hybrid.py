@@ -19,6 +19,7 @@ CARD = Card(
             base=3,
             points=(("windows", -2), ("measured", -2)),
             needs=frozenset({"physics"}),
+            irregular=True,
             start=lambda _: Recipe(
                 "hybrid", (("units", 4), ("ridge", 1e-2)), LM, (("iterations", 60), ("starts", 8))
             ),

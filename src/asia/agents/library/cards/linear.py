@@ -15,7 +15,7 @@ from asia.agents.library.methods import (
     slow_noise,
 )
 from asia.agents.library.move import Move, Situation
-from asia.agents.library.recipe import Recipe
+from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.record_facts import periodic, several_levels
 from asia.agents.library.space import OneOf, Space
 from asia.agents.view import Facts
@@ -33,6 +33,11 @@ def _linear(facts: Facts) -> Recipe:
         return Recipe("linear", config, LM, (("iterations", 30),))
     config = (("order", order), ("delay", delay), ("periodic", True), *integrator_setting(facts))
     return Recipe("linear", config, LM, (("iterations", 30),))
+
+
+def _scheduled(facts: Facts) -> Arguments:
+    """Affine coefficients where there is a scheduling signal."""
+    return (("scheduling", 1),) if any(s.role == "scheduling" for s in facts.inputs) else ()
 
 
 def _level_weight(at: Situation) -> float:
@@ -110,16 +115,20 @@ CARD = Card((
         label="output-error model",
         use="a linear difference equation with readable coefficients",
         base=2,
-        points=(("windows", -1),),
-        start=lambda _: Recipe(
-            "arx", (("structure", "oe"), ("delay", None)), LM, (("iterations", 30),)
+        points=(("windows", -1), ("scheduling", 6)),
+        start=lambda facts: Recipe(
+            "arx",
+            (("structure", "oe"), ("delay", None), *_scheduled(facts)),
+            LM,
+            (("iterations", 30),),
         ),
-        space=lambda _: Space(
+        space=lambda facts: Space(
             config=(
                 OneOf("na", (None, 1, 2, 3, 4)),
                 OneOf("nb", (None, 1, 2, 3, 4)),
                 OneOf("delay", (0, None)),
                 OneOf("structure", ("arx", "oe")),
+                *((OneOf("scheduling", (0, 1, 2)),) if _scheduled(facts) else ()),
             ),
             options=(OneOf("iterations", (15, 30, 60)),),
         ),
@@ -140,6 +149,16 @@ CARD = Card((
         hypothesis="The controller carries noise into the input. The methods for closed loops "
         "differ in what they need: a noise model, the reference, or the controller.",
         expected="A similar V where the first method was sound; another plant where it was not.",
+    ),
+    Move(
+        name="coefficients of a higher degree in the scheduling signal",
+        families=("arx",),
+        weight=lambda c: 0.8 * (0 < c.recipe.number("scheduling", 0) < 3),
+        change=lambda c: c.recipe.configured(
+            scheduling=round(c.recipe.number("scheduling", 0)) + 1
+        ),
+        hypothesis="Gain or poles are no straight line of the scheduling signal.",
+        expected="A lower V on every fold.",
     ),
     *(replace(move, families=("linear",)) for move in integrator_moves()),
     Move(

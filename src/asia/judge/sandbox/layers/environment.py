@@ -16,6 +16,7 @@ from asia._plugins import plugin_packages
 from asia.errors import SandboxError
 from asia.judge.sandbox.layers import landlock, seccomp
 from asia.judge.sandbox.types import Layer, Limits
+from asia.problem.plant import units_folder
 
 SYSTEM_FILES = ("/etc/ld.so.cache", "/etc/localtime", "/etc/alternatives")
 _CONTAINERS = (Path("/.dockerenv"), Path("/run/.containerenv"))
@@ -53,6 +54,7 @@ def environment(home: str) -> dict[str, str]:
         "USER": "candidate",
         "LOGNAME": "candidate",
         "LANG": "C.UTF-8",
+        "ASIA_UNITS": str(units_folder()),
         **REPEATABLE,
         # Shorter ones are compiled again in less time than they are loaded.
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.05",
@@ -125,6 +127,7 @@ def code_folders() -> list[tuple[str, str]]:
         wanted += [os.path.realpath(prefix), _without_dots(prefix)]
     wanted += [*_user_site(), str(package_folder())]
     wanted += [str(place) for package in plugin_packages() for place in package.places]
+    wanted += [str(units_folder())] if units_folder().is_dir() else []
     folders: list[tuple[str, str]] = []
     for place in wanted:
         if not _within(place, ["/usr", *(inside for _, inside in folders)]):

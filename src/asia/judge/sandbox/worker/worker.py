@@ -163,6 +163,8 @@ class Worker:
         compiled `programs`; those that a source of the library alone compiles are added. `on_loss`
         is called with a step and its loss a few times a second."""
         late = Reason.FIT_TIMEOUT
+        if context.plant is not None:
+            context.plant.unpack()
         self._start()
         deadline = time.monotonic() + self._limits.fit_seconds
         context = replace(context, deadline=min(context.deadline, deadline))
