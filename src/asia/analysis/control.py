@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import fmean
 from typing import Any, Literal, TypeAlias
 
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data.trajectory import Array
+from asia.lowering.linear import LinearModel
 
 # Order of Pade's approximation of a dead time in the poles of the closed loop.
 _PADE = 3
@@ -183,7 +184,9 @@ def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
     poles = np.roots(characteristic)
     if not len(poles) or poles.real.max() >= 0:
         return nothing
-    gain_low, gain_high, phase, late = _margins(loop, rational)
+    static = [float(rational.num[-1] / rational.den[-1])] if rational.den[-1] else []
+    found = margins(_frequencies(rational), loop.response, static)
+    gain_low, gain_high, phase, late = found
     # Step response by residues of T(s) / s.
     slopes = np.polyval(np.polyder(characteristic), poles) * poles
     with np.errstate(all="ignore"):
@@ -219,16 +222,31 @@ def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
     )  # fmt: skip
 
 
-def _margins(loop: Transfer, rational: Transfer) -> tuple[float, float, float, float]:
-    """Gain margins below and above 1, as factors, smallest phase margin in degrees and delay
-    margin in s."""
+def _frequencies(rational: Transfer) -> Array:
+    """Frequencies in rad/s around the corners of a loop. A narrow resonance lies between the points
+    of a grid, so its neighbourhood is added."""
     corners = np.abs(np.concatenate([np.roots(rational.num), np.roots(rational.den)]))
     corners = corners[corners > 0]
     low, high = (corners.min(), corners.max()) if len(corners) else (1.0, 1.0)
-    # A narrow resonance lies between the points of a grid, so its neighbourhood is added.
     near = np.outer(corners, np.concatenate([1.0 - _NEAR, [1.0], 1.0 + _NEAR])).reshape(-1)
-    w = np.unique(np.concatenate([np.geomspace(1e-3 * low, 1e3 * high, _GRID), near]))
-    held = loop.response(w)
+    return np.unique(np.concatenate([np.geomspace(1e-3 * low, 1e3 * high, _GRID), near]))
+
+
+def margins(
+    w: Array, response: Callable[[Array], NDArray[np.complex128]], ends: Sequence[float] = ()
+) -> tuple[float, float, float, float]:
+    """Compute the margins of a loop from its frequency response.
+
+    Args:
+        w: frequencies in rad/s, rising
+        response: frequency response of the loop at such frequencies
+        ends: real values of the loop at frequency 0 and at the Nyquist frequency
+
+    Returns:
+        gain margins below and above 1, as factors, smallest phase margin in degrees and delay
+        margin in s
+    """
+    held = response(w)
     size = np.abs(held)
     crossing = np.flatnonzero((size[:-1] > 1.0) != (size[1:] > 1.0))
     phases: list[float] = []
@@ -236,20 +254,18 @@ def _margins(loop: Transfer, rational: Transfer) -> tuple[float, float, float, f
     for k in crossing:
         share = math.log(size[k]) / (math.log(size[k]) - math.log(size[k + 1]))
         at = w[k] * (w[k + 1] / w[k]) ** share
-        angle = math.degrees(np.angle(loop.response(np.array([at]))[0]))
+        angle = math.degrees(np.angle(response(np.array([at]))[0]))
         phases.append((angle + 180.0) % 360.0)
         late = min(late, math.radians(phases[-1]) / at)
     phases = [one if one <= 180.0 else one - 360.0 for one in phases]
-    gains: list[float] = []
-    if rational.den[-1] and rational.num[-1] / rational.den[-1] < 0:
-        gains.append(abs(float(rational.den[-1] / rational.num[-1])))
+    gains = [-1.0 / one for one in ends if -math.inf < one < -1e-12]
     imaginary = held.imag
     for k in np.flatnonzero((imaginary[:-1] > 0) != (imaginary[1:] > 0)):
         share = imaginary[k] / (imaginary[k] - imaginary[k + 1])
         real = held.real[k] + share * (held.real[k + 1] - held.real[k])
         if real < -1e-12:
             at = w[k] * (w[k + 1] / w[k]) ** share
-            gains.append(1.0 / max(abs(loop.response(np.array([at]))[0].real), 1e-300))
+            gains.append(1.0 / max(abs(response(np.array([at]))[0].real), 1e-300))
     phase = min(phases, key=abs, default=math.inf)
     low = max((one for one in gains if one < 1.0), default=0.0)
     return low, min((one for one in gains if one >= 1.0), default=math.inf), phase, late
@@ -334,10 +350,13 @@ class Design:
     """Controller and the figures of its loop."""
 
     structure: str
-    controller: Transfer
+    controller: Transfer | None
+    """None for a controller by LQR or MPC, which treats the set point and the output apart."""
     figures: LoopFigures
     violated: tuple[str, ...]
     """Specifications that the best controller found does not meet."""
+    weights: tuple[float, float] | None = None
+    """Weights of squared errors and inputs, of LQR and MPC."""
 
 
 def design(
@@ -445,6 +464,7 @@ def _scaled(wanted: Specification, pace: float) -> Specification:
 # One sample of the simulated plant: state (n,) and input to output and next state.
 PlantStep: TypeAlias = Callable[[Array, float], tuple[float, Array]]
 Language: TypeAlias = Literal["python", "c", "st"]
+Kind: TypeAlias = Literal["pid", "lqr", "mpc"]
 
 
 @dataclass(frozen=True)
@@ -467,11 +487,16 @@ class SampledController:
     def step(self, x: Array, last: float, r: float, y: float) -> tuple[Array, float]:
         """State of the next sample and the input u, from the state, the last input, the set point
         and the measured output."""
-        seen = np.array([r - self.y0, y - self.y0])
-        u = min(max(float(self.u0 + self.c @ x + self.d @ seen), self.low), self.high)
+        u = min(max(self.wanted(x, last, r, y), self.low), self.high)
         most = self.rate * self.sampling_time
         u = min(max(u, last - most), last + most)
-        return self.a @ x + self.b @ np.append(seen, u - self.u0), u
+        seen = np.array([r - self.y0, y - self.y0, u - self.u0])
+        return self.a @ x + self.b @ seen, u
+
+    def wanted(self, x: Array, last: float, r: float, y: float) -> float:
+        """Input before the limits; arguments as for `step`."""
+        del last
+        return float(self.u0 + self.c @ x + self.d @ np.array([r - self.y0, y - self.y0]))
 
     def code(self, language: Language) -> str:
         """Source of one step function: a Python class, C99, or a function block in Structured Text
@@ -733,6 +758,8 @@ class Loop:
     """Smallest and largest input of the training records."""
     u: str = "u"
     y: str = "y"
+    models: list[LinearModel] = field(default_factory=list[LinearModel])
+    """Sampled linear models of the plants, for LQR and MPC."""
 
 
 @dataclass(frozen=True)
@@ -754,21 +781,50 @@ class SimulatedDesign:
 
 
 def design_in_simulation(
-    loop: Loop, wanted: Specification, limits: tuple[float, float], rate: float, seed: int = 0
-) -> SimulatedDesign:
+    loop: Loop, wanted: Specification, limits: tuple[float, float], rate: float, seed: int = 0, *,
+    kind: Kind = "pid", weights: tuple[float, float] | None = None, moves: int | None = None,
+) -> SimulatedDesign:  # fmt: skip
     """Design a controller for all plants of a loop, and simulate it. Where the simulation misses
     what the linear plants meet, the design asks for more by the same share, a few times.
 
     Args:
         limits: least and largest input
         rate: largest change of the input in 1/s
+        kind: `pid` with lead-lag, `lqr` or `mpc`
+        weights, moves: of LQR and MPC, as in `design_state_feedback`
     """
-    asked, found = wanted, design(loop.plants, wanted, seed=seed)
-    made = _simulated(loop, found, wanted, limits, rate)
+    from asia.analysis.state_feedback import design_state_feedback, sampled_plants
+
+    if kind != "pid":
+        loop = sampled_plants(loop, wanted)
+
+    def made_for(asked: Specification, loop: Loop) -> SimulatedDesign:
+        if kind == "pid":
+            found = design(loop.plants, asked, seed=seed)
+            assert found.controller is not None
+            each = [loop_figures(one, found.controller) for one in loop.plants]
+            slow = max((one.settling for one in each if math.isfinite(one.settling)), default=1.0)
+            if not loop.sampling_time:
+                loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
+            if not loop.simulated:
+                held = zero_order_hold(loop.plants[0], loop.sampling_time)
+                loop = replace(loop, simulated=[replace(held, name="loop")])
+            controller = sampled(found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0,
+                                 limits=limits, rate=rate)  # fmt: skip
+        else:
+            none = np.zeros(0)
+            base = SampledController(none, none, none, none, loop.sampling_time, loop.u0, loop.y0,
+                                     *limits, rate)  # fmt: skip
+            found, each, controller = design_state_feedback(
+                loop, asked, base, predictive=kind == "mpc", weights=weights, moves=moves
+            )
+        return _simulated(loop, found, each, controller, wanted)
+
+    asked, made = wanted, made_for(wanted, loop)
     for _ in range(_TRIES - 1):
         longest = max(one.settling for one in made.judged)
         most = max(one.overshoot for one in made.judged)
-        if found.violated or not made.missed or not math.isfinite(longest):
+        if made.design.violated or not made.missed or not math.isfinite(longest) or weights:
             break
         if asked.settling_max is not None and wanted.settling_max is not None:
             share = min(0.97 * wanted.settling_max / longest, 1.0)
@@ -776,26 +832,18 @@ def design_in_simulation(
         if asked.overshoot is not None and wanted.overshoot is not None:
             share = min(0.97 * wanted.overshoot / max(most, 1e-9), 1.0)
             asked = replace(asked, overshoot=asked.overshoot * share)
-        found = design(loop.plants, asked, seed=seed)
-        if found.violated:
+        again = made_for(asked, made.loop)
+        if again.design.violated:
             break
-        made = _simulated(made.loop, found, wanted, limits, rate)
+        made = again
     return made
 
 
 def _simulated(
-    loop: Loop, found: Design, wanted: Specification, limits: tuple[float, float], rate: float
-) -> SimulatedDesign:
-    each = [loop_figures(one, found.controller) for one in loop.plants]
+    loop: Loop, found: Design, each: list[LoopFigures], controller: SampledController,
+    wanted: Specification,
+) -> SimulatedDesign:  # fmt: skip
     slow = max((one.settling for one in each if math.isfinite(one.settling)), default=0.0)
-    if not loop.sampling_time:
-        loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
-    if not loop.simulated:
-        held = zero_order_hold(loop.plants[0], loop.sampling_time)
-        loop = replace(loop, simulated=[replace(held, name="loop")])
-    controller = sampled(
-        found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0, limits=limits, rate=rate
-    )
     samples = int(min(max(6.0 * slow / loop.sampling_time, _SHORTEST), _LONGEST))
     target = np.full(samples, loop.setpoint)
     responses = [simulate_loop(controller, one, target) for one in loop.simulated]
