@@ -761,6 +761,14 @@ class Loop:
     models: list[LinearModel] = field(default_factory=list[LinearModel])
     """Sampled linear models of the plants, for LQR and MPC."""
 
+    @property
+    def own_settling(self) -> float | None:
+        """About the 2 % settling time of the first plant in s; None where it does not settle."""
+        if self.plants:
+            return self.plants[0].own_settling
+        size = float(np.abs(self.models[0].poles).max(initial=0.0))
+        return -4.0 * self.sampling_time / math.log(size) if 1e-6 < size < 1.0 - 1e-6 else None
+
 
 @dataclass(frozen=True)
 class SimulatedDesign:

@@ -34,11 +34,12 @@ from asia.errors import UserError
 from asia.lowering.linear import LinearModel, minimal, reduced
 
 # Weights of the input that are tried, in units of the squared gain of the plant, and variances of
-# the disturbance in those of the noise; speeds of the observer in those of the regulator.
+# the disturbance in those of the noise. Observers are tried in this order, counted from the slowest
+# one that is as fast as the regulator.
 _WEIGHTS, _DISTURBANCES = np.geomspace(1e2, 1e-5, 22), np.geomspace(1e-8, 1e8, 33)
-_SPEEDS = (1.0, 2.0, 4.0, 0.5)
+_OBSERVERS = (0, 3, 6, -3, -6, 10)
 _RESERVE, _NEGLIGIBLE = 0.02, 1e-4
-_GRID, _LONGEST = 300, 4_000
+_GRID, _LONGEST = 200, 3_000
 # Samples of a settling time, and those that a plan has.
 _SAMPLES, _MOVES = 100, (10, 40)
 
@@ -63,7 +64,8 @@ class PredictiveController(SampledController):
         ]  # fmt: skip
         used = [np.column_stack([rows, np.full(n, h)]) for rows, h in parts if math.isfinite(h)]
         joined = np.vstack([np.zeros((0, n + 1)), *used])
-        return joined, np.linalg.solve(self.root.T, joined[:, :n].T).T
+        scaled = np.linalg.solve(self.root.T, joined[:, :n].T).T
+        return joined, np.asarray(scaled, np.float64)
 
     def wanted(self, x: Array, last: float, r: float, y: float) -> float:
         """First input of the plan within the limits that costs least."""
@@ -207,10 +209,10 @@ class _Synthesis:
             raise UserError("no observer was found for the linear model")
 
     def controller(
-        self, weight: float, speed: float, base: SampledController, moves: int
+        self, weight: float, observer: int, base: SampledController, moves: int
     ) -> SampledController | None:
-        """LQR with this weight of the input and the slowest observer that is so many times as fast
-        as the regulator; with moves > 0 the MPC. `base` has operating point and limits."""
+        """LQR with this weight of the input and an observer, counted as in `_OBSERVERS`; with
+        moves > 0 the MPC. `base` has operating point and limits."""
         a, b, c = self.plant.a, self.plant.b, self.plant.c
         n = len(a)
         try:
@@ -219,12 +221,14 @@ class _Synthesis:
             return None
         gain = (b.T @ p @ a) / (weight + float((b.T @ p @ b)[0, 0]))
         closed = a - b @ gain
-        wanted = _radius(closed) ** speed
-        fast = [one for one in self.observers if one[0] <= wanted]
-        _, observer = fast[0] if fast else min(self.observers, key=lambda one: one[0])
+        # The time constants agree to 5 %.
+        radius = max(_radius(closed), min(self.observers, key=lambda one: one[0])[0]) ** 0.95
+        equal = next((k for k, one in enumerate(self.observers) if one[0] <= radius), 0)
+        last = len(self.observers) - 1
+        _, estimate = self.observers[min(max(equal + observer, 0), last)]
         # States and disturbance after the measurement, by the state before, r and y.
         eye = np.eye(n + 1)
-        known = np.hstack([eye - observer @ self.row, np.zeros((n + 1, 1)), observer])
+        known = np.hstack([eye - estimate @ self.row, np.zeros((n + 1, 1)), estimate])
         away, held = known[:n].copy(), -known[n].copy()
         away[:, n + 1] -= self.rest
         held[n + 1] += self.hold
@@ -296,7 +300,7 @@ def sampled_plants(loop: Loop, wanted: Specification) -> Loop:
     if loop.models:
         return loop
     if not loop.sampling_time:
-        settling = wanted.settling_max or loop.plants[0].own_settling or 1.0
+        settling = wanted.settling_max or loop.own_settling or 1.0
         loop = replace(loop, sampling_time=float(f"{settling / _SAMPLES:.1g}"))
     held = zero_order_hold(loop.plants[0], loop.sampling_time)
     n, step = len(held.starts[0]), held.steps[0]
@@ -331,25 +335,27 @@ def design_state_feedback(
         tried: Sequence[float] = (synthesis.size * _WEIGHTS).tolist()
     else:
         tried = [weights[1] / weights[0]]
-    best: tuple[float, float, float, list[LoopFigures]] | None = None
+    best: tuple[float, float, int, list[LoopFigures]] | None = None
     for weight in tried:
-        for speed in _SPEEDS:
-            made = synthesis.controller(weight, speed, base, 0)
+        for observer in _OBSERVERS:
+            made = synthesis.controller(weight, observer, base, 0)
             if made is None:
                 continue
             each = [sampled_loop_figures(one, made) for one in plants]
             worst = max(sum(v for _, v in one.violations(wanted, _RESERVE)) for one in each)
             if best is None or worst < best[0]:
-                best = worst, weight, speed, each
+                best = worst, weight, observer, each
+            if worst <= 0.0:
+                break
         if best is not None and best[0] <= 0.0:
             break
     if best is None:
         raise UserError("no LQR was found for the linear model: its Riccati equation has no answer")
-    _, weight, speed, each = best
+    _, weight, observer, each = best
     if moves is None and predictive:
         needed = each[0].settling / base.sampling_time if math.isfinite(each[0].settling) else 1e9
         moves = int(min(max(needed, _MOVES[0]), _MOVES[1]))
-    made = synthesis.controller(weight, speed, base, (moves or 0) if predictive else 0)
+    made = synthesis.controller(weight, observer, base, (moves or 0) if predictive else 0)
     assert made is not None
     name = f"MPC of {moves} moves" if predictive else "LQR"
     missed = sorted({one for figures in each for one, _ in figures.violations(wanted)})
