@@ -187,7 +187,7 @@ def _why_not_within(
         return f"{name} is {value:.6g} at sample {k + 1}"
 
     rng = np.random.default_rng(0)
-    for hold in np.repeat((horizon, max(horizon // 4, 1), 3), (2**model.nu, _RUNS, _RUNS)):
+    for hold in np.repeat((horizon, max(horizon // 4, 1), 3), (min(2**model.nu, 16), _RUNS, _RUNS)):
         x, outputs = box[int(rng.integers(0, 2))], np.empty((horizon, model.ny))
         share = rng.integers(0, 2, (horizon // int(hold) + 1, model.nu))
         for k in range(horizon):
