@@ -210,10 +210,12 @@ def control(
             return draw_control(named, noisy, loop.sampling_time, loop.setpoint, ends, names)
 
         files = [*save([("control", draw)], out)]
-        languages = {"python": _CODE["python"]} if chosen == "mpc" else _CODE
-        for language, file in languages.items():
-            (out / file).write_text(controller.code(language), "utf-8")  # pyright: ignore[reportArgumentType]
-            files.append(out / file)
+        for language, file in _CODE.items():
+            # Code of another kind of controller that was here before does not belong to this one.
+            (out / file).unlink(missing_ok=True)
+            if chosen != "mpc" or language == "python":
+                (out / file).write_text(controller.code(language), "utf-8")  # pyright: ignore[reportArgumentType]
+                files.append(out / file)
         drawn = [asdict(one) for one in _drawn(loop, named)]
         page = {**facts, "text": [*lines, *(f"missed    {m}" for m in missed)], "drawn": drawn}
         (out / CONTROL_FILE.name).write_text(jsonlib.dumps(page, allow_nan=False) + "\n", "utf-8")
