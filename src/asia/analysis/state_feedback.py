@@ -37,7 +37,7 @@ from asia.lowering.linear import LinearModel, minimal, reduced
 # the disturbance in those of the noise. Observers are tried in this order, counted from the slowest
 # one that is as fast as the regulator.
 _WEIGHTS, _DISTURBANCES = np.geomspace(1e2, 1e-5, 22), np.geomspace(1e-8, 1e8, 33)
-_OBSERVERS = (0, 3, 6, -3, -6, 10)
+_OBSERVERS, _HALVINGS = (0, 2, 4, -2, 6, -4, -6, 10), 4
 _RESERVE, _NEGLIGIBLE = 0.02, 1e-4
 _GRID, _LONGEST = 200, 3_000
 # Samples of a settling time, and those that a plan has.
@@ -253,9 +253,9 @@ class _Synthesis:
         return PredictiveController(**values, plan=plan, root=root)
 
 
-def sampled_loop_figures(plant: _Plant, controller: SampledController) -> LoopFigures:
-    """Compute margins at the input of the plant, and the step response, of a sampled loop without
-    limits."""
+def sampled_loop_figures(plant: _Plant, controller: SampledController, load: float) -> LoopFigures:
+    """Compute margins at the input of the plant, and the responses to steps of the set point and of
+    a load at the input of this size, of a sampled loop without limits."""
     n, c, d = len(plant.a), controller.c[None], controller.d
     inner = controller.a + controller.b[:, 2:] @ c
     into = controller.b[:, :2] + controller.b[:, 2:] * d
@@ -284,15 +284,21 @@ def sampled_loop_figures(plant: _Plant, controller: SampledController) -> LoopFi
     last = float(response(np.array([nyquist]))[0].real)
     low, high, phase, late = margins(w, response, (last,))
     samples = int(min(max(math.log(1e-4) / math.log(max(radius, 1e-3)), 50), _LONGEST))
-    push = np.concatenate([plant.b[:, 0] * d[0], into[:, 0]])
-    x, y = np.zeros(len(a)), np.empty(samples)
+    push = np.stack([
+        np.concatenate([plant.b[:, 0] * d[0], into[:, 0]]),
+        np.concatenate([plant.b[:, 0] * load, np.zeros(len(inner))]),
+    ], axis=1)  # fmt: skip
+    x, y = np.zeros((len(a), 2)), np.empty((samples, 2))
     for k in range(samples):
         y[k] = plant.c[0] @ x[:n]
         x = a @ x + push
-    one = response_figures(y, np.zeros(samples), replace(controller, u0=0.0, y0=0.0), 1.0)
-    final = float(plant.c[0] @ np.linalg.solve(np.eye(len(a)) - a, push)[:n])
+    one, other = (
+        response_figures(part, np.zeros(samples), replace(controller, u0=0.0, y0=0.0), 1.0)
+        for part in (y[:, 0], 1.0 + y[:, 1])
+    )
+    final = float(plant.c[0] @ np.linalg.solve(np.eye(len(a)) - a, push[:, 0])[:n])
     return LoopFigures(True, low, high, phase, one.settling, one.overshoot, 1.0 - final, late,
-                       one.rise)  # fmt: skip
+                       one.rise, load_settling=other.settling)  # fmt: skip
 
 
 def sampled_plants(loop: Loop, wanted: Specification) -> Loop:
@@ -331,24 +337,35 @@ def design_state_feedback(
     first = _Plant.seen(reduced(loop.models[0], tolerance=_NEGLIGIBLE).model, late=late)
     settling = wanted.settling_max or _SAMPLES * base.sampling_time
     synthesis = _Synthesis(first, 4.0 * base.sampling_time / settling)
+    # The load asks for as much input as a unit step of the set point.
+    load = abs(synthesis.hold) if abs(synthesis.hold) > 1e-9 else synthesis.size**-0.5
     if weights is None:
         tried: Sequence[float] = (synthesis.size * _WEIGHTS).tolist()
     else:
         tried = [weights[1] / weights[0]]
     best: tuple[float, float, int, list[LoopFigures]] | None = None
-    for weight in tried:
+
+    def meets(weight: float) -> bool:
+        """Whether an LQR with this weight meets all specifications; the best one is kept."""
+        nonlocal best
         for observer in _OBSERVERS:
             made = synthesis.controller(weight, observer, base, 0)
             if made is None:
                 continue
-            each = [sampled_loop_figures(one, made) for one in plants]
+            each = [sampled_loop_figures(one, made, load) for one in plants]
             worst = max(sum(v for _, v in one.violations(wanted, _RESERVE)) for one in each)
-            if best is None or worst < best[0]:
+            if best is None or worst < best[0] or worst <= 0.0:
                 best = worst, weight, observer, each
             if worst <= 0.0:
-                break
-        if best is not None and best[0] <= 0.0:
-            break
+                return True
+        return False
+
+    found = next((k for k, weight in enumerate(tried) if meets(weight)), 0)
+    if found:
+        high, low = tried[found - 1], tried[found]
+        for _ in range(_HALVINGS):
+            middle = math.sqrt(high * low)
+            high, low = (high, middle) if meets(middle) else (middle, low)
     if best is None:
         raise UserError("no LQR was found for the linear model: its Riccati equation has no answer")
     _, weight, observer, each = best
