@@ -6,6 +6,7 @@ import json
 import math
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import control
@@ -85,6 +86,18 @@ def test_a_search_for_weights_meets_the_specifications() -> None:
     assert made.figures[0].gain_margin >= 2.0
     assert made.figures[0].phase_margin >= 45.0
     assert made.judged[0].settling <= 8.0
+
+
+def test_a_load_is_compensated_in_time() -> None:
+    made = designed(LAGS, "lqr", weight=None)
+    (step,), starts = (plant := zero_order_hold(LAGS, 0.2)).steps, plant.starts
+    loaded = type(plant)("loaded", [lambda x, u: step(x, u + 0.5)], starts)
+    y, _ = simulate_loop(made.controller, loaded, np.zeros(200))
+    settled = 0.2 * (int(np.flatnonzero(np.abs(y) > 0.02)[-1]) + 1)
+    assert settled == pytest.approx(made.figures[0].load_settling, abs=0.21)
+    assert settled <= 16.0
+    late = replace(made.figures[0], load_settling=17.0)
+    assert [name for name, _ in late.violations(WANTED)] == ["settling after a load"]
 
 
 def test_a_predictive_controller_without_active_limits_is_the_lqr() -> None:

@@ -391,6 +391,9 @@ def _lines(
             f"{f.overshoot:.3g} %, IAE {f.iae:.4g}, ISE {f.ise:.4g}, ITAE {f.itae:.4g}, effort "
             f"{f.effort:.4g}, at a limit {100 * f.limited:.3g} % of the time"
         )
+    if len(judged) > 1:
+        least, most = (found(f.iae for f in judged) for found in (min, max))
+        lines.append(f"spread    IAE {least:.4g} to {most:.4g} over these models")
     return lines
 
 
