@@ -6,9 +6,9 @@ true system, linearised at the same operating point: once with the same weights 
 pid), once with the weights that each design finds for its specifications. The latter is also
 compared with the worst-case design on refit, folds and the other family. The cost is the integral
 of the absolute error over a step of the set point and a load at the input, with measurement noise
-and limits, in units of the step. "Spread" is the largest cost over the models, of
-the winner's controller, without load and noise, over that of the winner. A warning is a missed
-specification, or a spread above 1.1. The perturbed systems have other parameters (log-normal, --spread).
+and limits, in units of the step. "Spread" is the largest cost over the models, of the winner's
+controller, without load and noise, over that of the winner. A warning is a missed specification, or
+a spread above 1.1. The perturbed systems have other parameters (log-normal, --spread).
 
     python benchmarks/control/identify_then_control.py [--seeds 0 1 2] [--kind lqr] [--plants 30]
 """
@@ -26,6 +26,7 @@ import jax
 import numpy as np
 
 from asia.analysis.control import (
+    Limits,
     Loop,
     SampledController,
     SimulatedDesign,
@@ -33,9 +34,11 @@ from asia.analysis.control import (
     Specification,
     Transfer,
     design_in_simulation,
+    pid_designer,
     response_figures,
     simulate_loop,
 )
+from asia.analysis.state_feedback import state_feedback_designer
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.data.trajectory import Array
@@ -273,11 +276,14 @@ def true_loop(task: Task) -> Loop:
 def designed(task: Task, loop: Loop, *, weighted: bool = False) -> SimulatedDesign:
     """Design with the same specifications, and with the same weights if `weighted`."""
     wanted = Specification(2.0, 45.0, None, task.system.settling, 10.0, 1e-3)
-    limits = task.system.low, task.system.high
     # Squared gain between both ends of the step.
     gain = (task.setpoint - task.y0) / (0.2 * (task.system.high - task.system.low))
     weights = (1.0, gain**2) if weighted and KIND != "pid" else None
-    return design_in_simulation(loop, wanted, limits, math.inf, kind=KIND, weights=weights)
+    limited = Limits(task.system.low, task.system.high)
+    if KIND == "pid":
+        return design_in_simulation(loop, wanted, pid_designer(limited))
+    designer = state_feedback_designer(limited, predictive=KIND == "mpc", weights=weights)
+    return design_in_simulation(loop, wanted, designer)
 
 
 def main() -> None:

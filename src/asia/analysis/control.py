@@ -471,7 +471,6 @@ def _scaled(wanted: Specification, pace: float) -> Specification:
 # One sample of the simulated plant: state (n,) and input to output and next state.
 PlantStep: TypeAlias = Callable[[Array, float], tuple[float, Array]]
 Language: TypeAlias = Literal["python", "c", "st"]
-Kind: TypeAlias = Literal["pid", "lqr", "mpc"]
 
 
 @dataclass(frozen=True)
@@ -795,51 +794,53 @@ class SimulatedDesign:
     """Sentences on specifications that the simulation does not meet."""
 
 
-def design_in_simulation(
-    loop: Loop, wanted: Specification, limits: tuple[float, float], rate: float, seed: int = 0, *,
-    kind: Kind = "pid", weights: tuple[float, float] | None = None, moves: int | None = None,
-) -> SimulatedDesign:  # fmt: skip
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the input."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    rate: float = math.inf
+    """Largest change in 1/s."""
+
+
+# Loop and specifications to the loop with its sampling time and simulated plants, the design, its
+# figures on each linear plant, and the sampled controller.
+Designer: TypeAlias = Callable[
+    [Loop, Specification], tuple[Loop, Design, list[LoopFigures], SampledController]
+]
+
+
+def pid_designer(limits: Limits, seed: int = 0) -> Designer:
+    """Designer of P to PID with lead-lag by `design`."""
+
+    def designed(
+        loop: Loop, wanted: Specification
+    ) -> tuple[Loop, Design, list[LoopFigures], SampledController]:
+        found = design(loop.plants, wanted, seed=seed)
+        assert found.controller is not None
+        each = [loop_figures(one, found.controller) for one in loop.plants]
+        slow = max((one.settling for one in each if math.isfinite(one.settling)), default=1.0)
+        if not loop.sampling_time:
+            loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
+        if not loop.simulated:
+            held = zero_order_hold(loop.plants[0], loop.sampling_time)
+            loop = replace(loop, simulated=[replace(held, name="loop")])
+        controller = sampled(found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0,
+                             limits=(limits.low, limits.high), rate=limits.rate)  # fmt: skip
+        return loop, found, each, controller
+
+    return designed
+
+
+def design_in_simulation(loop: Loop, wanted: Specification, designer: Designer) -> SimulatedDesign:
     """Design a controller for all plants of a loop, and simulate it. Where the simulation misses
-    what the linear plants meet, the design asks for more by the same share, a few times.
-
-    Args:
-        limits: least and largest input
-        rate: largest change of the input in 1/s
-        kind: `pid` with lead-lag, `lqr` or `mpc`
-        weights, moves: of LQR and MPC, as in `design_state_feedback`
-    """
-    from asia.analysis.state_feedback import design_state_feedback, sampled_plants
-
-    if kind != "pid":
-        loop = sampled_plants(loop, wanted)
-
-    def made_for(asked: Specification, loop: Loop) -> SimulatedDesign:
-        if kind == "pid":
-            found = design(loop.plants, asked, seed=seed)
-            assert found.controller is not None
-            each = [loop_figures(one, found.controller) for one in loop.plants]
-            slow = max((one.settling for one in each if math.isfinite(one.settling)), default=1.0)
-            if not loop.sampling_time:
-                loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
-            if not loop.simulated:
-                held = zero_order_hold(loop.plants[0], loop.sampling_time)
-                loop = replace(loop, simulated=[replace(held, name="loop")])
-            controller = sampled(found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0,
-                                 limits=limits, rate=rate)  # fmt: skip
-        else:
-            none = np.zeros(0)
-            base = SampledController(none, none, none, none, loop.sampling_time, loop.u0, loop.y0,
-                                     *limits, rate)  # fmt: skip
-            found, each, controller = design_state_feedback(
-                loop, asked, base, predictive=kind == "mpc", weights=weights, moves=moves
-            )
-        return _simulated(loop, found, each, controller, wanted)
-
-    asked, made = wanted, made_for(wanted, loop)
+    what the linear plants meet, the design asks for more by the same share, a few times."""
+    asked, made = wanted, _simulated(*designer(loop, wanted), wanted)
     for _ in range(_TRIES - 1):
         longest = max(one.settling for one in made.judged)
         most = max(one.overshoot for one in made.judged)
-        if made.design.violated or not made.missed or not math.isfinite(longest) or weights:
+        if made.design.violated or not made.missed or not math.isfinite(longest):
             break
         if asked.settling_max is not None and wanted.settling_max is not None:
             share = min(0.97 * wanted.settling_max / longest, 1.0)
@@ -847,7 +848,7 @@ def design_in_simulation(
         if asked.overshoot is not None and wanted.overshoot is not None:
             share = min(0.97 * wanted.overshoot / max(most, 1e-9), 1.0)
             asked = replace(asked, overshoot=asked.overshoot * share)
-        again = made_for(asked, made.loop)
+        again = _simulated(*designer(made.loop, asked), wanted)
         if again.design.violated:
             break
         made = again

@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 
 from asia.analysis.control import (
     Design,
+    Designer,
     Language,
+    Limits,
     Loop,
     LoopFigures,
     SampledController,
@@ -301,7 +303,7 @@ def sampled_loop_figures(plant: _Plant, controller: SampledController, load: flo
                        one.rise, load_settling=other.settling)  # fmt: skip
 
 
-def sampled_plants(loop: Loop, wanted: Specification) -> Loop:
+def _sampled_plants(loop: Loop, wanted: Specification) -> Loop:
     """Loop with the sampled linear model of a plant that is a transfer function."""
     if loop.models:
         return loop
@@ -319,19 +321,34 @@ def sampled_plants(loop: Loop, wanted: Specification) -> Loop:
     return replace(loop, models=[minimal(model)], simulated=[replace(held, name="loop")])
 
 
-def design_state_feedback(
-    loop: Loop, wanted: Specification, base: SampledController, *,
-    predictive: bool = False, weights: tuple[float, float] | None = None, moves: int | None = None,
-) -> tuple[Design, list[LoopFigures], SampledController]:  # fmt: skip
-    """Design an LQR or an MPC on the first linear model of a loop that meets the specifications for
-    all of them without limits; the one with the largest weight of the input that does.
+def state_feedback_designer(
+    limits: Limits, *, predictive: bool = False, weights: tuple[float, float] | None = None,
+    moves: int | None = None,
+) -> Designer:  # fmt: skip
+    """Designer of the LQR, or the MPC, on the first linear model of a loop that meets the
+    specifications for all of them without limits, with the largest weight of the input that does.
 
     Args:
-        loop: as `sampled_plants` returns it
-        base: operating point, limits and sampling time of the controller
+        predictive: whether the MPC is designed
         weights: of squared errors of y and of squared inputs; None: sought
         moves: planned inputs of the MPC; None: 10 to 40, by the speed of the loop
     """
+
+    def designed(
+        loop: Loop, wanted: Specification
+    ) -> tuple[Loop, Design, list[LoopFigures], SampledController]:
+        loop, none = _sampled_plants(loop, wanted), np.zeros(0)
+        base = SampledController(none, none, none, none, loop.sampling_time, loop.u0, loop.y0,
+                                 limits.low, limits.high, limits.rate)  # fmt: skip
+        return loop, *_design(loop, wanted, base, predictive, weights, moves)
+
+    return designed
+
+
+def _design(
+    loop: Loop, wanted: Specification, base: SampledController, predictive: bool,
+    weights: tuple[float, float] | None, moves: int | None,
+) -> tuple[Design, list[LoopFigures], SampledController]:  # fmt: skip
     late = loop.simulated[0].late
     plants = [_Plant.seen(one, late=late) for one in loop.models]
     first = _Plant.seen(reduced(loop.models[0], tolerance=_NEGLIGIBLE).model, late=late)

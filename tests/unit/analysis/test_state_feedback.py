@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +14,7 @@ import pytest
 from scipy.optimize import minimize
 
 from asia.analysis.control import (
-    Kind,
+    Limits,
     Loop,
     SampledController,
     SimulatedDesign,
@@ -26,7 +25,7 @@ from asia.analysis.control import (
     simulate_loop,
     zero_order_hold,
 )
-from asia.analysis.state_feedback import PredictiveController
+from asia.analysis.state_feedback import PredictiveController, state_feedback_designer
 from asia.errors import UserError
 from asia.lowering.linear import LinearModel
 from tests.unit.interfaces.cli.conftest import command_line
@@ -38,19 +37,19 @@ RESONANCE = Transfer(np.array([1.0]), np.array([1.0, 0.1, 1.0]), 0.1)
 
 
 def designed(
-    plant: Transfer, kind: Kind, *, limits: tuple[float, float] = (-math.inf, math.inf),
-    rate: float = math.inf, weight: float | None = 0.3, time: float = 0.2, moves: int | None = None,
+    plant: Transfer, kind: str, *, limits: Limits = Limits(),  # noqa: B008
+    weight: float | None = 0.3, time: float = 0.2, moves: int | None = None,
 ) -> SimulatedDesign:  # fmt: skip
-    loop = Loop("plant", ("loop",), [plant], [], time)
     weights = None if weight is None else (1.0, weight)
-    return design_in_simulation(
-        loop, WANTED, limits, rate, kind=kind, weights=weights, moves=moves
-    )  # fmt: skip
+    designer = state_feedback_designer(
+        limits, predictive=kind == "mpc", weights=weights, moves=moves
+    )
+    return design_in_simulation(Loop("plant", ("loop",), [plant], [], time), WANTED, designer)
 
 
 @pytest.mark.parametrize("kind", ["lqr", "mpc"])
-def test_the_set_point_is_held_on_another_plant_with_a_load(kind: Kind) -> None:
-    controller = designed(LAGS, kind, limits=(-1.0, 3.0)).controller
+def test_the_set_point_is_held_on_another_plant_with_a_load(kind: str) -> None:
+    controller = designed(LAGS, kind, limits=Limits(-1.0, 3.0)).controller
     other = Transfer(np.array([2.6]), np.array([1.3, 1.2, 1.0]), 0.2)
     (step,), starts = (plant := zero_order_hold(other, 0.2)).steps, plant.starts
     loaded = type(plant)("loaded", [lambda x, u: step(x, u - 0.7)], starts)
@@ -101,14 +100,14 @@ def test_a_load_is_compensated_in_time() -> None:
 
 
 def test_a_predictive_controller_without_active_limits_is_the_lqr() -> None:
-    lqr, mpc = (designed(LAGS, kind, limits=(-90.0, 90.0), rate=900.0) for kind in ("lqr", "mpc"))
+    lqr, mpc = (designed(LAGS, kind, limits=Limits(-90.0, 90.0, 900.0)) for kind in ("lqr", "mpc"))
     assert isinstance(mpc.controller, PredictiveController)
     for one, other in zip(lqr.responses[0], mpc.responses[0], strict=True):
         assert one == pytest.approx(other, abs=1e-9)
 
 
 def test_a_plan_is_optimal_within_the_limits() -> None:
-    one = designed(LAGS, "mpc", limits=(-0.4, 0.9), rate=1.5, moves=8).controller
+    one = designed(LAGS, "mpc", limits=Limits(-0.4, 0.9, 1.5), moves=8).controller
     assert isinstance(one, PredictiveController)
     rng, active = np.random.default_rng(0), 0
     for _ in range(20):
@@ -132,7 +131,7 @@ def test_a_plan_is_optimal_within_the_limits() -> None:
 def test_a_predictive_controller_plans_with_the_rate() -> None:
     # The LQR does not know the rate of the input and oscillates.
     lqr, mpc = (
-        designed(RESONANCE, kind, limits=(0.0, 1.5), rate=0.5, weight=0.08, time=0.08)
+        designed(RESONANCE, kind, limits=Limits(0.0, 1.5, 0.5), weight=0.08, time=0.08)
         for kind in ("lqr", "mpc")
     )
     assert lqr.missed
@@ -148,7 +147,7 @@ def test_a_plant_without_static_gain_is_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", ["lqr", "mpc"])
-def test_an_output_that_has_the_input_of_its_own_sample_is_seen_late(kind: Kind) -> None:
+def test_an_output_that_has_the_input_of_its_own_sample_is_seen_late(kind: str) -> None:
     made = designed(Transfer(np.array([1.0, 2.0]), np.array([1.0, 1.0])), kind)
     assert made.loop.simulated[0].late
     assert made.missed == []
@@ -160,7 +159,7 @@ def test_an_output_that_has_the_input_of_its_own_sample_is_seen_late(kind: Kind)
 )
 def test_code_gives_the_inputs_of_the_simulation(
     made: Callable[[Path, SampledController], Callable[[float, float], float]],
-    kind: Kind,
+    kind: str,
     tmp_path: Path,
 ) -> None:
     model = LinearModel(
@@ -169,9 +168,10 @@ def test_code_gives_the_inputs_of_the_simulation(
     )  # fmt: skip
     plant = zero_order_hold(LAGS, 0.05)
     loop = Loop("run", ("loop",), [], [plant], 0.05, 2.0, -1.5, 0.0, models=[model])
-    code = design_in_simulation(
-        loop, WANTED, (0.0, 4.5), 30.0, kind=kind, weights=(1.0, 0.1)
-    ).controller  # fmt: skip
+    designer = state_feedback_designer(
+        Limits(0.0, 4.5, 30.0), predictive=kind == "mpc", weights=(1.0, 0.1)
+    )
+    code = design_in_simulation(loop, WANTED, designer).controller
     step = made(tmp_path, code)
     x, last = np.zeros(len(code.c)), code.u0
     seen: list[float] = []

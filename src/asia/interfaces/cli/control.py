@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 # Files of the controller.
 _CODE = {"python": "controller.py", "c": "controller.c", "st": "controller.st"}
+_KINDS = ("pid", "lqr", "mpc")
 # Candidates of other families, and their largest V in that of the best.
 _OTHERS, _FAR = 2, 1.5
 
@@ -124,13 +125,15 @@ def control(
     specifications, for the linear model of a run and of all its fold models, or for a transfer
     function; simulate the loop with all models, and write the controller as code."""
     from asia.analysis.control import (
-        Kind,
+        Limits,
         Loop,
         Specification,
         Transfer,
         design_in_simulation,
+        pid_designer,
         simulate_loop,
     )
+    from asia.analysis.state_feedback import state_feedback_designer
 
     wanted = Specification(
         2.0 if gain_margin is None else gain_margin,
@@ -140,10 +143,9 @@ def control(
         10.0 if overshoot is None else overshoot,
         1e-3 if steady_state is None else steady_state,
     )
-    chosen = next((one for one in get_args(Kind) if one == kind), None)
-    if chosen is None:
-        raise UserError(f"--kind is '{kind}', expected {', '.join(get_args(Kind))}")
-    if chosen == "pid" and (weights is not None or moves is not None):
+    if kind not in _KINDS:
+        raise UserError(f"--kind is '{kind}', expected {', '.join(_KINDS)}")
+    if kind == "pid" and (weights is not None or moves is not None):
         raise UserError("--weights and --moves are for --kind lqr and mpc")
     if plant is not None:
         if run is not None:
@@ -158,7 +160,7 @@ def control(
         if sampling_time is not None:
             raise UserError("--sampling-time is for --plant: a run has its own")
         directory = run_directory(runs, run)
-        loop = _loop(directory, at, candidate_level(isolation), continuous_time=chosen == "pid")
+        loop = _loop(directory, at, candidate_level(isolation), continuous_time=kind == "pid")
         out = out or directory / "control"
     low, high = _limits(limits, loop.u)
     shares = None if weights is None else _weights(weights, loop)
@@ -176,9 +178,13 @@ def control(
     own = loop.own_settling
     if settling is None and settling_least is None and own is not None:
         wanted = replace(wanted, settling_max=own)
-    made = design_in_simulation(
-        loop, wanted, (low, high), rate or math.inf, seed, kind=chosen, weights=shares, moves=moves
+    limited = Limits(low, high, rate or math.inf)
+    designer = (
+        pid_designer(limited, seed)
+        if kind == "pid"
+        else state_feedback_designer(limited, predictive=kind == "mpc", weights=shares, moves=moves)
     )
+    made = design_in_simulation(loop, wanted, designer)
     loop, found, each, controller = made.loop, made.design, made.figures, made.controller
     responses, judged, missed = made.responses, made.judged, made.missed
     noisy = None
@@ -213,7 +219,7 @@ def control(
         for language, file in _CODE.items():
             # Code of another kind of controller that was here before does not belong to this one.
             (out / file).unlink(missing_ok=True)
-            if chosen != "mpc" or language == "python":
+            if kind != "mpc" or language == "python":
                 (out / file).write_text(controller.code(language), "utf-8")  # pyright: ignore[reportArgumentType]
                 files.append(out / file)
         drawn = [asdict(one) for one in _drawn(loop, named)]
@@ -233,7 +239,7 @@ def control(
         say(
             f"missed    {', '.join(found.violated)}: no controller was found that meets all "
             f"specifications; relax one of them or try another "
-            f"{'--seed' if chosen == 'pid' else '--kind'}"
+            f"{'--seed' if kind == 'pid' else '--kind'}"
         )
     for one in missed:
         say(f"missed    {one}")
