@@ -332,9 +332,10 @@ def main() -> None:
                 for one in before
             ]  # fmt: skip
             spread = max(expected) / expected[0]
-            plants = [
-                p * np.exp(given.spread * rng.standard_normal(3)) for _ in range(given.plants)
-            ]
+            plants: list[Array] = []
+            while len(plants) < given.plants:
+                q = p * np.exp(given.spread * rng.standard_normal(3))
+                plants += [q] * task.is_feasible(q)
             costs = np.array([[task.cost(one.controller, q) for q in plants] for one in made[1:]])
             failed = np.isinf(costs).sum(axis=1)
             both = costs[:, np.isfinite(costs).all(axis=0)].mean(axis=1)
