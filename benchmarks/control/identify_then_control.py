@@ -159,7 +159,7 @@ class Task:
         """Whether inputs within the limits hold the set point, with and without the load."""
         ends = [settled(self.system, p, u)[self.system.output]
                 for u in (self.system.low + self.load, self.system.high)]  # fmt: skip
-        return min(ends) < self.setpoint < max(ends)
+        return bool(min(ends) < self.setpoint < max(ends))
 
     def cost(self, controller: SampledController, p: Array) -> float:
         """Integral of the absolute error, in steps; infinite where the loop does not settle."""
