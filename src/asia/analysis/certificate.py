@@ -26,11 +26,14 @@ _ROUNDS = 10
 _WALK = 1_000
 _LARGEST_GROWTH = 30.0
 _MOST_STATES = 200
+# Simulations that look for an input sequence which leaves the limits.
+_RUNS = 10
 
 
 def certify(
-    model: LoweredModel, u: Array, start: Array, horizon: int, facts: dict[str, Any]
-) -> dict[str, Any]:
+    model: LoweredModel, u: Array, start: Array, horizon: int, facts: dict[str, Any],
+    y: Array | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Find and prove statements on a model.
 
     Args:
@@ -38,7 +41,8 @@ def certify(
         u: least and largest input, (nu, 2)
         start: state (n,) or box of states (2, n) in which the tube begins
         horizon: samples of the tube
-        facts: further entries of the certificate
+        facts: further entries of the certificate: `assumptions`, `inputs`, `outputs`
+        y: limits of the outputs (ny, 2) to prove, infinite for none
 
     Returns:
         the certificate, with `missed`: what has none, a sentence each
@@ -54,7 +58,7 @@ def certify(
         except UnboundedError:
             holds = False
         if holds:
-            found.append({**one, "text": sentence(one)})
+            found.append({**one, "text": sentence(one, facts)})
         return holds
 
     linear = _linear_statements(model)
@@ -77,6 +81,15 @@ def certify(
     invariant = _invariant_box(model, u, box)
     if invariant is None or not keep(invariant):
         missed.append("no certificate for all times: no box of states was found that is not left")
+    if y is not None:
+        sides = [[v if np.isfinite(v) else None for v in side] for side in y.T.tolist()]
+        wanted = {"kind": "output limits", "lower": sides[0], "upper": sides[1]}
+        forever = invariant is not None and keep(
+            {**wanted, "always": True, "samples": invariant["samples"], "start": invariant["start"]}
+        )
+        now = {**wanted, "always": False, "samples": horizon, "start": box.tolist()}
+        if not forever and not keep(now):
+            missed.append(_why_not_within(model, u, box, y, horizon, facts))
     content: dict[str, Any] = {
         "format": FORMAT,
         **facts,
@@ -155,6 +168,43 @@ def _linear_statements(model: LoweredModel) -> list[dict[str, Any]] | str:
 
 def _symmetric(matrix: Any) -> Array:
     return np.asarray(0.5 * (matrix + matrix.T), np.float64)
+
+
+def _why_not_within(
+    model: LoweredModel, u: Array, box: Array, y: Array, horizon: int, facts: dict[str, Any]
+) -> str:
+    """A simulation that leaves the limits of the outputs, or where the enclosure does."""
+    names = [str(name) for name, _ in facts.get("outputs", ())]
+
+    def first(low: Array, high: Array) -> str | None:
+        """Earliest sample (H, ny) outside, with its output and value."""
+        below, above = low < y[:, 0], high > y[:, 1]
+        if not (below | above).any():
+            return None
+        k, i = (int(v) for v in np.argwhere(below | above)[0])
+        value = low[k, i] if below[k, i] else high[k, i]
+        name = names[i] if names else f"output {i + 1}"
+        return f"{name} is {value:.6g} at sample {k + 1}"
+
+    rng = np.random.default_rng(0)
+    for hold in np.repeat((horizon, max(horizon // 4, 1), 3), (min(2**model.nu, 16), _RUNS, _RUNS)):
+        x, outputs = box[int(rng.integers(0, 2))], np.empty((horizon, model.ny))
+        share = rng.integers(0, 2, (horizon // int(hold) + 1, model.nu))
+        for k in range(horizon):
+            inputs = u[:, 0] + (u[:, 1] - u[:, 0]) * share[k // int(hold)]
+            outputs[k], *after = evaluate(model.step, [*split(model, x), inputs])
+            x = joined(after)
+        found = first(outputs, outputs)
+        if found is not None:
+            return f"the limits of the outputs do not hold: in a simulation {found}"
+    try:
+        low, high, _ = reach(model, interval(*box), (u[:, 0], u[:, 1]), horizon)
+    except UnboundedError as error:
+        return f"no certificate of the limits of the outputs: {error}"
+    return (
+        f"no certificate of the limits of the outputs: in the enclosure {first(low, high)}, in no "
+        "simulation"
+    )
 
 
 def _invariant_box(model: LoweredModel, u: Array, start: Array) -> dict[str, Any] | None:

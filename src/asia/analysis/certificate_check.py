@@ -64,28 +64,43 @@ def check_certificate(path: Path) -> list[str]:
             holds = False
         if not holds:
             raise UserError(f"{path}: statement {k} is not proven: {one.get('text')}")
-        sentences.append(sentence(one))
+        sentences.append(sentence(one, content))
     return sentences
 
 
-def sentence(statement: dict[str, Any]) -> str:
-    """Sentence of a statement, made from what is proven."""
-    kind, i, j = statement["kind"], statement.get("output", 0), statement.get("input", 0)
-    pair = f"output {i + 1} by input {j + 1}"
+def sentence(statement: dict[str, Any], content: dict[str, Any]) -> str:
+    """Sentence of a statement, made from what is proven and the signals of the certificate:
+    `inputs` and `outputs`, a name and a unit each."""
+    kind = statement["kind"]
+
+    def signal(side: str, k: int) -> tuple[str, str]:
+        """Name, and unit with a blank before it."""
+        if side not in content:
+            return f"{side[:-1]} {k + 1}", ""
+        name, unit = content[side][k]
+        return str(name), f" {unit}" if unit else ""
+
     if kind == "stability":
         return "the linear model is asymptotically stable"
-    if kind == "peak gain":
-        return f"peak gain, {pair}: at most {statement['bound']:.6g}"
-    if kind == "H-infinity norm":
-        return f"H-infinity norm, {pair}: at most {statement['bound']:.6g}"
-    low, high = (np.atleast_2d(np.array(statement[side])) for side in ("lower", "upper"))
-    spans = ", ".join(
-        f"output {k + 1} in {a:.6g} to {b:.6g}"
-        for k, (a, b) in enumerate(zip(low.min(axis=0), high.max(axis=0), strict=True))
-    )
+    if kind in ("peak gain", "H-infinity norm"):
+        (y, above), (u, below) = (
+            signal("outputs", statement["output"]), signal("inputs", statement["input"]),
+        )  # fmt: skip
+        unit = f"{above or ' 1'}/{below.strip() or '1'}" if above or below else ""
+        return f"{kind} of {u} to {y}: at most {statement['bound']:.6g}{unit}"
+    low, high = (np.atleast_2d(np.array(statement[side], float)) for side in ("lower", "upper"))
+    spans: list[str] = []
+    for k, (a, b) in enumerate(zip(low.min(axis=0), high.max(axis=0), strict=True)):
+        name, unit = signal("outputs", k)
+        if np.isfinite([a, b]).all():
+            spans.append(f"{name} in {a:.6g} to {b:.6g}{unit}")
+    listed, samples = ", ".join(spans), int(statement.get("samples", len(low)))
+    if kind == "output limits":
+        long = "for all times" if statement["always"] else f"for {samples} samples"
+        return f"within the limits, from the start, {long}: {listed}"
     if kind == "tube":
-        return f"from the start, for {len(low)} samples: {spans}"
-    return f"from every state in the box, for all times: {spans}"
+        return f"from the start, for {samples} samples: {listed}"
+    return f"from every state in the box, for all times: {listed}"
 
 
 def prove(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
@@ -124,6 +139,17 @@ def _invariant(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
     start, lower, upper = (np.array(one[name]) for name in ("start", "lower", "upper"))
     back = (after.low >= start[0]).all() and (after.high <= start[1]).all()
     return bool(back and one["samples"] >= 1 and (lower <= low).all() and (high <= upper).all())
+
+
+def _output_limits(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
+    """The outputs stay within limits, None for no limit; for all times if the box is invariant."""
+    limits = [[fill if v is None else v for v in one[side]]
+              for side, fill in (("lower", -np.inf), ("upper", np.inf))]  # fmt: skip
+    low, high, after = reach(model, _box(one), (u[:, 0], u[:, 1]), int(one["samples"]))
+    start = np.array(one["start"])
+    back = (after.low >= start[0]).all() and (after.high <= start[1]).all()
+    inside = (np.array(limits[0]) <= low).all() and (high <= np.array(limits[1])).all()
+    return bool(inside and one["samples"] >= 1 and (back or not one["always"]))
 
 
 def _stability(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
@@ -191,6 +217,7 @@ def _h_infinity(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
 _PROOFS: dict[str, Callable[[LoweredModel, Array, dict[str, Any]], bool]] = {
     "tube": _tube,
     "invariant box": _invariant,
+    "output limits": _output_limits,
     "stability": _stability,
     "peak gain": _peak_gain,
     "H-infinity norm": _h_infinity,

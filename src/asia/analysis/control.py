@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import fmean
 from typing import Any, Literal, TypeAlias
 
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asia.data.trajectory import Array
+from asia.lowering.linear import LinearModel
 
 # Order of Pade's approximation of a dead time in the poles of the closed loop.
 _PADE = 3
@@ -36,6 +37,8 @@ _EXCESS = 3
 _TAIL, _CREEP = 0.01, 0.3
 # The optimisation prefers a loop at most this much faster than the longest settling time.
 _FASTER = 4.0
+# Longest settling after a load, in longest settling times of the set point.
+_LOAD = 2.0
 # A smaller steady-state error asks for an integrator: without one the gain would be very high.
 _INTEGRAL = 0.01
 # The last structure, which nothing follows, is searched this much longer.
@@ -128,6 +131,9 @@ class LoopFigures:
     """Time in s from 10 to 90 % of the step response."""
     tail: float = 0.0
     """Share of the step response in modes much slower than its rise."""
+    load_settling: float = 0.0
+    """Time in s after which a load at the input is compensated to 2 %; of LQR and MPC only, whose
+    response to the set point does not show it."""
 
     @property
     def gain_margin(self) -> float:
@@ -157,8 +163,10 @@ class LoopFigures:
             ("phase margin", self.phase_margin, wanted.phase_margin),
             ("settling time too short", self.settling, wanted.settling_min),
         )
+        longest = wanted.settling_max
         high = (
-            ("settling time", self.settling, wanted.settling_max),
+            ("settling time", self.settling, longest),
+            ("settling after a load", self.load_settling, longest and _LOAD * longest),
             ("overshoot", self.overshoot, wanted.overshoot),
             ("steady-state error", abs(self.steady_state), wanted.steady_state),
         )
@@ -183,7 +191,9 @@ def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
     poles = np.roots(characteristic)
     if not len(poles) or poles.real.max() >= 0:
         return nothing
-    gain_low, gain_high, phase, late = _margins(loop, rational)
+    static = [float(rational.num[-1] / rational.den[-1])] if rational.den[-1] else []
+    found = margins(_frequencies(rational), loop.response, static)
+    gain_low, gain_high, phase, late = found
     # Step response by residues of T(s) / s.
     slopes = np.polyval(np.polyder(characteristic), poles) * poles
     with np.errstate(all="ignore"):
@@ -219,16 +229,31 @@ def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
     )  # fmt: skip
 
 
-def _margins(loop: Transfer, rational: Transfer) -> tuple[float, float, float, float]:
-    """Gain margins below and above 1, as factors, smallest phase margin in degrees and delay
-    margin in s."""
+def _frequencies(rational: Transfer) -> Array:
+    """Frequencies in rad/s around the corners of a loop. A narrow resonance lies between the points
+    of a grid, so its neighbourhood is added."""
     corners = np.abs(np.concatenate([np.roots(rational.num), np.roots(rational.den)]))
     corners = corners[corners > 0]
     low, high = (corners.min(), corners.max()) if len(corners) else (1.0, 1.0)
-    # A narrow resonance lies between the points of a grid, so its neighbourhood is added.
     near = np.outer(corners, np.concatenate([1.0 - _NEAR, [1.0], 1.0 + _NEAR])).reshape(-1)
-    w = np.unique(np.concatenate([np.geomspace(1e-3 * low, 1e3 * high, _GRID), near]))
-    held = loop.response(w)
+    return np.unique(np.concatenate([np.geomspace(1e-3 * low, 1e3 * high, _GRID), near]))
+
+
+def margins(
+    w: Array, response: Callable[[Array], NDArray[np.complex128]], ends: Sequence[float] = ()
+) -> tuple[float, float, float, float]:
+    """Compute the margins of a loop from its frequency response.
+
+    Args:
+        w: frequencies in rad/s, rising
+        response: frequency response of the loop at such frequencies
+        ends: real values of the loop at frequency 0 and at the Nyquist frequency
+
+    Returns:
+        gain margins below and above 1, as factors, smallest phase margin in degrees and delay
+        margin in s
+    """
+    held = response(w)
     size = np.abs(held)
     crossing = np.flatnonzero((size[:-1] > 1.0) != (size[1:] > 1.0))
     phases: list[float] = []
@@ -236,20 +261,18 @@ def _margins(loop: Transfer, rational: Transfer) -> tuple[float, float, float, f
     for k in crossing:
         share = math.log(size[k]) / (math.log(size[k]) - math.log(size[k + 1]))
         at = w[k] * (w[k + 1] / w[k]) ** share
-        angle = math.degrees(np.angle(loop.response(np.array([at]))[0]))
+        angle = math.degrees(np.angle(response(np.array([at]))[0]))
         phases.append((angle + 180.0) % 360.0)
         late = min(late, math.radians(phases[-1]) / at)
     phases = [one if one <= 180.0 else one - 360.0 for one in phases]
-    gains: list[float] = []
-    if rational.den[-1] and rational.num[-1] / rational.den[-1] < 0:
-        gains.append(abs(float(rational.den[-1] / rational.num[-1])))
+    gains = [-1.0 / one for one in ends if -math.inf < one < -1e-12]
     imaginary = held.imag
     for k in np.flatnonzero((imaginary[:-1] > 0) != (imaginary[1:] > 0)):
         share = imaginary[k] / (imaginary[k] - imaginary[k + 1])
         real = held.real[k] + share * (held.real[k + 1] - held.real[k])
         if real < -1e-12:
             at = w[k] * (w[k + 1] / w[k]) ** share
-            gains.append(1.0 / max(abs(loop.response(np.array([at]))[0].real), 1e-300))
+            gains.append(1.0 / max(abs(response(np.array([at]))[0].real), 1e-300))
     phase = min(phases, key=abs, default=math.inf)
     low = max((one for one in gains if one < 1.0), default=0.0)
     return low, min((one for one in gains if one >= 1.0), default=math.inf), phase, late
@@ -334,10 +357,13 @@ class Design:
     """Controller and the figures of its loop."""
 
     structure: str
-    controller: Transfer
+    controller: Transfer | None
+    """None for a controller by LQR or MPC, which treats the set point and the output apart."""
     figures: LoopFigures
     violated: tuple[str, ...]
     """Specifications that the best controller found does not meet."""
+    weights: tuple[float, float] | None = None
+    """Weights of squared errors and inputs, of LQR and MPC."""
 
 
 def design(
@@ -467,11 +493,16 @@ class SampledController:
     def step(self, x: Array, last: float, r: float, y: float) -> tuple[Array, float]:
         """State of the next sample and the input u, from the state, the last input, the set point
         and the measured output."""
-        seen = np.array([r - self.y0, y - self.y0])
-        u = min(max(float(self.u0 + self.c @ x + self.d @ seen), self.low), self.high)
+        u = min(max(self.wanted(x, last, r, y), self.low), self.high)
         most = self.rate * self.sampling_time
         u = min(max(u, last - most), last + most)
-        return self.a @ x + self.b @ np.append(seen, u - self.u0), u
+        seen = np.array([r - self.y0, y - self.y0, u - self.u0])
+        return self.a @ x + self.b @ seen, u
+
+    def wanted(self, x: Array, last: float, r: float, y: float) -> float:
+        """Input before the limits; arguments as for `step`."""
+        del last
+        return float(self.u0 + self.c @ x + self.d @ np.array([r - self.y0, y - self.y0]))
 
     def code(self, language: Language) -> str:
         """Source of one step function: a Python class, C99, or a function block in Structured Text
@@ -733,6 +764,16 @@ class Loop:
     """Smallest and largest input of the training records."""
     u: str = "u"
     y: str = "y"
+    models: list[LinearModel] = field(default_factory=list[LinearModel])
+    """Sampled linear models of the plants, for LQR and MPC."""
+
+    @property
+    def own_settling(self) -> float | None:
+        """About the 2 % settling time of the first plant in s; None where it does not settle."""
+        if self.plants:
+            return self.plants[0].own_settling
+        size = float(np.abs(self.models[0].poles).max(initial=0.0))
+        return -4.0 * self.sampling_time / math.log(size) if 1e-6 < size < 1.0 - 1e-6 else None
 
 
 @dataclass(frozen=True)
@@ -753,22 +794,53 @@ class SimulatedDesign:
     """Sentences on specifications that the simulation does not meet."""
 
 
-def design_in_simulation(
-    loop: Loop, wanted: Specification, limits: tuple[float, float], rate: float, seed: int = 0
-) -> SimulatedDesign:
-    """Design a controller for all plants of a loop, and simulate it. Where the simulation misses
-    what the linear plants meet, the design asks for more by the same share, a few times.
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the input."""
 
-    Args:
-        limits: least and largest input
-        rate: largest change of the input in 1/s
-    """
-    asked, found = wanted, design(loop.plants, wanted, seed=seed)
-    made = _simulated(loop, found, wanted, limits, rate)
+    low: float = -math.inf
+    high: float = math.inf
+    rate: float = math.inf
+    """Largest change in 1/s."""
+
+
+# Loop and specifications to the loop with its sampling time and simulated plants, the design, its
+# figures on each linear plant, and the sampled controller.
+Designer: TypeAlias = Callable[
+    [Loop, Specification], tuple[Loop, Design, list[LoopFigures], SampledController]
+]
+
+
+def pid_designer(limits: Limits, seed: int = 0) -> Designer:
+    """Designer of P to PID with lead-lag by `design`."""
+
+    def designed(
+        loop: Loop, wanted: Specification
+    ) -> tuple[Loop, Design, list[LoopFigures], SampledController]:
+        found = design(loop.plants, wanted, seed=seed)
+        assert found.controller is not None
+        each = [loop_figures(one, found.controller) for one in loop.plants]
+        slow = max((one.settling for one in each if math.isfinite(one.settling)), default=1.0)
+        if not loop.sampling_time:
+            loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
+        if not loop.simulated:
+            held = zero_order_hold(loop.plants[0], loop.sampling_time)
+            loop = replace(loop, simulated=[replace(held, name="loop")])
+        controller = sampled(found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0,
+                             limits=(limits.low, limits.high), rate=limits.rate)  # fmt: skip
+        return loop, found, each, controller
+
+    return designed
+
+
+def design_in_simulation(loop: Loop, wanted: Specification, designer: Designer) -> SimulatedDesign:
+    """Design a controller for all plants of a loop, and simulate it. Where the simulation misses
+    what the linear plants meet, the design asks for more by the same share, a few times."""
+    asked, made = wanted, _simulated(*designer(loop, wanted), wanted)
     for _ in range(_TRIES - 1):
         longest = max(one.settling for one in made.judged)
         most = max(one.overshoot for one in made.judged)
-        if found.violated or not made.missed or not math.isfinite(longest):
+        if made.design.violated or not made.missed or not math.isfinite(longest):
             break
         if asked.settling_max is not None and wanted.settling_max is not None:
             share = min(0.97 * wanted.settling_max / longest, 1.0)
@@ -776,26 +848,18 @@ def design_in_simulation(
         if asked.overshoot is not None and wanted.overshoot is not None:
             share = min(0.97 * wanted.overshoot / max(most, 1e-9), 1.0)
             asked = replace(asked, overshoot=asked.overshoot * share)
-        found = design(loop.plants, asked, seed=seed)
-        if found.violated:
+        again = _simulated(*designer(made.loop, asked), wanted)
+        if again.design.violated:
             break
-        made = _simulated(made.loop, found, wanted, limits, rate)
+        made = again
     return made
 
 
 def _simulated(
-    loop: Loop, found: Design, wanted: Specification, limits: tuple[float, float], rate: float
-) -> SimulatedDesign:
-    each = [loop_figures(one, found.controller) for one in loop.plants]
+    loop: Loop, found: Design, each: list[LoopFigures], controller: SampledController,
+    wanted: Specification,
+) -> SimulatedDesign:  # fmt: skip
     slow = max((one.settling for one in each if math.isfinite(one.settling)), default=0.0)
-    if not loop.sampling_time:
-        loop = replace(loop, sampling_time=float(f"{(slow or 1.0) / 200.0:.1g}"))
-    if not loop.simulated:
-        held = zero_order_hold(loop.plants[0], loop.sampling_time)
-        loop = replace(loop, simulated=[replace(held, name="loop")])
-    controller = sampled(
-        found.controller, loop.sampling_time, u0=loop.u0, y0=loop.y0, limits=limits, rate=rate
-    )
     samples = int(min(max(6.0 * slow / loop.sampling_time, _SHORTEST), _LONGEST))
     target = np.full(samples, loop.setpoint)
     responses = [simulate_loop(controller, one, target) for one in loop.simulated]

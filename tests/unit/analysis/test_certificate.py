@@ -129,6 +129,41 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
         check_certificate(path)
 
 
+SIGNALS: dict[str, Any] = {**FACTS, "inputs": [("pump", "V")], "outputs": [("level", "m")]}
+
+
+def test_limits_of_the_outputs_are_proven_or_refuted(tmp_path: Path) -> None:
+    def certified(low: float, high: float) -> dict[str, Any]:
+        return certify(tank(), LIMITS, np.zeros(2), 30, SIGNALS, np.array([[low, high]]))
+
+    always = statement(certified(-8.0, 10.0), "output limits")
+    assert always["always"]
+    text = "within the limits, from the start, for all times: level in -8 to 10 m"
+    assert always["text"] == text
+    content = certified(-2.0, 3.0)
+    one = statement(content, "output limits")
+    assert not one["always"]
+    assert one["text"] == "within the limits, from the start, for 30 samples: level in -2 to 3 m"
+    path = tmp_path / "certificate.json"
+    path.write_text(json.dumps(content))
+    assert one["text"] in check_certificate(path)
+    # A proof for some samples is none for all times, nor for narrower limits.
+    assert not prove(tank(), LIMITS, {**one, "always": True})
+    assert not prove(tank(), LIMITS, {**one, "upper": [1.0]})
+    for high, reason in ((0.5, "do not hold: in a simulation"), (1.5, "in no simulation")):
+        content = certified(-2.0, high)
+        assert all(one["kind"] != "output limits" for one in content["statements"])
+        assert reason in content["missed"][-1]
+        assert "level is" in content["missed"][-1]
+
+
+def test_gains_name_their_signals_with_units() -> None:
+    content = certify(STABLE, LIMITS, np.zeros(2), 5, SIGNALS)
+    gain = statement(content, "peak gain")
+    assert gain["text"].startswith("peak gain of pump to level: at most ")
+    assert gain["text"].endswith(" m/V")
+
+
 def test_asia_certify_proves_and_checks_a_file(tmp_path: Path) -> None:
     from tests.unit.interfaces.cli.conftest import command_line
 

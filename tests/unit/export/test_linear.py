@@ -211,6 +211,20 @@ def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
     assert command_line("report", "--runs", tmp_path).code == 0
     (page,) = tmp_path.glob("*/report/report.html")
     assert "at u=2: pump_voltage 2 V; tank2_level" in page.read_text("utf-8")
+    # A controller on the same run: all its models are in the loop.
+    shown = command_line("control", "--runs", tmp_path, "--at", "u=2", "--settling", "400",
+                         "--kind", "lqr", "--limits", "0..3.5", "--json")  # fmt: skip
+    assert shown.code == 0, shown.err
+    found = json.loads(shown.out)
+    assert [one["model"] for one in found["responses"]][:3] == ["loop", "fold 1", "fold 2"]
+    assert all(one["settling"] <= 404 for one in found["responses"])
+    shown = command_line("certify", "--runs", tmp_path, "--u", "1.95..2.05", "--horizon", "5",
+                         "--y", "tank2_level=0..10")  # fmt: skip
+    assert shown.code == 0, shown.err
+    assert "proven    within the limits, from the start, for" in shown.out
+    assert "tank2_level in 0 to 10 V" in shown.out
+    wrong = command_line("certify", "--runs", tmp_path, "--y", "level=0..10")
+    assert "--y is 'level=0..10', expected limits" in wrong.err
     wrong = command_line("linear", "--runs", tmp_path, "--at", "u=2,3")
     assert wrong.code == 2
     assert "expected start, u= with 1 or y= with 1 numbers" in wrong.err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import typer
 
 from asia._text import say
+from asia.data.trajectory import Signal
 from asia.errors import UserError
 from asia.interfaces.cli.options import (
     DEFAULT_RUNS,
@@ -28,6 +30,13 @@ def certify(
         list[str] | None,
         typer.Option(
             "--u", help="Input limits, 0..10 or name=0..10, repeatable; default: the records'."
+        ),
+    ] = None,
+    y: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--y",
+            help="Output limits to prove, 0..10 or name=0..10, repeatable; default: none.",
         ),
     ] = None,
     horizon: Annotated[int, typer.Option(min=1, help="Samples of the tube.")] = 50,
@@ -68,21 +77,10 @@ def certify(
     opened = open_run(run_directory(runs, run))
     ready = lowered_run(opened, model, candidate_level(isolation))
     subject, window = ready.model, ready.windows[0]
-    names = [signal.name for signal in subject.inputs]
     limits = np.array(subject.input_range, np.float64)
-    for text in u or ():
-        name, equals, span = text.rpartition("=")
-        try:
-            ends = [float(word) for word in span.split("..")]
-            low, high = ends
-            rows = [names.index(name)] if equals else range(len(names))
-            if not -np.inf < low <= high < np.inf:
-                raise ValueError
-        except ValueError:
-            raise UserError(
-                f"--u is '{text}', expected limits such as 0..10 or {names[0]}=0..10"
-            ) from None
-        limits[list(rows)] = low, high
+    _set_limits("--u", u or (), subject.inputs, limits)
+    within = np.tile([-np.inf, np.inf], (len(subject.outputs), 1))
+    _set_limits("--y", y or (), subject.outputs, within)
     first = np.clip(window.u[0], limits[:, 0], limits[:, 1])
     start = joined(evaluate(subject.lowered.initial, [window.past_u, window.past_y, first]))
     spans = ", ".join(
@@ -92,8 +90,8 @@ def certify(
     facts: dict[str, Any] = {
         "run": subject.name,
         "model": subject.use,
-        "inputs": names,
-        "outputs": [signal.name for signal in subject.outputs],
+        "inputs": [(one.name, one.unit) for one in subject.inputs],
+        "outputs": [(one.name, one.unit) for one in subject.outputs],
         "assumptions": [
             f"inputs: any sequence with {spans}, held over {subject.sampling_time:g} s",
             "start: the state before the first training window; the box holds it",
@@ -102,7 +100,7 @@ def certify(
             "library functions err by less than 8 units in the last place",
         ],
     }
-    content = find(subject.lowered, limits, start, horizon, facts)
+    content = find(subject.lowered, limits, start, horizon, facts, within if y else None)
     lines = [f"run {subject.name}, model {subject.use}", *text_lines(content)]
     # Each experiment has a file of its own, so that their gains are compared.
     own = f"certificate-{int(model)}.json" if model and model.isdecimal() else CERTIFICATE_FILE
@@ -112,4 +110,25 @@ def certify(
         say(line)
     if not content["statements"]:
         say("no certificate")
+    kinds = {one["kind"] for one in content["statements"]}
+    if not kinds or (y and "output limits" not in kinds):
         raise typer.Exit(1)
+
+
+def _set_limits(
+    option: str, texts: Sequence[str], signals: Sequence[Signal], limits: np.ndarray
+) -> None:
+    """Write limits such as `0..10` for all signals or `name=0..10` for one to (n, 2)."""
+    names = [one.name for one in signals]
+    for text in texts:
+        name, equals, span = text.rpartition("=")
+        try:
+            low, high = (float(word) for word in span.split(".."))
+            rows = [names.index(name)] if equals else range(len(names))
+            if not -np.inf < low <= high < np.inf:
+                raise ValueError
+        except ValueError:
+            raise UserError(
+                f"{option} is '{text}', expected limits such as 0..10 or {names[0]}=0..10"
+            ) from None
+        limits[list(rows)] = low, high

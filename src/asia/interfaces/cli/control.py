@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 
 # Files of the controller.
 _CODE = {"python": "controller.py", "c": "controller.c", "st": "controller.st"}
+_KINDS = ("pid", "lqr", "mpc")
+# Candidates of other families, and their largest V in that of the best.
+_OTHERS, _FAR = 2, 1.5
 
 
 def control(
@@ -50,6 +53,19 @@ def control(
         typer.Option(help='Transfer function in place of a run, such as "1.3/(s+12.7)".'),
     ] = None,
     delay: Annotated[float, typer.Option(help="Dead time of --plant in s.")] = 0.0,
+    kind: Annotated[
+        str, typer.Option(help="pid (P to PID with lead-lag), lqr or mpc (predictive).")
+    ] = "pid",
+    weights: Annotated[
+        str | None,
+        typer.Option(
+            help="Weights of squared errors and squared inputs of lqr and mpc, such as y=1,u=0.1; "
+            "default: the least input that meets the specifications."
+        ),
+    ] = None,
+    moves: Annotated[
+        int | None, typer.Option(min=1, max=200, help="Planned inputs of mpc; default: 10 to 40.")
+    ] = None,
     at: Annotated[
         str | None,
         typer.Option(help="Operating point of a run, as for asia linear: u=2.5 or y=9."),
@@ -112,16 +128,19 @@ def control(
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
-    """Design a PID or lead-lag controller that meets specifications, for the linear model of a run
-    and of all its fold models, or for a transfer function; simulate the loop with all models, and
-    write the controller as code."""
+    """Design a PID or lead-lag controller, an LQR or a predictive controller that meets
+    specifications, for the linear model of a run and of all its fold models, or for a transfer
+    function; simulate the loop with all models, and write the controller as code."""
     from asia.analysis.control import (
+        Limits,
         Loop,
         Specification,
         Transfer,
         design_in_simulation,
+        pid_designer,
         simulate_loop,
     )
+    from asia.analysis.state_feedback import state_feedback_designer
 
     wanted = Specification(
         2.0 if gain_margin is None else gain_margin,
@@ -133,6 +152,10 @@ def control(
     )
     if model is not None and not model.isdecimal():
         raise UserError(f"--model is '{model}', expected the number of an experiment")
+    if kind not in _KINDS:
+        raise UserError(f"--kind is '{kind}', expected {', '.join(_KINDS)}")
+    if kind == "pid" and (weights is not None or moves is not None):
+        raise UserError("--weights and --moves are for --kind lqr and mpc")
     if plant is not None:
         if run is not None or model is not None:
             raise UserError("give a run or --plant, not both")
@@ -146,9 +169,12 @@ def control(
         if sampling_time is not None:
             raise UserError("--sampling-time is for --plant: a run has its own")
         directory = run_directory(runs, run)
-        loop = _loop(str(directory), at, model, candidate_level(isolation))
+        loop = _loop(
+            directory, at, model, candidate_level(isolation), continuous_time=kind == "pid"
+        )
         out = out or directory / ("control" if model is None else f"control-{model}")
     low, high = _limits(limits, loop.u)
+    shares = None if weights is None else _weights(weights, loop)
     if rate is not None and not rate > 0:
         raise UserError(f"--rate is {rate:g}, expected a positive number")
     if not low <= loop.u0 <= high:
@@ -160,10 +186,16 @@ def control(
         loop = replace(loop, setpoint=setpoint)
     if loop.setpoint == loop.y0:
         raise UserError(f"--setpoint {loop.setpoint:g} is the output at the operating point")
-    own = loop.plants[0].own_settling
+    own = loop.own_settling
     if settling is None and settling_least is None and own is not None:
         wanted = replace(wanted, settling_max=own)
-    made = design_in_simulation(loop, wanted, (low, high), rate or math.inf, seed)
+    limited = Limits(low, high, rate or math.inf)
+    designer = (
+        pid_designer(limited, seed)
+        if kind == "pid"
+        else state_feedback_designer(limited, predictive=kind == "mpc", weights=shares, moves=moves)
+    )
+    made = design_in_simulation(loop, wanted, designer)
     loop, found, each, controller = made.loop, made.design, made.figures, made.controller
     responses, judged, missed = made.responses, made.judged, made.missed
     noisy = None
@@ -197,8 +229,11 @@ def control(
 
         files = [*save([("control", draw)], out)]
         for language, file in _CODE.items():
-            (out / file).write_text(controller.code(language), "utf-8")  # pyright: ignore[reportArgumentType]
-            files.append(out / file)
+            # Code of another kind of controller that was here before does not belong to this one.
+            (out / file).unlink(missing_ok=True)
+            if kind != "mpc" or language == "python":
+                (out / file).write_text(controller.code(language), "utf-8")  # pyright: ignore[reportArgumentType]
+                files.append(out / file)
         drawn = [asdict(one) for one in _drawn(loop, named)]
         page = {**facts, "text": [*lines, *(f"missed    {m}" for m in missed)], "drawn": drawn}
         (out / CONTROL_FILE.name).write_text(jsonlib.dumps(page, allow_nan=False) + "\n", "utf-8")
@@ -215,7 +250,8 @@ def control(
     if found.violated:
         say(
             f"missed    {', '.join(found.violated)}: no controller was found that meets all "
-            "specifications; relax one of them or try another --seed"
+            f"specifications; relax one of them or try another "
+            f"{'--seed' if kind == 'pid' else '--kind'}"
         )
     for one in missed:
         say(f"missed    {one}")
@@ -254,32 +290,70 @@ def _limits(text: str | None, name: str) -> tuple[float, float]:
     return low, high
 
 
-def _loop(directory: str, at: str | None, number: str | None, isolation: Any) -> Loop:
-    """Plants of the model and the fold models of a run: continuous-time transfer functions for the
-    design, nonlinear models for the simulation."""
-    from asia.analysis.control import Loop, SimulatedPlant, Transfer
-    from asia.export.linear import linearize
-    from asia.lowering.evaluation import evaluate
-    from asia.lowering.linear import continuous, joined, split
+def _weights(text: str, loop: Loop) -> tuple[float, float]:
+    """Weights of y and u."""
+    pairs = [one.partition("=") for one in text.split(",")]
+    try:
+        found = {name.strip(): float(value) for name, _, value in pairs}
+        y, u = (found.pop(own, found.pop(one, 1.0)) for own, one in ((loop.y, "y"), (loop.u, "u")))
+        if found or not (0 < y < math.inf and 0 < u < math.inf):
+            raise ValueError
+    except ValueError:
+        raise UserError(
+            f"--weights is '{text}', expected positive numbers such as y=1,u=0.1"
+        ) from None
+    return y, u
 
-    found = linearize(directory, [at] if at else (), number, isolation=isolation)
+
+def _loop(
+    directory: Path, at: str | None, number: str | None, isolation: Any, *, continuous_time: bool
+) -> Loop:
+    """Plants of the model, of the fold models and of the best candidates of other families of a
+    run: linear models for the design, in continuous time as transfer functions, and nonlinear ones
+    for the simulation."""
+    from asia.analysis.control import Loop, SimulatedPlant, Transfer
+    from asia.export.linear import LinearPoint, linearize
+    from asia.ledger.run import open_run
+    from asia.lowering.evaluation import evaluate
+    from asia.lowering.linear import LinearModel, continuous, joined, split
+    from asia.search.extension import leading_experiments
+
+    opened = open_run(directory)
+    found = linearize(opened, [at] if at else (), number, isolation=isolation)
     if len(found.inputs) != 1 or len(found.outputs) != 1:
         raise UserError(
             f"the model has {len(found.inputs)} inputs and {len(found.outputs)} outputs: a "
             "controller is designed for one input and one output"
         )
-    point, plants, late = found.points[0], list[Transfer](), False
-    for model in (point.model, *point.folds):
+    point = found.points[0]
+    view, y0 = opened.view, float(point.at.y[0])
+    own = view.best if number is None else view.experiment(int(number))
+    others: dict[str, LinearPoint] = {}
+    for one in leading_experiments(view, 1 + _OTHERS, _FAR):
+        if own is None or one.proposed.family == own.proposed.family:
+            continue
+        try:
+            there = linearize(
+                opened, [f"u={float(point.at.u[0])!r}"], str(one.number), isolation=isolation
+            )
+        except UserError:
+            continue
+        nearest = min(there.points, key=lambda place: abs(float(place.at.y[0]) - y0))
+        others[f"#{one.number:02d} {one.proposed.family}"] = nearest
+    models = [point.model, *point.folds, *(one.model for one in others.values())]
+
+    def transfer(model: LinearModel) -> Transfer:
         same, dead = continuous(model)
         numerators, den = same.numerator()
         num = numerators[0][0]
         num = np.where(np.abs(num) > 1e-9 * np.abs(num).max(), num, 0.0)
         # A controller acts once a sample: half a sample of dead time more, and a whole one where
         # the output already has the input of its own sample.
-        direct = bool(model.delay[0, 0] == 0)
-        late = late or direct
-        wait = (dead + 0.5 + direct) * model.sampling_time
-        plants.append(Transfer(np.trim_zeros(num, "f"), den, wait))
+        wait = (dead + 0.5 + bool(model.delay[0, 0] == 0)) * model.sampling_time
+        return Transfer(np.trim_zeros(num, "f"), den, wait)
+
+    plants = [transfer(model) for model in models] if continuous_time else []
+    late = any(model.delay[0, 0] == 0 for model in models)
 
     def step_of(of: LoweredModel) -> PlantStep:
         def step(x: np.ndarray, u: float) -> tuple[float, np.ndarray]:
@@ -288,22 +362,24 @@ def _loop(directory: str, at: str | None, number: str | None, isolation: Any) ->
 
         return step
 
-    labels = ("loop", *(f"fold {k}" for k in range(1, len(plants))))
-    steps = [step_of(model) for model, _ in point.steps]
-    starts = [place.x for _, place in point.steps]
+    labels = ("loop", *(f"fold {k}" for k in range(1, 1 + len(point.folds))), *others)
+    lowered = [*point.steps, *(one.steps[0] for one in others.values())]
+    steps = [step_of(model) for model, _ in lowered]
+    starts = [place.x for _, place in lowered]
     simulated = [
         SimulatedPlant(label, [step], [x], late)
         for label, step, x in zip(labels, steps, starts, strict=True)
     ]
-    if len(steps) > 2:
-        simulated.append(SimulatedPlant("fold mean", steps[1:], starts[1:], late))
+    folds = slice(1, 1 + len(point.folds))
+    if len(point.folds) > 1:
+        simulated.append(SimulatedPlant("mean of folds", steps[folds], starts[folds], late))
     y = np.concatenate([record.measured_y[:, 0] for record in found.records])
     u = np.concatenate([record.u[:, 0] for record in found.records])
-    y0, noise = float(point.at.y[0]), float(found.noise[0])
+    noise = float(found.noise[0])
     return Loop(
         found.name, labels, plants, simulated, point.model.sampling_time, float(point.at.u[0]), y0,
         y0 + float(np.nanstd(y)), noise, (float(u.min()), float(u.max())),
-        found.inputs[0].name, found.outputs[0].name,
+        found.inputs[0].name, found.outputs[0].name, models,
     )  # fmt: skip
 
 
@@ -311,10 +387,16 @@ def _lines(
     loop: Loop, found: Design, each: Sequence[LoopFigures], judged: Sequence[ResponseFigures]
 ) -> list[str]:
     """Gains, margins of the linear models and figures of the simulated responses."""
-    folds = len(loop.plants) - 1
+    folds = sum(one.startswith("fold") for one in loop.labels)
     lines = [f"plant     {loop.name}" + (f", {folds} fold models beside it" * (folds > 0))]
-    lines += [f"structure {found.structure}", f"C(s)      {_text(found.controller)}"]
-    lines += _pid_lines(found.controller)
+    lines.append(f"structure {found.structure}")
+    if found.weights is not None:
+        lines.append(
+            "weights   "
+            + ",".join(f"{n}={w:.4g}" for n, w in zip("yu", found.weights, strict=True))
+        )
+    if found.controller is not None:
+        lines += [f"C(s)      {_text(found.controller)}", *_pid_lines(found.controller)]
     lines.append(f"sampling  {loop.sampling_time:g} s")
     for label, figures in zip(loop.labels, each, strict=True):
         lines.append(
@@ -331,6 +413,9 @@ def _lines(
             f"{f.overshoot:.3g} %, IAE {f.iae:.4g}, ISE {f.ise:.4g}, ITAE {f.itae:.4g}, effort "
             f"{f.effort:.4g}, at a limit {100 * f.limited:.3g} % of the time"
         )
+    if len(judged) > 1:
+        least, most = (found(f.iae for f in judged) for found in (min, max))
+        lines.append(f"spread    IAE {least:.4g} to {most:.4g} over these models")
     return lines
 
 
@@ -473,12 +558,14 @@ def _facts(name: str, found: Design, each: list[LoopFigures]) -> dict[str, Any]:
     def finite(value: float) -> float | None:
         return float(value) if math.isfinite(value) else None
 
-    gains = pid_gains(found.controller)
+    one = found.controller
+    gains = None if one is None else pid_gains(one)
     return {
         "plant": name,
         "structure": found.structure,
-        "num": found.controller.num.tolist(),
-        "den": found.controller.den.tolist(),
+        "weights": found.weights,
+        "num": None if one is None else one.num.tolist(),
+        "den": None if one is None else one.den.tolist(),
         "pid": None if gains is None else dict(zip(("Kp", "Ki", "Kd", "Tf"), gains, strict=True)),
         "loops": [
             {
