@@ -25,7 +25,6 @@ from asia.agents.expert.diagnosis import (
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import Wish, avoided, read_notes, wished_moves, wished_start
 from asia.agents.library.family import Family, is_new, under_protocol
-from asia.agents.library.gains import gain_factor
 from asia.agents.library.move import Move, Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families, family
@@ -236,8 +235,6 @@ def refinements(view: AgentView) -> Iterator[Option]:
             if not move.applies(at) or (lost and not keeps_course(move)):
                 continue
             weight = move.weight(at) * (share if move.behind_counts else 1.0)
-            if weight < SURE:
-                weight = min(weight * gain_factor(move.name, at.trial), SURE - 0.01)
             if weight > 0 and _is_close(at):
                 weight = max(weight, answer.get(move.name, 0.0) * (1.0 if at.place == 0 else share))
             if weight > 0:
