@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from asia.agents.library.recipe import read_recipe
 from asia.agents.view import AgentView, Effort, Facts, Running, Trial
 from asia.candidate import source_digest
 from asia.data.standardise import standardised
@@ -83,8 +84,14 @@ def agent_view(
     settings = RunSettings(facts.inputs, facts.outputs, facts.budget.fit_seconds, 0)
     tried = {e.proposed.digest for e in view.experiments}
     if view.started.ladder is None:
-        structures = [r.structure for r in view.references if r.name == LINEAR_REFERENCE]
-        facts = replace(facts, linear=next(iter(structures), None))
+        (linear,) = [r for r in view.references if r.name == LINEAR_REFERENCE] or (None,)
+        recipe = read_recipe(linear.source) if linear is not None else None
+        if recipe is not None:
+            facts = replace(facts, linear=recipe.config)
+        elif linear is not None and linear.structure is not None:
+            order, delay = linear.structure
+            settings = ("order", order), ("delay", delay), ("periodic", True)
+            facts = replace(facts, linear=settings)
     trials: list[Trial] = []
     for e in view.finished:
         trial = known.trial(e)

@@ -107,6 +107,7 @@ def _stuck(at: Situation) -> bool:
 
 def _integrator_weight(at: Situation) -> float:
     free = at.varies("integrators") and not at.recipe.number("integrators", 0)
+    free = free and not (at.recipe.get("regularised") or at.recipe.get("loop"))
     if not (_stuck(at) and free) or at.facts.horizon is not None:
         return 0.0
     found = relation(at.facts)

@@ -8,7 +8,6 @@ Moore, IEEE Trans. Automatic Control 26(1), 1981 (balanced reduction).
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -25,7 +24,7 @@ from asia.models._numerics.training_records import ScaledData
 Form: TypeAlias = Literal["response", "equation"]
 
 # Lags of inputs and outputs: an impulse response needs its whole length, an equation does not.
-_LAGS: dict[Form, tuple[int, int]] = {"response": (80, 0), "equation": (40, 20)}
+_LAGS: dict[Form, tuple[int, int]] = {"response": (60, 0), "equation": (40, 20)}
 # Least samples for each coefficient of an output, and rows of regressors in memory at a time.
 _SAMPLES, _CHUNK = 2.0, 8192
 _MOST = 300
@@ -34,14 +33,20 @@ _ITERATIONS = 60
 _LEAST_SHARE, _MOST_STATES = 2e-3, 40
 # Doublings of the sums for the Gramians: enough for a time constant of so many samples, 2^16.
 _DOUBLINGS = 16
-# Weight, in samples, of a prior of unit size on the initial states of the records.
-_INITIAL_RIDGE = 30.0
+# Weight of zero initial states of the records, in squared errors of a sample.
+_INITIAL_RIDGE = 3.0
 
 
 def fit_regularised(
-    records: ScaledData, context: Context, form: Form
+    records: ScaledData, context: Context, form: Form, order: int | None = None
 ) -> tuple[LinearSystem, Encoder] | None:
     """Fit "response" (the output by past inputs) or "equation" (by past outputs too).
+
+    Args:
+        records: training records.
+        context: context of the fit.
+        form: kind of the regression.
+        order: states of the reduced system; None keeps those that matter.
 
     Returns:
         System and encoder; None where the equation is unstable or the records are too short.
@@ -57,20 +62,20 @@ def fit_regularised(
     lags = WindowLags(n, m, n - 1, m, nu, ny)
     gram, moment, squares, mean_x, mean_y, count = _products(records, n, m)
     sizes = [n] * nu + [m] * ny * (m > 0)
-    columns = [
-        _coefficients(gram, moment[:, k], squares[k], count, sizes) for k in range(ny)
-    ]
+    columns = [_coefficients(gram, moment[:, k], squares[k], count, sizes) for k in range(ny)]
     theta = np.stack(columns, axis=1)
     offset = mean_y - mean_x @ theta
-    system = _realised(theta, offset, lags)
+    system = _realised(theta, offset, lags, order)
     if system is None:
         return None
     # Initial states of the records, with which the encoder learns from the states.
     zero = np.zeros((len(records), system.order))
     normal, gradient = DrivenRecords(records).summed(system, zero).normal_equations(poles=False)
     last = zero.size
-    ridge = _INITIAL_RIDGE * float(np.mean(squares / count)) * np.eye(last) * 0.1
-    x0 = np.linalg.solve(normal[-last:, -last:] + ridge, gradient[-last:]).reshape(zero.shape)
+    ridge = _INITIAL_RIDGE * np.eye(last)
+    x0: Array = np.linalg.solve(normal[-last:, -last:] + ridge, gradient[-last:]).reshape(
+        zero.shape
+    )
     response = DrivenRecords(records).summed(system, x0)
     context.log(0, float(np.sqrt(response.error)))
     return system, encoder_of(records, LinearFit(system, x0, response.error), context)
@@ -136,9 +141,9 @@ def _coefficients(
         return variances, slopes
 
     def solved(variances: Array, noise: float) -> tuple[Array, Array, Array]:
-        """Factor of the normalised normal matrix, its inverse, and the weights of the increments"""
+        """Factor of the normal matrix, its inverse, and the weights of the increments."""
         root = np.sqrt(variances)
-        factor = np.linalg.cholesky(root[:, None] * gram * root + noise * np.eye(d))
+        factor: Array = np.linalg.cholesky(root[:, None] * gram * root + noise * np.eye(d))
         inverse = solve_triangular(factor, np.eye(d), lower=True, check_finite=False)
         return factor, inverse, root * (inverse.T @ (inverse @ (root * moment)))
 
@@ -158,8 +163,8 @@ def _coefficients(
         errors = rest - weights @ (moment - gram @ weights)
         return value, np.array([*gradient, count - d + spread.sum() - errors / noise])
 
-    # Small responses with a memory of some ten samples; an output remembers itself.
-    start = np.array([v for _ in groups for v in (-3.0, 2.0)] + [np.log(0.05 * square / count)])
+    # Small coefficients with a memory of 20 samples.
+    start = np.array([v for _ in groups for v in (-6.0, 3.0)] + [np.log(0.05 * square / count)])
     bounds = [b for _ in groups for b in ((-20.0, 8.0), (-3.0, 6.0))] + [(-25.0, 5.0)]
     found = minimize(
         cost, start, jac=True, method="L-BFGS-B", bounds=bounds,
@@ -168,7 +173,9 @@ def _coefficients(
     return sums @ solved(prior(found.x)[0], float(np.exp(found.x[-1])))[2]
 
 
-def _realised(theta: Array, offset: Array, lags: WindowLags) -> LinearSystem | None:
+def _realised(
+    theta: Array, offset: Array, lags: WindowLags, order: int | None
+) -> LinearSystem | None:
     """Balanced system of few states with the coefficients; None where it is unstable."""
     n, m, nu, ny = lags.u + 1, lags.y, lags.nu, lags.ny
     by_u = theta[: nu * n].reshape(nu, n, ny)
@@ -190,7 +197,8 @@ def _realised(theta: Array, offset: Array, lags: WindowLags) -> LinearSystem | N
         power = power @ power
     roots = [_root(0.5 * (w + w.T)) for w in (reach, seen)]
     left, values, right = np.linalg.svd(roots[1].T @ roots[0], full_matrices=False)
-    kept = slice(0, max(1, min(_MOST_STATES, int((values > _LEAST_SHARE * values[0]).sum()))))
+    count = min(_MOST_STATES, int((values > _LEAST_SHARE * values[0]).sum()))
+    kept = slice(0, min(order or max(count, 1), len(values)))
     scale = 1.0 / np.sqrt(values[kept])
     into = (left[:, kept] * scale).T @ roots[1].T
     back = roots[0] @ right[kept].T * scale
