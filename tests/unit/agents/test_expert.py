@@ -130,6 +130,31 @@ def test_the_strongest_open_diagnosis_is_answered_next() -> None:
     assert following(known, drift).title == "linear state-space: slow disturbance in the noise"
 
 
+def test_the_settings_of_a_clearly_better_linear_model_come_first() -> None:
+    settings = ("order", None), ("delay", 0), ("periodic", False), ("regularised", "equation")
+    known = replace(simulation(physics=False), linear=settings)
+    usual = family("linear")
+    assert usual is not None
+    recipe = usual.trial(simulation(physics=False))
+    baseline = Proposal(recipe.source(""), "baseline", "baseline", "", "")
+    seen = view(known, (trial(baseline, 1, 0.3),), "explore")
+    better = AGENT().propose(replace(seen, linear=0.28))
+    assert better is not None
+    assert better.title == "linear state-space: settings of the best linear model"
+    found = recipe_of(better)
+    assert found is not None
+    assert found.config == settings
+    equal = AGENT().propose(replace(seen, linear=0.295))
+    assert equal is not None
+    assert equal.title != better.title
+    # It takes no integrators, levels, noise model or further state.
+    at = Situation(seen, trial(better, 2, 0.28), found, usual, 0, 1)
+    stuck = ("a free integrator", "slow disturbance in the noise", "one state more")
+    moves = [m for m in all_moves() if m.name in stuck and m.applies(at)]
+    assert {m.name for m in moves} == set(stuck)
+    assert all(m.weight(at) == 0 for m in moves)
+
+
 def test_a_small_share_is_no_diagnosis() -> None:
     known = simulation(physics=False)
     trials = best_linear(known)

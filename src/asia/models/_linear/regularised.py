@@ -14,6 +14,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array
+from asia.models._least_squares import solve_or_fit
 from asia.models._linear.fit import LinearFit, encoder_of
 from asia.models._linear.response import DrivenRecords
 from asia.models._linear.system import LinearSystem
@@ -73,9 +74,8 @@ def fit_regularised(
     normal, gradient = DrivenRecords(records).summed(system, zero).normal_equations(poles=False)
     last = zero.size
     ridge = _INITIAL_RIDGE * np.eye(last)
-    x0: Array = np.linalg.solve(normal[-last:, -last:] + ridge, gradient[-last:]).reshape(
-        zero.shape
-    )
+    found = solve_or_fit(normal[-last:, -last:] + ridge, gradient[-last:])
+    x0 = found.reshape(zero.shape)
     response = DrivenRecords(records).summed(system, x0)
     context.log(0, float(np.sqrt(response.error)))
     return system, encoder_of(records, LinearFit(system, x0, response.error), context)
