@@ -118,7 +118,7 @@ def test_a_candidate_is_judged_on_windows() -> None:
 
 
 @pytest.mark.usefixtures("real_linear_reference")
-def test_the_linear_reference_names_the_settings_that_are_better_than_those_of_the_baseline() -> None:
+def test_the_linear_reference_names_settings_that_are_better_than_the_baseline() -> None:
     # Two modes, and a second half that is slow and so noisy that it hides one mode.
     rng = np.random.default_rng(4)
     u = rng.normal(size=240)

@@ -22,7 +22,7 @@ MODES = ((0.3, 0.97, 0.3), (0.2, 0.95, 0.9))
 def lightly_damped(samples: int, seed: int, noise: float) -> tuple[Trajectory, np.ndarray]:
     """Record, and its output without noise."""
     rng = np.random.default_rng(seed)
-    u = rng.normal(size=(samples, 2)) + [2.0, -1.0]
+    u = rng.normal((2.0, -1.0), size=(samples, 2))
     y = 5.0 + lfilter([0, 0.1], [1, -0.9], u[:, 1])
     for column, (gain, radius, angle) in zip(u.T, MODES, strict=True):
         y += lfilter([0, gain], [1, -2 * radius * np.cos(angle), radius**2], column)
