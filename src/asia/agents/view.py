@@ -48,6 +48,9 @@ class Facts:
         ladder: the share of V by which a new best must be better to be reported, None where
             every V is reported
         symmetry: changes of the signals that leave the system's laws as they are
+        terms: computes terms that a linear model lacks, with the place ("in the dynamics", "at the
+            output") and the share of its residual that each explains, the largest first; () where
+            nothing is found
         linear: settings of the best linear model, () for those of the baseline
         loop: feedback loop in which the records were taken
     """
@@ -71,6 +74,9 @@ class Facts:
     ladder: float | None = None
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
     linear: tuple[tuple[str, Any], ...] = ()
+    terms: Callable[[], tuple[tuple[str, str, float], ...]] = field(
+        default=tuple, compare=False, repr=False
+    )
     loop: Loop | None = None
 
     @property

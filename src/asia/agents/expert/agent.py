@@ -19,6 +19,7 @@ from asia.agents.expert.diagnosis import (
     diagnoses,
     keeps_course,
     leading_maps,
+    places,
     reason_to_end,
     why_nothing_helps,
 )
@@ -106,6 +107,10 @@ class ExpertAgent:
                     raise AgentStoppedError("exhausted", remarks[-1])
         if proposal is None:
             return None
+        curved = any(name == "amplitude" for name, _ in diagnoses(view))
+        if len(view.trials) == 1 and curved and places(view.facts):
+            term, where, share = view.facts.terms()[0]
+            remarks.append(f"{term} {where} explains {share:.0%} of a linear model's residual")
         new = [wish.mark for wish in wishes if wish.avoid and not wish.is_followed(view)]
         hypothesis = " ".join((proposal.hypothesis, *new))
         return replace(proposal, hypothesis=hypothesis, remark="; ".join(remarks))
@@ -171,6 +176,7 @@ def untried(view: AgentView) -> Iterator[Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
     used, lost = {t.family for t in view.proposed}, beats_nothing(view)
     static = any(name == "amplitude" for name, _ in diagnoses(view))
+    static = static and places(view.facts) != {"dynamics"}
     maps = dict(leading_maps(view))
     for row in families(view.facts):
         if row.name in used:
