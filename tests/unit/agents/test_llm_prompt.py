@@ -161,7 +161,8 @@ class Stub:
 
     def begin(self) -> None: ...
 
-    def ask(self, messages: list[dict[str, str]]) -> Answer:
+    def ask(self, messages: list[dict[str, str]], schema: object = None) -> Answer:
+        del schema
         tried = len(re.findall(r"(?m)^#\d+ ", messages[1]["content"].split("# Families")[0]))
         source = f"def fit(trajectories, context):\n    return {tried}\n"
         return Answer(f"HYPOTHESIS: a\nEXPECTED: b\nFAMILY: c\nTITLE: d\n```python\n{source}```")

@@ -304,8 +304,6 @@ def leading_maps(view: AgentView) -> Arguments:
 # Stop criterion: the noise floor is reached.
 
 
-# Further tries that all must fail to gain 1 % of V.
-_TRIES = 3
 # V over the training error, or over the noise that repeated periods show, up to which nothing is
 # left.
 _AT_FLOOR = 1.03
@@ -317,21 +315,21 @@ def reason_to_end(view: AgentView) -> str | None:
     for place, trial in enumerate(view.trials, 1):
         if trial.value is not None and trial.value < 0.99 * lowest:
             lowest, last_gain = trial.value, place
-    if best is None or len(view.trials) - last_gain < _TRIES:
+    if best is None or last_gain == len(view.trials):
         return None
     floor = noise_of_periods(view.facts) if view.facts.metric == "rmse" else None
     if floor is not None and best.value is not None and best.value <= _AT_FLOOR * floor:
         return (
             f"V of #{best.number:02d} is {best.value:.3g}, the variation between the periods of "
-            f"the records is {floor:.3g} of the output, and {_TRIES} further experiments gained "
-            "less than 1 %: the noise floor is reached"
+            f"the records is {floor:.3g} of the output, and the last experiment gained less than "
+            "1 %: the noise floor is reached"
         )
     if not nothing_left(view, best):
         return None
     return (
         f"the residuals of #{best.number:02d} are white and independent of the inputs within 99 % "
-        "bands, its V equals its training error, and "
-        f"{_TRIES} further experiments gained less than 1 %: the noise floor is reached"
+        "bands, its V equals its training error, and the last experiment gained less than 1 %: the "
+        "noise floor is reached"
     )
 
 

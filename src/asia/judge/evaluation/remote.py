@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache, partial
 from itertools import chain
+from typing import Protocol
 
 from asia._timer import Activity
 from asia.candidate import Context, imported_libraries
@@ -49,7 +50,13 @@ _KEPT_SECONDS = 60.0
 # Processor time of a simulation of the training records from which on it is not repeated.
 _SLOW_SECONDS = 2.0
 
-OpenWorker = Callable[[frozenset[str], Limits], AbstractContextManager[Worker]]
+
+class OpenWorker(Protocol):
+    """Opener of workers for a candidate."""
+
+    def __call__(self, source: str, *, fitting: bool) -> AbstractContextManager[Worker]:
+        """Open one, to fit it or to load its models."""
+        ...
 
 
 def fit_fold(
@@ -67,7 +74,7 @@ def fit_fold(
     """
     printed = ""
     try:
-        with open_worker(imported_libraries(work.source, fitting=True), work.limits) as worker:
+        with open_worker(work.source, fitting=True) as worker:
             context = replace(work.context, deadline=time.monotonic() + work.limits.fit_seconds)
             try:
                 with oracle or nullcontext():
@@ -89,8 +96,7 @@ def fit_fold(
             blocks, (first, *others) = data.blocks, data.sessions
             found = simulate_each(worker, blocks, first, data.secret)
         for session in others:
-            libraries = imported_libraries(work.source, fitting=False)
-            with open_worker(libraries, work.limits) as fresh:
+            with open_worker(work.source, fitting=False) as fresh:
                 fresh.load(work.source, model, context)
                 found |= simulate_each(fresh, blocks, session, data.secret)
     except CandidateError as error:
@@ -170,8 +176,8 @@ def answer(request: bytes, data: bytes, unwanted: Callable[[], bool] = lambda: F
         spent: list[Worker] = []
 
         @contextmanager
-        def opened(libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
-            with _open(work, libraries, limits) as worker:
+        def opened(source: str, *, fitting: bool) -> Generator[Worker]:
+            with _open(work, imported_libraries(source, fitting=fitting)) as worker:
                 spent.append(worker)
                 with _watched(worker, unwanted):
                     yield worker
@@ -185,12 +191,10 @@ def answer(request: bytes, data: bytes, unwanted: Callable[[], bool] = lambda: F
         return encode_trouble(error)
 
 
-def _open(
-    work: FoldWork, libraries: frozenset[str], limits: Limits
-) -> AbstractContextManager[Worker]:
+def _open(work: FoldWork, libraries: frozenset[str]) -> AbstractContextManager[Worker]:
     if work.alone:
-        return open_worker(work.isolation, limits, libraries=libraries)
-    return standby_pool().worker(work.isolation, limits, libraries)
+        return open_worker(work.isolation, work.limits, libraries=libraries)
+    return standby_pool().worker(work.isolation, work.limits, libraries)
 
 
 @cache
@@ -287,7 +291,7 @@ class FoldFitter:
         train = [(b.y.shape[0], b.y.shape[1]) for b in whole(fold.train, self._rule)]
         if carrier is None:
             request = encode_work(work, {})
-            fitted = fit_fold(decode_work(request), data, workers.open, oracle)
+            fitted = fit_fold(decode_work(request), data, workers.open_for, oracle)
             return local_answer(fitted, data, train)
         request = encode_work(work, installation())
         with workers.settings.cancel.on_cancel(partial(carrier.forget, request)):

@@ -5,13 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
 from asia._timer import Activity, ActivityTimer
-from asia.candidate import imported_libraries
+from asia.candidate import imported_libraries, library_only
 from asia.errors import CandidateError, Reason, SandboxError, UserError
 from asia.judge.evaluation.background import BackgroundJob, CancelFlag, JobSettings
 from asia.judge.executors import Executor, SequentialExecutor, local_cores, remote_executor_of
@@ -174,13 +174,11 @@ class WorkerRunner:
         for worker in list(self._open):
             worker.abort()
 
-    def open_for(self, source: str, *, fitting: bool) -> AbstractContextManager[Worker]:
-        """Open a worker for a candidate, to fit it or to load its models."""
-        return self.open(imported_libraries(source, fitting=fitting), self.limits)
-
     @contextmanager
-    def open(self, libraries: frozenset[str], limits: Limits) -> Generator[Worker]:
-        """Open a worker, a standby one where one fits; `abort` and the cancel flag end it."""
+    def open_for(self, source: str, *, fitting: bool) -> Generator[Worker]:
+        """Open a worker for a candidate, to fit it or to load its models: a standby one where one
+        fits, which waits again afterwards where the candidate calls the library alone. `abort` and
+        the cancel flag end it."""
         if len(self.left_behind) >= _MOST_LEFT_BEHIND:
             pids = ", ".join(str(pid) for pid in self.left_behind)
             raise UserError(
@@ -190,24 +188,30 @@ class WorkerRunner:
         cancel = self.settings.cancel
         if cancel.cancelled:
             raise SandboxError("the result of this fit is not wanted any more")
+        libraries, ready = imported_libraries(source, fitting=fitting), self._ready
+        trusted = ready is not None and library_only(source)
         with self._own:
             with self.stopwatch.activity(Activity.START):
-                ready = self._ready if limits == self.limits else None
-                waiting = ready.take(libraries) if ready else None
-                worker = waiting or open_worker(self.isolation, limits)
+                waiting = ready.take(libraries, library_only=trusted) if ready else None
+                worker = waiting or open_worker(self.isolation, self.limits)
+            again = False
             try:
-                with worker:
-                    self._open.add(worker)
-                    try:
-                        if self._interrupted:
-                            raise SandboxError("the search was interrupted")
-                        with cancel.on_cancel(worker.abort):
-                            yield worker
-                        worker.count_compiling()
-                    finally:
-                        self._open.discard(worker)
+                self._open.add(worker)
+                try:
+                    if self._interrupted:
+                        raise SandboxError("the search was interrupted")
+                    with cancel.on_cancel(worker.abort):
+                        yield worker
+                    worker.count_compiling()
+                    again = trusted and waiting is not None
+                finally:
+                    self._open.discard(worker)
             finally:
+                if not again:
+                    worker.close()
                 for activity, (wall, processor) in worker.spent.items():
                     self.stopwatch.add(activity, wall, processor)
+                if not (again and ready and worker.renew() and ready.give_back(worker, libraries)):
+                    worker.close()
                 if worker.left_behind is not None:
                     self.left_behind.append(worker.left_behind)

@@ -267,7 +267,7 @@ class Refinement:
     """Weight, in samples, of a prior that holds the initial states of the records to unit size;
     without it a slow mode started far off explains drift that the inputs did not cause."""
     damping: float = 1e-2  # First damping, relative to the scaled normal matrix
-    tolerance: float = 1e-7  # Relative decrease of the cost below which it stops
+    tolerance: float = 1e-5  # Relative decrease of the cost below which it stops
     noise: NoiseChoice | None = None  # Noise model of `refined_under_noise`; None is least squares
     integrators: int = 0  # Number of last states whose pole is held at 1
 

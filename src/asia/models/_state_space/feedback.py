@@ -115,13 +115,15 @@ def _observed(system: LinearSystem, x0: Array, record: ScaledTrajectory, error: 
 
 def state_responses(system: LinearSystem, signals: Array) -> Array:
     """Outputs (T, ny, s, n) to signals (T, s) that act on each state."""
-    found = np.empty((len(signals), len(system.c), signals.shape[1], system.order))
     # The outputs to one signal on every state are the states of the dual system.
-    state, c = np.zeros(found.shape[1:]), system.c[:, None, :]
-    for k, signal in enumerate(signals):
-        found[k] = state
-        state = state @ system.a + signal[:, None] * c
-    return found
+    c, n = system.c[:, None, :], system.order
+    drive = np.empty((len(c), signals.shape[1], n))
+    found = np.zeros((len(signals), len(c) * signals.shape[1], n))
+    for k in range(1, len(signals)):
+        np.multiply(signals[k - 1][:, None], c, out=drive)
+        np.matmul(found[k - 1], system.a, out=found[k])
+        found[k] += drive.reshape(-1, n)
+    return found.reshape(len(signals), *drive.shape)
 
 
 def responses(system: LinearSystem, signals: Array) -> Array:
@@ -276,7 +278,8 @@ class RegressorSearch:
             rest = r.residual.ravel()
             rest = rest - r.basis @ (r.basis.T @ rest)
             power, samples = power + float(rest @ rest), samples + len(rest)
-            on_states = state_responses(self.system, np.hstack(units)) * weight[..., None, None]
+            on_states = state_responses(self.system, np.hstack(units))
+            on_states *= weight[..., None, None]
             on_states = on_states.reshape(len(rest), -1)
             for i, unit in enumerate(units):
                 # Columns of signals on states, and of the same signals on each of the outputs.
@@ -430,7 +433,7 @@ _LINEAR, _FUNCTIONS = ("a", "b", "c", "d", "offset"), ("f", "read", "act")
 # Share of the iterations that every start gets, and number of starts that are continued.
 _TRIED, _GO_ON = 0.25, 2
 # Samples up to which compiling a program takes longer than running it with more states.
-_WIDENED = 4000
+_WIDENED = 10_000
 
 
 class LinearCore(NamedTuple):

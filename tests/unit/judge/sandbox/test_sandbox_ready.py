@@ -12,6 +12,7 @@ import pytest
 
 from asia.errors import CandidateError, Reason, SandboxError
 from asia.judge.sandbox import standby as ready_module
+from asia.judge.sandbox.availability import open_worker
 from asia.judge.sandbox.standby import StandbyWorkers
 from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.worker import Worker
@@ -215,3 +216,60 @@ def _alive(pid: int) -> bool:
     except OSError:
         return False
     return state not in (b"Z", b"X") and os.path.exists(f"/proc/{pid}")
+
+
+LIBRARY = """
+from asia.models import linear, neural_ss
+from asia.models.methods import LevenbergMarquardt
+
+def fit(trajectories, context):
+    model = neural_ss.build(neural_ss.Config(order=1, hidden=2), context)
+    return neural_ss.train(model, trajectories, context, LevenbergMarquardt(2))
+"""
+JAX = frozenset({"jax"})
+
+
+def library_fit(worker: Worker, case: Case) -> tuple[bytes, bytes]:
+    worker.fit(LIBRARY, case.trajectories, case.context)
+    return worker.dump(), worker.simulate(case.past_u, case.past_y, case.u).tobytes()
+
+
+def test_a_worker_that_ran_the_library_alone_serves_only_the_library(
+    ahead: StandbyWorkers, case: Case
+) -> None:
+    ahead.take(JAX)
+    first = ahead.take(JAX)
+    assert first is not None
+    before = library_fit(first, case)
+    assert first.renew()
+    assert ahead.give_back(first, JAX)
+    other = ahead.take(JAX)
+    assert other is not None
+    assert other is not first
+    with other:
+        assert "neural_ss" not in " ".join(fitted(other, case))
+    again = ahead.take(JAX, library_only=True)
+    assert again is first
+    with again:
+        assert again.spent == {}
+        assert again.printed == ""
+        with pytest.raises(SandboxError, match="no model"):
+            again.simulate(case.past_u, case.past_y, case.u)
+        assert library_fit(again, case) == before
+        assert again.peak_memory_mb is None or again.peak_memory_mb > again._peak_before
+        assert again.renew()
+        assert ahead.give_back(again, JAX)
+        again.abort()
+        again._process.process.wait()
+        assert ahead.take(JAX, library_only=True) is None
+
+
+def test_a_worker_near_its_memory_limit_or_ended_is_not_used_again(
+    level: Isolation, case: Case
+) -> None:
+    for memory_mb, ended in ((2048, False), (4096, True)):
+        with open_worker(level, Limits(60.0, 30.0, memory_mb), libraries=JAX) as worker:
+            library_fit(worker, case)
+            if ended:
+                worker.close()
+            assert not worker.renew()

@@ -11,6 +11,7 @@ places it may read.
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import importlib.abc
 import importlib.machinery
@@ -205,6 +206,7 @@ class _Session:
             "lower": self._lower,
             "compiled": lambda: self._compiling.tobytes(wire.COMPILED),
             "programs": lambda: wire.packed_programs(self._programs.made),
+            "forget": self._forget,
         }
         while True:
             self._token, name, arguments = wire.read_request(self._requests)
@@ -297,6 +299,16 @@ class _Session:
             _execute(source)
             self._executed = source
         self._model = _as_model(pickle.loads(model))
+        return b""
+
+    def _forget(self) -> bytes:
+        """Drop source, model and records, so that another source of the library alone follows."""
+        self._model = self._fitted_to = self._executed = None
+        sys.modules.pop("candidate", None)
+        linecache.cache.pop(_SOURCE_NAME, None)
+        self._compiling.clear()
+        self._programs.made.clear()
+        gc.collect()
         return b""
 
     def _simulate(self, past_u: Array, past_y: Array, u: Array, ny: int) -> memoryview:

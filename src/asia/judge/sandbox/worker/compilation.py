@@ -50,6 +50,11 @@ class Meter:
         del self._ended[:-_MOST_REMEMBERED]
         self._spent.setdefault(self.request, [0.0, 0.0])[kind] += max(0.0, own)
 
+    def clear(self) -> None:
+        """Begin anew."""
+        self._spent.clear()
+        self._ended.clear()
+
     def tobytes(self, requests: Sequence[str]) -> bytes:
         """Seconds to trace and to compile in each of these requests, as float64."""
         return b"".join(struct.pack("<2d", *self._spent.get(r, (0.0, 0.0))) for r in requests)

@@ -357,6 +357,13 @@ class Channel:
             return ""  # The sandbox alone has written, more than was kept.
         return _OF_THE_SANDBOX.sub("", printable(f"{beginning}{between}{end}"))
 
+    def keep_output(self) -> None:
+        """Drop the output so far and keep what comes, as at first."""
+        self.take_output()
+        self._beginning.clear()
+        self._end.clear()
+        self._printed_bytes, self._keep_output = 0, True
+
     def close(self) -> None:
         """Close the parent's ends. The worker's keeper takes it as the order to end."""
         self._close_output()
@@ -434,6 +441,10 @@ class WorkerClock:
         finally:
             self._processor = max(self._processor, self._processor_seconds())
             add_seconds(self.spent, activity, time.monotonic() - begin, self._processor - before)
+
+    def restart(self) -> None:
+        """Begin anew with what the worker uses from now on."""
+        self.spent, self._processor = {}, self._processor_seconds()
 
     @contextmanager
     def elsewhere(self, activity: Activity) -> Generator[None]:

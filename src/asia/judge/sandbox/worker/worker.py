@@ -77,6 +77,8 @@ _START_SECONDS = 60.0
 _COUNT_SECONDS = 1.0
 _LOOK_SECONDS, _LOOK_AT_ONE_SECONDS = 0.2, 0.05
 _LAST_WORDS = 1500
+# Share of the memory limit up to which a worker is used again.
+_RENEWED_SHARE = 0.5
 
 
 def _failure_words(
@@ -136,6 +138,7 @@ class Worker:
         self._model_loaded = False
         self._cases_seen = False
         self._has_steps: bool | None = None
+        self._peak_before, self._renewable = 0.0, True
         self._pids_mechanism = pids
         self._pids: PidsCgroup | ResourceWatch | None = None
 
@@ -276,6 +279,7 @@ class Worker:
         """The model as a program to be printed, or why there is none. parameters: as in
         `asia.lowering.trace.lowered`."""
         sizes = context.n_past_u, context.n_past_y, context.nu, context.ny
+        self._renewable = False  # From now on its JAX computes in double precision.
         try:
             reply = self._reply("lower", (*sizes, tuple(parameters)), LARGEST_BYTES)
             return unpack_for(reply, sizes)
@@ -347,8 +351,9 @@ class Worker:
     @property
     def peak_memory_mb(self) -> float | None:
         """Largest address space so far, which the limit counts; None where the system does not
-        report it."""
-        return peak_memory_mb(self._process.find())
+        report it, or where an earlier candidate needed more."""
+        peak = peak_memory_mb(self._process.find())
+        return None if peak is None or peak <= self._peak_before else peak
 
     @property
     def spent(self) -> Seconds:
@@ -358,7 +363,8 @@ class Worker:
     def count_compiling(self) -> None:
         """Request JAX's time for tracing and compiling, after all other requests.
 
-        A worker that does not answer at once, or with anything but its numbers, is ignored.
+        A worker that does not answer at once, or with anything but its numbers, is ignored, and
+        ended.
         """
         if self._closed:
             return
@@ -367,10 +373,29 @@ class Worker:
             self._channel.send((self._channel.new_token(), "compiled", ()), by)
             if self._channel.receive_head(by) == Head(ReplyKind.OK, COMPILED_BYTES):
                 self._clock.count_compiling(self._channel.receive(COMPILED_BYTES, by))
+                return
         except (LateError, GoneError, UnsolicitedError):
             pass
-        finally:
-            self.close()
+        self.close()
+
+    def renew(self) -> bool:
+        """Make the worker ready for another source, after one of the library alone; return whether
+        it is. Only a source of the library alone may follow: the memory still holds what the first
+        one was given."""
+        peak = peak_memory_mb(self._process.find())
+        small = peak is not None and peak <= _RENEWED_SHARE * self._limits.memory_mb
+        if self._closed or not self._renewable or not small:
+            return False
+        try:
+            self._ask("forget", (), time.monotonic() + _START_SECONDS, Reason.FIT_TIMEOUT)
+            self._channel.keep_output()
+        except (CandidateError, SandboxError):
+            return False
+        self._clock.restart()
+        self.printed, self._peak_before, self._latest = "", peak or 0.0, math.inf
+        self._started = self._model_loaded = self._cases_seen = False
+        self._loaded_source = self._has_steps = None
+        return True
 
     def answer_by(self, latest: float) -> None:
         """Limit the waiting of all later loads and simulations to this `time.monotonic()` value."""
@@ -403,10 +428,11 @@ class Worker:
         """Wait until the process is ready, so that its start does not count as fit time.
 
         Raises:
-            SandboxError: when the worker does not start
+            SandboxError: when the worker does not start, or has ended while it waited
         """
-        if self._ready:
+        if self._ready and self._process.running():
             return
+        self._ready = False
         try:
             with self._clock.activity(Activity.START):
                 head = self._channel.receive_head(time.monotonic() + _START_SECONDS)
