@@ -110,7 +110,9 @@ class ExpertAgent:
         curved = any(name == "amplitude" for name, _ in diagnoses(view))
         if len(view.trials) == 1 and curved and places(view.facts):
             term, where, share = view.facts.terms()[0]
-            remarks.append(f"{term} {where} explains {share:.0%} of a linear model's residual")
+            remarks.append(
+                f"{term} {where} explains {100 * share:.0f} % of a linear model's residual"
+            )
         new = [wish.mark for wish in wishes if wish.avoid and not wish.is_followed(view)]
         hypothesis = " ".join((proposal.hypothesis, *new))
         return replace(proposal, hypothesis=hypothesis, remark="; ".join(remarks))
