@@ -64,7 +64,7 @@ def test_none_waits_where_no_two_may_run_at_once(
 
     monkeypatch.setattr(remote, "standby_pool", standby_pool)
     work = type("Work", (), {"isolation": Isolation.PROCESS, "limits": LIMITS, "alone": alone})
-    with remote._open(work(), NOTHING, LIMITS):  # type: ignore[arg-type]
+    with remote._open(work(), NOTHING):  # type: ignore[arg-type]
         pass
     assert len(made) == (0 if alone else 1)
     for pool in made:
