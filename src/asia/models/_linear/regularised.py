@@ -26,9 +26,9 @@ Form: TypeAlias = Literal["response", "equation"]
 
 # Lags of inputs and outputs: an impulse response needs its whole length, an equation does not.
 _LAGS: dict[Form, tuple[int, int]] = {"response": (60, 0), "equation": (40, 20)}
-# Least samples for each coefficient of an output, and rows of regressors in memory at a time.
-_SAMPLES, _CHUNK = 2.0, 8192
-_MOST = 300
+# Least samples for each coefficient of an output, the most coefficients, and rows of regressors in
+# memory at a time.
+_SAMPLES, _MOST, _CHUNK = 2.0, 300, 8192
 _ITERATIONS = 60
 # Hankel singular values below this share of the largest are left out, and the greatest order.
 _LEAST_SHARE, _MOST_STATES = 2e-3, 40
@@ -50,7 +50,8 @@ def fit_regularised(
         order: states of the reduced system; None keeps those that matter.
 
     Returns:
-        System and encoder; None where the equation is unstable or the records are too short.
+        System and encoder; None where the equation is unstable, the records are too short, or an
+            output is constant.
     """
     nu, ny = context.nu, context.ny
     total = sum(len(r) for r in records)
@@ -62,6 +63,8 @@ def fit_regularised(
         return None
     lags = WindowLags(n, m, n - 1, m, nu, ny)
     gram, moment, squares, mean_x, mean_y, count = _products(records, n, m)
+    if count < n + m or not (squares > 0).all():
+        return None
     sizes = [n] * nu + [m] * ny * (m > 0)
     columns = [_coefficients(gram, moment[:, k], squares[k], count, sizes) for k in range(ny)]
     theta = np.stack(columns, axis=1)

@@ -80,6 +80,15 @@ def test_samples_that_were_not_measured_do_not_count() -> None:
     assert error(linear.Config(regularised="response"), gaps) < 0.3
 
 
+def test_short_records_and_constant_outputs_leave_the_usual_fit() -> None:
+    training, _ = lightly_damped(60, 1, 0.1)
+    short = Trajectory(training.u[:7], training.y[:7], 1.0, "r")
+    constant = Trajectory(training.u, np.ones((60, 1)), 1.0, "r")
+    for record in (short, constant):
+        records = scaled([record], Scaling.of([record]))
+        assert fit_regularised(records, CONTEXT, "response") is None
+
+
 def test_it_stands_alone() -> None:
     with pytest.raises(UserError, match="None beside integrators"):
         linear.Config(regularised="equation", integrators=1)
