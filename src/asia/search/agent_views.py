@@ -102,8 +102,8 @@ def agent_view(
             facts = replace(facts, linear=recipe.config)
         elif linear is not None and linear.structure is not None:
             order, delay = linear.structure
-            settings = ("order", order), ("delay", delay), ("periodic", True)
-            facts = replace(facts, linear=settings)
+            known_linear = ("order", order), ("delay", delay), ("periodic", True)
+            facts = replace(facts, linear=known_linear)
     trials: list[Trial] = []
     for e in view.finished:
         trial = known.trial(e)

@@ -146,7 +146,8 @@ def _coefficients(
     def solved(variances: Array, noise: float) -> tuple[Array, Array, Array]:
         """Factor of the normal matrix, its inverse, and the weights of the increments."""
         root = np.sqrt(variances)
-        factor: Array = np.linalg.cholesky(root[:, None] * gram * root + noise * np.eye(d))
+        matrix = root[:, None] * gram * root + noise * np.eye(d)
+        factor = np.asarray(np.linalg.cholesky(matrix), np.float64)
         inverse = solve_triangular(factor, np.eye(d), lower=True, check_finite=False)
         return factor, inverse, root * (inverse.T @ (inverse @ (root * moment)))
 
