@@ -445,7 +445,10 @@ def _check_lines(evidence: ExperimentEvidence) -> Iterator[str]:
         for one in checks:
             found.setdefault(one.name, []).append((number, one))
     if made and not found:
-        yield "the checks of residual, gain and frequency response pass on the training records"
+        yield (
+            "checks of the residual against inputs, time, amplitude and motion, of gain and of "
+            "frequency response pass on the training records"
+        )
     if found:
         yield "checks that do not pass on the training records:"
     worst = {

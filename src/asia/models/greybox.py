@@ -253,11 +253,9 @@ def train(
     """
     segments = cut_segments(model.structure, trajectories, context.horizon)
     structure = extended(model.structure, segments)
-    fitted = fit(structure, segments, method, context.seed)
+    fitted = fit(structure, segments, method, context.seed, context.log)
     if structure.config.discover:
         from asia.models._equations.discovery import discover
 
         structure, fitted = discover(structure, segments, fitted, method)
-    for step in np.unique(np.linspace(0, len(fitted.history) - 1, 20).round().astype(int)):
-        context.log(float(step), float(fitted.history[step]))
     return replace(model, structure=structure, fitted=fitted)

@@ -6,13 +6,14 @@ import hashlib
 import importlib.metadata
 import math
 import platform
+import re
 import secrets
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import get_args
+from typing import Final, get_args
 
 from asia._plugins import parts
 from asia.agents.registry import packages_of
@@ -47,6 +48,7 @@ from asia.problem.protocol_table import check_feedback
 from asia.problem.seal import guard_digest, seal
 from asia.search.loop import Loop, OnEvent
 from asia.search.pending import check_steps_ahead, check_ways
+from asia.search.steering import RunningLosses
 
 # Environment that outcomes and prompts depend on: Python, packages, model library.
 
@@ -139,6 +141,13 @@ class Prepared:
     """The first line of the ledger, as it would be written now."""
     resumes: bool
     """True if the run exists already."""
+
+
+RUN_NAME: Final = re.compile(r"(?!\d+$)\w[\w.+-]*")
+RUN_NAME_RULE: Final = (
+    "expected letters, digits and . _ + - that begin with a letter or digit and are not a number "
+    "alone"
+)
 
 
 def run_name(problem: Problem, agent: str, seed: int) -> str:
@@ -269,6 +278,7 @@ def search(
         check_same_search(view, prepared.started)
         level = Isolation(prepared.started.isolation)
         evaluator = make_evaluator(problem, view, executor, isolation=level)
+        evaluator.workers.on_loss = RunningLosses(directory)
         loop = Loop(
             problem=problem,
             baseline=problem.baseline or LINEAR,

@@ -1,12 +1,14 @@
-"""Requests of the user to a running search, as files in its directory, so that any process can make
-them.
+"""Requests of the user to a running search, and the loss of its running fits, as files in its
+directory, so that any process can make the ones and read the others.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -14,10 +16,12 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
+from asia.candidate import source_digest
 from asia.errors import UserError
 from asia.ledger.chain import Chain, in_use, ledger_of, write_whole
 from asia.ledger.events import Noted
 from asia.ledger.run import Run
+from asia.ledger.view import SearchView
 
 LONGEST_NOTE = 4000
 _LONGEST_AUTHOR = 80
@@ -92,6 +96,62 @@ class Steering:
         except FileNotFoundError:
             return False
         return any(n in ("pause", "stop") or n.startswith("steer-") for n in names)
+
+
+# The training curves of the fits that run.
+
+
+_LOSS_SECONDS = 0.5
+_LOSS_POINTS = 100
+_FITS_SHOWN = 16
+FoldLosses = dict[int, list[tuple[float, float]]]
+"""Steps and losses of a running fit, by the number of the fold."""
+_CURVES: TypeAdapter[dict[str, FoldLosses]] = TypeAdapter(dict[str, FoldLosses])
+
+
+class RunningLosses:
+    """Writer of `control/losses.json`: training curves of the latest fits, by digest of the source
+    and number of the fold. Another fit of the same source on the same fold replaces the curve."""
+
+    def __init__(self, directory: Path) -> None:
+        self._path = _losses_path(directory)
+        self._path.unlink(missing_ok=True)
+        self._lock = threading.Lock()
+        self._written = -_LOSS_SECONDS
+        self.curves: dict[str, FoldLosses] = {}
+
+    def __call__(self, source: str, fold: int, step: float, loss: float) -> None:
+        """Take the loss of a fit, from any thread."""
+        with self._lock:
+            digest = source_digest(source)
+            folds = self.curves.setdefault(digest, {})
+            curve = folds.setdefault(fold, [])
+            if curve and step <= curve[-1][0]:
+                curve.clear()
+            curve.append((step, loss))
+            if len(curve) > _LOSS_POINTS:
+                del curve[1:-1:2]
+            if len(self.curves) > _FITS_SHOWN:
+                del self.curves[next(iter(self.curves))]
+            if time.monotonic() - self._written >= _LOSS_SECONDS:
+                self._written = time.monotonic()
+                # A full disk is the ledger's to report.
+                with contextlib.suppress(UserError):
+                    write_whole(self._path, _CURVES.dump_json(self.curves), durable=False)
+
+
+def running_losses(directory: Path, view: SearchView) -> dict[int, FoldLosses]:
+    """Training curves (step, loss) of the experiments under way, by experiment and fold; empty for
+    fits on other machines and for families that report no loss."""
+    try:
+        found = _CURVES.validate_json(_losses_path(directory).read_bytes())
+    except (OSError, ValidationError):
+        return {}
+    return {e.number: found[e.proposed.digest] for e in view.running if e.proposed.digest in found}
+
+
+def _losses_path(directory: Path) -> Path:
+    return directory / "control" / "losses.json"
 
 
 def note_for_people(

@@ -135,9 +135,10 @@ def append_experiment(
     value: float | None,
     best: float,
     parameters: Sequence[tuple[tuple[str, float], ...]] = (),
+    candidate: str = "",
 ) -> float:
     """An experiment with its result; V of the best one with it."""
-    source = store.put(f"# {title}\n".encode())
+    source = store.put((candidate or f"# {title}\n").encode())
     words = ("because", "lower")
     chain.append(Proposed(number, None, "explore", "family", title, *words, source, str(number)))
     if value is None:

@@ -1,15 +1,18 @@
 """Sinks: the suite, and that a search neither stops nor changes with them."""
 
+import sys
 from pathlib import Path
 
 import pytest
 
 import asia
 from asia.errors import UserError
+from asia.ledger.chain import Chain
 from asia.ledger.events import Evaluated, Event, Stopped
 from asia.ledger.view import SearchView
-from asia.search.sinks import Sinks, find_sink, open_sinks
+from asia.search.sinks import Sinks, find_sink, open_sinks, unsent
 from asia.testing import check_sink
+from asia.testing.ledger import made_up_events
 from tests.unit.made_up_parts import installed
 from tests.unit.search.toy import Scripted, arx, write_problem
 
@@ -112,3 +115,38 @@ def test_without_sinks_nothing_is_added(tmp_path: Path) -> None:
     with Sinks(tmp_path, {}) as sinks:
         sinks.after_event(lambda event, view: seen.append(event))
     assert seen == []
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", ["mlflow", "trackio"])
+def test_the_sinks_of_asia_pass_the_suite(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip(name, reason="needs the extra tracking")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TRACKIO_DIR", str(tmp_path / "trackio"))
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path}/mlflow.db")
+    check_sink(find_sink(name))
+
+
+def test_an_experiment_is_sent_once_with_its_figures(tmp_path: Path) -> None:
+    with Chain(tmp_path / "ledger.jsonl") as chain:
+        for event in made_up_events():
+            chain.append(event)
+        view = chain.view
+    sent: set[int] = set()
+    found = {number: (title, figures) for number, title, figures in unsent(view, sent)}
+    assert list(found) == [e.number for e in view.finished]
+    for e in view.finished:
+        title, figures = found[e.number]
+        assert e.result is not None
+        assert title == f"{e.result.status}: {e.proposed.title}"
+        assert figures.get("V") == (e.score.value if e.score else None)
+    assert list(unsent(view, sent)) == []
+
+
+def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "trackio", None)
+    with pytest.raises(UserError, match=r"--sink trackio needs the extra tracking"):
+        find_sink("trackio")

@@ -1,5 +1,6 @@
 """A person's word to a search that runs."""
 
+import json
 import threading
 import time
 from dataclasses import dataclass, field
@@ -15,7 +16,12 @@ from asia.ledger.verification import verify
 from asia.ledger.view import SearchView
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search
-from asia.search.steering import Steering, note_for_people
+from asia.search.steering import (
+    RunningLosses,
+    Steering,
+    note_for_people,
+    running_losses,
+)
 
 from .toy import arx, write_problem
 
@@ -57,6 +63,10 @@ def test_a_note_is_recorded_and_seen_from_the_next_step_on(tmp_path: Path) -> No
     assert agent.seen == [(), (), ("the valve sticks",)]
     assert [note.text for note in view.notes] == ["the valve sticks"]
     assert not agent.steering.waiting
+    # The losses of the fits, which nothing shows once the fits are over.
+    curves = json.loads((agent.steering.folder / "losses.json").read_text())
+    assert list(curves[view.experiments[0].proposed.digest]) == ["1", "2"]
+    assert running_losses(agent.steering.directory, view) == {}
 
 
 @pytest.mark.slow
@@ -116,3 +126,13 @@ def test_a_pause_holds_the_search_between_experiments(tmp_path: Path) -> None:
 def test_an_empty_note_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="1 to 4000 characters"):
         Steering(tmp_path).steer("  ")
+
+
+def test_a_curve_of_losses_is_short_and_begins_again_with_another_fit(tmp_path: Path) -> None:
+    losses = RunningLosses(tmp_path)
+    for step in range(1000):
+        losses("x = 1", 2, float(step), 1.0)
+    (curve,) = (folds[2] for folds in losses.curves.values())
+    assert (curve[0][0], curve[-1][0], len(curve) <= 101) == (0.0, 999.0, True)
+    losses("x = 1", 2, 0.0, 7.0)
+    assert curve == [(0.0, 7.0)]

@@ -33,7 +33,10 @@ def certify(
     horizon: Annotated[int, typer.Option(min=1, help="Samples of the tube.")] = 50,
     model: Annotated[
         str | None,
-        typer.Option(help="refit, ensemble, stack, or a number; default: the model to use."),
+        typer.Option(
+            help="refit, ensemble, stack, or the number of an experiment, whose file is "
+            "certificate-N.json; default: the model to use."
+        ),
     ] = None,
     check: Annotated[
         Path | None, typer.Option(help="Prove the statements of this certificate again.")
@@ -101,7 +104,9 @@ def certify(
     }
     content = find(subject.lowered, limits, start, horizon, facts)
     lines = [f"run {subject.name}, model {subject.use}", *text_lines(content)]
-    path = opened.directory / CERTIFICATE_FILE if out is None else out
+    # Each experiment has a file of its own, so that their gains are compared.
+    own = f"certificate-{int(model)}.json" if model and model.isdecimal() else CERTIFICATE_FILE
+    path = opened.directory / own if out is None else out
     path.write_text(jsonlib.dumps(content) + "\n", "utf-8")
     for line in [jsonlib.dumps(content)] if json else [*lines, f"file      {path}"]:
         say(line)

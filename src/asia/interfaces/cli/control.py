@@ -54,6 +54,13 @@ def control(
         str | None,
         typer.Option(help="Operating point of a run, as for asia linear: u=2.5 or y=9."),
     ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="Number of an experiment of the run, whose folder is control-N; default: the "
+            "model to use."
+        ),
+    ] = None,
     gain_margin: Annotated[
         float | None, typer.Option(help="Least gain margin as a factor; default: 2.")
     ] = None,
@@ -124,8 +131,10 @@ def control(
         10.0 if overshoot is None else overshoot,
         1e-3 if steady_state is None else steady_state,
     )
+    if model is not None and not model.isdecimal():
+        raise UserError(f"--model is '{model}', expected the number of an experiment")
     if plant is not None:
-        if run is not None:
+        if run is not None or model is not None:
             raise UserError("give a run or --plant, not both")
         num, den = rational(plant)
         if len(num) > len(den) or not np.any(num) or delay < 0:
@@ -137,8 +146,8 @@ def control(
         if sampling_time is not None:
             raise UserError("--sampling-time is for --plant: a run has its own")
         directory = run_directory(runs, run)
-        loop = _loop(str(directory), at, candidate_level(isolation))
-        out = out or directory / "control"
+        loop = _loop(str(directory), at, model, candidate_level(isolation))
+        out = out or directory / ("control" if model is None else f"control-{model}")
     low, high = _limits(limits, loop.u)
     if rate is not None and not rate > 0:
         raise UserError(f"--rate is {rate:g}, expected a positive number")
@@ -163,6 +172,7 @@ def control(
         noisy = simulate_loop(controller, loop.simulated[0], made.target, drawn)
     facts = _facts(loop.name, found, each)
     facts["sampling_time"] = loop.sampling_time
+    facts["model"] = f"experiment {model}" if model else "the model to use"
     facts["responses"] = [
         {"model": one.name, **{k: v if math.isfinite(v) else None for k, v in asdict(f).items()}}
         for one, f in zip(loop.simulated, judged, strict=True)
@@ -244,7 +254,7 @@ def _limits(text: str | None, name: str) -> tuple[float, float]:
     return low, high
 
 
-def _loop(directory: str, at: str | None, isolation: Any) -> Loop:
+def _loop(directory: str, at: str | None, number: str | None, isolation: Any) -> Loop:
     """Plants of the model and the fold models of a run: continuous-time transfer functions for the
     design, nonlinear models for the simulation."""
     from asia.analysis.control import Loop, SimulatedPlant, Transfer
@@ -252,7 +262,7 @@ def _loop(directory: str, at: str | None, isolation: Any) -> Loop:
     from asia.lowering.evaluation import evaluate
     from asia.lowering.linear import continuous, joined, split
 
-    found = linearize(directory, [at] if at else (), isolation=isolation)
+    found = linearize(directory, [at] if at else (), number, isolation=isolation)
     if len(found.inputs) != 1 or len(found.outputs) != 1:
         raise UserError(
             f"the model has {len(found.inputs)} inputs and {len(found.outputs)} outputs: a "
@@ -286,7 +296,7 @@ def _loop(directory: str, at: str | None, isolation: Any) -> Loop:
         for label, step, x in zip(labels, steps, starts, strict=True)
     ]
     if len(steps) > 2:
-        simulated.append(SimulatedPlant("mean of folds", steps[1:], starts[1:], late))
+        simulated.append(SimulatedPlant("fold mean", steps[1:], starts[1:], late))
     y = np.concatenate([record.measured_y[:, 0] for record in found.records])
     u = np.concatenate([record.u[:, 0] for record in found.records])
     y0, noise = float(point.at.y[0]), float(found.noise[0])

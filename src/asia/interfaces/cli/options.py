@@ -560,12 +560,11 @@ class SearchOptions:
     def check(self) -> None:
         """Raise UserError for an invalid name or an unknown level. A number would be read as an
         experiment, and a path would leave the directory of the runs."""
+        from asia.search.run import RUN_NAME, RUN_NAME_RULE
+
         name = self.name
-        if name is not None and (not re.fullmatch(r"\w[\w.+-]*", name) or name.isdecimal()):
-            raise UserError(
-                f"--name '{name}': expected letters, digits and . _ + - that begin with a letter "
-                "or digit and are not a number alone"
-            )
+        if name is not None and not RUN_NAME.fullmatch(name):
+            raise UserError(f"--name '{name}': {RUN_NAME_RULE}")
         _ = self.level
 
     def applied(self, problem: Problem) -> Problem:

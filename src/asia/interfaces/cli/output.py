@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
@@ -16,6 +16,7 @@ from asia.ledger.events import Evaluated, Event, GuardLooked, Refitted, Usage
 from asia.ledger.run import alarms, model_to_use, usability
 from asia.ledger.text import error_value, seed_mean_words, stack_words, validation_score_words
 from asia.ledger.view import Experiment, SearchView
+from asia.search.steering import FoldLosses
 
 NOT_LEAK_FREE = (
     "validation early stopping: candidates may request their score on the held-out parts, so V "
@@ -103,14 +104,20 @@ def experiment_line(experiment: Experiment, view: SearchView) -> str:
     )
 
 
-def running_words(view: SearchView) -> list[str]:
+def running_words(view: SearchView, losses: Mapping[int, FoldLosses] | None = None) -> list[str]:
     """Return `#05 refine: linear, one state more` for each experiment in flight, and whether its
-    fit has ended."""
-    return [
-        f"#{e.number:02d} {e.proposed.phase}: {e.proposed.title}"
-        + (" (fitted, waits for its turn)" if e.landed is not None else "")
-        for e in view.running
-    ]
+    fit has ended, else the last loss of each fold."""
+    found: list[str] = []
+    for e in view.running:
+        words = f"#{e.number:02d} {e.proposed.phase}: {e.proposed.title}"
+        folds = sorted((losses or {}).get(e.number, {}).items())
+        if e.landed is not None:
+            words += " (fitted, waits for its turn)"
+        elif folds:
+            each = (f"{c[-1][1]:.4g} at step {c[-1][0]:g} in fold {fold}" for fold, c in folds)
+            words += f" (loss {', '.join(each)})"
+        found.append(words)
+    return found
 
 
 def print_alarms(view: SearchView) -> None:

@@ -21,6 +21,7 @@ CREATE TABLE runs (run TEXT, problem TEXT, agent TEXT, seed INTEGER, state TEXT,
 CREATE TABLE experiments (run TEXT, number INTEGER, parent INTEGER, phase TEXT, agent TEXT,
     family TEXT, title TEXT, hypothesis TEXT, expected TEXT, status TEXT, V REAL, reason TEXT,
     seconds REAL, tags TEXT);
+CREATE TABLE settings (run TEXT, number INTEGER, name TEXT, value);
 CREATE TABLE notes (run TEXT, experiment INTEGER, time TEXT, author TEXT, text TEXT);
 """
 _COLUMNS = " ".join(_TABLES.replace("CREATE TABLE ", "").split())
@@ -39,8 +40,9 @@ def query(
 
     Tables: runs (run, problem, agent, seed, state, finished, budget, best, V, tokens) and
     experiments (run, number, parent, phase, agent, family, title, hypothesis, expected, status, V,
-    reason, seconds, tags), notes (run, experiment, time, author, text). The function
-    source(run, number) returns candidate.py. The tables are copies: a query changes nothing.
+    reason, seconds, tags), settings (run, number, name, value), notes (run, experiment, time,
+    author, text). The function source(run, number) returns candidate.py. The tables are copies: a
+    query changes nothing.
     """
     with contextlib.closing(sqlite3.connect(":memory:")) as database:
         _fill(database, runs)
@@ -69,6 +71,7 @@ def query(
 
 def _fill(database: sqlite3.Connection, runs: Path) -> None:
     """Copy the runs of a folder; name on stderr those that cannot be read."""
+    from asia.agents.library.recipe import read_recipe
     from asia.ledger.events import Noted
     from asia.ledger.run import Run, open_run
     from asia.ledger.text import decision_text
@@ -101,6 +104,12 @@ def _fill(database: sqlite3.Connection, runs: Path) -> None:
             )  # fmt: skip
             marks = ", ".join("?" * len(row))
             database.execute(f"INSERT INTO experiments VALUES ({marks})", row)
+            # Settings of a candidate of the library; of another source there are none.
+            recipe = read_recipe(run.store.text(p.source)) if run.store.kept else None
+            for key, value in (*recipe.config, *recipe.options, *recipe.maps) if recipe else ():
+                text = str(value) if isinstance(value, tuple) else value
+                database.execute("INSERT INTO settings VALUES (?, ?, ?, ?)",
+                                 (name, e.number, key, text))  # fmt: skip
         for line in run.lines:
             if isinstance(one := line.event, Noted):
                 row = name, one.experiment or None, line.time, one.author, one.text

@@ -108,7 +108,9 @@ def run(
     engine: EngineOptions,
     sink: Annotated[
         list[str] | None,
-        typer.Option(help="Send the events to an installed sink, or module:Name; repeatable."),
+        typer.Option(
+            help="Send the search to mlflow, trackio, an installed sink or module:Name; repeatable."
+        ),
     ] = None,
     runs: Runs = DEFAULT_RUNS,
     profile: Profile = False,

@@ -37,6 +37,7 @@ from asia.ledger.text import (
     validation_summary,
 )
 from asia.problem.metrics import metric_label
+from asia.search.steering import running_losses
 
 if TYPE_CHECKING:
     from asia.ledger.index import Brief
@@ -87,6 +88,7 @@ def _status_object(directory: Path, found: Brief) -> dict[str, Any]:
         "pruned_folds": sum(pruned_folds(view)),
         "cancelled_folds": cancelled_folds(view),
         "running": [e.number for e in view.running] if found.state == "running" else [],
+        "losses": running_losses(directory, view) if found.state == "running" else {},
         "metric": metric_of(directory),
         "early_stopping": start.early_stopping,
         "residuals": start.residuals,
@@ -139,7 +141,8 @@ def _print_status(directory: Path, found: Brief) -> None:
     error = error_of(directory) if found.state == "interrupted" else None
     if error is not None:
         say(f"error   {error}")
-    for words in running_words(view) if found.state == "running" else ():
+    running = found.state == "running"
+    for words in running_words(view, running_losses(directory, view)) if running else ():
         say(f"running {words}")
     if start.stop_folds:
         pruned, cancelled = pruned_folds(view), cancelled_folds(view)

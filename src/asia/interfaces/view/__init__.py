@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from asia.errors import UserError
+
+if TYPE_CHECKING:
+    from asia.interfaces.view.streams import Starter
 
 __all__ = ["PORT", "require_server", "serve_view"]
 
@@ -23,13 +27,19 @@ def require_server() -> None:
         )
 
 
-def serve_view(runs: Path, run: str | None, port: int, on_start: Callable[[str], object]) -> None:
+def serve_view(
+    runs: Path,
+    run: str | None,
+    port: int,
+    on_start: Callable[[str], object],
+    starter: Starter | None = None,
+) -> None:
     """Serve the runs below `runs` on 127.0.0.1 until interrupted.
 
     run: whose page the address leads to; None for the list. port: 0 for any free one. on_start is
-    called with the address, which bears the token, once it answers. Raises UserError where the port
-    is taken.
+    called with the address, which bears the token, once it answers. starter: starts searches for
+    the pages. Raises UserError where the port is taken.
     """
     from asia.interfaces.view.server import serve
 
-    serve(runs, run, port, on_start)
+    serve(runs, run, port, on_start, starter)

@@ -44,14 +44,16 @@ from asia.interfaces.view.pages import (
     experiment_rows,
     overlay_part,
     progress_part,
+    run_address,
     run_page,
     runs_page,
     runs_table,
     section_part,
+    start_form,
     tab_page,
     whole_page,
 )
-from asia.interfaces.view.streams import Streams, tell
+from asia.interfaces.view.streams import Starter, Streams, tell
 from asia.report.page.html import said, tag
 from asia.report.page.page import page_style
 
@@ -63,12 +65,16 @@ _STATIC: Final = ("view.css", "view.js", "zoom.js", "icon.svg")
 _LONGEST_BODY: Final = 20_000
 
 
-def make_app(folder: RunFolder, streams: Streams, token: str) -> Starlette:
-    """Return the web application for a folder of runs. `TokenOnly` must wrap it."""
-    pages = _Pages(folder, streams, token)
+def make_app(
+    folder: RunFolder, streams: Streams, token: str, starter: Starter | None = None
+) -> Starlette:
+    """Return the web application for a folder of runs. `TokenOnly` must wrap it. starter: what
+    starts searches; None where the pages start none."""
+    pages = _Pages(folder, streams, token, starter)
     routes = [
         Route("/", pages.listed),
         Route("/events", pages.list_events),
+        Route("/runs", pages.start, methods=["POST"]),
         Route("/static/{name}", pages.static),
         Route("/compare", pages.compare),
         Route("/compare/part", pages.compare_part),
@@ -95,6 +101,7 @@ class _Pages:
     streams: Streams
     token: str
     """Token that a page sends with a command of the user."""
+    starter: Starter | None
 
     def _snapshot(self, request: Request, *, with_records: bool = False) -> Snapshot:
         return self.folder.get(request.path_params["run"]).snapshot(with_records=with_records)
@@ -102,7 +109,9 @@ class _Pages:
     def listed(self, request: Request) -> Response:
         listed = self.folder.listed()
         digest = digest_of(runs_table(listed))
-        return HTMLResponse(runs_page(self.folder.folder, listed, digest, self.token))
+        given = self.starter
+        start = None if given is None else start_form(given.problems, given.agents)
+        return HTMLResponse(runs_page(self.folder.folder, listed, digest, self.token, start))
 
     def run(self, request: Request) -> Response:
         return HTMLResponse(run_page(self._snapshot(request), self.token, _chosen(request)))
@@ -170,13 +179,15 @@ class _Pages:
         messages = self.streams.of_list(self.folder, _mark(request))
         return StreamingResponse(messages, media_type="text/event-stream")
 
+    async def start(self, request: Request) -> Response:
+        if self.starter is None:
+            raise UserError("these pages start no searches: use asia run")
+        text = await _sent_text(request)
+        words, name = await run_sync(self.starter.start, self.folder.folder, text)
+        return JSONResponse({"words": words, "address": run_address(name)})
+
     async def steer(self, request: Request) -> Response:
-        body = b""
-        async for part in request.stream():
-            body += part
-            if len(body) > _LONGEST_BODY:
-                raise UserError(f"a note has at most {_LONGEST_BODY} bytes")
-        text = body.decode("utf-8", "replace")
+        text = await _sent_text(request)
         snapshot = await run_sync(self._snapshot, request)
         words = await run_sync(tell, snapshot.run, request.path_params["what"], text)
         return JSONResponse({"words": words})
@@ -197,6 +208,15 @@ class _Pages:
         main = (tag("h1", "This cannot be shown"), tag("p", said(words, 1000)))
         page = whole_page("Not shown", (("Searches", "/"),), main, self.token)
         return HTMLResponse(page, 404)
+
+
+async def _sent_text(request: Request) -> str:
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > _LONGEST_BODY:
+            raise UserError(f"a note has at most {_LONGEST_BODY} bytes")
+    return body.decode("utf-8", "replace")
 
 
 def _chosen(request: Request) -> Chosen:

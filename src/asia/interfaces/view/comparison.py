@@ -207,6 +207,8 @@ def _experiments_table(compared: Sequence[Compared]) -> Html | None:
                 *(None if cost is None else cost[1] for cost in costs),
             ])  # fmt: skip
     head = ["experiment", "status", "V", "V of the folds", *(name for name, *_ in COSTS)]
+    known = [k for k in range(len(head)) if k < 4 or any(row[k] for row in rows)]
+    head, rows = [head[k] for k in known], [[row[k] for k in known] for row in rows]
     return table(head, rows, "Chosen experiments") if rows else None
 
 

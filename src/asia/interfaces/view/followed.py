@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from asia.errors import UserError
@@ -16,7 +16,7 @@ from asia.ledger.run import Run
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.report.page.subject import Detail, Subject
-from asia.search.steering import Steering
+from asia.search.steering import FoldLosses, Steering, running_losses
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,8 @@ class Snapshot:
     """Why there are no records, in words; "" where there are."""
     paused: bool = False
     """True if the user paused the search."""
+    losses: Mapping[int, FoldLosses] = field(default_factory=dict[int, FoldLosses])
+    """Training curves of the experiments under way, by their numbers."""
 
     @property
     def run(self) -> Run:
@@ -83,6 +85,7 @@ class FollowedRun:
             except OSError as error:
                 raise UserError(f"{self.directory} is gone: {error.strerror}") from None
             paused = busy and Steering(self.directory).paused
+            losses = running_losses(self.directory, self._follower.view) if busy else {}
             problem, trouble = self._records.found
             last = None if new else self._snapshot
             if (
@@ -90,8 +93,8 @@ class FollowedRun:
                 and (busy, trouble) == (last.run.busy, last.trouble)
                 and problem is last.problem
             ):
-                if last.paused != paused:
-                    last = self._snapshot = replace(last, paused=paused)
+                if (last.paused, last.losses) != (paused, losses):
+                    last = self._snapshot = replace(last, paused=paused, losses=losses)
                 return last
             follower = self._follower
             run = Run(self.directory, follower.view, tuple(follower.lines), busy)
@@ -101,7 +104,8 @@ class FollowedRun:
             # Below its list of experiments, a long search is shown in part.
             detail = Detail(sources=1, stories=1, rows=150)
             subject = Subject(run, problem if run.store.kept else None, detail)
-            self._snapshot = Snapshot(subject, follower.head, problem, trouble, paused)
+            head = follower.head
+            self._snapshot = Snapshot(subject, head, problem, trouble, paused, losses)
             return self._snapshot
 
     def count_of(self, mark: str) -> int | None:

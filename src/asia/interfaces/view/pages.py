@@ -12,8 +12,13 @@ from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import quote, urlencode
 
+import numpy as np
+from numpy.typing import NDArray
+
 from asia._text import one_line
+from asia.agents.library.recipe import read_recipe
 from asia.agents.registry import reads_notes
+from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
 from asia.ledger.events import Evaluated
@@ -22,7 +27,7 @@ from asia.ledger.run import alarms
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
-from asia.report.page.html import Html, join, said, tag
+from asia.report.page.html import Html, fixed, join, said, table, tag
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.experiments import (
     experiment_story,
@@ -32,10 +37,7 @@ from asia.report.page.sections.experiments import (
 )
 from asia.report.page.sections.verdict import held_out_overlays
 from asia.report.page.subject import Detail, Subject
-from asia.report.page.svg import (
-    draw_overlay,
-    overlay_legend,
-)
+from asia.report.page.svg import draw_loss, draw_overlay, overlay_legend
 
 # Frame of all pages: head, link back, state of the connection.
 
@@ -229,8 +231,30 @@ def overlay_part(
 # The list of runs.
 
 
-def runs_page(folder: Path, listed: Sequence[ListedRun], digest: str, token: str) -> str:
-    """The page with the list of the runs of a folder."""
+def start_form(problems: Sequence[str], agents: Sequence[str]) -> Html:
+    """Form that starts a search on one of the problems with one of the agents."""
+    fields: list[Html] = []
+    for label, key, words in (("Problem", "problem", problems), ("Agent", "agent", agents)):
+        options = [tag("option", word) for word in words]
+        fields.append(tag("label", label, " ", tag("select", *options, name=key)))
+    for label, key, value, least in (
+        ("Experiments", "experiments", 10, 1),
+        ("Seed", "seed", 0, 0),
+    ):
+        number = tag("input", name=key, type="number", value=value, min=least, required=True)
+        fields.append(tag("label", label, " ", number))
+    name = tag("input", name="name", maxlength=80, placeholder="PROBLEM-AGENT-sSEED")
+    button = tag("button", "Start the search", type="submit")
+    fields.append(tag("label", "Name ", name))
+    form = tag("form", *fields, button, data_post="runs", class_="note")
+    inner = tag("div", form, tag("p", role="status"))
+    return tag("details", tag("summary", "Start a search"), inner, class_="steering", data_at="")
+
+
+def runs_page(
+    folder: Path, listed: Sequence[ListedRun], digest: str, token: str, start: Html | None
+) -> str:
+    """The page with the list of the runs of a folder. start: the form that starts a search."""
     header = tag("header", tag("p", "ASIA view", class_="kind"), tag("h1", "Searches"))
     words = tag(
         "p",
@@ -250,13 +274,14 @@ def runs_page(folder: Path, listed: Sequence[ListedRun], digest: str, token: str
         data_stream="/events",
         data_mark=digest,
     )
-    return whole_page("Searches", (), (header, words, form), token)
+    return whole_page("Searches", (), (header, words, start, form), token)
 
 
 def runs_table(listed: Sequence[ListedRun]) -> Html:
     """A row a run."""
     if not listed:
-        return tag("p", "There is no run yet. Start one with: ", tag("code", "asia run PROBLEM"))
+        command = tag("code", "asia run PROBLEM")
+        return tag("p", "There is no run yet. Start one with ", command, ".")
     head = [tag("th", tag("span", "choose", class_="unseen"), scope="col")]
     for text, kind in (
         ("run", "words"),
@@ -425,6 +450,8 @@ def experiment_rows(
 _OWN: Final = ("progress", "experiments")
 TABS: Final = ("linear", "control", "certificate")
 """Keys of the sections that have a page of their own, where the run has them."""
+IMPORTANCE: Final = ("importance", "Settings")
+"""Key and title of a section that the report does not have."""
 
 
 def tabs(snapshot: Snapshot, here: str = "") -> Html | None:
@@ -468,8 +495,10 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         "header", tag("h1", said(name)), tag("p", *text, " ", tag_labels(subject.view.tags()))
     )
     own = [one for key in _OWN for one in SECTIONS if one.key == key]
-    others = [one for one in SECTIONS if one.key not in (*_OWN, *TABS)]
-    links = [tag("li", tag("a", one.title, href=f"#{one.key}")) for one in (*own, *others)]
+    others = [(one.key, one.title) for one in SECTIONS if one.key not in (*_OWN, *TABS)]
+    others.insert([key for key, _ in others].index("tradeoff") + 1, IMPORTANCE)
+    named = [*((one.key, one.title) for one in own), *others]
+    links = [tag("li", tag("a", title, href=f"#{key}")) for key, title in named]
     curve = tag(
         "div",
         progress_part(subject),
@@ -508,11 +537,9 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
     # The page asks for the other sections when it is there.
     later = [
         section(
-            one.key,
-            one.title,
-            tag("div", class_="later", data_part=f"{run_address(name)}/sections/{one.key}"),
+            key, title, tag("div", class_="later", data_part=f"{run_address(name)}/sections/{key}")
         )
-        for one in others
+        for key, title in others
     ]
     main = (
         header,
@@ -552,7 +579,14 @@ def now_panel(snapshot: Snapshot) -> Html:
     doing = None
     if view.running and snapshot.run.state == "running":
         each = [join((subject.name(e), " ", said(e.proposed.title, 60))) for e in view.running]
-        doing = join(each, ", ")
+        curves: list[Html] = []
+        for number, folds in sorted(snapshot.losses.items()):
+            name = f"#{number:02d}, " if len(view.running) > 1 else ""
+            for fold, curve in sorted(folds.items()):
+                step, loss = curve[-1]
+                words = tag("span", f"{name}fold {fold}: loss {loss:.4g} at step {step:g}")
+                curves.append(tag("p", draw_loss(curve), words))
+        doing = join((join(each, ", "), tag("div", *curves, class_="losses") if curves else None))
     tiles: list[tuple[str, Html | None]] = [
         ("state", state_mark(snapshot.run.state, paused=snapshot.paused)),
         ("experiments", join((done, budget))),
@@ -638,9 +672,86 @@ def section_part(snapshot: Snapshot, key: str) -> Html | None:
     section.
     """
     others = (*_OWN, *TABS)
+    if key == IMPORTANCE[0]:
+        return importance_part(snapshot)
     found = next((one for one in SECTIONS if one.key == key and key not in others), None)
     inner = None if found is None else found.write(snapshot.subject)
     return None if inner is None else to_pages(inner, snapshot.run.name)
+
+
+# Settings that go with a low V: a one-way analysis of variance for each setting of a family.
+
+
+_LEAST_EXPERIMENTS = 12
+_PERMUTATIONS = 999
+_MOST_LEVELS = 3
+
+
+def share_of_variance(groups: NDArray[Any], values: Array, seed: int = 0) -> tuple[float, float]:
+    """Share of the variance of values (n,) between their groups (n,), corrected for the number of
+    groups, and the probability of as large a share by chance (permutation test)."""
+
+    def between(numbers: Array) -> float:
+        parts = [numbers[groups == group] for group in known]
+        return sum(len(part) * (part.mean() - numbers.mean()) ** 2 for part in parts)
+
+    known = np.unique(groups)
+    total = ((values - values.mean()) ** 2).sum()
+    n, k = len(values), len(known)
+    if k < 2 or k >= n or not total > 0:
+        return 0.0, 1.0
+    rng, observed = np.random.default_rng(seed), between(values)
+    chance = [between(rng.permutation(values)) for _ in range(_PERMUTATIONS)]
+    p = (1 + sum(one >= observed * (1 - 1e-12) for one in chance)) / (1 + _PERMUTATIONS)
+    return max(0.0, 1 - (1 - observed / total) * (n - 1) / (n - k)), p
+
+
+def importance_part(snapshot: Snapshot) -> Html | None:
+    """Write the share of the variance of log V that each setting of a family explains; None where
+    no family has enough experiments."""
+    run = snapshot.run
+    families: dict[str, list[tuple[dict[str, object], float]]] = {}
+    for e in run.view.finished if run.store.kept else ():
+        recipe = read_recipe(run.store.text(e.proposed.source))
+        if recipe is not None and e.score is not None and 0 < e.score.value < np.inf:
+            settings: dict[str, object] = dict((*recipe.config, *recipe.options, *recipe.maps))
+            families.setdefault(recipe.family, []).append((settings, np.log(e.score.value)))
+    rows: list[tuple[str, str, int, int, float, float]] = []
+    for family, tried in sorted(families.items()):
+        if len(tried) < _LEAST_EXPERIMENTS:
+            continue
+        values = np.array([value for _, value in tried])
+        for name in dict.fromkeys(key for settings, _ in tried for key in settings):
+            levels = [settings.get(name, "default") for settings, _ in tried]
+            known = {repr(level) for level in levels}
+            groups = np.unique([repr(level) for level in levels], return_inverse=True)[1]
+            if len(known) > _MOST_LEVELS:
+                if not all(isinstance(level, int | float) for level in levels):
+                    continue
+                # Many numbers: equally large groups in their order.
+                order = np.searchsorted(np.sort(levels), levels)  # pyright: ignore
+                groups = order * _MOST_LEVELS // len(order)
+            if len(known) > 1:
+                found = share_of_variance(groups, values)
+                rows.append((family, name, len(known), len(tried), *found))
+    if not rows:
+        return None
+    # Holm's correction for the number of settings.
+    rows.sort(key=lambda row: row[-1])
+    p = np.maximum.accumulate([row[-1] * (len(rows) - k) for k, row in enumerate(rows)])
+    cells = [
+        [said(f"{family} {name}"), *(fixed(text) for text in (
+            f"{levels}", f"{count}", f"{100 * share:.0f} %", f"{min(chance, 1):.2g}"))]
+        for (family, name, levels, count, share, _), chance in zip(rows, p.tolist(), strict=True)
+    ]  # fmt: skip
+    text = (
+        "Share of the variance of log V between experiments of one family with different values of "
+        "a setting, corrected for the number of values. p: probability of as large a share by "
+        "chance, corrected for the number of settings. The agent chose the values: settings that "
+        "it changed together share their effect."
+    )
+    head = ["setting", "values", "experiments", "share of the variance", "p"]
+    return join((tag("p", text), table(head, cells, "Settings of the families")))
 
 
 def progress_part(subject: Subject) -> Html:

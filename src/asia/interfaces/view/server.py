@@ -16,18 +16,24 @@ import uvicorn
 from asia.errors import UserError
 from asia.interfaces.view.app import TokenOnly, kept_token, make_app
 from asia.interfaces.view.followed import RunFolder
-from asia.interfaces.view.streams import Streams
+from asia.interfaces.view.streams import Starter, Streams
 
 _HOST: Final = "127.0.0.1"
 _END_SECONDS = 1
 
 
-def serve(runs: Path, run: str | None, port: int, on_start: Callable[[str], object]) -> None:
+def serve(
+    runs: Path,
+    run: str | None,
+    port: int,
+    on_start: Callable[[str], object],
+    starter: Starter | None = None,
+) -> None:
     """See `asia.interfaces.view.serve_view`."""
     with _listening(port) as listener:
         bound = listener.getsockname()[1]
         token, streams = kept_token(runs), Streams()
-        app = TokenOnly(make_app(RunFolder(runs), streams, token), token, bound)
+        app = TokenOnly(make_app(RunFolder(runs), streams, token, starter), token, bound)
         config = uvicorn.Config(
             app,
             log_level="error",

@@ -1,12 +1,14 @@
-"""Server-sent events, and steering from the live view."""
+"""Server-sent events, and what users do from the live view: steering and starting searches."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from functools import partial
+from pathlib import Path
+from typing import Protocol
 
 from anyio.to_thread import run_sync
 
@@ -79,6 +81,38 @@ class Streams:
                 beaten = time.monotonic()
                 yield ": still here\n\n"
             await asyncio.sleep(pause)
+
+
+# Start of a search. What starts it is given to the pages: they import nothing that opens a test.
+
+
+class Starter(Protocol):
+    """Starts searches for the pages."""
+
+    @property
+    def problems(self) -> Sequence[str]:
+        """Names of the problems to choose from."""
+        ...
+
+    @property
+    def agents(self) -> Sequence[str]:
+        """Names of the agents to choose from."""
+        ...
+
+    def start(self, runs: Path, text: str) -> tuple[str, str]:
+        """Start a search in a process of its own.
+
+        Args:
+            runs: the folder of runs
+            text: the fields problem, agent, experiments, seed and name in JSON
+
+        Returns:
+            its effect as a sentence, and the name of the run
+
+        Raises:
+            UserError: if it cannot be started
+        """
+        ...
 
 
 # Notes and orders to a search, as `asia steer` gives them.

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -143,38 +143,44 @@ def start_search(directory: Path) -> None:
     log.parent.mkdir(parents=True, exist_ok=True)
     with (log.parent / "start.lock").open("wb") as one_at_a_time:
         fcntl.flock(one_at_a_time, fcntl.LOCK_EX)
-        if ready():
+        if not ready():
+            start_process(["asia.interfaces.workspace", str(directory)], directory, log)
+
+
+def start_process(module: Sequence[str], directory: Path, log: Path) -> None:
+    """Start a module with arguments as a process of its own that searches in a run directory;
+    returns once the search runs, or once the process has found nothing to do. Raises UserError with
+    the last line it wrote when it fails at once."""
+    # Without the keys that this process may hold and without relative paths, which would mean
+    # another place there.
+    environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
+    if data := os.environ.get("ASIA_DATA_DIR"):
+        environment["ASIA_DATA_DIR"] = os.path.abspath(data)
+    with log.open("ab") as stream:
+        before = stream.tell()
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", *module],
+            stdin=subprocess.DEVNULL,
+            stdout=stream,
+            stderr=stream,
+            start_new_session=True,
+            cwd="/",
+            env=environment,
+        )
+    # Its end is waited for, so that it does not stay behind as a zombie.
+    threading.Thread(target=process.wait, daemon=True).start()
+    end = time.monotonic() + _START_SECONDS
+    while not (runs(directory) and has_begun(directory)):
+        code = process.poll()
+        if code == 0:
             return
-        # Without the keys that this process may hold and without relative paths, which would mean
-        # another place there.
-        environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
-        if data := os.environ.get("ASIA_DATA_DIR"):
-            environment["ASIA_DATA_DIR"] = os.path.abspath(data)
-        with log.open("ab") as stream:
-            before = stream.tell()
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "asia.interfaces.workspace", str(directory)],
-                stdin=subprocess.DEVNULL,
-                stdout=stream,
-                stderr=stream,
-                start_new_session=True,
-                cwd="/",
-                env=environment,
-            )
-        # Its end is waited for, so that it does not stay behind as a zombie.
-        threading.Thread(target=process.wait, daemon=True).start()
-        end = time.monotonic() + _START_SECONDS
-        while not ready():
-            code = process.poll()
-            if code == 0:
-                return
-            if code is not None and not runs(directory):
-                text = log.read_bytes()[before:].decode("utf-8", "replace").strip().splitlines()
-                last = text[-1].removeprefix("asia: ") if text else f"exit code {code}"
-                raise UserError(f"the search did not start: {last[:300]}")
-            if time.monotonic() > end:
-                raise UserError(f"the search did not start in {_START_SECONDS:g} s; see {log}")
-            time.sleep(0.05)
+        if code is not None and not runs(directory):
+            text = log.read_bytes()[before:].decode("utf-8", "replace").strip().splitlines()
+            last = text[-1].removeprefix("asia: ") if text else f"exit code {code}"
+            raise UserError(f"the search did not start: {last[:300]}")
+        if time.monotonic() > end:
+            raise UserError(f"the search did not start in {_START_SECONDS:g} s; see {log}")
+        time.sleep(0.05)
 
 
 def runs(directory: Path) -> bool:

@@ -245,7 +245,7 @@ def _procedure(problem: Problem, experiments: int) -> str:
 
 ```sh
 asia try --dry-run                # free: contract and shapes, on made-up records, no score
-python tools.py --why             # free: your own run of the folds; residuals, modes, missing terms
+python tools.py --why             # free: residuals, modes, missing terms; --vary order=2,3 sweeps
 asia try -m "what you changed, and why it should help" --expect "V, words or a number" --parent N
 ```
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import ast
+import itertools
 import linecache
 import os
 import sys
@@ -26,6 +28,7 @@ from asia.candidate import (
     check_source,
     executed_source,
     simulate_steps,
+    source_tree,
 )
 from asia.data.standardise import standardised
 from asia.data.trajectory import Array
@@ -430,6 +433,51 @@ class WorkspaceTools:
         return make_folds(self.problem.train, replace(self.rule, folds=folds))
 
 
+def variants(source: str, settings: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield each combination of values of settings, and the candidate with them.
+
+    Args:
+        settings: `order=1,2,3`, each the name of one keyword argument in the source and its values
+
+    Raises:
+        UserError: for a setting that is not in the source exactly once
+    """
+    places: list[tuple[int, int]] = []
+    choices: list[list[tuple[str, str]]] = []
+    lines = np.cumsum([0, *(len(line) for line in source.encode().splitlines(keepends=True))])
+    for text in settings:
+        name, _, values = text.partition("=")
+        found = [
+            key.value
+            for node in ast.walk(source_tree(source))
+            if isinstance(node, ast.Call)
+            for key in node.keywords
+            if key.arg == name
+        ]
+        if len(found) != 1 or not values:
+            raise UserError(
+                f"--vary {text}: expected NAME=VALUE,VALUE with a keyword argument that the "
+                f"candidate gives once; '{name}' is there {len(found)} times"
+            )
+        (value,) = found
+        assert value.end_lineno is not None and value.end_col_offset is not None  # noqa: PT018
+        first, last = int(lines[value.lineno - 1]), int(lines[value.end_lineno - 1])
+        places.append((first + value.col_offset, last + value.end_col_offset))
+        choices.append([(name, _literal(word)) for word in values.split(",")])
+    for combination in itertools.product(*choices):
+        changed = source.encode()
+        for (begin, end), (_, word) in sorted(zip(places, combination, strict=True), reverse=True):
+            changed = changed[:begin] + word.encode() + changed[end:]
+        yield ", ".join(f"{name}={word}" for name, word in combination), changed.decode()
+
+
+def _literal(word: str) -> str:
+    try:
+        return repr(ast.literal_eval(word))
+    except (ValueError, SyntaxError):
+        return repr(word)
+
+
 # `python tools.py`: what it takes, and what it prints.
 
 
@@ -447,6 +495,12 @@ def main(tools: WorkspaceTools) -> NoReturn:
     add("--gap", type=int, default=0, help="samples next to a part that are not used for training")
     add("--hold-out", metavar="NAMES", help="a fold of your own: hold these records out (A,B)")
     add("--held-out", action="store_true", help="residuals of the held-out part as well")
+    add(
+        "--vary",
+        action="append",
+        metavar="NAME=VALUES",
+        help="values of a setting: order=2,3",
+    )
     add("--why", action="store_true", help="parts of the error, modes, missing terms")
     add("--plot", action="store_true", help="draw simulation and residuals into plots/")
     options = parser.parse_args()
@@ -482,6 +536,23 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
         if not 1 <= options.fold <= len(folds):
             raise UserError(f"there is no fold {options.fold}: expected 1 to {len(folds)}")
         folds = folds[options.fold - 1 : options.fold]
+    if options.vary:
+        source = read_text(tools.folder / options.candidate, "name a candidate, as Python source")
+        limit = tools.problem.budget.fit_seconds
+        for name, changed in variants(source, options.vary):
+            try:
+                tried = evaluate(changed, folds, tools.context, tools.rule, limit)
+            except CandidateError as error:
+                say(f"no V       {name}: {error.reason.advice}", flush=True)
+                continue
+            values = [one.score.value for one in tried]
+            each = ", ".join(f"{value:.4f}" for value in values)
+            seconds = sum(one.seconds for one in tried)
+            mean = combine([one.score for one in tried]).value
+            say(f"V {mean:.6f} {name} (folds {each}; fit {seconds:.1f} s)", flush=True)
+        if not own:
+            say("the lowest V of many variants is optimistic: --blocks N has folds of your own")
+        return
     found = tools.evaluate(options.candidate, folds)
     whole = not own and len(found) == len(tools.folds)
     held_out = options.held_out or tools.rule.residuals == "held_out"

@@ -36,7 +36,7 @@ from asia.judge.evaluation.transport import (
     local_answer,
 )
 from asia.judge.evaluation.validation_score import Oracle
-from asia.judge.evaluation.workers import WorkerRunner
+from asia.judge.evaluation.workers import OnLoss, WorkerRunner
 from asia.judge.sandbox.availability import layers_in_force, open_worker, why_not
 from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.standby import StandbyWorkers
@@ -60,7 +60,11 @@ class OpenWorker(Protocol):
 
 
 def fit_fold(
-    work: FoldWork, data: FoldData, open_worker: OpenWorker, oracle: Oracle | None = None
+    work: FoldWork,
+    data: FoldData,
+    open_worker: OpenWorker,
+    oracle: Oracle | None = None,
+    on_loss: OnLoss | None = None,
 ) -> FoldAnswer:
     """Fit in one worker, which reports its parameters before it receives a case, and simulate there
     and in fresh ones.
@@ -68,6 +72,7 @@ def fit_fold(
     Args:
         oracle: scores the model on the held-out part during the fit, where the protocol allows
             it; it has the held-out outputs, so it exists only on the search's own machine
+        on_loss: called while the fit runs
 
     Raises:
         SandboxError: for a failure that the candidate did not cause
@@ -78,7 +83,10 @@ def fit_fold(
             context = replace(work.context, deadline=time.monotonic() + work.limits.fit_seconds)
             try:
                 with oracle or nullcontext():
-                    reply = worker.fit(work.source, data.train, context, oracle, program_store())
+                    shown = on_loss and partial(on_loss, work.source, work.fold)
+                    reply = worker.fit(
+                        work.source, data.train, context, oracle, program_store(), shown
+                    )
             finally:
                 printed = worker.printed
             parameters, model = worker.parameters(), worker.dump()
@@ -291,7 +299,8 @@ class FoldFitter:
         train = [(b.y.shape[0], b.y.shape[1]) for b in whole(fold.train, self._rule)]
         if carrier is None:
             request = encode_work(work, {})
-            fitted = fit_fold(decode_work(request), data, workers.open_for, oracle)
+            work = decode_work(request)
+            fitted = fit_fold(work, data, workers.open_for, oracle, workers.on_loss)
             return local_answer(fitted, data, train)
         request = encode_work(work, installation())
         with workers.settings.cancel.on_cancel(partial(carrier.forget, request)):

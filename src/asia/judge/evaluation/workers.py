@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 from asia._timer import Activity, ActivityTimer
 from asia.candidate import imported_libraries, library_only
@@ -24,6 +24,9 @@ from asia.problem.budget import Budget
 T = TypeVar("T")
 
 _MOST_LEFT_BEHIND = 3
+
+OnLoss: TypeAlias = Callable[[str, int, float, float], None]
+"""Called with the source of a candidate, the number of the fold, a step and its loss."""
 
 
 class WorkerRunner:
@@ -46,6 +49,8 @@ class WorkerRunner:
         self.stopwatch = ActivityTimer()
         # Processes that the kernel does not let die, by pid: they keep their core and memory.
         self.left_behind: list[int] = []
+        self.on_loss: OnLoss | None = None
+        """Called from any thread while folds are fitted on this machine."""
         self.limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
         self._executor = executor
         self._standby = standby

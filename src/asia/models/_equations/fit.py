@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +55,11 @@ class FittedEquations:
 
 
 def fit(
-    structure: GreyBoxStructure, segments: RecordSegments, method: LevenbergMarquardt, seed: int
+    structure: GreyBoxStructure,
+    segments: RecordSegments,
+    method: LevenbergMarquardt,
+    seed: int,
+    log: Callable[[float, float], None] | None = None,
 ) -> FittedEquations:
     """Best of `method.starts` fits, in up to three stages.
 
@@ -63,7 +68,8 @@ def fit(
     third fits the residual network, which starts without effect, from the best of these.
     With a noise model, the fits before the network and those with it are followed by estimates of
     the noise from the best fit's residuals, and generalised least squares from all points found.
-    The same seed gives bitwise the same result.
+    The same seed gives bitwise the same result. `log` receives the number of each iteration and the
+    least cost of all starting points.
 
     Raises:
         FloatingPointError: if no starting point gives a finite simulation.
@@ -71,7 +77,7 @@ def fit(
     """
     rng = np.random.default_rng(seed)
     layout, count = structure.layout, method.starts
-    fits = _Fits(structure, segments, method, count)
+    fits = _Fits(structure, segments, method, count, log)
     active = np.zeros(layout.size)
     active[layout.parameters] = 1.0
     starts = screen(structure, segments, fits.simulate, count, rng)
@@ -111,6 +117,7 @@ class _Fits:
         segments: RecordSegments,
         method: LevenbergMarquardt,
         starts: int,
+        log: Callable[[float, float], None] | None = None,
     ) -> None:
         # Import of JAX, which a trained model does not need.
         from asia.models._equations.programs import CompiledSimulator
@@ -122,6 +129,7 @@ class _Fits:
         self.weighting: ErrorWeighting | None = None
         # Cost after each iteration, of the best start, one array a fit.
         self.curve: list[Array] = []
+        self.log, self.iterations = log, 0
         if self.choice is not None and structure.config.robust is not None:
             raise UserError(
                 "greybox.Config: robust is a threshold on simulation errors, and the method weighs "
@@ -135,7 +143,13 @@ class _Fits:
             self.structure, self.segments, starts, active, self.simulate, self.weighting
         )
         begin = error.theta0 if begin is None else begin
-        found = minimise(error.cost, error.linearise, begin, self.method)
+
+        def watch(_: Array, cost: Array) -> None:
+            self.iterations += 1
+            if self.log is not None and np.isfinite(cost).any():
+                self.log(float(self.iterations), float(cost.min()))
+
+        found = minimise(error.cost, error.linearise, begin, self.method, after=watch)
         self.curve.append(found.history[np.argmin(found.cost)])
         return found
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from asia.errors import InternalError
+from asia._files import read_file
+from asia.errors import InternalError, UserError
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Event
 from asia.ledger.run import Run
@@ -15,6 +18,8 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
 from asia.report.page.html import ONE, Html, follow, join, tag, write_number
+
+_NORM = "H-infinity norm"
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,33 @@ class Subject:
             every, key=lambda e: (e.number not in self.lineage, e.number not in bests, -e.number)
         )
         return tuple(sorted(order[:most], key=lambda e: e.number))
+
+    @cached_property
+    def analysed(self) -> dict[str, dict[int, float]]:
+        """Largest proven H-infinity norm from the files of `asia certify`, and largest IAE from
+        those of `asia control`, by command and experiment. Files of other versions are left out."""
+        found: dict[str, dict[int, float]] = {"certificate": {}, "control": {}}
+        best = self.view.best
+        for path in sorted(self.run.directory.glob("certificate*.json")) + sorted(
+            self.run.directory.glob("control*/control.json")
+        ):
+            command = "control" if path.name == "control.json" else "certificate"
+            try:
+                content = json.loads(read_file(path, f"run asia {command} again"))
+                model = str(content["model"]).removeprefix("experiment ")
+                if command == "control":
+                    values = [float(one["iae"]) for one in content["responses"]]
+                else:
+                    statements = content["statements"]
+                    values = [float(s["bound"]) for s in statements if s["kind"] == _NORM]
+            except (ValueError, TypeError, LookupError, UserError):
+                continue
+            # The refit and the ensemble are the best experiment's; a stack is of several.
+            number = 0 if best is None or model == "stack" else best.number
+            number = int(model) if model.isdecimal() else number
+            if number and values and math.isfinite(max(values)):
+                found[command][number] = max(values)
+        return found
 
     def place(self, event: Event) -> int:
         """Sequence number of an event of the run."""

@@ -359,6 +359,21 @@ def draw_best(searches: Sequence[BestSoFar], axis: str, alt: str, size: Size) ->
     return join((_progress_svg(drawn, alt, size), legend(keys)))
 
 
+def draw_loss(points: Sequence[tuple[float, float]]) -> Html:
+    """Draw the losses of a running fit over its steps as a line without axes; logarithmic where all
+    are positive. The text next to it has the last one."""
+    steps, losses = [step for step, _ in points], [loss for _, loss in points]
+    low, high = min(losses), max(losses)
+    across = Scale(steps[0], steps[-1], 2, 138)
+    up = Scale(low, high, 30, 4, log=low > 0)
+    path = "".join(
+        f"{'L' if k else 'M'}{rounded(across.at(step))} {rounded(up.at(loss))}"
+        for k, (step, loss) in enumerate(points)
+    )
+    line = tag("path", d=path, class_="line series0")
+    return tag("svg", line, viewBox="0 0 140 34", class_="loss", aria_hidden="true")
+
+
 # Curves over one axis. The curves scale with the page, so that their labels are HTML.
 
 

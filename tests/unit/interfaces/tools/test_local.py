@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from asia.errors import CandidateError, Reason, UserError
-from asia.interfaces.workspace.tools import WorkspaceTools, main
+from asia.interfaces.workspace.tools import WorkspaceTools, main, variants
 from asia.interfaces.workspace.workspace import write_folder
 from asia.judge.sandbox.layers.environment import REPEATABLE
+from asia.judge.scoring.outcome import combine
 from asia.ledger.run import Run, open_run
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search
@@ -194,3 +195,51 @@ def test_the_early_stopping_score_is_given(tmp_path: Path) -> None:
     (tmp_path / "work" / "candidate.py").write_text(asks)
     for one in WorkspaceTools(tmp_path / "work", seed=0).evaluate():
         assert one.model.asked == pytest.approx(one.score.value, rel=1e-3)  # type: ignore[attr-defined]
+
+
+def test_variants_are_all_combinations_of_the_values() -> None:
+    found = dict(variants(GREYBOX, ["iterations=5,10", "starts=1,None"]))
+    assert list(found) == [
+        "iterations=5, starts=1",
+        "iterations=5, starts=None",
+        "iterations=10, starts=1",
+        "iterations=10, starts=None",
+    ]
+    assert found["iterations=5, starts=1"] == GREYBOX
+    assert "LevenbergMarquardt(iterations=10, starts=None)" in found["iterations=10, starts=None"]
+    (text,) = (source for _, source in variants("f(noise=None, é='ü', order=2)\n", ["noise=slow"]))
+    assert text == "f(noise='slow', é='ü', order=2)\n"
+    for wrong in ("order=1,2", "iterations", "iterations="):
+        with pytest.raises(UserError, match="a keyword argument that the candidate gives once"):
+            list(variants(GREYBOX, [wrong]))
+
+
+@pytest.mark.slow
+def test_each_variant_has_its_score(
+    tools: WorkspaceTools, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in REPEATABLE.items():
+        monkeypatch.setenv(name, value)
+    library = """
+from asia.models import arx
+from asia.models.methods import LevenbergMarquardt
+
+
+def fit(trajectories, context):
+    model = arx.build(arx.Config(na=2, nb=2), context)
+    return arx.train(model, trajectories, context, LevenbergMarquardt(iterations=2))
+"""
+    (tools.folder / "candidate.py").write_text(library)
+    monkeypatch.setattr(sys, "argv", ["tools.py", "--vary", "na=1,2"])
+    with pytest.raises(SystemExit) as end:
+        main(tools)
+    said = capsys.readouterr().out.splitlines()
+    assert (end.value.code, len(said)) == (0, 3)
+    value = combine([one.score for one in tools.evaluate()]).value
+    assert said[1].startswith(f"V {value:.6f} na=2 (folds ")
+    assert "optimistic" in said[2]
+    monkeypatch.setattr(sys, "argv", ["tools.py", "--vary", "none=1"])
+    with pytest.raises(SystemExit) as end:
+        main(tools)
+    assert end.value.code == 2
+    assert "'none' is there 0 times" in capsys.readouterr().err

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
+from asia.interfaces.cli.view import RunStarter
 from asia.interfaces.view.app import TokenOnly, make_app
 from asia.interfaces.view.followed import RunFolder
 from asia.interfaces.view.streams import Streams
@@ -58,7 +59,7 @@ def write_linear(directory: Path) -> None:
 @pytest.fixture
 def stranger(runs: Path) -> Iterator[TestClient]:
     """A client that was not given the token."""
-    app = TokenOnly(make_app(RunFolder(runs), Streams(), TOKEN), TOKEN, 8731)
+    app = TokenOnly(make_app(RunFolder(runs), Streams(), TOKEN, RunStarter()), TOKEN, 8731)
     with TestClient(app, base_url="http://127.0.0.1:8731", follow_redirects=False) as client:
         yield client
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
 import stat
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
 
 from asia.interfaces.view.app import kept_token, token_path
+from asia.ledger.chain import Chain
+from asia.ledger.run import open_run
 
 from .conftest import TOKEN
 
@@ -44,6 +51,71 @@ def test_another_host_is_refused_with_the_token_too(client: TestClient, host: st
     """A name of another host may be made to mean this machine."""
     assert client.get("/", headers={"host": host}).status_code == 421
     assert client.get("/", headers={"host": "localhost:8731"}).status_code == 200
+
+
+def post_start(client: TestClient, **fields: object) -> Any:
+    """Ask for a search; the page sends all fields as text."""
+    given = {"problem": "two_tanks_sim", "agent": "expert", "experiments": 1, "seed": 0, **fields}
+    headers = {"x-asia-token": TOKEN, "origin": "http://127.0.0.1:8731"}
+    return client.post("/runs", content=json.dumps(given), headers=headers)
+
+
+def test_a_start_needs_the_token_in_its_header_and_the_own_origin(
+    client: TestClient, runs: Path
+) -> None:
+    body = json.dumps({"problem": "two_tanks_sim", "agent": "expert", "experiments": 1, "seed": 0})
+    foreign = {"x-asia-token": TOKEN, "origin": "http://other.example"}
+    far = {"x-asia-token": TOKEN, "host": "asia.example:8731"}
+    for headers, status in (({}, 403), (foreign, 403), (far, 421)):
+        assert client.post("/runs", content=body, headers=headers).status_code == status
+    assert [path.name for path in runs.iterdir()] == ["made"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"problem": "/etc"}, "one of the listed problems"),
+        ({"agent": "command:sh"}, "an agent (expert, random, bayes)"),
+        ({"experiments": 0}, "at least 1 experiment"),
+        ({"seed": "x"}, "a seed of at least 0"),
+        ({"name": "../elsewhere"}, "'../elsewhere' is no name of a run"),
+    ],
+)
+def test_a_start_that_asia_run_refuses_is_refused_with_a_reason(
+    client: TestClient, runs: Path, fields: dict[str, object], words: str
+) -> None:
+    answer = post_start(client, **fields)
+    assert (answer.status_code, words in answer.json()["words"]) == (409, True), answer.text
+    assert [path.name for path in runs.iterdir()] == ["made"]
+
+
+def test_a_start_on_a_run_that_is_running_is_refused(client: TestClient, runs: Path) -> None:
+    with Chain(runs / "made" / "ledger.jsonl"):
+        answer = post_start(client, name="made")
+    assert (answer.status_code, "is running" in answer.json()["words"]) == (409, True)
+
+
+@pytest.mark.slow
+def test_a_search_starts_from_the_page_as_a_process_of_its_own(
+    client: TestClient, runs: Path
+) -> None:
+    answer = post_start(client, experiments=50, name="from-the-page")
+    assert (answer.status_code, answer.json()["address"]) == (200, "/runs/from-the-page")
+    run = open_run(runs / "from-the-page")
+    assert (run.state, run.view.budget, run.view.started.agent) == ("running", 50, "expert")
+    assert post_start(client, name="from-the-page").status_code == 409
+    other = post_start(client, name="made").json()["words"]
+    assert other.startswith("the search did not start: ")
+    words = str(runs.resolve()).encode()
+    commands = Path("/proc").glob("[0-9]*/cmdline")
+    (pid,) = (
+        int(path.parent.name)
+        for path in commands
+        if b"from-the-page\0" in (line := path.read_bytes()) and words in line
+    )
+    os.kill(pid, signal.SIGTERM)
+    while open_run(run.directory).state == "running":
+        time.sleep(0.1)
 
 
 @pytest.mark.parametrize("what", ["steer", "pause", "continue", "stop"])

@@ -299,3 +299,14 @@ def test_an_experiment_is_tagged_with_the_keyboard_alone(server: Server, watched
     expect(page.locator("#e2 .label").first).to_have_text("unstable")
     expect(page.locator("#notes li")).to_contain_text("#02 +unstable +again it diverges")
     assert verify(server.runs / "made", ledger_alone=True).records == 13
+
+
+def test_a_start_that_is_refused_says_why(server: Server, watched: Watched) -> None:
+    page = watched.page
+    page.get_by_text("Start a search").press("Enter")
+    page.get_by_label("Problem").select_option("two_tanks_sim")
+    page.get_by_label("Name").fill("no name")
+    page.get_by_label("Name").press("Enter")
+    expect(page.get_by_role("status").last).to_contain_text("'no name' is no name of a run")
+    expect(page.get_by_role("button", name="Start the search")).to_be_enabled()
+    assert page.url.endswith("/")

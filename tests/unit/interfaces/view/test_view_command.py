@@ -29,7 +29,7 @@ def places(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Path, str | None, int]
     """Arguments of the server that would have started."""
     found: list[tuple[Path, str | None, int]] = []
 
-    def serve(folder: Path, run: str | None, port: int, on_start: object) -> None:
+    def serve(folder: Path, run: str | None, port: int, *further: object) -> None:
         found.append((folder, run, port))
 
     monkeypatch.setattr(view_room, "serve_view", serve)

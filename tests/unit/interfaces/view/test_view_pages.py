@@ -7,13 +7,15 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
 from asia.agents import reads_notes
+from asia.agents.library.recipe import Recipe
 from asia.errors import Reason, UserError
-from asia.interfaces.view.followed import RunFolder
-from asia.interfaces.view.pages import steering_panel
+from asia.interfaces.view.followed import FollowedRun, RunFolder
+from asia.interfaces.view.pages import importance_part, share_of_variance, steering_panel
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
@@ -21,7 +23,7 @@ from asia.ledger.events import Evaluated, Leg, Proposed
 from asia.ledger.run import open_run
 from asia.problem.problem import Problem
 from asia.report.page.page import audit, page_of
-from tests.unit.report.made_up import append_test
+from tests.unit.report.made_up import append_experiment, append_test
 
 from .conftest import ATTACK, TOKEN, make_run, write_linear
 
@@ -382,3 +384,61 @@ def test_the_box_for_notes_is_off_where_the_agent_reads_none(
         boxes = re.findall(r"<textarea[^>]*>|<button[^>]*submit[^>]*>", text)
         assert len(boxes) == 2
         assert all(("disabled" in box) is bool(deaf) for box in boxes)
+
+
+def test_a_setting_that_decides_v_has_the_share_and_the_other_has_none() -> None:
+    rng = np.random.default_rng(0)
+    decides, other = np.repeat([0, 1, 2], 10), rng.integers(0, 3, 30)
+    values = np.array([0.0, 1.0, 3.0])[decides] + 0.1 * rng.standard_normal(30)
+    share, p = share_of_variance(decides, values)
+    assert (share > 0.98, p) == (True, 0.001)
+    shares = [share_of_variance(other, rng.standard_normal(30), k) for k in range(20)]
+    # Without an effect the share is near 0 on the mean, and p is spread over 0 to 1.
+    assert np.mean([one for one, _ in shares]) < 0.05
+    assert 0.3 < np.mean([p for _, p in shares]) < 0.7
+    assert share_of_variance(np.zeros(5), rng.standard_normal(5)) == (0.0, 1.0)
+
+
+def test_importance_of_settings_needs_experiments_of_one_family(
+    runs: Path, problem: Problem
+) -> None:
+    directory = make_run(runs / "settings", problem, ())
+    store = Store(directory / "artifacts")
+    with Chain(directory / "ledger.jsonl") as chain:
+        for number in range(1, 13):
+            few = number % 2
+            recipe = Recipe("arx", (("na", 2 if few else 8), ("nb", number)), "LeastSquares", ())
+            outcome = 0.1 * number if few else 0.01 * number
+            title = f"arx {number}"
+            source = recipe.source("")
+            append_experiment(chain, store, problem, number, title, outcome, 1.0, (), source)
+    snapshot = FollowedRun(directory).snapshot()
+    text = " ".join(re.sub("<[^>]+>", " ", importance_part(snapshot) or "").split())
+    assert re.search(r"arx na 2 12 \d+ % 0\.0\d+", text), text
+    assert re.search(r"arx nb 12 12 \d+ % 0\.[1-9]", text), text
+    made = FollowedRun(runs / "made").snapshot()
+    assert importance_part(made) is None
+
+
+def test_costs_of_commands_are_axes_of_the_trade_off_picture(
+    client: TestClient, runs: Path
+) -> None:
+    directory = runs / "made"
+    norm = {"kind": "H-infinity norm"}
+    for name, model, bounds in (("", "refit", (2.0, 3.5)), ("-1", "experiment 1", (1.25,))):
+        statements = [{**norm, "bound": bound} for bound in bounds]
+        content = {"model": model, "statements": [*statements, {"kind": "stability"}]}
+        (directory / f"certificate{name}.json").write_text(json.dumps(content))
+        responses = [{"iae": 10 * bound} for bound in bounds]
+        (directory / f"control{name}").mkdir()
+        content = {"model": model, "responses": responses}
+        (directory / f"control{name}" / "control.json").write_text(json.dumps(content))
+    (directory / "certificate-4.json").write_text("{}")
+    (directory / "certificate-3.json").write_text(json.dumps({"model": "stack", "statements": []}))
+    subject = FollowedRun(directory).snapshot().subject
+    assert subject.analysed == {"certificate": {1: 1.25, 2: 3.5}, "control": {1: 12.5, 2: 35.0}}
+    page = client.get("/runs/made/sections/tradeoff").text
+    assert "proven bound of the gain" in page
+    assert "cost of the closed loop (IAE)" in page
+    compared = client.get("/compare/part?run=made&e=made/1&e=made/4").text
+    assert ("12.5" in compared, "proven bound of the gain" in compared) == (True, True)

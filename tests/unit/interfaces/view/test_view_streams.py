@@ -10,15 +10,17 @@ from typing import Any
 
 import pytest
 
+from asia.candidate import source_digest
 from asia.errors import UserError
 from asia.interfaces.view import streams as _streams
 from asia.interfaces.view.followed import FollowedRun, RunFolder
 from asia.interfaces.view.streams import Streams
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain, Follower
+from asia.ledger.events import Proposed
 from asia.ledger.run import open_run
 from asia.problem.problem import Problem
-from asia.search.steering import Steering
+from asia.search.steering import RunningLosses, Steering
 from tests.unit.report.made_up import append_experiment
 
 from .conftest import make_run
@@ -111,6 +113,28 @@ def test_a_pause_that_was_asked_for_is_shown(runs: Path) -> None:
             return (await next_message(messages))["data"]["parts"]["now"]
 
     assert "running, to pause" in asyncio.run(asyncio.wait_for(story(), 60))
+
+
+def test_the_loss_of_a_running_fit_is_sent_without_a_new_line(runs: Path, problem: Problem) -> None:
+    directory = runs / "made"
+    source = "x = 1\n"
+    with Chain(directory / "ledger.jsonl") as chain:
+        name = Store(directory / "artifacts").put(source.encode())
+        chain.append(
+            Proposed(5, 1, "refine", "arx", "fitting", "", "", name, source_digest(source))
+        )
+        followed = FollowedRun(directory)
+
+        async def story() -> list[dict[str, Any]]:
+            messages = Streams().of_run(followed, followed.snapshot().mark)
+            found = [await next_message(messages)]
+            RunningLosses(directory)(source, 2, 40.0, 0.125)
+            return [*found, await next_message(messages)]
+
+        first, second = asyncio.run(asyncio.wait_for(story(), 60))
+    assert "loss" not in first["data"]["parts"]["now"]
+    assert "<span>fold 2: loss 0.125 at step 40</span>" in second["data"]["parts"]["now"]
+    assert (second["id"], second["data"]["rows"]) == (first["id"], [])
 
 
 def test_a_run_that_was_removed_is_told_of_once(runs: Path) -> None:

@@ -206,3 +206,22 @@ def test_a_scorer_that_breaks_leaves_nothing_behind(worker, case):
     with pytest.raises(KeyboardInterrupt), worker() as one:
         one.fit(asking("ask(Gain(1.0))"), case.trajectories, case.context, score)
     assert held() == before
+
+
+def test_the_loss_comes_while_the_fit_runs_and_changes_nothing(worker, case):
+    shown: list[tuple[float, float]] = []
+    body = """
+import time
+for k in range(3):
+    context.log(k, 1.0 / (k + 1))
+    time.sleep(0.6)
+context.log(3, float("nan"))"""
+    with worker() as one:
+        reply = one.fit(
+            asking(body),
+            case.trajectories,
+            case.context,
+            on_loss=lambda step, loss: shown.append((step, loss)),
+        )
+    assert shown == [(0.0, 1.0), (1.0, 0.5), (2.0, 1.0 / 3.0)]
+    np.testing.assert_array_equal(reply.curve, [[0, 1], [1, 0.5], [2, 1 / 3], [3, np.nan]])

@@ -130,7 +130,8 @@ function connected(words, lost) {
   place.classList.toggle("lost", lost);
 }
 
-function news(data) {
+// isLedger: the ledger has new lines; else only figures of the running fit changed.
+function news(data, isLedger) {
   if (rows && chosen().size) data.rows.length && chooseAgain();
   else if (rows) for (const row of [...data.rows].reverse()) put(row);
   for (const [name, html] of Object.entries(data.parts)) {
@@ -142,7 +143,7 @@ function news(data) {
   }
   if (data.said) one("#live").textContent = data.said;
   if (data.rows.length) drawCurve();
-  fillAll();
+  if (isLedger) fillAll();
   const fresh = one("[data-refresh]");
   const only = Number(fresh?.dataset.only ?? NaN);
   if (fresh && data.rows.some((row) => Number.isNaN(only) || row.number === only)) refresh();
@@ -172,9 +173,10 @@ function follow(place) {
     source = new EventSource(`${place.dataset.stream}?mark=${encodeURIComponent(mark)}`);
     source.onopen = () => connected("live", false);
     source.addEventListener("news", (event) => {
+      const isLedger = mark !== event.lastEventId;
       mark = event.lastEventId;
       connected("live", false);
-      news(JSON.parse(event.data));
+      news(JSON.parse(event.data), isLedger);
     });
     source.addEventListener("anew", () => location.reload());
     source.addEventListener("trouble", (event) => connected(JSON.parse(event.data).words, true));
@@ -205,7 +207,9 @@ async function tell(element, text) {
       body: text,
     });
     const kind = answer.headers.get("content-type") ?? "";
-    place.textContent = kind.includes("json") ? (await answer.json()).words : await answer.text();
+    const found = kind.includes("json") ? await answer.json() : { words: await answer.text() };
+    place.textContent = found.words;
+    if (found.address) location.assign(found.address);
     return answer.ok;
   } catch {
     place.textContent = "not sent: there is no connection";
@@ -218,7 +222,10 @@ document.addEventListener("submit", async (event) => {
   if (!form.dataset.post) return;
   event.preventDefault();
   const fields = Object.fromEntries(new FormData(form));
-  if (await tell(form, form.dataset.post === "note" ? JSON.stringify(fields) : fields.text)) form.reset();
+  const button = one("[type=submit]", form);
+  button.disabled = true;
+  if (await tell(form, form.dataset.post === "steer" ? fields.text : JSON.stringify(fields))) form.reset();
+  button.disabled = false;
 });
 
 document.addEventListener("click", (event) => {

@@ -22,6 +22,7 @@ import pickle
 import resource
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from types import ModuleType
@@ -151,7 +152,9 @@ def _as_model(value: object, what: str = "fit returned") -> Model:
 class _TrainingCurve:
     """Training curve of bounded size: thinned by two whenever it is full."""
 
-    def __init__(self) -> None:
+    def __init__(self, show: Callable[[float, float], None]) -> None:
+        """show: called with step and loss, no more often than every `wire.LOSS_SECONDS`."""
+        self._show, self._shown = show, -wire.LOSS_SECONDS
         self._stride = 1
         self._calls = 0
         self._kept: list[tuple[float, float]] = []
@@ -164,6 +167,9 @@ class _TrainingCurve:
             if self._calls % self._stride == 0:
                 self._kept.append((float(step), float(loss)))
         self._calls += 1
+        if time.monotonic() - self._shown >= wire.LOSS_SECONDS:
+            self._shown = time.monotonic()
+            self._show(float(step), float(loss))
 
     def tobytes(self) -> bytes:
         """Steps and losses as float64, row after row."""
@@ -259,7 +265,7 @@ class _Session:
         fit = getattr(module, "fit", None)
         if not callable(fit):
             raise _RefusedError("the source defines no function fit(trajectories, context)")
-        points = _TrainingCurve()
+        points = _TrainingCurve(self._show_loss)
         validation_score = self._validation_score if scored else None
         context = Context(**known, log=points.log, validation_score=validation_score)
         trajectories, context, restored = standardised(trajectories, context)
@@ -272,6 +278,13 @@ class _Session:
             with contextlib.suppress(Exception):
                 stream.flush()
         return points.tobytes()
+
+    def _show_loss(self, step: float, loss: float) -> None:
+        import numpy as np
+
+        with self._asking:
+            if self._fitting and os.getpid() == self._pid:
+                self._reply(wire.ReplyKind.LOSS, np.array([step, loss], "<f8").tobytes())
 
     def _validation_score(self, model: Model) -> float:
         body = self._pickled(_as_model(model, "validation_score was given"))

@@ -4,7 +4,8 @@ A request is the u64 length of a pickle, which only travels into the sandbox, th
 large arrays, their u64 lengths, the pickle, and these arrays, which neither end copies. A reply is
 a status byte, the token of the request it answers, a u64 length and raw bytes: nothing in it is
 parsed. During a fit a SCORE reply brings a model, and the next request brings its score; a PROGRAM
-reply brings the key of a compiled program, and the next request brings the program, if it is known.
+reply brings the key of a compiled program, and the next request brings the program, if it is known;
+a LOSS reply brings the last row of the training curve, and no request answers it.
 
 A `stream` request is followed by frames of one size: the token of the reply, 1, and one input
 sample as float64 (B, nu). Each is answered before the next is sent. A frame with 0 ends the stream
@@ -30,6 +31,8 @@ TOKEN_BYTES = 8
 
 CURVE_ROWS = 2000
 CURVE_ROW_BYTES = 16
+LOSS_SECONDS = 0.5
+"""Least time between two LOSS replies."""
 TEXT_BYTES = 2048
 SHAPE_DIMENSIONS = 8
 COMPILED = ("fit", "load", "simulate")
@@ -43,7 +46,7 @@ PROGRAM_BYTES = 8 * 1024 * 1024
 
 
 class ReplyKind(IntEnum):
-    """First byte of a reply. All but OK, STARTED, SCORE and PROGRAM end the worker."""
+    """First byte of a reply. All but OK, STARTED, SCORE, PROGRAM and LOSS end the worker."""
 
     OK = 0
     STARTED = 1
@@ -55,6 +58,7 @@ class ReplyKind(IntEnum):
     SHAPE = 7
     SCORE = 8
     PROGRAM = 9
+    LOSS = 10
 
 
 def read_request(requests: int) -> tuple[bytes, str, Any]:

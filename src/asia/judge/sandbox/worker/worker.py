@@ -7,7 +7,7 @@ import math
 import secrets
 import threading
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import fields, replace
 from functools import partial
 
@@ -155,11 +155,13 @@ class Worker:
         context: Context,
         score: ScoreModel | None = None,
         programs: ProgramStore | None = None,
+        on_loss: Callable[[float, float], None] | None = None,
     ) -> FitReply:
         """Execute the source and call its `fit`. The context's deadline becomes the earlier of
         its own and now + fit_seconds; its `log` is replaced by one that fills `FitReply.curve`,
         its `validation_score` by one that asks `score`, whose time counts as the fit's. JAX loads
-        compiled `programs`; those that a source of the library alone compiles are added."""
+        compiled `programs`; those that a source of the library alone compiles are added. `on_loss`
+        is called with a step and its loss a few times a second."""
         late = Reason.FIT_TIMEOUT
         self._start()
         deadline = time.monotonic() + self._limits.fit_seconds
@@ -175,12 +177,18 @@ class Worker:
             self._ask("fit", arguments, deadline, late, wanted=(ReplyKind.STARTED,))
         with self._clock.activity(Activity.FIT):
             begin = time.monotonic()
-            wanted = (ReplyKind.OK, ReplyKind.PROGRAM)
+            wanted = (ReplyKind.OK, ReplyKind.PROGRAM, ReplyKind.LOSS)
             wanted = wanted if score is None else (*wanted, ReplyKind.SCORE)
             head = self._head(deadline, late, wanted)
             while head.status is not ReplyKind.OK:
                 if head.status is ReplyKind.PROGRAM:
                     self._answer_program(programs, head, deadline)
+                elif head.status is ReplyKind.LOSS:
+                    if head.length != CURVE_ROW_BYTES:
+                        raise self._failure(Reason.UNSOLICITED, "a loss of an impossible size")
+                    row = np.frombuffer(self._body(head, deadline, late), "<f8")
+                    if on_loss is not None and np.isfinite(row).all():
+                        on_loss(float(row[0]), float(row[1]))
                 elif score is not None:
                     self._answer(score, self._model_bytes(head, deadline, late), deadline)
                 head = self._head(deadline, late, wanted)

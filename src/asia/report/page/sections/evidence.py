@@ -386,6 +386,13 @@ def _complex(values: Sequence[Mapping[str, float]]) -> list[complex]:
     return [complex(one["real"], one["imag"]) for one in values]
 
 
+def command_lines(lines: Sequence[str], label: str, indent: int = 10) -> Html:
+    """Text of a command, whose long lines wrap below the end of their first `indent` letters."""
+    style = f"padding-left:{indent}ch;text-indent:-{indent}ch"
+    code = tag("code", *(tag("span", line or " ", style=style) for line in lines))
+    return region("pre", code, label=label, class_="lines")
+
+
 def _write_command(subject: Subject, file: Path, command: str) -> Html | None:
     """Text and pictures that a command wrote next to the ledger; None without its file."""
     path = subject.run.directory / file
@@ -395,7 +402,7 @@ def _write_command(subject: Subject, file: Path, command: str) -> Html | None:
     content = read_file(path, remedy) if path.stat().st_size <= _MOST_BYTES else b""
     try:
         found = json.loads(content)
-        lines, drawn = "\n".join(found["text"]), _DRAWN.validate_python(found["drawn"])
+        lines, drawn = [str(one) for one in found["text"]], _DRAWN.validate_python(found["drawn"])
         planes = [
             (str(one["at"]), _complex(one["poles"]), _complex(one["zeros"]))
             for one in found.get("points", ())
@@ -403,7 +410,7 @@ def _write_command(subject: Subject, file: Path, command: str) -> Html | None:
     except (ValueError, TypeError, LookupError):
         return tag("p", f"{file} is no file of this version: {remedy}.")
     note = tag("p", "Written by ", tag("code", command), ". The ledger does not record it.")
-    text = region("pre", tag("code", lines), label=f"Output of {command}")
+    text = command_lines(lines, f"Output of {command}")
     panels = [*map(draw_check, drawn), *([draw_poles(planes)] if planes else [])]
     return join((note, text, tag("div", *panels, class_="grid")))
 
@@ -440,9 +447,7 @@ def _write_certificate(subject: Subject) -> Html | None:
         "p", "Written by ", tag("code", "asia certify"), ". The ledger does not record it. ",
         tag("code", "asia certify --check"), " proves it again.",
     )  # fmt: skip
-    code = tag("code", "\n".join(f"{a:16}{b}" for a, b in rows))
-    text = region("pre", code, label="Certificate")
-    return join((note, text))
+    return join((note, command_lines([f"{a:16}{b}" for a, b in rows], "Certificate", 16)))
 
 
 CERTIFICATE = Section("certificate", "Certificate", _write_certificate)

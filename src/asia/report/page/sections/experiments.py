@@ -350,13 +350,19 @@ COSTS: Final = (
     ("numbers in the model", "numbers", "greatest", "count"),
     ("microseconds a sample", "sample_seconds", "least", "micro"),
     ("seconds of fit", "fit_seconds", "sum", "sig3"),
+    ("proven bound of the gain", "certificate", "", ""),
+    ("cost of the closed loop (IAE)", "control", "", ""),
 )
-"""Name, field of a fold, rule over the folds, and form of each cost."""
+"""Name, field of a fold, rule over the folds, and form of each cost; for the last two the command
+whose files in the run have it."""
 
 
 def cost_of(subject: Subject, e: Experiment, axis: int) -> tuple[float, Html] | None:
     """A cost of an experiment over its folds, as a number and for the page; None if not known."""
     _, field, rule, form = COSTS[axis]
+    if not rule:
+        value = subject.analysed[field].get(e.number)
+        return None if not value else (value, said(f"{value:.3g}"))
     folds = result_of(e).folds
     if field == "fit_seconds":
         values: list[float | None] = [fold.fit_seconds for fold in folds]
@@ -407,7 +413,10 @@ def _write_tradeoff(subject: Subject) -> Html | None:
         ]
         for number, e in sorted(fronts.items())
     ]  # fmt: skip
-    head = ["candidate", subject.view.v_name, *(name for name, *_ in COSTS)]
+    names = [name for name, *_ in COSTS]
+    known = [k for k in range(len(COSTS)) if any(row[2 + k] for row in rows)]
+    rows = [[*row[:2], *(row[2 + k] for k in known)] for row in rows]
+    head = ["candidate", subject.view.v_name, *(names[k] for k in known)]
     keys = [("kept best", "no other candidate has less of both"), ("other", "others")]
     return join((
         tag("fieldset", tag("legend", "V against"), *choices, class_="axes"),

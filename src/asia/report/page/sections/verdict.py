@@ -108,8 +108,10 @@ _USES = {
 }
 
 
-def _write(subject: Subject) -> Html:
+def _write(subject: Subject) -> Html | None:
     view, best, named = subject.view, subject.view.best, model_to_use(subject.view)
+    if subject.run.state == "running" and not view.finished:
+        return None
     text, kind = stamp(subject)
     if best is None or named is None:
         count = subject.over("proposed", "experiment", "count", "count")
