@@ -206,7 +206,9 @@ def _realised(
     scale = 1.0 / np.sqrt(values[kept])
     into = (left[:, kept] * scale).T @ roots[1].T
     back = roots[0] @ right[kept].T * scale
-    return LinearSystem(into @ a @ back, into @ b, c @ back, d.T, level)
+    # Stored and reloaded arrays are contiguous; products with views would differ in the last bit.
+    parts = into @ a @ back, into @ b, c @ back, d.T, level
+    return LinearSystem(*(np.ascontiguousarray(part) for part in parts))
 
 
 def _root(square: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -87,6 +89,20 @@ def test_short_records_and_constant_outputs_leave_the_usual_fit() -> None:
     for record in (short, constant):
         records = scaled([record], Scaling.of([record]))
         assert fit_regularised(records, CONTEXT, "response") is None
+
+
+def test_a_reloaded_model_of_two_outputs_answers_bit_by_bit_the_same() -> None:
+    one, _ = lightly_damped(300, 4, 0.1)
+    y = np.hstack([one.y, np.roll(one.y, 3, axis=0) + one.u[:, :1]])
+    context = Context(CONTEXT.inputs, (Signal("y"), Signal("z")), 1.0, 10, 10)
+    config = linear.Config(regularised="response")
+    record = Trajectory(one.u, y, 1.0, "r")
+    model = linear.train(linear.build(config, context), [record], context)
+    assert model.fitted is not None
+    assert all(part.flags.c_contiguous for part in model.fitted.system.matrices)
+    again = pickle.loads(pickle.dumps(model))
+    past = one.u[None, :10], y[None, :10], one.u[None, 10:]
+    np.testing.assert_array_equal(model.simulate(*past), again.simulate(*past))
 
 
 def test_it_stands_alone() -> None:
