@@ -20,6 +20,7 @@ from typing import Any, cast
 import numpy as np
 from scipy.signal import lfilter
 
+from asia.agents.library.recipe import read_recipe
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.judge.evaluation.findings import search_context
@@ -118,10 +119,9 @@ def row(problem: Problem, folder: Path | None) -> tuple[str, float]:
         squares = (((simulated - y[past:]) / y[past:].std(axis=0)) ** 2).mean()
         test = f"{np.sqrt(squares):.4f}"
     folds = ", ".join(f"{fold.value:.4f}" for fold in score.folds)
-    structure = "each fold" if found.structure is None else "{}, {}".format(*found.structure)
-    line = (
-        f"| {problem.name} | {score.value:.4f} | {folds} | {structure} | {test} | {seconds:.0f} |"
-    )
+    recipe = read_recipe(found.source)
+    settings = "baseline" if recipe is None else ", ".join(f"{k} {v}" for k, v in recipe.config)
+    line = f"| {problem.name} | {score.value:.4f} | {folds} | {settings} | {test} | {seconds:.0f} |"
     return line, score.value
 
 
@@ -132,7 +132,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", help="names of systems")
     options = parser.parse_args()
     folders = sorted(p.parent for p in options.zoo.glob("*/problem.toml")) if options.zoo else []
-    print("| system | V | folds | order, delay | test | s |\n|---|---|---|---|---|---|")
+    print("| system | V | folds | settings | test | s |\n|---|---|---|---|---|---|")
     values: list[float] = []
     jobs: list[tuple[Any, Path | None]] = [(str(folder), folder) for folder in folders]
     jobs += [(name, None) for name in BUILT_IN]

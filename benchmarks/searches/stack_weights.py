@@ -1,11 +1,12 @@
-"""Test errors of the stack and of the model to use by several rules for the weights.
+"""Test errors of stack, model to use and winner by several rules for weights and for the winner.
 
 python benchmarks/zoo.py --zoo DATA/zoo --runs runs-zoo
 python benchmarks/searches/stack_weights.py runs-zoo/now
 
 No search is started: the fold models that the runs keep simulate the first test record, and each
 rule forms its stack from them; its nested V is taken to be that of the run's stack. Errors are
-relative to those of the winner's ensemble.
+relative to those of the winner's ensemble. The second table has the ensembles of other winners:
+the smallest model (bytes of the stored fold models) of those that count as equal to the least V.
 """
 
 from __future__ import annotations
@@ -52,8 +53,42 @@ RULES: dict[str, Weights] = {
 }
 
 
-def errors(folder: Path, problem: Path) -> dict[str, tuple[float, float]]:
-    """Error of the stack and of the model to use, relative to the ensemble, by rule."""
+Equal = Callable[[Array, Array], bool]
+"""Whether V of the folds (folds,) is as good as the least V of the folds (folds,)."""
+
+
+def on_every_fold(values: Array, best: Array) -> bool:
+    """Return whether the best one does not gain on every fold."""
+    return bool((values <= best).any())
+
+
+def within_deviations(most: float) -> Equal:
+    """V within so many standard errors of the paired differences."""
+
+    def equal(values: Array, best: Array) -> bool:
+        apart = values - best
+        return bool(apart.mean() <= most * apart.std(ddof=1) / len(apart) ** 0.5)
+
+    return equal
+
+
+WINNERS: dict[str, Equal] = {
+    "least V": lambda values, best: bool((values == best).all()),
+    "within 1 %": lambda values, best: bool(values.mean() <= 1.01 * best.mean()),
+    "within 3 %": lambda values, best: bool(values.mean() <= 1.03 * best.mean()),
+    "within 10 %": lambda values, best: bool(values.mean() <= 1.1 * best.mean()),
+    "within half a standard error": within_deviations(0.5),
+    "within a standard error": within_deviations(1.0),
+    "no gain on every fold": on_every_fold,
+    "the same, within 10 %": lambda values, best: bool(
+        on_every_fold(values, best) and values.mean() <= 1.1 * best.mean()
+    ),
+}
+
+
+def errors(folder: Path, problem: Path) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
+    """Errors relative to the ensemble: of stack and model to use by rule for the weights, and of
+    the winner's ensemble by rule for the winner."""
     run = open_run(folder)
     view, locked = run.view, load_lock(folder / LOCK)
     assert view.best is not None
@@ -87,7 +122,15 @@ def errors(folder: Path, problem: Path) -> dict[str, tuple[float, float]]:
         use = choose_model(replace(FinalEvidence.of(view.best, view.refitted), stack=made)).model
         named = {"stack": stack, "refit": refit, "ensemble": ensemble}[use]
         found[name] = error(stack) / error(ensemble), error(named) / error(ensemble)
-    return found
+    least = values[:, int(np.argmin(values.mean(axis=0)))]
+    sizes = [len(run.store.get(fold.model)) for e in scored if e.result for fold in e.result.folds]
+    sizes = np.reshape(sizes, (len(scored), -1)).sum(axis=1)
+    winners: dict[str, float] = {}
+    for name, equal in WINNERS.items():
+        fit = [k for k in range(len(scored)) if equal(values[:, k], least)]
+        best = min(fit, key=lambda k: (sizes[k], values[:, k].mean()))
+        winners[name] = error(outputs[best]) / error(ensemble)
+    return found, winners
 
 
 def test_record(problem: Problem, folder: Path) -> Trajectory:
@@ -113,11 +156,17 @@ def main() -> None:
     print(f"| rule | {' | '.join(found)} | stack, mean | model to use, mean |")
     print("|---" * (len(found) + 3) + "|")
     for rule in RULES:
-        pairs = [one[rule] for one in found.values()]
+        pairs = [one[rule] for one, _ in found.values()]
         means = [f"{geometric_mean(column):.3f}" for column in zip(*pairs, strict=True)]
         print(
             f"| {rule} | {' | '.join(f'{named:.2f}' for _, named in pairs)} | {' | '.join(means)} |"
         )
+    print(f"\n| winner | {' | '.join(found)} | mean |")
+    print("|---" * (len(found) + 2) + "|")
+    for rule in WINNERS:
+        ratios = [one[rule] for _, one in found.values()]
+        cells = [f"{ratio:.2f}" for ratio in ratios]
+        print(f"| {rule} | {' | '.join(cells)} | {geometric_mean(ratios):.3f} |")
 
 
 if __name__ == "__main__":

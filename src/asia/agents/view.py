@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
@@ -49,7 +49,10 @@ class Facts:
         ladder: the share of V by which a new best must be better to be reported, None where
             every V is reported
         symmetry: changes of the signals that leave the system's laws as they are
-        linear: order and delay of the best linear model, where all folds have the same
+        terms: computes terms that a linear model lacks, with the place ("in the dynamics", "at the
+            output") and the share of its residual that each explains, the largest first; () where
+            nothing is found
+        linear: settings of the best linear model, () for those of the baseline
         loop: feedback loop in which the records were taken
         plant: simulator of the user's own
     """
@@ -72,7 +75,10 @@ class Facts:
     strategies: str = ""
     ladder: float | None = None
     symmetry: Symmetry = field(default_factory=dict[str, Mapping[str, str]])
-    linear: tuple[int, int] | None = None
+    linear: tuple[tuple[str, Any], ...] = ()
+    terms: Callable[[], tuple[tuple[str, str, float], ...]] = field(
+        default=tuple, compare=False, repr=False
+    )
     loop: Loop | None = None
     plant: Plant | None = None
 

@@ -416,7 +416,10 @@ class ReferenceScored:
     outcome: Outcome
     failed_checks: _FailedChecks = field(default=(), compare=False)
     structure: Annotated[tuple[int, int] | None, _omitted(None)] = None
-    """Order and delay of a linear model, where all folds have the same."""
+    """Order and delay of a linear model, where all folds have the same; in ledgers that name no
+    `source`."""
+    source: Annotated[str, _omitted("")] = ""
+    """Candidate of a linear model, where it is another one than the usual baseline."""
     event: Literal["rung"] = "rung"
 
 

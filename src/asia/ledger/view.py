@@ -44,6 +44,8 @@ FAR_ABOVE_V = 3.0
 """Test error over V, both normalised, from which on V is no measure of a model. In 12 honest
 searches on six measured systems (the development zoo in benchmarks/RESULTS.md) it is 0.83 to 2.3;
 in the two on `ph`, whose models fail on the test, 24 and 50."""
+DIVERGED_V = 10.0
+"""V from which on a simulation counts as diverged; the mean of the outputs has about 1."""
 BELOW_TRUTH = 0.98
 """V over that of the simulated truth that no model reaches by luck: with N held-out samples chance
 gives 1 - 4.5 / N at three standard deviations, 0.98 with 225."""
@@ -89,6 +91,13 @@ class Experiment:
             return ()
         again = [r.value for r in self.result.retests if r.value is not None and not r.same]
         return (self.score.value, *again)
+
+    @property
+    def diverged(self) -> bool:
+        """Return whether its simulations left every reasonable range."""
+        if self.failure is not None:
+            return self.failure.reason is Reason.NOT_FINITE
+        return self.score is not None and self.score.value > DIVERGED_V
 
     @property
     def kept(self) -> bool:
@@ -152,11 +161,19 @@ class SearchView:
         return 1 if self.started.legs else 0
 
     @property
+    def uncounted(self) -> int:
+        """Number of experiments that the budget does not count: models that diverged as one of
+        their family had done before, up to a quarter of the budget."""
+        diverged = [e.proposed.family for e in self.finished if e.diverged]
+        return min(len(diverged) - len(set(diverged)), self.budget // 4)
+
+    @property
     def leg_end(self) -> int:
         """The experiment after which the agent that proposes now does so no longer."""
         legs = self.started.legs[: self.leg]
         counts = [leg.experiments for leg in legs if leg.experiments is not None]
-        return min(self.budget, sum(counts)) if counts and len(counts) == len(legs) else self.budget
+        planned = sum(counts) if counts and len(counts) == len(legs) else self.budget
+        return min(self.budget, planned) + self.uncounted
 
     @property
     def agent(self) -> str:

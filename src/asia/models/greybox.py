@@ -261,10 +261,6 @@ def train(
     mean squared normalised error plus the ridge.
     """
     segments = cut_segments(model.structure, trajectories, context.horizon)
-<<<<<<< HEAD
-    structure = extended(model.structure, segments)
-    fitted = fit(structure, segments, method, context.seed, context.log)
-=======
     structure = model.structure
     if structure.time_step is not None:
         if method.noise_model != "white":
@@ -278,8 +274,7 @@ def train(
         config = replace(structure.config, substeps=more * structure.config.substeps)
         structure = replace(structure, config=config)
     structure = extended(structure, segments)
-    fitted = fit(structure, segments, method, context.seed)
->>>>>>> linear7
+    fitted = fit(structure, segments, method, context.seed, context.log)
     if structure.config.discover:
         from asia.models._equations.discovery import discover
 

@@ -33,6 +33,7 @@ from asia.models._linear.fit import (
     unseen_errors,
 )
 from asia.models._linear.periodic import PeriodicChoice, fit_periodic
+from asia.models._linear.regularised import Form, fit_regularised
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.window_predictor import (
     MOST_WINDOWS,
@@ -98,6 +99,11 @@ class Config:
     levels: bool = False
     """Fit separate systems to records whose inputs differ in size; a simulation interpolates
     between their outputs by the root mean square of its inputs so far."""
+    regularised: Form | None = None
+    """Estimate the coefficients of a long impulse response ("response") or difference equation
+    ("equation") with a prior that decays with the lag, and reduce the model to `order` states, or
+    to as many as matter. Where whole records are simulated, without a noise model; an unstable
+    equation is left for the usual fit."""
     loop: LoopMethod | None = None
     """Method for records taken under feedback: "direct" models the noise, "two_stage" uses the
     measured reference, "controller" simulates the loop with the known controller. None treats the
@@ -105,8 +111,14 @@ class Config:
 
     def __post_init__(self) -> None:
         check_choice(self, "loop", (None, *get_args(LoopMethod)))
-        alone = self.loop is None or not (self.integrators or self.periodic or self.levels)
-        demand(self, "loop", alone, "None beside integrators, periodic and levels")
+        check_choice(self, "regularised", (None, *get_args(Form)))
+        alone = not (self.integrators or self.periodic or self.levels)
+        demand(self, "loop", alone or not self.loop, "None beside integrators, periodic and levels")
+        alone = alone and not self.loop
+        demand(
+            self, "regularised", alone or not self.regularised,
+            "None beside integrators, periodic, levels and loop",
+        )  # fmt: skip
         check_at_least(1, self, "order", "max_order", "periodic_order")
         check_at_least(0, self, "delay", "max_delay", "integrators")
         enough = self.integrators <= (self.order or self.max_order)
@@ -306,6 +318,11 @@ def _fitted(
         periodic = fit_periodic(late, context, choice, refinement.iterations, context.log)
         if periodic is not None:
             return FittedLinear(*periodic, config.delay or 0, scaling)
+    if config.regularised and plain:
+        late = [r.with_delay(config.delay or 0) for r in records]
+        found = fit_regularised(late, context, config.regularised, config.order)
+        if found is not None:
+            return FittedLinear(*found, config.delay or 0, scaling)
     predictor = windowed(records, context, config, refinement)
     if predictor is not None:
         return FittedLinear(*predictor.system(), 0, scaling)

@@ -8,11 +8,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from asia._diagnostic import diagnostic
+from asia.agents.library.recipe import read_recipe
 from asia.agents.view import AgentView, Effort, Facts, Running, Trial
 from asia.candidate import source_digest
 from asia.data.standardise import standardised
 from asia.data.trajectory import Trajectory
 from asia.errors import CandidateError
+from asia.judge.evaluation.error_analysis import MissingTerm, terms_beyond_linear
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.references import LINEAR_REFERENCE, MEAN_REFERENCE
 from asia.judge.scoring.outcome import Score
@@ -50,6 +53,7 @@ def problem_facts(problem: Problem) -> Facts:
         strategies=problem.strategies,
         symmetry=problem.symmetry,
         loop=problem.loop,
+        terms=lambda: _terms_beyond_linear(problem),
     )
 
 
@@ -57,6 +61,15 @@ def problem_facts(problem: Problem) -> Facts:
 def _standardised(problem: Problem) -> tuple[Trajectory, ...]:
     """Return the same objects for the same problem: analyses of records are kept by them."""
     return tuple(standardised(list(problem.train), search_context(problem, 0))[0])
+
+
+@lru_cache(maxsize=2)
+def _terms_beyond_linear(problem: Problem) -> tuple[tuple[str, str, float], ...]:
+    found: tuple[MissingTerm, ...] = ()
+    with diagnostic("score test of a linear model", []):
+        context = search_context(problem, 0)
+        found = terms_beyond_linear(_standardised(problem), context, problem.protocol)
+    return tuple((t.term, t.where, t.share) for t in found)
 
 
 class KnownTrials:
@@ -84,8 +97,14 @@ def agent_view(
     settings = RunSettings(facts.inputs, facts.outputs, facts.budget.fit_seconds, 0)
     tried = {e.proposed.digest for e in view.experiments}
     if view.started.ladder is None:
-        structures = [r.structure for r in view.references if r.name == LINEAR_REFERENCE]
-        facts = replace(facts, linear=next(iter(structures), None))
+        (linear,) = [r for r in view.references if r.name == LINEAR_REFERENCE] or (None,)
+        recipe = read_recipe(linear.source) if linear is not None else None
+        if recipe is not None:
+            facts = replace(facts, linear=recipe.config)
+        elif linear is not None and linear.structure is not None:
+            order, delay = linear.structure
+            known_linear = ("order", order), ("delay", delay), ("periodic", True)
+            facts = replace(facts, linear=known_linear)
     trials: list[Trial] = []
     for e in view.finished:
         trial = known.trial(e)

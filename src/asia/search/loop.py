@@ -152,7 +152,7 @@ class Loop:
                         reference.name,
                         reference.outcome,
                         reference.failed_checks,
-                        reference.structure,
+                        source=reference.source,
                     )
                 )
         while self.view.stopped is None:

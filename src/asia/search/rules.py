@@ -40,7 +40,7 @@ def stop_reason(view: SearchView, budget: Budget) -> StopReason | None:
 def next_leg(view: SearchView, stopped: Stopped) -> HandedOver | None:
     """The leg of a relay that goes on where the one before has ended; None where the search has."""
     following = view.leg + 1
-    if following > len(view.started.legs) or len(view.finished) >= view.budget:
+    if following > len(view.started.legs) or len(view.finished) >= view.budget + view.uncounted:
         return None
     reason = stopped.reason
     if reason == "hours" or reason == "user":

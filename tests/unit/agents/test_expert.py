@@ -7,7 +7,7 @@ import pytest
 
 from asia.agents import AgentStoppedError, AgentView, ExpertAgent, Facts, Proposal, Trial
 from asia.agents.expert import agent
-from asia.agents.expert.diagnosis import COURSE_MOVES
+from asia.agents.expert.diagnosis import COURSE_MOVES, answers, places
 from asia.agents.expert.moves import all_moves
 from asia.agents.library.cards import neural_ss
 from asia.agents.library.cost import Timing
@@ -128,6 +128,55 @@ def test_the_strongest_open_diagnosis_is_answered_next() -> None:
     assert made[1] == "linear state-space: rising function of the inputs"
     drift = with_diagnosis(trials, ("amplitude", 0.2), ("time", 0.5))
     assert following(known, drift).title == "linear state-space: slow disturbance in the noise"
+
+
+@pytest.mark.parametrize(
+    ("term", "where", "expected"),
+    [
+        ("sign(u)", "in the dynamics", {"input"}),
+        ("|y|", "at the output", {"output"}),
+        ("u * x2", "in the dynamics", {"dynamics"}),
+    ],
+)
+def test_the_place_of_a_missing_term_chooses_the_answers(
+    term: str, where: str, expected: set[str]
+) -> None:
+    plain = simulation(physics=False)
+    name = plain.inputs[0].name
+    terms = (term.replace("u", name), where, 0.6), ("y^3", "in the dynamics", 0.2)
+    known = replace(plain, terms=lambda: terms)
+    assert places(known) == expected
+    found = answers(view(known, with_diagnosis(best_linear(known), ("amplitude", 0.44)), "refine"))
+    assert ("saturated inputs" in found) == (expected == {"input"})
+    assert ("bent sensor" in found) == (expected == {"output"})
+    assert ("smooth correction of {state}, an input" in found) == (expected == {"dynamics"})
+    weak = replace(known, terms=lambda: [(t, w, 0.1 * s) for t, w, s in terms])
+    assert places(weak) == set()
+
+
+def test_the_settings_of_a_clearly_better_linear_model_come_first() -> None:
+    settings = ("order", None), ("delay", 0), ("periodic", False), ("regularised", "equation")
+    known = replace(simulation(physics=False), linear=settings)
+    usual = family("linear")
+    assert usual is not None
+    recipe = usual.trial(simulation(physics=False))
+    baseline = Proposal(recipe.source(""), "baseline", "baseline", "", "")
+    seen = view(known, (trial(baseline, 1, 0.3),), "explore")
+    better = AGENT().propose(replace(seen, linear=0.28))
+    assert better is not None
+    assert better.title == "linear state-space: settings of the best linear model"
+    found = recipe_of(better)
+    assert found is not None
+    assert found.config == settings
+    equal = AGENT().propose(replace(seen, linear=0.295))
+    assert equal is not None
+    assert equal.title != better.title
+    # It takes no integrators, levels, noise model or further state.
+    at = Situation(seen, trial(better, 2, 0.28), found, usual, 0, 1)
+    stuck = ("a free integrator", "slow disturbance in the noise", "one state more")
+    moves = [m for m in all_moves() if m.name in stuck and m.applies(at)]
+    assert {m.name for m in moves} == set(stuck)
+    assert all(m.weight(at) == 0 for m in moves)
 
 
 def test_a_small_share_is_no_diagnosis() -> None:

@@ -296,6 +296,20 @@ def test_a_saturated_search_goes_on_when_extended(problem: Path, tmp_path: Path)
     assert len(more.finished) == len(first.finished) + 1
 
 
+@pytest.mark.slow
+def test_a_model_that_diverges_as_one_did_before_costs_no_experiment(
+    problem: Path, tmp_path: Path
+) -> None:
+    far = [NOISE.replace("+ u[", f"+ {k}e4 * u[").replace("1e-9 *", "0.0 *") for k in (1, 2, 3)]
+    agent = Scripted((*far, arx(2), arx(3)))
+    view = go(problem, tmp_path / "runs", agent, experiments=4)
+    assert [e.diverged for e in view.finished] == [False, True, True, True, False]
+    assert view.uncounted == 1
+    assert view.stopped is not None
+    assert view.stopped.reason == "budget"
+    verify(tmp_path / "runs" / "toy-scripted-s0")
+
+
 @pytest.mark.parametrize("hours", [0.0, -1.0, float("nan")])
 def test_hours_must_be_positive(problem: Path, tmp_path: Path, hours: float) -> None:
     loaded = load_problem(problem)

@@ -19,13 +19,13 @@ from asia.agents.expert.diagnosis import (
     diagnoses,
     keeps_course,
     leading_maps,
+    places,
     reason_to_end,
     why_nothing_helps,
 )
 from asia.agents.expert.moves import all_moves
 from asia.agents.expert.notes import Wish, avoided, read_notes, wished_moves, wished_start
 from asia.agents.library.family import Family, is_new, under_protocol
-from asia.agents.library.gains import gain_factor
 from asia.agents.library.move import Move, Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.library.registry import families, family
@@ -110,6 +110,12 @@ class ExpertAgent:
                     raise AgentStoppedError("exhausted", remarks[-1])
         if proposal is None:
             return None
+        curved = any(name == "amplitude" for name, _ in diagnoses(view))
+        if len(view.trials) == 1 and curved and places(view.facts):
+            term, where, share = view.facts.terms()[0]
+            remarks.append(
+                f"{term} {where} explains {100 * share:.0f} % of a linear model's residual"
+            )
         new = [wish.mark for wish in wishes if wish.avoid and not wish.is_followed(view)]
         hypothesis = " ".join((proposal.hypothesis, *new))
         return replace(proposal, hypothesis=hypothesis, remark="; ".join(remarks))
@@ -175,6 +181,7 @@ def untried(view: AgentView) -> Iterator[Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
     used, lost = {t.family for t in view.proposed}, beats_nothing(view)
     static = any(name == "amplitude" for name, _ in diagnoses(view))
+    static = static and places(view.facts) != frozenset({"dynamics"})
     maps = dict(leading_maps(view))
     for row in families(view.facts):
         if row.name in used:
@@ -239,8 +246,6 @@ def refinements(view: AgentView) -> Iterator[Option]:
             if not move.applies(at) or (lost and not keeps_course(move)):
                 continue
             weight = move.weight(at) * (share if move.behind_counts else 1.0)
-            if weight < SURE:
-                weight = min(weight * gain_factor(move.name, at.trial), SURE - 0.01)
             if weight > 0 and _is_close(at):
                 weight = max(weight, answer.get(move.name, 0.0) * (1.0 if at.place == 0 else share))
             if weight > 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import ceil, log
 from statistics import NormalDist
 
@@ -107,6 +108,7 @@ def _stuck(at: Situation) -> bool:
 
 def _integrator_weight(at: Situation) -> float:
     free = at.varies("integrators") and not at.recipe.number("integrators", 0)
+    free = free and not (at.recipe.get("regularised") or at.recipe.get("loop"))
     if not (_stuck(at) and free) or at.facts.horizon is not None:
         return 0.0
     found = relation(at.facts)
@@ -219,6 +221,19 @@ ANSWERS: dict[str, tuple[str, ...]] = {
     "closed loop": ("slow disturbance", "slow disturbance in the noise"),
 }
 """Names of the moves that answer a diagnosis."""
+# Places of a nonlinearity whose answers are left out where a score test finds it elsewhere.
+_PLACES: dict[str, str] = {
+    "saturated inputs": "input",
+    "rising function of the inputs": "input",
+    "dead zone of the inputs": "input",
+    "static function before the system": "input",
+    "static function at the input": "input",
+    "rising function of the outputs": "output",
+    "bent sensor": "output",
+}
+_FUNCTIONS = frozenset({"sign", "sqrt", "rate", "mean", "below", "above", "its", "quantile"})
+# Share of a linear model's residual from which a term counts, and its share of the largest one.
+_LEAST_TERM, _LIKELY = 0.15, 0.7
 # Share of the residual below which a diagnosis waits for the usual weights, and the weights of an
 # answer without and with the whole residual.
 _LEAST_SHARE = 0.1
@@ -240,6 +255,19 @@ def diagnoses(view: AgentView) -> tuple[tuple[str, float], ...]:
     return tuple(sorted(large, key=lambda item: -item[1]))
 
 
+def places(facts: Facts) -> frozenset[str]:
+    """Likely places of what a linear model lacks, by a score test of many terms: "input", "output"
+    or "dynamics"; empty where no term explains much."""
+    inputs, best = {s.name for s in facts.inputs}, dict[str, float]()
+    for term, where, share in facts.terms():
+        signals = set(re.findall(r"[A-Za-z_]\w*", term)) - _FUNCTIONS
+        place = "input" if signals <= inputs else "dynamics"
+        place = "output" if where == "at the output" else place
+        best[place] = max(share, best.get(place, 0.0))
+    limit = max(_LEAST_TERM, _LIKELY * max(best.values(), default=0.0))
+    return frozenset(place for place, share in best.items() if share >= limit)
+
+
 def answers(view: AgentView) -> dict[str, float]:
     """Weights of the moves that answer the strongest diagnosis that has an answer left; moves made
     on the best trial, or a trial like it, count as answers that did not help."""
@@ -251,6 +279,9 @@ def answers(view: AgentView) -> dict[str, float]:
             if best is not None and t.number > best.number
         }
         left = [move for move in ANSWERS[name] if move not in made]
+        if name == "amplitude":
+            likely = places(view.facts)
+            left = [m for m in left if not likely or _PLACES.get(m, "dynamics") in likely]
         if left:
             low, high = _ANSWER
             weight = low + (high - low) * min(1.0, share)

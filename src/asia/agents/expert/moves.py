@@ -179,7 +179,11 @@ SETTING_MOVES: tuple[Move, ...] = (
     ),
     Move(
         name="one state more",
-        weight=lambda c: (0.6 if coloured(c.trial) else 0.3) * c.varies("order") * (_order(c) < 6),
+        weight=lambda c: (
+            (0.6 if coloured(c.trial) else 0.3)
+            * c.varies("order")
+            * (_order(c) < 6 and not c.recipe.get("regularised"))
+        ),
         change=lambda c: c.recipe.configured(order=_order(c) + 1),
         hypothesis="The residual is not white: a mode is missing.",
         expected="A whiter residual and a lower V.",

@@ -11,7 +11,6 @@ import numpy as np
 
 from asia._text import one_line
 from asia.agents.expert.agent import Option, refinements, untried
-from asia.agents.library.gains import measured_gain
 from asia.agents.library.move import plain_title
 from asia.agents.library.recipe import Recipe, Value, read_recipe
 from asia.agents.library.registry import family
@@ -51,16 +50,12 @@ class Offer:
 
     Attributes:
         seconds: expected duration of a fit
-        trials, gain: number of recorded trials of its move on similar evidence, and the mean share
-            of V that they gained
         settings: the values that may be chosen, the present one first
     """
 
     proposal: Proposal
     recipe: Recipe
     seconds: float
-    trials: int
-    gain: float
     settings: Mapping[str, tuple[Value, ...]]
 
     def line(self, number: int) -> str:
@@ -71,8 +66,6 @@ class Offer:
             p.hypothesis.removesuffix("."),
             f"A fit takes about {self.seconds:.2g} s",
         ]
-        if self.trials:
-            parts.append(f"Measured on {self.trials} trials: V lower by {self.gain:.0%} on average")
         if self.settings:
             varied = [f"{name} {'|'.join(map(str, v))}" for name, v in self.settings.items()]
             parts.append(f"Settings, the present value first: {', '.join(varied)}")
@@ -116,7 +109,6 @@ def menu(view: AgentView) -> tuple[Offer, ...]:
 
 
 def _offers(view: AgentView, options: Iterable[Option]) -> Iterator[Offer]:
-    trials = {trial.number: trial for trial in view.trials}
     seen: set[str] = set()
     for option in options:
         proposal = option.make()
@@ -124,10 +116,7 @@ def _offers(view: AgentView, options: Iterable[Option]) -> Iterator[Offer]:
         if proposal is None or recipe is None or proposal.source in seen:
             continue
         seen.add(proposal.source)
-        parent = trials.get(proposal.parent or 0)
-        measured = (0, 0.0) if parent is None else measured_gain(option.move, parent)
-        settings = _settings(recipe, view.facts)
-        yield Offer(proposal, recipe, option.seconds, *measured, settings)
+        yield Offer(proposal, recipe, option.seconds, _settings(recipe, view.facts))
 
 
 def _settings(recipe: Recipe, facts: Facts) -> dict[str, tuple[Value, ...]]:

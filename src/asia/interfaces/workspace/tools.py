@@ -33,7 +33,7 @@ from asia.candidate import (
 from asia.data.standardise import standardised
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason, UserError
-from asia.interfaces.workspace.error_analysis import error_parts, missing_terms, modes
+from asia.judge.evaluation.error_analysis import error_parts, missing_terms, modes
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.requests import simulate_held_out, simulate_training
 from asia.judge.evaluation.results import derive_seed

@@ -81,8 +81,8 @@ class Reference:
     outcome: Outcome
     failed_checks: tuple[str, ...] = ()
     """Diagnostics that raised an exception, a line each."""
-    structure: tuple[int, int] | None = None
-    """Order and delay of a linear model, where all folds have the same."""
+    source: str = ""
+    """Candidate of a linear model, where it is another one than the usual baseline."""
 
 
 def score_references(
@@ -136,37 +136,35 @@ def best_linear(evaluator: Evaluator) -> Reference:
     """Score linear models and return the one of least V.
 
     Tried are the least simulation error with order and delay chosen in each fold, the same with the
-    median choice in all folds where these differ, and the least prediction error, which is less
-    easily misled by drift and slow noise, with delays and without.
+    median choice in all folds where these differ, the least prediction error, which is less easily
+    misled by drift and slow noise, and regularised impulse responses and difference equations.
     """
 
-    def scored(**changes: str) -> tuple[Evaluation, tuple[int, int] | None, list[tuple[int, int]]]:
-        """Evaluation, the structure that all folds share, and that of each fold."""
+    def scored(**changes: str) -> tuple[Evaluation, str]:
         source = LINEAR
         for name, value in changes.items():
             source = re.sub(rf"\b{name}=\w+", f"{name}={value}", source, count=1)
-        found = evaluator.evaluate(source)
-        known = [dict(f.findings.parameters) for f in found.folds if f.findings is not None]
-        names = "order [states]", "delay [samples]"
-        each = [(round(one[names[0]]), round(one[names[1]])) for one in known if names[1] in one]
-        return found, each[0] if len(set(each)) == 1 else None, each
+        return evaluator.evaluate(source), source
 
-    first = scored()
-    options, each = [first], first[2]
-    if each and first[1] is None:
+    options = [scored()]
+    known = [dict(f.findings.parameters) for f in options[0][0].folds if f.findings is not None]
+    names = "order [states]", "delay [samples]"
+    each = [(round(one[names[0]]), round(one[names[1]])) for one in known if names[1] in one]
+    if len(set(each)) > 1:
         orders, delay = [n for n, _ in each], str(median_low(d for _, d in each))
         both = {median_low(orders), median_high(orders)}
         options += [scored(order=str(n), delay=delay) for n in sorted(both)]
     if each and evaluator.data.horizon is None:
-        predictor = 'False, loop="direct"'
-        options += [scored(periodic=predictor), scored(periodic=predictor, delay="0")]
+        others = ('loop="direct"', 'regularised="response"', 'regularised="equation"')
+        options += [scored(periodic=f"False, {other}", delay="0") for other in others]
 
-    def value(option: tuple[Evaluation, object, object]) -> float:
+    def value(option: tuple[Evaluation, str]) -> float:
         outcome = option[0].outcome
         return outcome.value if isinstance(outcome, Score) else inf
 
-    best, structure, _ = min(options, key=value)
-    return Reference(LINEAR_REFERENCE, best.outcome, best.failed_checks, structure)
+    best, source = min(options, key=value)
+    other = "" if source == LINEAR else source
+    return Reference(LINEAR_REFERENCE, best.outcome, best.failed_checks, other)
 
 
 def training_mean(fold: Fold, block: Block) -> Array:

@@ -22,17 +22,26 @@ from asia.agents.view import Facts
 
 # Share of the error for which another state is taken.
 _FINER = 0.005
+# Share by which V of the best linear model is below that of the baseline, to be tried at once.
+_CLEAR = 0.03
 
 
 def _linear(facts: Facts) -> Recipe:
-    # Each fold chooses for itself, unless one choice for all gave the better reference.
-    order, delay = facts.linear or (None, None)
     if _loop_methods(facts):
         # The best linear model of a fold treats the records as open loop: another order may fit.
         config = (("order", None), ("delay", None), ("loop", _loop_methods(facts)[0]))
         return Recipe("linear", config, LM, (("iterations", 30),))
-    config = (("order", order), ("delay", delay), ("periodic", True), *integrator_setting(facts))
-    return Recipe("linear", config, LM, (("iterations", 30),))
+    # Each fold chooses for itself, unless another choice gave the better reference.
+    known: Arguments = facts.linear or (("order", None), ("delay", None), ("periodic", True))
+    recipe = Recipe("linear", known, LM, (("iterations", 30),))
+    if not _is_special(recipe):
+        recipe = recipe.configured(**dict(integrator_setting(facts)))
+    return recipe
+
+
+def _is_special(recipe: Recipe) -> bool:
+    """Return whether the fit takes no integrators, levels or noise model."""
+    return bool(recipe.get("regularised") or recipe.get("loop"))
 
 
 def _scheduled(facts: Facts) -> Arguments:
@@ -42,11 +51,19 @@ def _scheduled(facts: Facts) -> Arguments:
 
 def _level_weight(at: Situation) -> float:
     """Near certain where a fit takes seconds; the gain differs from level to level of most."""
-    if at.facts.horizon is not None or at.recipe.get("levels") or at.recipe.get("loop"):
+    if at.facts.horizon is not None or at.recipe.get("levels") or _is_special(at.recipe):
         return 0.0
     if not several_levels(at.facts):
         return 0.0
     return 0.92 if _by_lines(at) else 0.5
+
+
+def _reference_weight(at: Situation) -> float:
+    """Near certain for the baseline where another linear model is clearly better."""
+    best, value = at.view.linear, at.trial.value
+    if at.recipe.maps or not at.facts.linear or best is None or value is None:
+        return 0.0
+    return 0.96 * (best < (1.0 - _CLEAR) * value)
 
 
 def _by_lines(at: Situation) -> bool:
@@ -91,8 +108,8 @@ def _space(facts: Facts) -> Space:
         config=(
             OneOf("order", (None, 1, 2, 3, 4, 5, 6)),
             OneOf("delay", (0, None)),
-            OneOf("integrators", (0, 1)),
-            *(OneOf(name, (False, True)) for name in switches),
+            OneOf("integrators", (0, 1), needs="periodic"),
+            *(OneOf(name, (False, True), needs="periodic") for name in switches),
         ),
         options=(OneOf("iterations", (15, 30, 60)), *noise_space(facts)),
     )
@@ -139,7 +156,7 @@ CARD = Card((
     replace(
         slow_noise(),
         families=("linear",),
-        weight=lambda c: 0.0 if c.recipe.get("loop") else slow_noise().weight(c),
+        weight=lambda c: 0.0 if _is_special(c.recipe) else slow_noise().weight(c),
     ),
     Move(
         name="closed-loop method",
@@ -159,6 +176,16 @@ CARD = Card((
         ),
         hypothesis="Gain or poles are no straight line of the scheduling signal.",
         expected="A lower V on every fold.",
+    ),
+    Move(
+        name="settings of the best linear model",
+        families=("linear",),
+        weight=_reference_weight,
+        change=lambda c: _linear(c.facts),
+        hypothesis="Of the linear models that every search scores, another kind of fit has the "
+        "least V: by prediction errors, or with regularised coefficients.",
+        expected="V of the best linear model.",
+        behind_counts=False,
     ),
     *(replace(move, families=("linear",)) for move in integrator_moves()),
     Move(

@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from asia.candidate import Model, StepModel
-from asia.data.trajectory import Array, filled, spread_of
+from asia.candidate import Context, Model, StepModel
+from asia.data.trajectory import Array, Trajectory, filled, spread_of
 from asia.judge.evaluation.requests import spread
 from asia.judge.scoring.checks.residual import explained
 from asia.judge.scoring.outcome import without_gaps
 from asia.lowering.linear import LinearModel
-from asia.problem.folds import Block
+from asia.models.methods import LevenbergMarquardt
+from asia.problem.folds import Block, whole
+from asia.problem.protocol import ProtocolRule
 
 # Samples of a fold that are analysed, states of a model, and Gauss-Newton steps.
 _MOST_SAMPLES, _MOST_STATES, _ITERATIONS = 3000, 40, 8
@@ -403,6 +405,28 @@ def missing_terms(
             share = float(np.mean([share for share, _ in each]))
             ranked.append(MissingTerm(output, term, where, share, sure, linear))
     return tuple(sorted(ranked, key=lambda t: (t.output, t.linear, -t.share)))
+
+
+def terms_beyond_linear(
+    records: Sequence[Trajectory], context: Context, rule: ProtocolRule
+) -> tuple[MissingTerm, ...]:
+    """Rank the terms that a linear model of the training records lacks, the largest share first.
+
+    Only nonlinear terms count, and only where whole records are simulated.
+    """
+    if rule.horizon is not None:
+        return ()
+    from asia.models import linear  # not needed by the tools of a workspace
+
+    model = linear.build(linear.Config(max_order=4, delay=None), context)
+    model = linear.train(model, records, context, LevenbergMarquardt(iterations=15))
+    blocks = whole(tuple(records), rule)
+    y_hat = [
+        model.simulate(b.case.past_u[None], b.case.past_y[None], b.case.u[None])[0] for b in blocks
+    ]
+    names = ([s.name for s in signals] for signals in (context.inputs, context.outputs))
+    found = missing_terms([model], [blocks], [y_hat], *names)
+    return tuple(sorted((t for t in found if not t.linear), key=lambda t: -t.share))
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from asia.candidate import simulate_steps
-from asia.interfaces.workspace.error_analysis import error_parts, missing_terms, modes
+from asia.candidate import Context, simulate_steps
+from asia.data import Signal, Trajectory
+from asia.judge.evaluation.error_analysis import (
+    error_parts,
+    missing_terms,
+    modes,
+    terms_beyond_linear,
+)
 from asia.problem.folds import Block, Case
+from asia.problem.protocol import ProtocolRule
 
 STEP = 0.1
 SAMPLES = 600
@@ -127,3 +134,31 @@ def test_modes_are_frequency_and_damping() -> None:
     frequency, damping = text.split(" Hz, damping ")
     assert float(frequency) == pytest.approx(1.0 / (2 * np.pi), rel=0.02)
     assert float(damping) == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize("nonlinear", ["input", "output", "dynamics", "nothing"])
+def test_the_place_of_a_nonlinearity_is_found_from_a_linear_model(nonlinear: str) -> None:
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.normal(size=120), 5)
+    drive = np.tanh(3.0 * u) if nonlinear == "input" else u
+    x, y = 0.0, np.zeros(600)
+    for k in range(600):
+        y[k] = x
+        x += 0.2 * (drive[k] - x - (0.6 * x**3 if nonlinear == "dynamics" else 0.0))
+    if nonlinear == "output":
+        y = np.exp(y)
+    y += 0.01 * y.std() * rng.normal(size=600)
+    records = [Trajectory(u[:, None], y[:, None], 1.0, "r")]
+    context = Context((Signal("u"),), (Signal("y"),), 1.0, 5, 5)
+    rule = ProtocolRule(past_inputs=5, past_outputs=5)
+    found = terms_beyond_linear(records, context, rule)
+    windows = ProtocolRule("windows", past_inputs=5, past_outputs=5, horizon=10)
+    assert terms_beyond_linear(records, context, windows) == ()
+    if nonlinear == "nothing":
+        assert all(term.share < 0.05 for term in found)
+        return
+    term = found[0]
+    assert term.share > 0.2
+    assert (term.where == "at the output") == (nonlinear == "output")
+    if nonlinear != "output":
+        assert ("u" in term.term) == (nonlinear == "input"), term
