@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from asia.agents import Effort
-from asia.agents.library.traits import traits
+from asia.agents.library.family import traits
 from asia.problem import Physics
 from asia.problem.load import load_problem
 from asia.problem.protocol import FoldRule, Group, ProtocolRule

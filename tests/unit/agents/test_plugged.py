@@ -38,7 +38,7 @@ def build(config, context): ...
 def train(model, trajectories, context, method): ...
 """
 CARD = """
-from asia.agents.library.card import Card
+from asia.agents.library.move import Card
 from asia.agents.library.family import Family
 from asia.agents.library.move import Move
 from asia.agents.library.recipe import Recipe

@@ -7,6 +7,7 @@ from functools import cache
 
 from asia.agents.expert.diagnosis import COURSE_MOVES, leading_maps
 from asia.agents.expert.tune import TUNED, may_tune, tuned
+from asia.agents.library.family import traits
 from asia.agents.library.methods import (
     LARGE_BATCH,
     LEAST_HORIZON,
@@ -21,7 +22,6 @@ from asia.agents.library.methods import (
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import GRADIENT, Recipe
 from asia.agents.library.registry import all_cards
-from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured, input_left, overfit
 
 

@@ -12,8 +12,8 @@ from typing import cast
 
 from asia._plugins import Part, parts_of
 from asia.agents.library import cards
-from asia.agents.library.card import Card
 from asia.agents.library.family import Family
+from asia.agents.library.move import Card
 from asia.agents.library.recipe import MODELS
 from asia.agents.view import Facts
 from asia.errors import UserError

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.equation_moves import (
     EQUATION_MOVES,
@@ -13,7 +12,7 @@ from asia.agents.library.equation_moves import (
 )
 from asia.agents.library.family import Family
 from asia.agents.library.methods import LM
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.record_facts import has_storage, plateau_share
 from asia.agents.library.space import OneOf, Space, Span

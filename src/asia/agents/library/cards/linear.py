@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.family import Family
 from asia.agents.library.methods import (
@@ -14,7 +13,7 @@ from asia.agents.library.methods import (
     noise_space,
     slow_noise,
 )
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.record_facts import periodic, several_levels
 from asia.agents.library.space import OneOf, Space

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from asia.agents.library.card import Card
 from asia.agents.library.cost import SampleCost, Stage, Timing, steps
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Trait
 from asia.agents.library.methods import (
     adam,
     adam_space,
@@ -17,9 +16,9 @@ from asia.agents.library.methods import (
     integrator_setting,
     symmetry_space,
 )
+from asia.agents.library.move import Card
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space, Span
-from asia.agents.library.traits import Trait
 from asia.agents.view import Facts
 
 # Multiple shooting can set the state of networks that step through time. Others map a whole record

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from asia.agents.library.card import Card
 from asia.agents.library.cost import Timing
 from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family
@@ -15,7 +14,7 @@ from asia.agents.library.methods import (
     slow_noise,
     symmetry_space,
 )
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe, Value
 from asia.agents.library.record_facts import Cause, switching, transport
 from asia.agents.library.space import OneOf, Space, Span
