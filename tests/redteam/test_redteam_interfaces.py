@@ -14,13 +14,13 @@ import pytest
 from mcp import Client
 
 import asia
+from asia.assurance.redteam.attacks import ATTACKS
 from asia.assurance.redteam.attacks.source import HONEST, fill_in
-from asia.assurance.redteam.attacks.table import ATTACKS
 from asia.assurance.redteam.problem import SmallProblem, small_problem
 from asia.assurance.redteam.types import CandidateAttack
 from asia.data.trajectory import Trajectory
 from asia.errors import Reason
-from asia.interfaces.mcp.opened import open_search
+from asia.interfaces.mcp import open_search
 from asia.interfaces.mcp.server import make_server
 from asia.interfaces.workspace.process import SearchRequest
 from asia.judge.sandbox.availability import fitting_levels, why_not

@@ -8,15 +8,14 @@ import pytest
 
 from asia.agents import ExpertAgent, Facts, Trial
 from asia.agents.expert.moves import all_moves
-from asia.agents.library.cost import FEWEST_STEPS
-from asia.agents.library.family import Family, under_protocol
+from asia.agents.library.family import FEWEST_STEPS, Family, under_protocol
 from asia.agents.library.methods import by_lbfgs
 from asia.agents.library.move import Situation
 from asia.agents.library.registry import all_families, families
 from asia.agents.random import _drawn, paper_families
 from asia.models import methods
 from asia.models._networks.objective import check_structure
-from asia.testing.family import check_recipe, family_problem
+from asia.testing.candidate import check_recipe, family_problem
 from tests.unit.agents.searches import (
     CLEAN,
     body,

@@ -24,7 +24,7 @@ from asia.agents.llm.prompt import library
 from asia.candidate import check_source
 from asia.errors import UserError
 from asia.testing import check_agent
-from asia.testing.family import check_recipe
+from asia.testing.candidate import check_recipe
 from tests.unit.agents.searches import recipe_of, search, simulation
 
 MODEL = """

@@ -3,7 +3,7 @@
 import pytest
 
 from asia.agents import ExpertAgent, Proposal, Trial
-from asia.agents.expert.tune import TUNED
+from asia.agents.expert.moves import TUNED
 from asia.agents.library.move import plain_title
 from tests.unit.agents.searches import CLEAN, recipe_of, search, simulation, trial, view
 

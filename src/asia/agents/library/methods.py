@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from asia.agents.library.cost import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
-from asia.agents.library.family import traits
+from asia.agents.library.family import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps, traits
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.record_facts import integrating

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from asia.assurance.redteam.arena import attack_candidate
-from asia.assurance.redteam.attacks.table import ATTACKS
+from asia.assurance.redteam.attacks import ATTACKS
 from asia.assurance.redteam.outside.outer_sandbox import write_finding
 from asia.assurance.redteam.outside.without_isolation import (
     CONTROL,

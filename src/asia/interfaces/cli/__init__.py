@@ -34,7 +34,6 @@ from asia.interfaces.cli import (
     models,
     monitor,
     next_experiment,
-    note,
     query,
     report,
     show,
@@ -146,7 +145,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
 }
 MORE_COMMANDS: dict[str, Callable[..., None] | typer.Typer] = {
     "steer": steer.steer,
-    "note": note.note,
+    "note": steer.note,
     "verify": verify.verify,
     "query": query.query,
     "agent": agent_app,

@@ -373,7 +373,7 @@ def mcp(
     Coding agents start this command themselves: asia agent config prints their configuration. The
     search is a separate process and outlives this one; asia status and asia steer work on it.
     """
-    from asia.interfaces.mcp.opened import AGENT, open_search, require_sdk
+    from asia.interfaces.mcp import AGENT, open_search, require_sdk
     from asia.interfaces.workspace.process import guard_words, with_guard
 
     require_sdk()

@@ -59,8 +59,7 @@ def export(
     agrees.
     """
     from asia.export.pipeline import export as write
-    from asia.export.pipeline import table
-    from asia.export.registry import target_names
+    from asia.export.pipeline import table, target_names
 
     if not to:
         raise UserError(f"--to is missing: one of {', '.join(target_names())}, or several")

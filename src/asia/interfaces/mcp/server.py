@@ -25,7 +25,7 @@ from asia._text import markdown_line, one_line, say
 from asia.agents.llm.prompt import briefing
 from asia.agents.view import Proposal
 from asia.errors import AsiaError, UserError
-from asia.interfaces.mcp.opened import Opened
+from asia.interfaces.mcp import Opened
 from asia.interfaces.workspace.server import (
     Best,
     DryRunResult,

@@ -148,7 +148,7 @@ def _dask(setting: str) -> Executor:
 
 
 def _dask_slurm(setting: str) -> Executor:
-    from asia.judge.executors.slurm import SlurmExecutor
+    from asia.judge.executors.dask import SlurmExecutor
 
     return SlurmExecutor(Path(setting) if setting else None)
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asia.analysis.validation import VALIDATION_CHECKS
 from asia.judge.sandbox.types import Isolation
-from asia.judge.scoring.checks.registry import VALIDATION_CHECKS
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.problem.load import load_problem

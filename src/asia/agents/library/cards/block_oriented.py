@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from asia.agents.library.cost import Timing
 from asia.agents.library.equation_moves import RIDGE_MOVES
-from asia.agents.library.family import Family, traits
+from asia.agents.library.family import Family, Timing, traits
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Card, Move
 from asia.agents.library.recipe import Arguments, Recipe

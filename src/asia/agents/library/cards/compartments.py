@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from asia.agents.library.cost import Timing
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from asia.agents.library.cost import Timing
 from asia.agents.library.equation_moves import (
     EQUATION_MOVES,
     less_ridge,
@@ -10,7 +9,7 @@ from asia.agents.library.equation_moves import (
     names_of,
     output_offsets,
 )
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Recipe

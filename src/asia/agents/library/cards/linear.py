@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from asia.agents.library.cost import Timing
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (
     LM,
     integrator_moves,

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from asia.agents.library.cost import SampleCost, Stage, Timing, steps
-from asia.agents.library.family import Family, Trait
+from asia.agents.library.family import Family, SampleCost, Stage, Timing, Trait, steps
 from asia.agents.library.methods import (
     adam,
     adam_space,

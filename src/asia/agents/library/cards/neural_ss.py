@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from asia.agents.library.cost import Timing
 from asia.agents.library.equation_moves import RIDGE_MOVES
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (
     LM,
     from_pieces,
