@@ -78,7 +78,7 @@ def linear(
     from asia.export.linear import linearize
     from asia.report.files import save
     from asia.report.page.sections.evidence import LINEAR_FILE
-    from asia.report.pictures.linear import draw_linear
+    from asia.report.pictures.analysis import draw_linear
 
     if run is not None and Path(run).is_file():
         if at or reduce or to_tf or continuous_time or model:
@@ -124,7 +124,7 @@ def _of_file(path: Path, out: Path | None, *, json: bool) -> None:
     from asia.analysis.frequency import fit_frequency_response
     from asia.data.intake.frequency import read_frequency_response
     from asia.report.files import save
-    from asia.report.pictures.linear import draw_frequency_response
+    from asia.report.pictures.analysis import draw_frequency_response
 
     record = read_frequency_response(path)
     found = fit_frequency_response(record)

@@ -112,7 +112,7 @@ def monitor(
 
 
 def _picture(found: MonitoredRecord) -> Figure:
-    from asia.report.pictures.monitor import draw_monitor
+    from asia.report.pictures.analysis import draw_monitor
 
     owner, step, first = found.monitor, found.monitor.sampling_time, found.first
     samples = found.samples

@@ -65,7 +65,7 @@ def next_(
     from asia.analysis.experiment_design import next_experiment
     from asia.problem.load import load_lock
     from asia.report.files import save
-    from asia.report.pictures.experiment import draw_experiment
+    from asia.report.pictures.analysis import draw_experiment
     from asia.search.run import LOCK
 
     if not duration > 0:
