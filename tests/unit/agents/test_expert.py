@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.agents import AgentStoppedError, AgentView, ExpertAgent, Facts, Proposal, Trial
+from asia.agents import AgentStoppedError, AgentView, Facts, Proposal, Trial
 from asia.agents.expert import agent
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.expert.diagnosis import COURSE_MOVES
 from asia.agents.expert.moves import all_moves
 from asia.agents.library.cards import neural_ss

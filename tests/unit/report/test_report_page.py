@@ -38,10 +38,9 @@ from asia.ledger.run import Run, open_run
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import DESCRIPTION_TEMPLATE, Seal, is_described
-from asia.report import write_bundle, write_page
 from asia.report.page.code import python
 from asia.report.page.html import Html, fixed, join, said, table, tag
-from asia.report.page.page import LIMIT, audit, page_of
+from asia.report.page.page import LIMIT, audit, page_of, write_bundle, write_page
 from asia.report.page.sections.evidence import CERTIFICATE_FILE, LINEAR_FILE
 from asia.report.page.subject import Section, Subject
 from asia.report.pictures.evidence import draw_ablation

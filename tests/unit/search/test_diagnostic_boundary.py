@@ -14,7 +14,9 @@ from asia.judge.evaluation import findings
 from asia.judge.scoring.checks.check import Verdict
 from asia.ledger.run import Run, error_of, open_run
 from asia.problem.load import load_problem
-from asia.report import files, write_page, write_report
+from asia.report import files
+from asia.report.files import write_report
+from asia.report.page.page import write_page
 from asia.report.page.sections import experiments
 from asia.search import final, loop
 from asia.search.run import prepare, search

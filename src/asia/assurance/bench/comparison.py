@@ -32,7 +32,6 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.metrics import MEE, find_metric, metric_label
 from asia.problem.problem import Problem
 from asia.problem.protocol import EarlyStopping, ShownResidual
-from asia.report import draw_bench
 from asia.report.comparison import (
     ArmCurves,
     ArmsPicture,
@@ -41,6 +40,7 @@ from asia.report.comparison import (
     Curve,
     PublishedMee,
 )
+from asia.report.files import draw_bench
 from asia.report.published import leaderboard, official_figures, read_board
 from asia.search.run import prepare, search
 from asia.search.unsealing import unseal

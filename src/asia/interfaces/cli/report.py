@@ -34,14 +34,9 @@ def report(
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Write a run as one HTML page, and its pictures as PNG and PDF."""
-    from asia.report import (
-        methods_paragraph,
-        write_bundle,
-        write_figures,
-        write_page,
-        write_report,
-        write_tables,
-    )
+    from asia.report.files import write_figures, write_report
+    from asia.report.page.page import write_bundle, write_page
+    from asia.report.paper import methods_paragraph, write_tables
 
     if bundle is not None:
         written = write_bundle(runs, bundle)

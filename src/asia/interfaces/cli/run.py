@@ -150,7 +150,7 @@ def search_and_print(
     from asia.agents.relay import RelayAgent
     from asia.interfaces.coding_agents.session import CommandAgent, search_with_agents
     from asia.judge.executors import make_executor
-    from asia.report import write_report
+    from asia.report.files import write_report
     from asia.search.run import prepare, with_relay_budget
     from asia.search.sinks import open_sinks
 

@@ -46,7 +46,8 @@ def unseal(
     """Score the winner on the sealed test. This ends the search and can be done once."""
     from asia.interfaces.workspace.server import end_idle
     from asia.problem.load import load_lock
-    from asia.report import write_page, write_report
+    from asia.report.files import write_report
+    from asia.report.page.page import write_page
     from asia.report.published import read_board
     from asia.search.unsealing import needs_consent
     from asia.search.unsealing import unseal as open_seal

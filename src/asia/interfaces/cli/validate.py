@@ -105,7 +105,7 @@ def validate(
     """
     from asia.analysis.validation import validate as check
     from asia.data.intake.sheet import Wanted
-    from asia.report import write_validation
+    from asia.report.files import write_validation
 
     reading = Wanted(
         (), (), time, time_unit, experiment_column, tuple(split_at_commas(columns or ()))
@@ -304,7 +304,7 @@ def _candidate_line(candidate: ConfirmedCandidate, v_name: str) -> str:
 
 def _ablate(directory: Path, seeds: int, level: Isolation, *, json: bool) -> None:
     from asia.analysis.ablation import ablate
-    from asia.report import write_report
+    from asia.report.files import write_report
 
     def fitted(event: AblationFit, done: int, total: int) -> None:
         if json:

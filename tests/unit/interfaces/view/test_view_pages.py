@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient
 
-from asia.agents import reads_notes
+from asia.agents.registry import reads_notes
 from asia.errors import Reason, UserError
 from asia.interfaces.view.followed import RunFolder
 from asia.interfaces.view.pages import steering_panel
