@@ -1,1 +1,1 @@
-"""Pictures and pages of a run and of a problem, from ledger views and artifacts; nothing is scored."""
+"""Pictures and pages of a run and of a problem; reads ledger views and artifacts, scores nothing."""
