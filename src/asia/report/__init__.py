@@ -1,1 +1,1 @@
-"""Pictures and pages of a run and of a problem; reads ledger views and artifacts, scores nothing."""
+"""Pictures and pages of runs and problems; reads ledger views and artifacts, scores nothing."""
