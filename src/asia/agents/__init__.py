@@ -5,15 +5,7 @@ A new agent is one file here with a class that fulfils `Agent`, and one row in `
 """
 
 from asia.agents.registry import make_agent
-from asia.agents.view import (
-    Agent,
-    AgentStoppedError,
-    AgentView,
-    Facts,
-    Proposal,
-    Running,
-    Trial,
-)
+from asia.agents.view import Agent, AgentStoppedError, AgentView, Facts, Proposal, Running, Trial
 
 __all__ = [
     "Agent",

@@ -127,9 +127,7 @@ class Monitor:
         longer = math.prod(own.states[0]) if len(own.states) > len(models.own.states) else 0
         initial = np.r_[np.zeros(longer), observer.initial]
         self.observer = replace(
-            observer,
-            low=augmented(own, changes, observer.noise.pole),
-            initial=initial,
+            observer, low=augmented(own, changes, observer.noise.pole), initial=initial
         )
         self.reset()
 

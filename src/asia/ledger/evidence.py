@@ -79,9 +79,7 @@ class SharedResidual:
     """The folds whose own mean lies on the same side by more than its standard error, from 1."""
 
 
-def shared_residuals(
-    folds: Sequence[Sequence[SignedResidual]],
-) -> tuple[SharedResidual, ...]:
+def shared_residuals(folds: Sequence[Sequence[SignedResidual]]) -> tuple[SharedResidual, ...]:
     """Return the signed residuals that exceed the noise in all folds together.
 
     Significant residuals come before those that may be chance, then the largest gain first.
@@ -106,8 +104,7 @@ def shared_residuals(
             shared.append(SharedResidual(residual, tuple(agree)))
     return tuple(
         sorted(
-            shared,
-            key=lambda one: (one.residual.evidence is Evidence.CHANCE, -one.residual.gain),
+            shared, key=lambda one: (one.residual.evidence is Evidence.CHANCE, -one.residual.gain)
         )
     )
 

@@ -201,10 +201,7 @@ def settle(model: LoweredModel, x: Array, u: Array, samples: int = _SETTLING) ->
 
 
 def operating_points(
-    model: LoweredModel,
-    starts: Sequence[Array],
-    u: Array,
-    y: Array | None = None,
+    model: LoweredModel, starts: Sequence[Array], u: Array, y: Array | None = None
 ) -> list[OperatingPoint]:
     """Operating points that are found from several states, each once.
 

@@ -30,10 +30,7 @@ BINARY = frozenset(_BINARY.split())
 REDUCTIONS = frozenset(("rsum", "rmax", "rmin", "rprod"))
 """Sum, greatest, least and product over the axes that the attributes name."""
 _MOVES = frozenset(["reshape", "broadcast", "transpose", "slice", "pick", "concat", "pad"])
-OPERATIONS = (
-    *sorted(UNARY | BINARY | REDUCTIONS | _MOVES),
-    *("select", "matmul", "loop", "part"),
-)
+OPERATIONS = (*sorted(UNARY | BINARY | REDUCTIONS | _MOVES), *("select", "matmul", "loop", "part"))
 """All operations; their order gives their numbers in packed programs."""
 
 LARGEST_RANK = 8
@@ -395,12 +392,7 @@ def inlined(build: Builder, program: Program, inputs: Sequence[int]) -> list[int
 
 # Neutral elements of the operations: for each operand, the value of the other one with which the
 # result equals the operand.
-_NEUTRAL = {
-    "add": {0: 0.0, 1: 0.0},
-    "sub": {0: 0.0},
-    "mul": {0: 1.0, 1: 1.0},
-    "div": {0: 1.0},
-}
+_NEUTRAL = {"add": {0: 0.0, 1: 0.0}, "sub": {0: 0.0}, "mul": {0: 1.0, 1: 1.0}, "div": {0: 1.0}}
 
 
 def _check_loop(attrs: Attributes, shapes: Sequence[Shape], body: Program | None) -> None:

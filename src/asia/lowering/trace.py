@@ -412,11 +412,7 @@ _CALLS = (
     "pjit jit closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr remat2 "
     "checkpoint custom_jvp_call_jaxpr"
 )
-_CONTROL: dict[str, Rule] = {
-    **dict.fromkeys(_CALLS.split(), _called),
-    "scan": _scan,
-    "cond": _cond,
-}
+_CONTROL: dict[str, Rule] = {**dict.fromkeys(_CALLS.split(), _called), "scan": _scan, "cond": _cond}
 _RULES: dict[str, Rule] = {
     **{name: _elementwise(name) for name in UNARY | BINARY},
     **{f"reduce_{n}": _reduce("r" + n) for n in ("sum", "max", "min", "prod")},

@@ -24,13 +24,7 @@ from asia.agents.llm.prompt import (
     search_text,
     task_of,
 )
-from asia.agents.llm.reply import (
-    NO_CHOICE,
-    Answer,
-    MalformedReplyError,
-    read_choice,
-    read_reply,
-)
+from asia.agents.llm.reply import NO_CHOICE, Answer, MalformedReplyError, read_choice, read_reply
 from asia.agents.llm.settings import LlmSettings
 from asia.agents.view import AgentView, Journal, Proposal
 from asia.errors import InternalError, UserError

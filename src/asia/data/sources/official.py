@@ -347,9 +347,7 @@ LAYOUTS: dict[str, BenchmarkLayout] = {
         _emps,
     ),
     "silverbox": _one_file(
-        "Silverbox",
-        PublishedFile("SilverboxFiles/SNLS80mV.mat", "5c7413a5...77ed4"),
-        _silverbox,
+        "Silverbox", PublishedFile("SilverboxFiles/SNLS80mV.mat", "5c7413a5...77ed4"), _silverbox
     ),
     "wiener_hammerstein": _one_file(
         "WienerHammerBenchMark", PublishedFile("WienerHammerBenchMark.mat"), _wiener_hammerstein

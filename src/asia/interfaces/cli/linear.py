@@ -62,8 +62,7 @@ def linear(
         bool, typer.Option("--continuous", help="Print the continuous-time model too.")
     ] = False,
     model: Annotated[
-        str | None,
-        typer.Option(help="refit, or the number of an experiment; default: the refit."),
+        str | None, typer.Option(help="refit, or the number of an experiment; default: the refit.")
     ] = None,
     out: Annotated[
         Path | None,

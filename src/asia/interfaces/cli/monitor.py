@@ -44,12 +44,10 @@ def monitor(
     ] = "ekf",
     false_alarms: Annotated[float, typer.Option(help="Highest number a sample.")] = 1e-4,
     memory: Annotated[
-        float | None,
-        typer.Option(help="Memory for the parameters in s; default: 500 samples."),
+        float | None, typer.Option(help="Memory for the parameters in s; default: 500 samples.")
     ] = None,
     model: Annotated[
-        str | None,
-        typer.Option(help="refit, or the number of an experiment; default: the refit."),
+        str | None, typer.Option(help="refit, or the number of an experiment; default: the refit.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the picture; default: monitor in the run.")

@@ -42,8 +42,7 @@ def next_(
         typer.Option(help="Largest change of an input in a second, u=0.5, repeatable."),
     ] = None,
     keep: Annotated[
-        list[str] | None,
-        typer.Option(help='Limit of an output, "y<9" or "y>1", repeatable.'),
+        list[str] | None, typer.Option(help='Limit of an output, "y<9" or "y>1", repeatable.')
     ] = None,
     start: Annotated[
         list[str] | None,
@@ -182,9 +181,7 @@ def _kept(texts: Sequence[str], outputs: Sequence[str]) -> dict[str, tuple[float
 
 
 def _facts(
-    made: RunExperiment,
-    named: Sequence[tuple[str, Judged]],
-    kept: dict[str, tuple[float, float]],
+    made: RunExperiment, named: Sequence[tuple[str, Judged]], kept: dict[str, tuple[float, float]]
 ) -> dict[str, Any]:
     """Content of next.json; `text` holds the printed lines."""
     found, numbers = made.found, made.found.members

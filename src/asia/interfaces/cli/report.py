@@ -18,8 +18,7 @@ from asia.ledger.run import open_run
 def report(
     run: RunName = None,
     figures: Annotated[
-        Path | None,
-        typer.Option(help="Only write the figures for a paper there: PDF, SVG, PNG."),
+        Path | None, typer.Option(help="Only write the figures for a paper there: PDF, SVG, PNG.")
     ] = None,
     latex: Annotated[
         Path | None, typer.Option(help="Only write the tables for a paper there, in LaTeX.")

@@ -366,10 +366,7 @@ class JsonDisplay:
                 )
             case ReferenceScored():
                 self._print(
-                    "reference",
-                    name=event.name,
-                    V=_value(event.outcome),
-                    structure=event.structure,
+                    "reference", name=event.name, V=_value(event.outcome), structure=event.structure
                 )
             case GuardLooked():
                 scores = {str(s.experiment): _value(s.outcome) for s in event.scores}

@@ -79,8 +79,7 @@ def steer(
 def note(
     run: RunName = None,
     text: Annotated[
-        str | None,
-        typer.Argument(metavar="[TEXT]", help="The note, or the reason of the tags."),
+        str | None, typer.Argument(metavar="[TEXT]", help="The note, or the reason of the tags.")
     ] = None,
     experiment: Annotated[
         int, typer.Option(min=0, help="Number of an experiment; default: the run as a whole.")

@@ -237,11 +237,7 @@ class Tools:
         """The last experiments with V, folds, status and reason, oldest first."""
         found = await ask(self._desk.results)
         now = await ask(self._desk.progress)
-        return ResultsAnswer(
-            total=len(found),
-            best=now.best,
-            results=found[-last:],
-        )
+        return ResultsAnswer(total=len(found), best=now.best, results=found[-last:])
 
     async def show(
         self, experiment: Annotated[int, Field(description="Its number, from 1.")]

@@ -296,10 +296,7 @@ class Evaluator:
     """Judges candidates on the folds of one problem, each fold in a fresh sandboxed worker."""
 
     def __init__(
-        self,
-        data: EvaluationData,
-        workers: WorkerRunner,
-        options: EvaluatorOptions | None = None,
+        self, data: EvaluationData, workers: WorkerRunner, options: EvaluatorOptions | None = None
     ) -> None:
         """Raises UserError where folds would be fitted on other machines and candidates may ask for
         scores, which takes the held-out outputs there."""

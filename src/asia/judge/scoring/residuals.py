@@ -121,11 +121,7 @@ class Diagnostics:
 
 
 def diagnose(
-    u: Sequence[Array],
-    y: Sequence[Array],
-    y_hat: Sequence[Array],
-    scale: Array,
-    train_error: float,
+    u: Sequence[Array], y: Sequence[Array], y_hat: Sequence[Array], scale: Array, train_error: float
 ) -> Diagnostics:
     """Residual analysis of simulated training records, one (H, n) array a record or window.
 

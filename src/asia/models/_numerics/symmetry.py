@@ -77,11 +77,7 @@ class SignalTransformations:
         count = len(u)
         turned = (
             np.concatenate([signal @ turn.T for turn in turns])
-            for signal, turns in (
-                (past_u, self.inputs),
-                (past_y, self.outputs),
-                (u, self.inputs),
-            )
+            for signal, turns in ((past_u, self.inputs), (past_y, self.outputs), (u, self.inputs))
         )
         found = simulate(*turned).reshape(len(self), count, u.shape[1], -1)
         return np.mean([y @ turn for y, turn in zip(found, self.outputs, strict=True)], axis=0)

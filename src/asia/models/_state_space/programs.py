@@ -88,11 +88,7 @@ class CompiledEquations:
     """Costs and normal equations of one fit, for `minimise`."""
 
     def __init__(
-        self,
-        structure: StateSpaceStructure,
-        packing: Packing,
-        data: SampleChunks,
-        watch: Watch,
+        self, structure: StateSpaceStructure, packing: Packing, data: SampleChunks, watch: Watch
     ) -> None:
         self._program, self._data, self._watch = (structure, packing), data, watch
         self.done = 0

@@ -349,10 +349,7 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble: TestedMode
 
 
 def _test_error(
-    problem: Problem,
-    opened: Unsealed,
-    models: tuple[TestedModel, TestedModel | None],
-    channel: int,
+    problem: Problem, opened: Unsealed, models: tuple[TestedModel, TestedModel | None], channel: int
 ) -> str:
     ensemble, refitted = models
     score = ensemble.scores[0]

@@ -120,10 +120,7 @@ def fit(trajectories, context):
 
 
 def candidate(
-    fit: str = "pass",
-    before: str = "pass",
-    after: str = "honest(past_u, past_y, u)",
-    top: str = "",
+    fit: str = "pass", before: str = "pass", after: str = "honest(past_u, past_y, u)", top: str = ""
 ) -> str:
     """Make the honest candidate with additional code.
 

@@ -20,10 +20,7 @@ _SHM_BYTES = 16 * 1024 * 1024
 
 
 def bubblewrap_options(
-    tmp_bytes: int = _TMP_BYTES,
-    *,
-    shared: Collection[Shared] = (),
-    nesting: bool = False,
+    tmp_bytes: int = _TMP_BYTES, *, shared: Collection[Shared] = (), nesting: bool = False
 ) -> list[str]:
     """Return the bwrap options of a worker, up to the command.
 
