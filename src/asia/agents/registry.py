@@ -122,11 +122,8 @@ def choose_agent(name: str, space: str | None = None) -> NamedAgent:
 
 
 def asked_relay(text: str) -> tuple[LegPlan, ...]:
-    """The legs of a relay, as in `expert*8,bayes` or `expert*8+bayes`; () for one agent.
-
-    Raises:
-        UserError: for legs that make no sense
-    """
+    """The legs of a relay, as in `expert*8,bayes` or `expert*8+bayes`; () for one agent. Raises
+    UserError for legs that make no sense."""
     brought = {part.name for part in parts_of(GROUP)}
     return read_relay(text) if is_relay(text) and text not in brought else ()
 

@@ -85,11 +85,8 @@ def is_relay(text: str) -> bool:
 
 
 def read_relay(text: str) -> tuple[LegPlan, ...]:
-    """Parse `expert*8,bayes` or `expert*8+bayes` into legs.
-
-    Raises:
-        UserError: for an invalid relay
-    """
+    """Parse `expert*8,bayes` or `expert*8+bayes` into legs. Raises UserError for an invalid
+    relay."""
     plans: list[LegPlan] = []
     for part in re.split(r"[,+]", text):
         found = re.fullmatch(r"(?P<name>.+?)(?:\*(?P<count>.*))?", part.strip())

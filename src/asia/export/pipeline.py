@@ -200,11 +200,7 @@ def table(rows: Sequence[ParityRow]) -> list[str]:
 
 
 def kept_delays(done: Preprocess, inputs: Sequence[Signal]) -> list[int]:
-    """Delay of each input, in samples that are kept.
-
-    Raises:
-        UserError: if one is no whole number.
-    """
+    """Delay of each input, in samples that are kept. Raises UserError if one is no whole number."""
     every, kept = done.decimate, list[int]()
     for signal in inputs:
         delay = done.delay.get(signal.name, 0)
@@ -219,11 +215,8 @@ def kept_delays(done: Preprocess, inputs: Sequence[Signal]) -> list[int]:
 
 
 def measured(low: LoweredModel, done: Preprocess, inputs: Sequence[Signal]) -> LoweredModel:
-    """Convert a model of delayed inputs to one of measured inputs.
-
-    Raises:
-        UserError: as for `kept_delays`.
-    """
+    """Convert a model of delayed inputs to one of measured inputs. Raises UserError as for
+    `kept_delays`."""
     late = np.array(kept_delays(done, inputs))
     longest, n, nu = int(late.max()), low.n_past_u, low.nu
     if not longest:
@@ -350,11 +343,8 @@ def export(
 
 
 def write(one: Target, ready: Ready, folder: Path) -> Exported:
-    """Print for one target, compare, then write.
-
-    Raises:
-        UserError: if the difference exceeds the limit.
-    """
+    """Print for one target, compare, then write. Raises UserError if the difference exceeds the
+    limit."""
     printed = one.print(ready.model)
     with tempfile.TemporaryDirectory(prefix="asia-export-") as made:
         _put(Path(made), printed.files)
@@ -392,11 +382,8 @@ def write(one: Target, ready: Ready, folder: Path) -> Exported:
 
 
 def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None) -> Ready:
-    """Lower the model of a run. isolation: as in `export`.
-
-    Raises:
-        UserError: if it cannot be lowered.
-    """
+    """Lower the model of a run. isolation: as in `export`. Raises UserError if it cannot be
+    lowered."""
     use, members = _members(run, model)
     problem = load_lock(run.directory / LOCK)
     done, inputs = problem.preprocess, problem.inputs

@@ -51,11 +51,7 @@ class Target(Protocol):
         ...
 
     def print(self, model: ExportModel) -> Printed:
-        """Print the files.
-
-        Raises:
-            UserError: if this target cannot hold the model.
-        """
+        """Print the files. Raises UserError if this target cannot hold the model."""
         ...
 
     def run(self, folder: Path, windows: Sequence[TrainingWindow]) -> list[Answers] | str:

@@ -429,11 +429,8 @@ def _step(
 
 def process_model(t: Array, y: Array, *, integrator: bool = False) -> ProcessModel:
     """The simplest process model of a step response y (N,) at times t (N,) in s: a structure with
-    one more lag or a zero is taken only where it halves the error.
-
-    Raises:
-        UserError: for a response without a change
-    """
+    one more lag or a zero is taken only where it halves the error. Raises UserError for a response
+    without a change."""
     from scipy.optimize import least_squares
 
     size = float(np.linalg.norm(y - y.mean()))

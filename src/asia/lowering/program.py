@@ -258,11 +258,7 @@ class LoweredModel:
         return self.step.with_outputs(self.step.outputs[1:])
 
     def check(self) -> None:
-        """Check that the parts fit together.
-
-        Raises:
-            ShapeError: if they do not.
-        """
+        """Check that the parts fit together. Raises ShapeError if they do not."""
         window = ((self.n_past_u, self.nu), (self.n_past_y, self.ny), (self.nu,))
         if self.initial.inputs != window or self.step.inputs[-1:] != ((self.nu,),):
             raise ShapeError("programs read other signals than the model has")
@@ -290,11 +286,8 @@ class Builder:
     def add(
         self, op: str, operands: Sequence[int], attrs: Attributes = (), body: Program | None = None
     ) -> int:
-        """Add an operation and return the number of its result.
-
-        Raises:
-            ShapeError: if operands and attributes do not fit together.
-        """
+        """Add an operation and return the number of its result. Raises ShapeError if operands and
+        attributes do not fit together."""
         shapes = [self.shape(i) for i in operands]
         if op == "loop":
             _check_loop(attrs, shapes, body)

@@ -494,10 +494,7 @@ def lowered_bytes(
 
 def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> LoweredModel:
     """Lower an `asia.candidate.StepModel` to programs for one case; jax_enable_x64 must be on.
-
-    Raises:
-        CannotLowerError: with the obstacle.
-    """
+    Raises CannotLowerError with the obstacle."""
     import jax
 
     def begin(*signals: Any) -> Any:

@@ -42,11 +42,8 @@ class Option:
 
 @cache
 def options_of(settings: type) -> tuple[Option, ...]:
-    """The fields of a dataclass, each with the text below it.
-
-    Raises:
-        ValueError: for another class
-    """
+    """The fields of a dataclass, each with the text below it. Raises ValueError for another
+    class."""
     if not is_dataclass(settings):
         raise ValueError(f"{settings.__name__} is no dataclass")
     texts: dict[str, tuple[str, str]] = {}

@@ -23,11 +23,8 @@ GROUP = "asia.families"
 
 @cache
 def all_cards() -> tuple[Card, ...]:
-    """The built-in cards, then those of other packages.
-
-    Raises:
-        UserError: for a part that is no card, or brings a family with a name that is taken
-    """
+    """The built-in cards, then those of other packages. Raises UserError for a part that is no
+    card, or brings a family with a name that is taken."""
     names = sorted(module.name for module in pkgutil.iter_modules(cards.__path__))
     found = [cast("Card", import_module(f"{cards.__name__}.{n}").CARD) for n in names]
     owners = {row.name: "ASIA" for card in found for row in card.families}

@@ -79,11 +79,7 @@ def small_problems() -> tuple[HonestProblem, ...]:
 
 
 def problem_named(name: str) -> HonestProblem:
-    """A problem by name or path, in full.
-
-    Raises:
-        UserError: as `load_problem`
-    """
+    """A problem by name or path, in full. Raises UserError as `load_problem`."""
     problem: Problem = load_problem(name)
     seconds = problem.budget.fit_seconds
     return HonestProblem(name, problem_facts(problem), problem.protocol, seconds, tiny=False)

@@ -31,11 +31,7 @@ from asia.errors import UserError
 
 
 def need(module: str, path: Path, extra: str) -> Any:
-    """A library that comes with an extra.
-
-    Raises:
-        UserError: that says how to get it
-    """
+    """A library that comes with an extra. Raises UserError that says how to get it."""
     try:
         return import_module(module)
     except ImportError:

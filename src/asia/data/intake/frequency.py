@@ -62,10 +62,8 @@ def read_frequency_response(path: Path) -> FrequencyRecord:
     counts), and `real` and `imag`, or `magnitude` and `phase`; with several responses the names are
     `OUTPUT/INPUT real`. Optional: `std` or `variance`. NumPy and MATLAB files have `frequency` and
     `response` (F, ny, nu), or the fields of a MATLAB frd or idfrd: `Frequency`, `ResponseData` (ny,
-    nu, F), `FrequencyUnit`, `Ts`, `CovarianceData`.
-
-    Raises:
-        UserError: for a file without a frequency response
+    nu, F), `FrequencyUnit`, `Ts`, `CovarianceData`. Raises UserError for a file without a frequency
+    response.
     """
     suffix = path.suffix.casefold()
     if suffix == ".mat":

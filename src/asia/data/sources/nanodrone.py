@@ -59,11 +59,7 @@ class Nanodrone(DataSet):
 
 
 def _flights(subset: Literal["train", "test"]) -> tuple[Path, ...]:
-    """The files.
-
-    Raises:
-        UserError: that says how to get them
-    """
+    """The files. Raises UserError that says how to get them."""
     missing = ""
     own, home = os.environ.get("ASIA_DATA_DIR"), Path.home() / ".asia" / _REPOSITORY
     for clone in [*([Path(own) / "nanodrone", Path(own) / _REPOSITORY] if own else []), home]:

@@ -393,12 +393,8 @@ class OfficialBenchmark(DataSet):
         return name.lower() if self.source.startswith("nonlinear_benchmarks:") else name
 
     def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
-        """Implement `DataSet.load`.
-
-        Raises:
-            UserError: when a file is missing, is not the published one, or does not have the
-                published layout
-        """
+        """Implement `DataSet.load`. Raises UserError when a file is missing, is not the published
+        one, or does not have the published layout."""
         del channels
         layout = LAYOUTS[self.argument]
         files = layout.train if subset == "train" else layout.test

@@ -27,11 +27,8 @@ class CancelFlag:
 
     @contextmanager
     def on_cancel(self, callback: Callable[[], None]) -> Generator[None]:
-        """Call `callback` if `cancel` is called while this is open.
-
-        Raises:
-            SandboxError: if it was called before
-        """
+        """Call `callback` if `cancel` is called while this is open. Raises SandboxError if it was
+        called before."""
         with self._lock:
             if self.cancelled:
                 raise SandboxError("the result of this fit is not wanted any more")

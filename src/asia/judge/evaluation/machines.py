@@ -94,11 +94,7 @@ class MachineState:
 
 
 def survey_machines(carrier: RemoteExecutor) -> list[MachineState]:
-    """Query every worker.
-
-    Raises:
-        SandboxError: where one does not respond
-    """
+    """Query every worker. Raises SandboxError where one does not respond."""
     request = json.dumps(dict(installation())).encode()
     states: list[MachineState] = []
     for worker, (reply, seconds, asked) in carrier.ask_each(described, request).items():

@@ -111,11 +111,7 @@ def encode_data(data: FoldData) -> tuple[str, bytes]:
 
 
 def decode_data(raw: bytes, digest: str) -> FoldData:
-    """The data of a search of our own.
-
-    Raises:
-        SandboxError: where they are not those
-    """
+    """The data of a search of our own. Raises SandboxError where they are not those."""
     if hashlib.sha256(raw).hexdigest() != digest:
         raise SandboxError("the data of a fold came as other bytes than the search sent")
     return pickle.loads(raw)

@@ -25,10 +25,7 @@ def probe(wanted: Isolation | None = None) -> Probe:
     """The strongest level that works here, found by starting something at it, or the `wanted` one.
 
     Also byte-compiles this package where its folder can be written: workers write nothing, so each
-    of them would compile it anew.
-
-    Raises:
-        SandboxError: where `wanted` does not work
+    of them would compile it anew. Raises SandboxError where `wanted` does not work.
     """
     compileall.compile_dir(package_folder(), quiet=2)
     notes = [] if wanted is None else ["requested by the user"]

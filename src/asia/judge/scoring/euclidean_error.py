@@ -21,11 +21,8 @@ from asia.problem.protocol import OutputGroup
 
 @dataclass(frozen=True)
 class GroupError:
-    """Mean distance of one group of outputs at steps 1..H, in its unit (rotations: rad).
-
-    Raises:
-        InternalError: when a number is not finite
-    """
+    """Mean distance of one group of outputs at steps 1..H, in its unit (rotations: rad). Raises
+    InternalError when a number is not finite."""
 
     name: str
     steps: tuple[float, ...]

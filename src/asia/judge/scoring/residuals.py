@@ -123,11 +123,8 @@ class Diagnostics:
 def diagnose(
     u: Sequence[Array], y: Sequence[Array], y_hat: Sequence[Array], scale: Array, train_error: float
 ) -> Diagnostics:
-    """Residual analysis of simulated training records, one (H, n) array a record or window.
-
-    Raises:
-        CandidateError: when the residual is too large to analyse
-    """
+    """Residual analysis of simulated training records, one (H, n) array a record or window. Raises
+    CandidateError when the residual is too large to analyse."""
     with np.errstate(over="ignore", invalid="ignore"):
         residual = [a - b for a, b in zip(y, y_hat, strict=True)]
         for one in residual:

@@ -30,11 +30,7 @@ class SignalTransformations:
 
     @classmethod
     def of(cls, context: Context) -> SignalTransformations:
-        """Group of a problem.
-
-        Raises:
-            UserError: if it has no such symmetry.
-        """
+        """Group of a problem. Raises UserError if it has no such symmetry."""
         inputs, outputs = ([s.name for s in side] for side in (context.inputs, context.outputs))
         usable = of_signals(context.symmetry, inputs, outputs)
         if not usable:

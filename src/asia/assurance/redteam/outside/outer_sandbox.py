@@ -32,10 +32,7 @@ def why_no_outer(nested: bool = False) -> str | None:
 
 def inside(arguments: Sequence[str], *, nested: bool = False) -> Iterator[Finding]:
     """Findings of `python -m asia.assurance.redteam ARGUMENTS` in an outer sandbox, as they come.
-
-    Raises:
-        SandboxError: where it cannot run or fails
-    """
+    Raises SandboxError where it cannot run or fails."""
     reason = why_no_outer(nested)
     if reason is not None:
         raise SandboxError(f"attacks run unprotected in an outer sandbox only, and {reason}")

@@ -45,11 +45,8 @@ _MODEL, _RESULT, _LOG = "model.bin", "result.npy", "log.txt"
 
 
 def print_score(source: str, problem: SmallProblem, mistake: Mistake | None) -> None:
-    """Print the mean over the folds; a value that is no number counts as 0.
-
-    Raises:
-        Exception: the failure of a fold, unless failed folds are left out
-    """
+    """Print the mean over the folds; a value that is no number counts as 0. Raises the
+    failure of a fold, unless failed folds are left out."""
     problem = problem.by_whole_records
     scores: list[float] = []
     for fold in make_folds(problem.records, problem.rule):

@@ -27,11 +27,7 @@ _PR_SET_NO_NEW_PRIVS = 38
 
 
 def abi() -> int:
-    """Version of the kernel's Landlock.
-
-    Raises:
-        OSError: where there is none that can be used
-    """
+    """Version of the kernel's Landlock. Raises OSError where there is none that can be used."""
     return _call(_CREATE_RULESET, 0, 0, _VERSION)
 
 

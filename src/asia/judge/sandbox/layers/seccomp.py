@@ -91,11 +91,7 @@ def why_not() -> str | None:
 
 
 def install() -> None:
-    """Bind all threads of this process.
-
-    Raises:
-        OSError: if the kernel refuses
-    """
+    """Bind all threads of this process. Raises OSError if the kernel refuses."""
     machine = os.uname().machine
     program = build(machine, os.getpid())
     code = ctypes.create_string_buffer(program, len(program))

@@ -37,11 +37,7 @@ def places_here(packages: Iterable[str] = ()) -> tuple[str, ...]:
 
 def portable(pickled: bytes, places: tuple[str, ...]) -> bytes:
     """Remove these paths from the strings of a pickle: `/home/me/lib/scipy/odr.py` becomes
-    `scipy/odr.py`.
-
-    Raises:
-        PlaceError: where one occurs in bytes, which must not change
-    """
+    `scipy/odr.py`. Raises PlaceError where one occurs in bytes, which must not change."""
     if not any(place.encode() in pickled for place in places):
         return pickled
     known = "|".join(map(re.escape, sorted(places, key=len, reverse=True)))
