@@ -29,8 +29,8 @@ from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.export.linear import StepModels, step_models
 from asia.export.model import ExportModel, TrainingWindow
-from asia.export.parity import DOUBLE, ParityRow
 from asia.export.pipeline import measured
+from asia.export.target import DOUBLE, ParityRow
 from asia.export.targets.c import c_compiler, example_csv, observed, observer_files
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import Run, open_run

@@ -19,8 +19,7 @@ from asia.data.preprocess import Preprocess
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
 from asia.export.model import Band, ExportModel, TrainingWindow
-from asia.export.parity import ParityRow, parity_row
-from asia.export.target import Target
+from asia.export.target import ParityRow, Target, parity_row
 from asia.export.targets.c import CTarget
 from asia.export.targets.casadi import CasadiTarget
 from asia.export.targets.control import ControlTarget

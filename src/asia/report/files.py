@@ -26,8 +26,7 @@ from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.report.comparison import BenchPictures
 from asia.report.drawing.style import DPI, drawing
-from asia.report.pictures.check import draw_data, draw_delays, draw_responses
-from asia.report.pictures.equations import draw_equations
+from asia.report.pictures.check import draw_data, draw_delays, draw_equations, draw_responses
 from asia.report.pictures.evidence import (
     draw_ablation,
     draw_residuals,

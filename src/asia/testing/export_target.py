@@ -12,8 +12,7 @@ import numpy as np
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
 from asia.export.model import ExportModel, Printed, TrainingWindow
-from asia.export.parity import parity_row
-from asia.export.target import Target
+from asia.export.target import Target, parity_row
 from asia.lowering.evaluation import simulate
 from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered_bytes

@@ -16,9 +16,8 @@ import pytest
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.errors import InternalError
-from asia.judge.scoring.attribution import Attribution
 from asia.judge.scoring.checks.check import Verdict
-from asia.judge.scoring.repeated_fits import ExpectedError, Interval
+from asia.judge.scoring.repeated_fits import Attribution, ExpectedError, Interval
 from asia.ledger.chain import Chain
 from asia.ledger.events import (
     Ablated,
