@@ -1,8 +1,6 @@
 """Files that a user names or somebody else made, with clear errors for anything but ordinary files;
 files of the user that others must not read; folders that are safely on the disk."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib

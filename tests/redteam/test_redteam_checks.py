@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from asia.assurance.redteam.arena import attack_candidate
-from asia.assurance.redteam.attacks import ATTACKS
+from asia.assurance.redteam.attacks.table import ATTACKS
 from asia.assurance.redteam.problem import Principle
 from asia.assurance.redteam.suite import unchecked_table, without_checks
 from asia.assurance.redteam.types import AttackVerdict, CandidateAttack

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from asia.assurance.redteam.attacks import ATTACKS
+from asia.assurance.redteam.attacks.table import ATTACKS
 from asia.assurance.redteam.suite import RedTeamPlan, run_suite
 from asia.assurance.redteam.types import CandidateAttack
 from asia.errors import UserError

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from asia.assurance.redteam.attacks import ATTACKS
+from asia.assurance.redteam.attacks.table import ATTACKS
 from asia.assurance.redteam.outside.without_isolation import OFF
 from asia.assurance.redteam.types import AttackVerdict, Finding
 from asia.interfaces.cli import app

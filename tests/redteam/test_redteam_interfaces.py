@@ -14,8 +14,8 @@ import pytest
 from mcp import Client
 
 import asia
-from asia.assurance.redteam.attacks import ATTACKS
 from asia.assurance.redteam.attacks.source import HONEST, fill_in
+from asia.assurance.redteam.attacks.table import ATTACKS
 from asia.assurance.redteam.problem import SmallProblem, small_problem
 from asia.assurance.redteam.types import CandidateAttack
 from asia.data.trajectory import Trajectory

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from asia.assurance.redteam.attacks import ATTACKS
+from asia.assurance.redteam.attacks.table import ATTACKS
 from asia.assurance.redteam.outside.outer_sandbox import why_no_outer
 from asia.assurance.redteam.suite import each_layer, without_layers
 from asia.assurance.redteam.types import Attack

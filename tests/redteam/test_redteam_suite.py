@@ -13,8 +13,8 @@ import pytest
 
 from asia.agents.library.family import Family
 from asia.assurance.redteam.arena import Interruption, attack_candidate
-from asia.assurance.redteam.attacks import ATTACKS
 from asia.assurance.redteam.attacks.source import candidate
+from asia.assurance.redteam.attacks.table import ATTACKS
 from asia.assurance.redteam.evidence import (
     Traces,
     a_step_succeeded,

@@ -1,7 +1,5 @@
 """Random agents: draws from the library, or from the search space of the paper."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 from functools import partial

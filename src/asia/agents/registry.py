@@ -1,7 +1,5 @@
 """The agents by name: built in, brought by another package, or a class in a file."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys

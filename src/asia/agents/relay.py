@@ -1,7 +1,5 @@
 """A relay: several agents in one search, each from the record of those before it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Ablation: the winner with parts taken back, and the source of its gain."""
 
-from __future__ import annotations
-
 import ast
 import time
 from collections.abc import Callable, Iterable, Iterator

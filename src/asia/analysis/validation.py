@@ -1,7 +1,5 @@
 """Validation of the model of a run: probes in the sandbox, checks, record."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace

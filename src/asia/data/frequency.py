@@ -1,7 +1,5 @@
 """Frequency content of records: periods, best linear approximation, noise and distortion."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

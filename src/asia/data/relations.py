@@ -1,7 +1,5 @@
 """Relations between signals in records: delays, feedback, transport, integrals, copies."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement

@@ -1,7 +1,5 @@
 """Export of a run's model: composition, parity check, usage page."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The interface of an export target, and the comparison of its files with the simulation."""
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

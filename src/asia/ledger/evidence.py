@@ -1,7 +1,5 @@
 """Evidence on an experiment besides its score: agreement of folds, noise, findings, parameters."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections import defaultdict

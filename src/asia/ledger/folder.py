@@ -1,8 +1,6 @@
 """Checks of a run folder before anything in it is read or written, since it may come from somebody
 else; and the workspaces of this user, in which no run is accepted."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

@@ -6,8 +6,6 @@ is rebuilt if it is damaged, has another version, or if the ledger did not just 
 depends on it: `verify`, resume, unseal and reports read the ledger.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sqlite3

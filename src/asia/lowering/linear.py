@@ -7,8 +7,6 @@ Postlethwaite, Multivariable Feedback Control, 2nd ed., chapter 11 (balanced tru
 error bound); Seborg et al., Process Dynamics and Control, chapter 5 (process models).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Lowering of JAX programs: one rule a primitive."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias

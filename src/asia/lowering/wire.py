@@ -5,8 +5,6 @@ a shape is a count and its numbers. Nothing is skipped and nothing may follow: t
 whatever does not check before a printer sees it.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

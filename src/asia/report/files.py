@@ -1,7 +1,5 @@
 """Picture files of runs, problems and comparisons."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from io import BytesIO

@@ -1,7 +1,5 @@
 """Conformance suite for candidates."""
 
-from __future__ import annotations
-
 import types
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Conformance suite of export targets."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath

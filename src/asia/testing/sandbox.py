@@ -1,7 +1,5 @@
 """Conformance suite for isolation levels."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import socket

@@ -1,7 +1,5 @@
 """A move: a change to a trial's recipe, when it is worth making, and why."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Pages that describe the model library to agents and users."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re

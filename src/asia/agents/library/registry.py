@@ -3,8 +3,6 @@
 Every function raises UserError as `all_cards` does.
 """
 
-from __future__ import annotations
-
 import pkgutil
 from functools import cache
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Client of an OpenAI-compatible server: caps, retries and error messages."""
 
-from __future__ import annotations
-
 import email.utils
 import hashlib
 import json

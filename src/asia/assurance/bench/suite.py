@@ -1,7 +1,5 @@
 """Benchmark suite: every built-in benchmark searched and ranked."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial

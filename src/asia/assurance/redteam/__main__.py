@@ -4,14 +4,12 @@ Arguments: `off`, `control` (broken candidates, with isolation off) or a level, 
 leave out, and the attacks' numbers. It prints one finding a line.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from asia.assurance.redteam.arena import attack_candidate
-from asia.assurance.redteam.attacks import ATTACKS
+from asia.assurance.redteam.attacks.table import ATTACKS
 from asia.assurance.redteam.outside.outer_sandbox import write_finding
 from asia.assurance.redteam.outside.without_isolation import (
     CONTROL,

@@ -1,8 +1,6 @@
 """Honest candidates under the checks that cheats are flagged by: every model family of the library,
 on the two-tank simulation and on windows of a small made-up drone."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Red-team suite: attacks at each level and with isolation off, honest candidates, tables."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -14,8 +12,8 @@ from pathlib import Path
 from asia.agents.library.family import Family
 from asia.agents.library.registry import all_families
 from asia.assurance.redteam.arena import Interruption, attack_candidate, attack_unchecked
-from asia.assurance.redteam.attacks import ATTACKS
 from asia.assurance.redteam.attacks.searches import Scene
+from asia.assurance.redteam.attacks.table import ATTACKS
 from asia.assurance.redteam.honest import HonestProblem, small_problems, try_honest
 from asia.assurance.redteam.outside.outer_sandbox import inside
 from asia.assurance.redteam.outside.without_isolation import OFF

@@ -1,7 +1,5 @@
 """File formats: arrays (NumPy, MATLAB, HDF5), Arrow, Excel, data loggers, ROS bags, text."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Measured frequency responses: text, spreadsheets, NumPy and MATLAB files."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Contents of a file before it becomes a record: named columns, or trees of named arrays."""
 
-from __future__ import annotations
-
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence

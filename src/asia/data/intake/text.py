@@ -1,7 +1,5 @@
 """CSV and other text tables, and the numbers in their cells."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -1,7 +1,5 @@
 """Time columns as seconds, and samples on one time grid."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

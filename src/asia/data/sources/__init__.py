@@ -7,8 +7,6 @@ file. `SOURCES` has ASIA's own by name; an installed package adds one as an entr
 the conformance suite of sources. Where training records are chosen by name, derive from `DataSet`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """Flights of the nanodrone benchmark (https://github.com/idsia-robotics/nanodrone-sysid-benchmark):
 where its CSV files lie on this machine."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

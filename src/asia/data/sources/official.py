@@ -1,7 +1,5 @@
 """Benchmarks of nonlinearbenchmark.org, read from the published files."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

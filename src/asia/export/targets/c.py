@@ -1,7 +1,5 @@
 """C99 without allocation: model, header, command-line program."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import re

@@ -1,7 +1,5 @@
 """ONNX graphs of the initial state, of one sample, and of a whole simulation."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from pathlib import Path

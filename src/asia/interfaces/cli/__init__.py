@@ -4,8 +4,6 @@ Exit codes: 0 done; 1 a bug, a broken sandbox or a failed check; 2 an error that
 correct; 3 a search whose candidates all failed; 130 interrupted (SIGINT), 143 terminated (SIGTERM).
 """
 
-from __future__ import annotations
-
 import inspect
 import signal
 import sys

@@ -231,7 +231,7 @@ def _run_attacks(options: AttackOptions, executor: str | None, *, json: bool) ->
     attack does not succeed even with isolation off, or if an honest candidate could not be checked.
     executor: workers of this machine that fit the folds of the attacks.
     """
-    from asia.assurance.redteam.attacks import ATTACKS
+    from asia.assurance.redteam.attacks.table import ATTACKS
     from asia.assurance.redteam.honest import problem_named
     from asia.assurance.redteam.outside.outer_sandbox import why_no_outer
     from asia.assurance.redteam.suite import (

@@ -1,7 +1,5 @@
 """asia export: code of the model for other programs."""
 
-from __future__ import annotations
-
 import json as jsonlib
 import sys
 from pathlib import Path

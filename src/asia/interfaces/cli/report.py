@@ -1,7 +1,5 @@
 """asia report: the page and the pictures of a run; figures, tables and methods for a paper."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """asia steer and asia note: steer a running search, and keep notes on a run."""
 
-from __future__ import annotations
-
 import getpass
 import json as jsonlib
 from dataclasses import asdict

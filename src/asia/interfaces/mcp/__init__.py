@@ -5,8 +5,6 @@ that empties the queue is a process of its own, and nothing else is state. It ma
 Importing this package is cheap: the MCP SDK, an extra, is loaded when a server is made.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Streamable HTTP on this machine, behind a bearer token."""
 
-from __future__ import annotations
-
 import hmac
 import os
 import secrets

@@ -1,7 +1,5 @@
 """MCP server: tools, resources, prompt."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 import threading

@@ -1,7 +1,5 @@
 """Run evaluations in background threads, with a cancel flag."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Generator

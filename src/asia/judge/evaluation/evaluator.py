@@ -1,7 +1,5 @@
 """Evaluator: folds, sandbox and scoring in one composition."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Collection, Generator, Sequence

@@ -1,7 +1,5 @@
 """Compare worker machines with this one: a model must come back bitwise the same from each."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import json

@@ -4,8 +4,6 @@ A request is made by the search and may be unpickled there. An answer holds data
 candidate: it is JSON and raw numbers, which the search checks against its request.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

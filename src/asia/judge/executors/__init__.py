@@ -1,7 +1,5 @@
 """Executors of evaluations; results come back in the order of the jobs."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait

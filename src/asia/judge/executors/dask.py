@@ -1,7 +1,5 @@
 """Folds on the machines of a Dask cluster: an engine that others keep."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import importlib.util

@@ -1,7 +1,5 @@
 """Isolation levels of this machine: what works, why not, and a worker at a level."""
 
-from __future__ import annotations
-
 import compileall
 import os
 import platform

@@ -6,8 +6,6 @@ counts by the geodesic distance of its rotations.
 Source: Busetto et al. (2026), nanodrone benchmark.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Outcomes: scores, failures, and their computation from simulated outputs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Statistics of repeated fits: significance of a difference, expected error of a winner."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Residual analysis: correlations, diagnostics, signed residuals over parts of the data."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass

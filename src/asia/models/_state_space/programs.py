@@ -6,8 +6,6 @@ It is never stored as a whole: its products are summed chunk by chunk, so that m
 with the length of the records.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias

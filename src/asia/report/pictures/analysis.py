@@ -1,8 +1,6 @@
 """Figures of the analysis commands: linear models, controlled loops, monitored records, proposed
 experiments."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pictures of a problem: records, delays, frequency response, equations."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby, zip_longest

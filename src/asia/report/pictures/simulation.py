@@ -1,7 +1,5 @@
 """Pictures of simulated outputs, of long records and of windows."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

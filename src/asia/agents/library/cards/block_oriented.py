@@ -1,7 +1,5 @@
 """Linear systems in series with static functions."""
 
-from __future__ import annotations
-
 from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family, Timing, traits
 from asia.agents.library.methods import LM, noise_space, slow_noise

@@ -1,7 +1,5 @@
 """Storages in series, for systems that fill and run off."""
 
-from __future__ import annotations
-
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Card, Move, Situation

@@ -1,7 +1,5 @@
 """Echo state networks."""
 
-from __future__ import annotations
-
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.move import Card, Move
 from asia.agents.library.recipe import Recipe

@@ -1,7 +1,5 @@
 """Grey-box model of the problem's equations, its possible missing terms and their symptoms."""
 
-from __future__ import annotations
-
 from asia.agents.library.equation_moves import (
     EQUATION_MOVES,
     less_ridge,

@@ -1,7 +1,5 @@
 """Hybrid model: the problem's equations with a learned residual."""
 
-from __future__ import annotations
-
 from asia.agents.library.equation_moves import less_ridge, more_ridge
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM

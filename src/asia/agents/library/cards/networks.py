@@ -1,7 +1,5 @@
 """Networks trained by Adam: a short fit first, a long one when it is promising."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A linear state-space model with small static networks in it."""
 
-from __future__ import annotations
-
 from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (

@@ -1,7 +1,5 @@
 """A linear system with a few static functions in feedback."""
 
-from __future__ import annotations
-
 from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (

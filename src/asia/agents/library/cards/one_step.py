@@ -1,7 +1,5 @@
 """Nonlinear models that predict one step ahead and are simulated on their own output."""
 
-from __future__ import annotations
-
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM
 from asia.agents.library.move import Card, Move

@@ -1,7 +1,5 @@
 """Problem's equations with all states measured: learned terms and a parallel network."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from asia.agents.library.family import GENTLE_STEPS, Family, Timing, steps

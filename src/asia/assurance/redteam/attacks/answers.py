@@ -1,7 +1,5 @@
 """Attacks by answers that depend on later inputs or on other windows."""
 
-from __future__ import annotations
-
 from asia.assurance.redteam.attacks.source import candidate
 from asia.assurance.redteam.evidence import scores_better
 from asia.assurance.redteam.types import Barrier, CandidateAttack

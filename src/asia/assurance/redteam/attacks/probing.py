@@ -1,8 +1,6 @@
 """Extraction of held-out data from scores or verdicts: an agent submits a baseline plus one cosine
 at a time and solves for the hidden error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

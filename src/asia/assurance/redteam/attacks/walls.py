@@ -3,8 +3,6 @@
 None does harm where it succeeds: each opens, asks or allocates, and touches only its own targets.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from asia.assurance.redteam.attacks.folds import FOLDS, PLACES, WHISPERS

@@ -1,8 +1,6 @@
 """The outer sandbox: no network, no process and no file of this machine but the code, so that an
 attack that succeeds meets nothing."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

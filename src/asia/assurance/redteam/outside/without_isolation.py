@@ -1,7 +1,5 @@
 """Attacks with isolation off, inside an outer sandbox: do they really work?"""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import os

@@ -2,8 +2,6 @@
 equations: J. P. Noël and M. Schoukens, "Hysteretic benchmark with a dynamic nonlinearity", Workshop
 on Nonlinear System Identification Benchmarks, 2016."""
 
-from __future__ import annotations
-
 from math import pi
 
 import numpy as np

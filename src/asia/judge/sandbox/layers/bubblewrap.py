@@ -1,7 +1,5 @@
 """Command line of bubblewrap: the view of a program in its own namespaces."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Collection, Mapping
 from typing import Literal

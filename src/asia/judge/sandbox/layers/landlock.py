@@ -7,8 +7,6 @@ exists and how large it is, its attributes, UDP, new processes; the system call 
 Only the standard library is imported here.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os

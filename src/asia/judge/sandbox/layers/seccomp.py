@@ -7,8 +7,6 @@ objects that outlive a process, namespaces and mounts. Loaded by the worker befo
 runs; a filter cannot be taken off again. Only the standard library is imported here.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal

@@ -4,8 +4,6 @@ A model that holds a function of a library, such as a closure, is pickled with i
 names the file that it was read from.
 """
 
-from __future__ import annotations
-
 import os
 import pickletools
 import re
