@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json as jsonlib
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,21 +13,14 @@ import typer
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    Json,
-    RunName,
-    Runs,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import RunName, RunOptions
 
 if TYPE_CHECKING:
     from asia.analysis.experiment_design import Judged, RunExperiment
 
 
 def next_(
+    *,
     run: RunName = None,
     duration: Annotated[float, typer.Option(help="Length of the record in s.")] = 0.0,
     limits: Annotated[
@@ -55,9 +47,7 @@ def next_(
         typer.Option(help="Folder for next.csv and the picture; default: next in the run."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Propose the input of the next experiment: the one that tells most about where the leading
     models differ, within limits of inputs and of the expected outputs."""
@@ -69,7 +59,7 @@ def next_(
 
     if not duration > 0:
         raise UserError("--duration is missing: give the length of the record in s")
-    directory = run_directory(runs, run)
+    directory = options.directory(run)
     problem = load_lock(directory / LOCK)
     inputs, outputs = ([s.name for s in side] for side in (problem.inputs, problem.outputs))
     spans = {
@@ -91,7 +81,7 @@ def next_(
     kept = _kept(keep or (), outputs)
     made = next_experiment(
         directory, duration, spans, rates, kept, start=rest, seed=seed,
-        isolation=candidate_level(isolation),
+        isolation=options.level,
     )  # fmt: skip
     folder = directory / "next" if out is None else out
     folder.mkdir(parents=True, exist_ok=True)
@@ -117,14 +107,10 @@ def next_(
     facts = _facts(made, named, kept)
     (folder / "next.json").write_text(jsonlib.dumps(facts, allow_nan=False) + "\n", "utf-8")
     files = [folder / "next.csv", *save([("next", draw)], folder), folder / "next.json"]
-    if json:
+    if options.json:
         say(jsonlib.dumps(facts, allow_nan=False))
-    stream = sys.stderr if json else sys.stdout
-    for line in () if json else facts["text"]:
-        say(line)
-    for path in files:
-        say(f"file      {path}", file=stream)
-    if found.proposed.excess and not json:
+    options.print(() if options.json else facts["text"], files)
+    if found.proposed.excess and not options.json:
         raise typer.Exit(1)
 
 
