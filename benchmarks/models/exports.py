@@ -31,7 +31,7 @@ from asia.export.pipeline import TARGETS, Ready, write
 from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered_bytes
 from asia.lowering.wire import unpack
-from asia.testing.candidate import family_problem, smallest_source
+from asia.testing.family import family_problem, smallest_source
 
 PAST, HORIZON, LONG = 5, 20, 100
 

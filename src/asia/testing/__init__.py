@@ -1,9 +1,10 @@
 """Conformance suites for authors of new parts. Each raises AssertionError that says what fails."""
 
 from asia.testing.agent import check_agent
-from asia.testing.candidate import check_candidate, check_family
+from asia.testing.candidate import check_candidate
 from asia.testing.executor import check_executor
 from asia.testing.export_target import check_export_target
+from asia.testing.family import check_family
 from asia.testing.ledger import OpenLedger, check_ledger, check_sink
 from asia.testing.metric import check_metric
 from asia.testing.sandbox import OpenWorker, check_sandbox

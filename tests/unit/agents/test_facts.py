@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from asia.agents.library.family import traits
+from asia.agents.library.traits import traits
 from asia.agents.view import Effort
 from asia.problem import Physics
 from asia.problem.load import load_problem

@@ -16,7 +16,7 @@ from asia.agents.library.registry import all_families, families
 from asia.agents.random import _drawn, paper_families
 from asia.models import methods
 from asia.models._networks.objective import check_structure
-from asia.testing.candidate import check_recipe, family_problem
+from asia.testing.family import check_recipe, family_problem
 from tests.unit.agents.searches import (
     CLEAN,
     body,

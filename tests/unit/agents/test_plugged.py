@@ -20,7 +20,7 @@ from asia.agents.registry import AGENTS, choose_agent, recorded_agent
 from asia.candidate import check_source
 from asia.errors import UserError
 from asia.testing import check_agent
-from asia.testing.candidate import check_recipe
+from asia.testing.family import check_recipe
 from tests.unit.agents.searches import recipe_of, search, simulation
 
 MODEL = """

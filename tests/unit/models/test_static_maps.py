@@ -10,7 +10,8 @@ from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.models import linear, narx, static_maps
 from asia.models.methods import LeastSquares, LevenbergMarquardt
-from asia.testing.candidate import check_candidate, family_problem, smallest_source
+from asia.testing.candidate import check_candidate
+from asia.testing.family import family_problem, smallest_source
 from tests.contract.test_steps import check_steps
 
 PAST = 20

@@ -8,7 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from asia.agents.expert.diagnosis import COURSE_MOVES, leading_maps
-from asia.agents.library.family import is_new, traits
+from asia.agents.library.family import is_new
 from asia.agents.library.methods import (
     LARGE_BATCH,
     LEAST_HORIZON,
@@ -24,6 +24,7 @@ from asia.agents.library.move import Move, Situation, plain_title
 from asia.agents.library.recipe import GRADIENT, Recipe, read_recipe
 from asia.agents.library.registry import all_cards
 from asia.agents.library.space import Span
+from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured, input_left, overfit
 
 if TYPE_CHECKING:

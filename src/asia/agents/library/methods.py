@@ -1,10 +1,11 @@
 """Training methods: suitable settings of each for a problem, and their search spaces."""
 
-from asia.agents.library.family import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps, traits
+from asia.agents.library.family import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.record_facts import integrating
 from asia.agents.library.space import OneOf, Parameter, Span
+from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured
 from asia.agents.view import Facts
 

@@ -8,7 +8,7 @@ import pytest
 from asia.agents.library.registry import all_families
 from asia.problem.folds import make_folds
 from asia.problem.protocol import ProtocolRule
-from asia.testing.candidate import family_problem, smallest_source
+from asia.testing.family import family_problem, smallest_source
 from tests.unit.judge.evaluation.relations import Stepping, suspicions_of
 
 CHOSEN = {"linear", "narx", "gp_narx", "esn", "recurrent", "cnn", "transformer"}

@@ -1,11 +1,12 @@
 """Linear systems in series with static functions."""
 
 from asia.agents.library.equation_moves import RIDGE_MOVES
-from asia.agents.library.family import Family, Timing, traits
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
 from asia.agents.library.move import Card, Move
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.traits import traits
 from asia.agents.view import Facts
 
 

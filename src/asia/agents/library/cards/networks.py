@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from asia.agents.library.family import Family, SampleCost, Stage, Timing, Trait, steps
+from asia.agents.library.family import Family, SampleCost, Stage, Timing, steps
 from asia.agents.library.methods import (
     adam,
     adam_space,
@@ -16,6 +16,7 @@ from asia.agents.library.methods import (
 from asia.agents.library.move import Card
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.library.traits import Trait
 from asia.agents.view import Facts
 
 # Multiple shooting can set the state of networks that step through time. Others map a whole record
