@@ -18,8 +18,7 @@ import numpy as np
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.export.model import ExportModel, TrainingWindow
-from asia.export.pipeline import Ready, table, write
-from asia.export.registry import TARGETS
+from asia.export.pipeline import TARGETS, Ready, table, write
 from asia.lowering.trace import lowered_bytes
 from asia.lowering.wire import unpack
 from asia.models import subnet

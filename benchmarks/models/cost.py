@@ -4,7 +4,7 @@ asia run two_tanks_sim --agent random --experiments 40
 python benchmarks/models/cost.py runs/two_tanks_sim-random-s0 ...
 
 Reads the processor seconds of fits out of the ledgers of searches, and fits `start` and `unit` of
-`asia.agents.library.cost.Timing` for each family: least squares of the relative error, neither
+`asia.agents.library.family.Timing` for each family: least squares of the relative error, neither
 below zero. Prints them and how far the expected seconds, as the cards have them now and as fitted,
 lie from the measured ones: medians and 90 % quantiles of the ratio, either way.
 """
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from asia._timer import Activity
-from asia.agents.library.cost import Timing, work
+from asia.agents.library.family import Timing, work
 from asia.agents.library.recipe import read_recipe
 from asia.agents.library.registry import family
 from asia.ledger.artifacts import Store

@@ -27,8 +27,7 @@ from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.errors import UserError
 from asia.export.model import ExportModel, TrainingWindow
-from asia.export.pipeline import Ready, write
-from asia.export.registry import TARGETS
+from asia.export.pipeline import TARGETS, Ready, write
 from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered_bytes
 from asia.lowering.wire import unpack

@@ -16,7 +16,7 @@ from asia.data import Trajectory
 from asia.errors import UserError
 from asia.problem.load import load_problem
 from asia.problem.problem import Problem
-from asia.report import leaderboard
+from asia.report.published import leaderboard
 
 NAMES = ("wiener_hammerstein", "silverbox", "emps")
 PUBLISHED = "ARX"

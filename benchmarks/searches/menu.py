@@ -18,10 +18,12 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from asia.agents import Agent, AgentView, LlmAgent, LlmSettings, Proposal, make_agent
+from asia.agents import Agent, AgentView, Proposal, make_agent
+from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.local import LocalServer
 from asia.agents.llm.menu import menu
 from asia.agents.llm.reply import Answer, Choice, read_answer, read_choice
+from asia.agents.llm.settings import LlmSettings
 from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.run import Run, open_run
 from asia.problem.load import load_problem

@@ -22,7 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from asia.agents import Agent, RelayAgent, legs_of, make_agent, make_runner
+from asia.agents import Agent, make_agent
+from asia.agents.relay import RelayAgent, legs_of, make_runner
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import open_run
 from asia.problem.load import load_problem

@@ -22,7 +22,8 @@ from statistics import median
 
 import numpy as np
 
-from asia.agents import AGENTS, make_agent
+from asia.agents import make_agent
+from asia.agents.registry import AGENTS
 from asia.judge.scoring.outcome import Failure, Score
 from asia.ledger.artifacts import Store
 from asia.ledger.events import Evaluated, Event, TestedModel

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from asia.ledger.run import open_run
     from asia.problem.load import load_problem
     from asia.problem.problem import Problem
-    from asia.report import write_report
+    from asia.report.files import write_report
     from asia.search.simulation import simulate
     from asia.search.unsealing import unseal
 
@@ -60,7 +60,7 @@ _HOMES = {
     "run": "asia._api",
     "simulate": "asia.search.simulation",
     "unseal": "asia.search.unsealing",
-    "write_report": "asia.report",
+    "write_report": "asia.report.files",
 }
 
 

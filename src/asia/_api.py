@@ -1,7 +1,5 @@
 """The library's front door: what the command line does, in a function."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The boundary around diagnostics, pictures and evidence: an exception there ends no search."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from contextlib import contextmanager
 

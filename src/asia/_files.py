@@ -1,8 +1,6 @@
 """Files that a user names or somebody else made, with clear errors for anything but ordinary files;
 files of the user that others must not read; folders that are safely on the disk."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib
@@ -116,11 +114,8 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 def write_file(folder: Path, name: str, content: str | bytes, mode: int = 0o644) -> None:
     """Replace the file `name`, which may lie in folders below `folder`; those are made. An
-    obstacle, such as a link in place of a folder, is moved aside.
-
-    Raises:
-        UserError: the file cannot be written.
-    """
+    obstacle, such as a link in place of a folder, is moved aside. Raises UserError when the file
+    cannot be written."""
     *places, last = name.split("/")
     data = content.encode("utf-8", "replace") if isinstance(content, str) else content
     temporary = f".{last}.{secrets.token_hex(8)}"

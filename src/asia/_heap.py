@@ -1,8 +1,6 @@
 """Memory of large arrays goes back to the system when they are freed. Only the standard library is
 imported here."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import sys

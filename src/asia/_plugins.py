@@ -1,7 +1,5 @@
 """Parts that installed packages add to ASIA by entry points, and parts named as `module:Name`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module

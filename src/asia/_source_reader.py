@@ -10,8 +10,6 @@ Run as a script it is that process. Arguments: the folder of the sandbox's layer
 of processor time for a source, and the MB of its address space.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import importlib

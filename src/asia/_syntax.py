@@ -1,7 +1,5 @@
 """Parsing Python text, in several threads at once."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """Text from outside made safe to show, and suggestions for misspelt names."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Errors, grouped by the side that can correct them."""
 
-from __future__ import annotations
-
 import builtins
 from enum import StrEnum
 from typing import Literal

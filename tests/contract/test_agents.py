@@ -1,6 +1,6 @@
 import pytest
 
-from asia.agents import AGENTS
+from asia.agents.registry import AGENTS
 from asia.testing import check_agent
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from asia.errors import UserError
 from asia.export.model import ExportModel, Printed, TrainingWindow
-from asia.export.registry import TARGETS, find_target, target_names
+from asia.export.pipeline import TARGETS, find_target, target_names
 from asia.export.targets.numpy import NumpyTarget
 from asia.testing import check_export_target
 from tests.unit.made_up_parts import installed

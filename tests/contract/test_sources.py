@@ -119,7 +119,7 @@ def plugged(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 
     def plug(name: str) -> None:
         part = Part("asia.sources", "loggers", f"{__name__}:{name}", "made-up", "1.0")
-        monkeypatch.setattr("asia.data.sources.registry.parts_of", lambda group: (part,))
+        monkeypatch.setattr("asia.data.sources.parts_of", lambda group: (part,))
 
     return plug
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asia.analysis.validation import VALIDATION_CHECKS, validation_checks
 from asia.errors import UserError
 from asia.judge.scoring.checks.check import Cause, Check, CheckCurve, Verdict
-from asia.judge.scoring.checks.registry import VALIDATION_CHECKS, validation_checks
 from asia.judge.scoring.checks.validation_data import ValidationData
 from asia.testing import check_validation_check
 from tests.unit.made_up_parts import installed

@@ -15,7 +15,8 @@ import sys
 from pathlib import Path
 
 import asia
-from asia.agents import LlmAgent, LlmSettings
+from asia.agents.llm.agent import LlmAgent
+from asia.agents.llm.settings import LlmSettings
 from asia.judge.evaluation import references
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import Run, open_run

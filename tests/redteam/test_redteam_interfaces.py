@@ -20,7 +20,7 @@ from asia.assurance.redteam.problem import SmallProblem, small_problem
 from asia.assurance.redteam.types import CandidateAttack
 from asia.data.trajectory import Trajectory
 from asia.errors import Reason
-from asia.interfaces.mcp.opened import open_search
+from asia.interfaces.mcp import open_search
 from asia.interfaces.mcp.server import make_server
 from asia.interfaces.workspace.process import SearchRequest
 from asia.judge.sandbox.availability import fitting_levels, why_not

@@ -1,7 +1,5 @@
 """Candidates that led an earlier search, proposed again with more data."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass

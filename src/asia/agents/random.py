@@ -1,7 +1,5 @@
 """Random agents: draws from the library, or from the search space of the paper."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 from functools import partial
@@ -9,8 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from asia.agents.library.cost import FEWEST_STEPS
-from asia.agents.library.family import Family, is_new, under_protocol
+from asia.agents.library.family import FEWEST_STEPS, Family, is_new, under_protocol
 from asia.agents.library.methods import adam
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.registry import families, family

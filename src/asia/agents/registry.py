@@ -1,7 +1,5 @@
 """The agents by name: built in, brought by another package, or a class in a file."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys
@@ -122,11 +120,8 @@ def choose_agent(name: str, space: str | None = None) -> NamedAgent:
 
 
 def asked_relay(text: str) -> tuple[LegPlan, ...]:
-    """The legs of a relay, as in `expert*8,bayes` or `expert*8+bayes`; () for one agent.
-
-    Raises:
-        UserError: for legs that make no sense
-    """
+    """The legs of a relay, as in `expert*8,bayes` or `expert*8+bayes`; () for one agent. Raises
+    UserError for legs that make no sense."""
     brought = {part.name for part in parts_of(GROUP)}
     return read_relay(text) if is_relay(text) and text not in brought else ()
 

@@ -1,7 +1,5 @@
 """A relay: several agents in one search, each from the record of those before it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -85,11 +83,8 @@ def is_relay(text: str) -> bool:
 
 
 def read_relay(text: str) -> tuple[LegPlan, ...]:
-    """Parse `expert*8,bayes` or `expert*8+bayes` into legs.
-
-    Raises:
-        UserError: for an invalid relay
-    """
+    """Parse `expert*8,bayes` or `expert*8+bayes` into legs. Raises UserError for an invalid
+    relay."""
     plans: list[LegPlan] = []
     for part in re.split(r"[,+]", text):
         found = re.fullmatch(r"(?P<name>.+?)(?:\*(?P<count>.*))?", part.strip())

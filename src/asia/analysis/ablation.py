@@ -1,7 +1,5 @@
 """Ablation: the winner with parts taken back, and the source of its gain."""
 
-from __future__ import annotations
-
 import ast
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -18,8 +16,8 @@ from asia.data.trajectory import Array
 from asia.errors import CandidateError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
-from asia.judge.scoring.attribution import Attribution, attribute, gain
 from asia.judge.scoring.outcome import Failure
+from asia.judge.scoring.repeated_fits import Attribution, attribute, gain
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.events import Ablated, AblationFit, LeftOut

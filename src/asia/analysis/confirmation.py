@@ -1,7 +1,5 @@
 """Confirmation: the top candidates fitted again from other seeds, and ranked."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

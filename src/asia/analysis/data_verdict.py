@@ -5,8 +5,6 @@ Sources: Ljung, System Identification, 2nd ed., chapters 13 and 14 (experiment d
 of data); Hjalmarsson, European Journal of Control 15, 2009.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, Literal

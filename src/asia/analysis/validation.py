@@ -1,16 +1,16 @@
 """Validation of the model of a run: probes in the sandbox, checks, record."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from asia._diagnostic import diagnostic
+from asia._plugins import parts_of
 from asia._text import one_line
 from asia.data.intake.sheet import Wanted
 from asia.data.trajectory import Array, Trajectory, data_digest, filled
@@ -26,12 +26,22 @@ from asia.judge.scoring.checks.errors import (
     no_bands,
     no_steps_ahead,
 )
-from asia.judge.scoring.checks.registry import validation_checks
-from asia.judge.scoring.checks.response import HORIZONS, SMALL, impulse_response
+from asia.judge.scoring.checks.residual import residual_checks
+from asia.judge.scoring.checks.response import (
+    HORIZONS,
+    SMALL,
+    check_frequency_response,
+    check_gain,
+    check_long_run,
+    check_responses,
+    check_spectrum,
+    impulse_response,
+)
 from asia.judge.scoring.checks.validation_data import (
     LinearResponse,
     SimulatedBlock,
     SimulatedBlocks,
+    ValidationCheck,
     ValidationData,
 )
 from asia.ledger.artifacts import without_artifacts
@@ -54,6 +64,35 @@ from asia.search.simulation import (
     models_behind,
     simulate_members,
 )
+
+_GROUP = "asia.validation_checks"
+
+
+VALIDATION_CHECKS: dict[str, ValidationCheck] = {
+    "residuals": residual_checks,
+    "direction of gain": check_gain,
+    "error spectrum": check_spectrum,
+    "frequency response": check_frequency_response,
+    "poles and static gain": check_responses,
+    "ten horizons": check_long_run,
+}
+"""The built-in checks, in the order to read them."""
+
+
+def validation_checks() -> dict[str, ValidationCheck]:
+    """All checks by name: the built-in ones, then those of installed packages. Raises UserError
+    where an installed package brings a check that is taken by name or cannot be called."""
+    found = dict(VALIDATION_CHECKS)
+    for part in parts_of(_GROUP):
+        package = f"validation check '{part.name}' of package {part.package} {part.version}"
+        if part.name in VALIDATION_CHECKS:
+            raise UserError(f"{package}: ASIA has a check of this name; rename the entry point")
+        check = part.load()
+        if not callable(check):
+            raise UserError(f"{package} is {check!r}, expected a function of one ValidationData")
+        found[part.name] = cast("ValidationCheck", check)
+    return found
+
 
 # Probes of a model beyond its held-out samples: small steps, a long run, later starts.
 

@@ -1,7 +1,5 @@
 """Frequency content of records: periods, best linear approximation, noise and distortion."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -213,11 +211,7 @@ def _approximated(
 
 
 def _levels(
-    left: Array,
-    known: NDArray[np.bool_],
-    excited: NDArray[np.bool_],
-    floor: Array,
-    variance: float,
+    left: Array, known: NDArray[np.bool_], excited: NDArray[np.bool_], floor: Array, variance: float
 ) -> Levels:
     """Compute the levels from powers (F,) by line; the first line is the first harmonic."""
     number = np.arange(1, len(left) + 1)

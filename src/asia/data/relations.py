@@ -1,7 +1,5 @@
 """Relations between signals in records: delays, feedback, transport, integrals, copies."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
@@ -257,11 +255,8 @@ class FoundTransport(NamedTuple):
 
 
 def find_transport(records: Sequence[Trajectory], pace: int) -> FoundTransport:
-    """Volume of the pipe by the error of a one-step model with products of its signals.
-
-    Raises:
-        ValueError: where the input takes values that are not positive
-    """
+    """Volume of the pipe by the error of a one-step model with products of its signals. Raises
+    ValueError where the input takes values that are not positive."""
     least = min(float(r.u[:, pace].min()) for r in records)
     if least <= 0.0:
         raise ValueError(f"input {pace} cannot be a pace: it has values that are not positive")

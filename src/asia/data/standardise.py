@@ -114,11 +114,8 @@ class Standardised:
         return offered() if callable(offered) else offered
 
     def estimates(self, trajectories: Sequence[Trajectory], context: Context) -> Any:
-        """Return the estimates of the model for the standardised records of its fit.
-
-        Raises:
-            ValueError: where signals were scaled
-        """
+        """Return the estimates of the model for the standardised records of its fit. Raises
+        ValueError where signals were scaled."""
         if self._scaled:
             raise ValueError("parameters of scaled signals have no units of their own")
         return self.model.estimates(trajectories, context)

@@ -89,11 +89,7 @@ def key_folder(given: Path | None = None) -> Path:
 
 def new_key(folder: Path) -> str:
     """Make a key and return its name; on return FOLDER/NAME.key is on the disk, for its owner
-    alone.
-
-    Raises:
-        UserError: when it cannot be written
-    """
+    alone. Raises UserError when it cannot be written."""
     from cryptography.fernet import Fernet
 
     secret = Fernet.generate_key()
@@ -137,29 +133,19 @@ def write_store(path: Path, head: SealHead, contents: Sequence[PlainFile], keys:
 
 
 def read_seal(path: Path) -> SealHead:
-    """Read the public header of the store at `path`, without its key.
-
-    Raises:
-        UserError: when it is not a store or was damaged
-    """
+    """Read the public header of the store at `path`, without its key. Raises UserError when it is
+    not a store or was damaged."""
     return _split(path)[0]
 
 
 def find_key(path: Path, head: SealHead, keys: Path) -> None:
-    """Check that the key of a store can be used.
-
-    Raises:
-        UserError: with the remedy, when it cannot
-    """
+    """Check that the key of a store can be used. Raises UserError with the remedy, when it
+    cannot."""
     _fernet(head, path, keys)
 
 
 def open_store(path: Path, keys: Path) -> tuple[PlainFile, ...]:
-    """The files of a store.
-
-    Raises:
-        UserError: without the key, or when the store was changed
-    """
+    """The files of a store. Raises UserError without the key, or when the store was changed."""
     from cryptography.fernet import InvalidToken
 
     head, payload = _split(path)

@@ -1,7 +1,5 @@
 """Linear models of a run: its model at operating points, with the fold models beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

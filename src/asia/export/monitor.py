@@ -29,8 +29,8 @@ from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.export.linear import StepModels, step_models
 from asia.export.model import ExportModel, TrainingWindow
-from asia.export.parity import DOUBLE, ParityRow
 from asia.export.pipeline import measured
+from asia.export.target import DOUBLE, ParityRow
 from asia.export.targets.c import c_compiler, example_csv, observed, observer_files
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.run import Run, open_run
@@ -127,9 +127,7 @@ class Monitor:
         longer = math.prod(own.states[0]) if len(own.states) > len(models.own.states) else 0
         initial = np.r_[np.zeros(longer), observer.initial]
         self.observer = replace(
-            observer,
-            low=augmented(own, changes, observer.noise.pole),
-            initial=initial,
+            observer, low=augmented(own, changes, observer.noise.pole), initial=initial
         )
         self.reset()
 

@@ -1,25 +1,30 @@
 """Export of a run's model: composition, parity check, usage page."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
+from typing import cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asia._files import write_file
+from asia._plugins import Part, parts_of
+from asia._text import suggestion
 from asia.data.preprocess import Preprocess
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
 from asia.export.model import Band, ExportModel, TrainingWindow
-from asia.export.parity import ParityRow, parity_row
-from asia.export.registry import find_target
-from asia.export.target import Target
+from asia.export.target import ParityRow, Target, parity_row
+from asia.export.targets.c import CTarget
+from asia.export.targets.casadi import CasadiTarget
+from asia.export.targets.control import ControlTarget
+from asia.export.targets.fmu import FmuTarget
+from asia.export.targets.matlab import MatlabTarget
+from asia.export.targets.numpy import NumpyTarget
+from asia.export.targets.onnx import OnnxTarget
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.sandbox.types import Isolation
 from asia.ledger.events import Use
@@ -36,6 +41,62 @@ from asia.search.simulation import (
     simulate,
     simulate_members,
 )
+
+_GROUP = "asia.export_targets"
+
+_ALL: tuple[Target, ...] = (
+    NumpyTarget(),
+    CTarget(),
+    OnnxTarget(),
+    FmuTarget(),
+    CasadiTarget(),
+    ControlTarget(),
+    MatlabTarget(),
+)
+TARGETS: dict[str, Target] = {t.name: t for t in _ALL}
+"""The built-in targets."""
+
+
+def target_names() -> tuple[str, ...]:
+    """Names that `--to` accepts: the built-in targets, then those of installed packages."""
+    return (*TARGETS, *(part.name for part in parts_of(_GROUP) if part.name not in TARGETS))
+
+
+def find_target(name: str) -> Target:
+    """Return the target of that name. Raises UserError when there is none, an installed package
+    brings something else by that name, or a program that the target needs is not installed."""
+    plugged = {part.name: part for part in parts_of(_GROUP)}
+    if name in TARGETS:
+        found = TARGETS[name]
+    elif name in plugged:
+        found = _load(plugged[name])
+    else:
+        raise UserError(
+            f"export target '{name}' is unknown{suggestion(name, target_names())} (installed are "
+            f"{', '.join(target_names())})"
+        )
+    missing = found.missing()
+    if missing is not None:
+        raise UserError(f"--to {name}: {missing}")
+    return found
+
+
+def _load(part: Part) -> Target:
+    make = part.load()
+    found = make() if isinstance(make, type) else make
+    methods = ("missing", "print", "run")
+    if not all(callable(getattr(found, method, None)) for method in methods):
+        raise UserError(
+            f"{part.target} of package {part.package} {part.version} is {make!r}, expected an "
+            "asia.export.target.Target, or its class, with missing(), print() and run()"
+        )
+    if getattr(found, "name", None) != part.name:
+        raise UserError(
+            f"export target '{part.name}' of package {part.package} calls itself "
+            f"{getattr(found, 'name', None)!r}: give it the name of its entry point"
+        )
+    return cast("Target", found)
+
 
 # What happens outside the candidate is composed here, once for all targets: the weighted mean of
 # lowered models, and maps of the signals before a model reads them and of outputs after it.
@@ -136,11 +197,7 @@ def table(rows: Sequence[ParityRow]) -> list[str]:
 
 
 def kept_delays(done: Preprocess, inputs: Sequence[Signal]) -> list[int]:
-    """Delay of each input, in samples that are kept.
-
-    Raises:
-        UserError: if one is no whole number.
-    """
+    """Delay of each input, in samples that are kept. Raises UserError if one is no whole number."""
     every, kept = done.decimate, list[int]()
     for signal in inputs:
         delay = done.delay.get(signal.name, 0)
@@ -155,11 +212,8 @@ def kept_delays(done: Preprocess, inputs: Sequence[Signal]) -> list[int]:
 
 
 def measured(low: LoweredModel, done: Preprocess, inputs: Sequence[Signal]) -> LoweredModel:
-    """Convert a model of delayed inputs to one of measured inputs.
-
-    Raises:
-        UserError: as for `kept_delays`.
-    """
+    """Convert a model of delayed inputs to one of measured inputs. Raises UserError as for
+    `kept_delays`."""
     late = np.array(kept_delays(done, inputs))
     longest, n, nu = int(late.max()), low.n_past_u, low.nu
     if not longest:
@@ -286,11 +340,8 @@ def export(
 
 
 def write(one: Target, ready: Ready, folder: Path) -> Exported:
-    """Print for one target, compare, then write.
-
-    Raises:
-        UserError: if the difference exceeds the limit.
-    """
+    """Print for one target, compare, then write. Raises UserError if the difference exceeds the
+    limit."""
     printed = one.print(ready.model)
     with tempfile.TemporaryDirectory(prefix="asia-export-") as made:
         _put(Path(made), printed.files)
@@ -328,11 +379,8 @@ def write(one: Target, ready: Ready, folder: Path) -> Exported:
 
 
 def lowered_run(run: Run, model: str | None, isolation: Isolation | None = None) -> Ready:
-    """Lower the model of a run. isolation: as in `export`.
-
-    Raises:
-        UserError: if it cannot be lowered.
-    """
+    """Lower the model of a run. isolation: as in `export`. Raises UserError if it cannot be
+    lowered."""
     use, members = _members(run, model)
     problem = load_lock(run.directory / LOCK)
     done, inputs = problem.preprocess, problem.inputs

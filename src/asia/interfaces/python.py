@@ -28,7 +28,9 @@ from asia.ledger.text import error_value
 from asia.ledger.view import SearchView
 from asia.problem.load import load_lock
 from asia.problem.problem import Problem
-from asia.report import brief_html, write_page, write_report
+from asia.report.brief import brief_html
+from asia.report.files import write_report
+from asia.report.page.page import write_page
 from asia.search.run import LOCK
 from asia.search.simulation import BandedSimulation, simulate, simulate_cases
 

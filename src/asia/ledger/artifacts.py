@@ -1,7 +1,5 @@
 """Content-addressed artifacts: store and verification."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess

@@ -122,10 +122,7 @@ def scan(
     """Yield every complete record from `place` on, checked, with the position after it.
 
     A torn last record, left by a crash or still being written, is ignored, including its complete
-    lines.
-
-    Raises:
-        UserError: a record does not verify; the message names the first one.
+    lines. Raises UserError when a record does not verify; the message names the first one.
     """
     stream.seek(place.offset)
     lines, before = list[bytes](), place.head

@@ -13,12 +13,11 @@ from typing import Annotated, Any, Literal
 from pydantic import AliasChoices, Field, TypeAdapter
 
 from asia._timer import TimeSpent
-from asia.judge.scoring.attribution import Attribution
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.description import LiteralCheck
 from asia.judge.scoring.euclidean_error import MeeTable
 from asia.judge.scoring.outcome import Failure, Outcome, TestScore
-from asia.judge.scoring.repeated_fits import ExpectedError, Interval
+from asia.judge.scoring.repeated_fits import Attribution, ExpectedError, Interval
 from asia.judge.scoring.residuals import Diagnostics
 from asia.problem.protocol import EarlyStopping, ShownResidual
 

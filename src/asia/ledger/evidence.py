@@ -1,7 +1,5 @@
 """Evidence on an experiment besides its score: agreement of folds, noise, findings, parameters."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from collections import defaultdict
@@ -79,9 +77,7 @@ class SharedResidual:
     """The folds whose own mean lies on the same side by more than its standard error, from 1."""
 
 
-def shared_residuals(
-    folds: Sequence[Sequence[SignedResidual]],
-) -> tuple[SharedResidual, ...]:
+def shared_residuals(folds: Sequence[Sequence[SignedResidual]]) -> tuple[SharedResidual, ...]:
     """Return the signed residuals that exceed the noise in all folds together.
 
     Significant residuals come before those that may be chance, then the largest gain first.
@@ -106,8 +102,7 @@ def shared_residuals(
             shared.append(SharedResidual(residual, tuple(agree)))
     return tuple(
         sorted(
-            shared,
-            key=lambda one: (one.residual.evidence is Evidence.CHANCE, -one.residual.gain),
+            shared, key=lambda one: (one.residual.evidence is Evidence.CHANCE, -one.residual.gain)
         )
     )
 

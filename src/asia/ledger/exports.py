@@ -1,7 +1,5 @@
 """results.tsv and search_journal.md, generated from the view."""
 
-from __future__ import annotations
-
 from itertools import zip_longest
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """Checks of a run folder before anything in it is read or written, since it may come from somebody
 else; and the workspaces of this user, in which no run is accepted."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat
@@ -94,11 +92,7 @@ _REMEDY = "a run holds ordinary files and folders alone; use it only if you know
 def check_run_folder(directory: Path) -> None:
     """Check that a run folder has ordinary files and folders under the names that ASIA reads and
     writes, and that it lies in no workspace. A link could name any file of the user, and to open a
-    named pipe could wait for ever.
-
-    Raises:
-        UserError: with the first name that is something else.
-    """
+    named pipe could wait for ever. Raises UserError with the first name that is something else."""
     place = workspace_around(directory)
     if place is not None:
         raise UserError(

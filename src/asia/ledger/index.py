@@ -6,8 +6,6 @@ is rebuilt if it is damaged, has another version, or if the ledger did not just 
 depends on it: `verify`, resume, unseal and reports read the ledger.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sqlite3
@@ -20,15 +18,7 @@ from typing import TypeVar
 
 from asia._files import cache_folder, name_of_place
 from asia.errors import UserError
-from asia.ledger.chain import (
-    BEGIN,
-    Position,
-    decode,
-    in_use,
-    ledger_of,
-    open_ledger,
-    scan,
-)
+from asia.ledger.chain import BEGIN, Position, decode, in_use, ledger_of, open_ledger, scan
 from asia.ledger.events import Evaluated, Event, Landed, Proposed
 from asia.ledger.run import RunState, state_of
 from asia.ledger.view import SearchView, replay

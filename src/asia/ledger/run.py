@@ -1,7 +1,5 @@
 """A run directory opened for reading."""
 
-from __future__ import annotations
-
 import tomllib
 import traceback
 from dataclasses import dataclass

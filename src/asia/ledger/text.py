@@ -1,7 +1,5 @@
 """Text of a ledger for people: events, experiments, their evidence, identified parameters."""
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Iterator, Sequence

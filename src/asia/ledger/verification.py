@@ -1,7 +1,5 @@
 """Check a run: the chain of records, and every artifact they name."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

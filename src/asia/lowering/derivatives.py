@@ -6,8 +6,6 @@ derivative is that of the side that the function takes. Source: Griewank and Wal
 Derivatives, 2nd ed., SIAM 2008, chapter 3.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -321,11 +321,8 @@ def _widened(x: Enclosure, shape: tuple[int, ...]) -> Enclosure:
 
 
 def enclose(program: Program, inputs: Sequence[Enclosure]) -> list[Enclosure]:
-    """Enclose the outputs of a program for all inputs in sets of the same generators.
-
-    Raises:
-        UnboundedError: where an operation has no finite enclosure
-    """
+    """Enclose the outputs of a program for all inputs in sets of the same generators. Raises
+    UnboundedError where an operation has no finite enclosure."""
     generators = len(inputs[0].g) if inputs else 0
     values: list[Enclosure | list[Enclosure]] = [
         *inputs, *(point(c, generators) for c in program.constants)
@@ -413,11 +410,8 @@ def reach(
 
 
 def affine_matrices(model: LoweredModel) -> tuple[Enclosure, Enclosure, Enclosure, Enclosure]:
-    """Enclosures of A, B, C, D of a step that is affine in states and input.
-
-    Raises:
-        UnboundedError: for any other step
-    """
+    """Enclosures of A, B, C, D of a step that is affine in states and input. Raises UnboundedError
+    for any other step."""
     step, ny = model.step, model.ny
     varies = [*[True] * len(step.inputs), *[False] * len(step.constants)]
     for node in step.nodes:

@@ -1,7 +1,5 @@
 """NumPy interpreter of lowered programs: the reference for every printer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

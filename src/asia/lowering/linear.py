@@ -7,8 +7,6 @@ Postlethwaite, Multivariable Feedback Control, 2nd ed., chapter 11 (balanced tru
 error bound); Seborg et al., Process Dynamics and Control, chapter 5 (process models).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -201,10 +199,7 @@ def settle(model: LoweredModel, x: Array, u: Array, samples: int = _SETTLING) ->
 
 
 def operating_points(
-    model: LoweredModel,
-    starts: Sequence[Array],
-    u: Array,
-    y: Array | None = None,
+    model: LoweredModel, starts: Sequence[Array], u: Array, y: Array | None = None
 ) -> list[OperatingPoint]:
     """Operating points that are found from several states, each once.
 
@@ -432,11 +427,8 @@ def _step(
 
 def process_model(t: Array, y: Array, *, integrator: bool = False) -> ProcessModel:
     """The simplest process model of a step response y (N,) at times t (N,) in s: a structure with
-    one more lag or a zero is taken only where it halves the error.
-
-    Raises:
-        UserError: for a response without a change
-    """
+    one more lag or a zero is taken only where it halves the error. Raises UserError for a response
+    without a change."""
     from scipy.optimize import least_squares
 
     size = float(np.linalg.norm(y - y.mean()))

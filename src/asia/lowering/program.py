@@ -30,10 +30,7 @@ BINARY = frozenset(_BINARY.split())
 REDUCTIONS = frozenset(("rsum", "rmax", "rmin", "rprod"))
 """Sum, greatest, least and product over the axes that the attributes name."""
 _MOVES = frozenset(["reshape", "broadcast", "transpose", "slice", "pick", "concat", "pad"])
-OPERATIONS = (
-    *sorted(UNARY | BINARY | REDUCTIONS | _MOVES),
-    *("select", "matmul", "loop", "part"),
-)
+OPERATIONS = (*sorted(UNARY | BINARY | REDUCTIONS | _MOVES), *("select", "matmul", "loop", "part"))
 """All operations; their order gives their numbers in packed programs."""
 
 LARGEST_RANK = 8
@@ -261,11 +258,7 @@ class LoweredModel:
         return self.step.with_outputs(self.step.outputs[1:])
 
     def check(self) -> None:
-        """Check that the parts fit together.
-
-        Raises:
-            ShapeError: if they do not.
-        """
+        """Check that the parts fit together. Raises ShapeError if they do not."""
         window = ((self.n_past_u, self.nu), (self.n_past_y, self.ny), (self.nu,))
         if self.initial.inputs != window or self.step.inputs[-1:] != ((self.nu,),):
             raise ShapeError("programs read other signals than the model has")
@@ -293,11 +286,8 @@ class Builder:
     def add(
         self, op: str, operands: Sequence[int], attrs: Attributes = (), body: Program | None = None
     ) -> int:
-        """Add an operation and return the number of its result.
-
-        Raises:
-            ShapeError: if operands and attributes do not fit together.
-        """
+        """Add an operation and return the number of its result. Raises ShapeError if operands and
+        attributes do not fit together."""
         shapes = [self.shape(i) for i in operands]
         if op == "loop":
             _check_loop(attrs, shapes, body)
@@ -395,12 +385,7 @@ def inlined(build: Builder, program: Program, inputs: Sequence[int]) -> list[int
 
 # Neutral elements of the operations: for each operand, the value of the other one with which the
 # result equals the operand.
-_NEUTRAL = {
-    "add": {0: 0.0, 1: 0.0},
-    "sub": {0: 0.0},
-    "mul": {0: 1.0, 1: 1.0},
-    "div": {0: 1.0},
-}
+_NEUTRAL = {"add": {0: 0.0, 1: 0.0}, "sub": {0: 0.0}, "mul": {0: 1.0, 1: 1.0}, "div": {0: 1.0}}
 
 
 def _check_loop(attrs: Attributes, shapes: Sequence[Shape], body: Program | None) -> None:

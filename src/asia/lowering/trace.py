@@ -1,7 +1,5 @@
 """Lowering of JAX programs: one rule a primitive."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
@@ -412,11 +410,7 @@ _CALLS = (
     "pjit jit closed_call core_call custom_jvp_call custom_vjp_call custom_vjp_call_jaxpr remat2 "
     "checkpoint custom_jvp_call_jaxpr"
 )
-_CONTROL: dict[str, Rule] = {
-    **dict.fromkeys(_CALLS.split(), _called),
-    "scan": _scan,
-    "cond": _cond,
-}
+_CONTROL: dict[str, Rule] = {**dict.fromkeys(_CALLS.split(), _called), "scan": _scan, "cond": _cond}
 _RULES: dict[str, Rule] = {
     **{name: _elementwise(name) for name in UNARY | BINARY},
     **{f"reduce_{n}": _reduce("r" + n) for n in ("sum", "max", "min", "prod")},
@@ -498,10 +492,7 @@ def lowered_bytes(
 
 def lowered(model: Any, n_past_u: int, n_past_y: int, nu: int, ny: int) -> LoweredModel:
     """Lower an `asia.candidate.StepModel` to programs for one case; jax_enable_x64 must be on.
-
-    Raises:
-        CannotLowerError: with the obstacle.
-    """
+    Raises CannotLowerError with the obstacle."""
     import jax
 
     def begin(*signals: Any) -> Any:

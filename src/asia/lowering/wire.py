@@ -5,8 +5,6 @@ a shape is a count and its numbers. Nothing is skipped and nothing may follow: t
 whatever does not check before a printer sees it.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct
@@ -41,11 +39,7 @@ class FormatError(ValueError):
 
 
 def pack(model: LoweredModel) -> bytes:
-    """Pack a lowered model as bytes.
-
-    Raises:
-        ShapeError: if its parts do not fit together.
-    """
+    """Pack a lowered model as bytes. Raises ShapeError if its parts do not fit together."""
     model.check()
     out = [MAGIC, _HEAD.pack(model.n_past_u, model.n_past_y, model.nu, model.ny, model.single)]
     for program in (model.initial, model.step):
@@ -59,11 +53,8 @@ def pack_refusal(reason: str) -> bytes:
 
 
 def unpack(data: bytes) -> LoweredModel | str:
-    """Read a lowered model, or the reason why there is none.
-
-    Raises:
-        FormatError: if the bytes are neither.
-    """
+    """Read a lowered model, or the reason why there is none. Raises FormatError if the bytes are
+    neither."""
     if data.startswith(REFUSED):
         text = data[len(REFUSED) : len(REFUSED) + REFUSAL_BYTES].decode("ascii", "replace")
         return _NO_TEXT.sub("_", text)
@@ -86,10 +77,7 @@ def unpack(data: bytes) -> LoweredModel | str:
 
 def unpack_for(data: bytes, sizes: tuple[int, int, int, int]) -> LoweredModel | str:
     """Read a lowered model of given n_past_u, n_past_y, nu, ny, or the reason why there is none.
-
-    Raises:
-        FormatError: if the bytes are neither, or the sizes differ.
-    """
+    Raises FormatError if the bytes are neither, or the sizes differ."""
     found = unpack(data)
     if isinstance(found, str) or (found.n_past_u, found.n_past_y, found.nu, found.ny) == sizes:
         return found

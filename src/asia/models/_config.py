@@ -1,7 +1,5 @@
 """Settings that every `Config` and every training method checks, and the progress of a fit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
 

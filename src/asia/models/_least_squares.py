@@ -6,8 +6,6 @@ while a model is trained; given JAX arrays it is traced, for a step that `asia e
 Source: Marquardt, SIAM J. Appl. Math. 11 (1963).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeAlias

@@ -1,7 +1,5 @@
 """Common parts of the models and steps of several families, batch first, for NumPy and JAX."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Protocol, TypeVar

@@ -7,8 +7,6 @@ Sources: Giri and Bai (eds.), Block-oriented Nonlinear System Identification, 20
 Tiels, Automatica 85, 2017.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal

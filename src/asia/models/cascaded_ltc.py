@@ -7,8 +7,6 @@ the two time scales stay apart. Source: Hasani et al., Closed-form continuous-ti
 Nature Machine Intelligence 4, 2022, for the layer.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import log
 from typing import Any

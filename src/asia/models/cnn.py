@@ -8,8 +8,6 @@ convolutional networks in system identification, CDC 2019; van den Oord et al., 
 2016 (gates).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -8,8 +8,6 @@ proportional to the content, to its square root, or to a learned power of it. Wh
 Source: Jacquez, Compartmental Analysis in Biology and Medicine, 1996.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args

@@ -9,8 +9,6 @@ Sources: Jaeger, GMD Report 148, 2001; Lukosevicius, A practical guide to applyi
 networks, 2012.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

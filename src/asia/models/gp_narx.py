@@ -9,8 +9,6 @@ Sources: Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, 
 Kocijan, Modelling and Control of Dynamic Systems Using Gaussian Process Models, 2016.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -9,8 +9,6 @@ that on its training records a hybrid never has a higher regularised cost than i
 Source: Psichogios and Ungar, AIChE Journal 38(10), 1992.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 

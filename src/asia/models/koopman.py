@@ -10,8 +10,6 @@ Goswami and Paley, CDC 2017 (bilinear terms); Lusch et al., Nature Communication
 lift).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

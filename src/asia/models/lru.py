@@ -6,8 +6,6 @@ first sample come from the past window. Source: Orvieto et al., Resurrecting rec
 networks for long sequences, ICML 2023.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -6,8 +6,6 @@ Source: Hasani et al., Closed-form continuous-time neural networks, Nature Machi
 2022.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -5,8 +5,6 @@ Levenberg-Marquardt.
     model = lstm.train(lstm.build(config, context), trajectories, context, method)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 

@@ -8,8 +8,6 @@ initialization of state-space artificial neural networks, ECC 2021; Paduart et a
 46(4), 2010 (polynomials).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

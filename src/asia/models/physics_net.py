@@ -12,8 +12,6 @@ Sources: Piga and Forgione (physics-residual LSTM, kinematic gains); Wipf and Na
 2007 (reweighted ridge).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -5,8 +5,6 @@ is linear in the last layer's state and in the input. Sources: Cho et al., EMNLP
 Hochreiter and Schmidhuber, Neural Computation 9(8), 1997 (LSTM).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal

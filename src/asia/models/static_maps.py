@@ -29,12 +29,7 @@ from asia.models._config import check_choice
 from asia.models._linear.fit import LinearFit, Refinement, fit, solve_linear_part
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import window_segments
-from asia.models._numerics.training_records import (
-    ScaledTrajectory,
-    check,
-    scaled,
-    shortened,
-)
+from asia.models._numerics.training_records import ScaledTrajectory, check, scaled, shortened
 from asia.models._steps import FittedModel
 
 M = TypeVar("M")
@@ -254,8 +249,7 @@ def train(
     score = context.validation_score
     if score is not None:
         context = replace(
-            context,
-            validation_score=lambda inner: score(replace(model, inner=inner, maps=maps)),
+            context, validation_score=lambda inner: score(replace(model, inner=inner, maps=maps))
         )
     return replace(model, inner=family(model.inner, mapped, context, method), maps=maps)
 

@@ -9,8 +9,6 @@ system identification, Automatica 156, 2023; Schoukens, Improved initialization 
 artificial neural networks, ECC 2021.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -7,8 +7,6 @@ al., NeurIPS 2017; Beltagy, Peters and Cohan, arXiv 2004.05150, 2020 (window in 
 Smith and Lewis, ICLR 2022 (the biases at the start).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any

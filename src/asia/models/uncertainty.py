@@ -12,8 +12,6 @@ Econometrica 50(1), 1982; Ljung, System Identification, 2nd ed., 1999, chapter 9
 Kay, Modern Spectral Estimation, 1988, section 7.5.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

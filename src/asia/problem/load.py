@@ -11,8 +11,8 @@ from pathlib import Path
 from asia._files import read_text
 from asia._text import suggestion
 from asia.data.intake.sheet import Wanted
+from asia.data.sources import data_source, test_source
 from asia.data.sources.files import RecordFiles
-from asia.data.sources.registry import data_source, test_source
 from asia.data.sources.source import Channels
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError

@@ -1,7 +1,5 @@
 """A run in a few lines of HTML, for notebooks."""
 
-from __future__ import annotations
-
 from base64 import b64encode
 from pathlib import Path
 

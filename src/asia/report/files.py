@@ -1,7 +1,5 @@
 """Picture files of runs, problems and comparisons."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from io import BytesIO
@@ -26,8 +24,7 @@ from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.report.comparison import BenchPictures
 from asia.report.drawing.style import DPI, drawing
-from asia.report.pictures.check import draw_data, draw_delays, draw_responses
-from asia.report.pictures.equations import draw_equations
+from asia.report.pictures.check import draw_data, draw_delays, draw_equations, draw_responses
 from asia.report.pictures.evidence import (
     draw_ablation,
     draw_residuals,

@@ -1,7 +1,5 @@
 """LaTeX tables and the methods paragraph of a paper."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Published results of benchmarks, and the rank of a model among them."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Simulated cases of an experiment, as pictures and pages receive them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

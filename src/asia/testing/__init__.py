@@ -5,10 +5,9 @@ from asia.testing.candidate import check_candidate
 from asia.testing.executor import check_executor
 from asia.testing.export_target import check_export_target
 from asia.testing.family import check_family
-from asia.testing.ledger import OpenLedger, check_ledger
+from asia.testing.ledger import OpenLedger, check_ledger, check_sink
 from asia.testing.metric import check_metric
 from asia.testing.sandbox import OpenWorker, check_sandbox
-from asia.testing.sink import check_sink
 from asia.testing.source import check_source
 from asia.testing.validation_check import check_validation_check
 

@@ -1,7 +1,5 @@
 """Conformance suite for agents."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace

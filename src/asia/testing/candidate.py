@@ -1,7 +1,5 @@
 """Conformance suite for candidates."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Conformance suite for executors."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable

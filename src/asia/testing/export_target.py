@@ -1,7 +1,5 @@
 """Conformance suite of export targets."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
@@ -12,8 +10,7 @@ import numpy as np
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
 from asia.export.model import ExportModel, Printed, TrainingWindow
-from asia.export.parity import parity_row
-from asia.export.target import Target
+from asia.export.target import Target, parity_row
 from asia.lowering.evaluation import simulate
 from asia.lowering.program import LoweredModel
 from asia.lowering.trace import lowered_bytes

@@ -1,7 +1,5 @@
 """Conformance suite for metrics."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import numpy as np

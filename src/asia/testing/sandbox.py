@@ -1,7 +1,5 @@
 """Conformance suite for isolation levels."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import socket
@@ -232,10 +230,7 @@ def _check_nothing_is_left(open_worker: OpenWorker, case: _Case) -> None:
 
 
 def _check_walls(open_worker: OpenWorker, case: _Case) -> None:
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        socket.create_server(("127.0.0.1", 0)) as service,
-    ):
+    with tempfile.TemporaryDirectory() as folder, socket.create_server(("127.0.0.1", 0)) as service:
         path = Path(folder, "test.csv")
         path.write_text("u,y\n0,1\n")
         port = service.getsockname()[1]

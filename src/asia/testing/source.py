@@ -1,7 +1,5 @@
 """Conformance suite for sources of records."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Generator, Sequence

@@ -1,7 +1,5 @@
 """Conformance suite of validation checks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

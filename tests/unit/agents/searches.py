@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from asia.agents import Agent, AgentView, Effort, Facts, Proposal, Trial
+from asia.agents import Agent, AgentView, Facts, Proposal, Trial
 from asia.agents.library.recipe import Recipe, read_recipe
+from asia.agents.view import Effort
 from asia.candidate import source_digest
 from asia.data import Signal, Trajectory
 from asia.judge.scoring.residuals import Diagnostics

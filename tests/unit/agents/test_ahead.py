@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from asia.agents import Agent, AgentView, BayesAgent, ExpertAgent, Proposal, RandomAgent, Running
-from asia.agents.bayes import _encode_trial, _study  # pyright: ignore[reportPrivateUsage]
+from asia.agents import Agent, AgentView, Proposal, Running
+from asia.agents.bayes import BayesAgent, _encode_trial, _study  # pyright: ignore[reportPrivateUsage]
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.library.registry import families
 from asia.agents.llm.prompt import Task, search_text, task_of
+from asia.agents.random import RandomAgent
 from asia.candidate import source_digest
 
 from .searches import simulation, view

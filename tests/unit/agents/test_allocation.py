@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from asia.agents import ExpertAgent, Facts, Proposal, Trial
+from asia.agents import Facts, Proposal, Trial
 from asia.agents.expert import agent
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.expert.allocation import Allocation
 from asia.agents.library.registry import families, family
 

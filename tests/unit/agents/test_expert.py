@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.agents import AgentStoppedError, AgentView, ExpertAgent, Facts, Proposal, Trial
+from asia.agents import AgentStoppedError, AgentView, Facts, Proposal, Trial
 from asia.agents.expert import agent
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.expert.diagnosis import COURSE_MOVES, answers, places
 from asia.agents.expert.moves import all_moves
 from asia.agents.library.cards import neural_ss
-from asia.agents.library.cost import Timing
+from asia.agents.library.family import Timing
 from asia.agents.library.move import Situation, plain_title, title_of
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.record_facts import Switching, noise_of_periods, plateau_share

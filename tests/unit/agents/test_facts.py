@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from asia.agents import Effort
 from asia.agents.library.traits import traits
+from asia.agents.view import Effort
 from asia.problem import Physics
 from asia.problem.load import load_problem
 from asia.problem.protocol import FoldRule, Group, ProtocolRule

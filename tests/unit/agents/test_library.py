@@ -6,10 +6,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from asia.agents import ExpertAgent, Facts, Trial
+from asia.agents import Facts, Trial
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.expert.moves import all_moves
-from asia.agents.library.cost import FEWEST_STEPS
-from asia.agents.library.family import Family, under_protocol
+from asia.agents.library.family import FEWEST_STEPS, Family, under_protocol
 from asia.agents.library.methods import by_lbfgs
 from asia.agents.library.move import Situation
 from asia.agents.library.registry import all_families, families

@@ -7,15 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from asia.agents import (
-    AgentStoppedError,
-    DivergedError,
-    InterruptedWaitError,
-    LlmAgent,
-    LlmSettings,
-)
+from asia.agents import AgentStoppedError
+from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.client import ChatClient
 from asia.agents.llm.reply import Answer
+from asia.agents.llm.settings import LlmSettings
+from asia.agents.view import DivergedError, InterruptedWaitError
 from asia.errors import UserError
 
 from .fake_llm import PROMPT_TOKENS, REPLY_TOKENS, FakeServer, Told, fake_llm

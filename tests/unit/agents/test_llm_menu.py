@@ -10,10 +10,13 @@ from typing import Any
 
 import pytest
 
-from asia.agents import AgentView, ExpertAgent, LlmAgent, LlmSettings, Proposal
+from asia.agents import AgentView, Proposal
+from asia.agents.expert.agent import ExpertAgent
+from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.local import LocalServer
 from asia.agents.llm.menu import Offer, menu, menu_problem, menu_schema, menu_search
 from asia.agents.llm.reply import Answer, Choice, MalformedReplyError, read_choice
+from asia.agents.llm.settings import LlmSettings
 from asia.candidate import check_source
 from asia.errors import UserError
 from asia.testing import check_agent

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from asia.agents import AgentView, LlmAgent, LlmSettings, Trial
+from asia.agents import AgentView, Trial
 from asia.agents.library.registry import families
+from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.prompt import (
     Task,
     anonymous,
@@ -19,6 +20,7 @@ from asia.agents.llm.prompt import (
     task_of,
 )
 from asia.agents.llm.reply import Answer
+from asia.agents.llm.settings import LlmSettings
 from asia.data import Signal
 from asia.ledger.text import error_line
 from asia.problem import Prior

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from asia.agents import AgentView, ExpertAgent, Facts, Proposal, Trial
+from asia.agents import AgentView, Facts, Proposal, Trial
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.expert.notes import READS, read_notes
 
 from .searches import CLEAN, recipe_of, simulation, trial, view

@@ -8,19 +8,15 @@ import pytest
 
 import asia._plugins as plugins
 from asia._plugins import Part
-from asia.agents import (
-    AGENTS,
-    BayesAgent,
-    ExpertAgent,
-    Facts,
-    RandomAgent,
-    choose_agent,
-    families_page,
-    recorded_agent,
-)
+from asia.agents import Facts
+from asia.agents.bayes import BayesAgent
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.expert.moves import all_moves
+from asia.agents.library.pages import families_page
 from asia.agents.library.registry import all_cards, all_families, families
 from asia.agents.llm.prompt import library
+from asia.agents.random import RandomAgent
+from asia.agents.registry import AGENTS, choose_agent, recorded_agent
 from asia.candidate import check_source
 from asia.errors import UserError
 from asia.testing import check_agent
@@ -38,7 +34,7 @@ def build(config, context): ...
 def train(model, trajectories, context, method): ...
 """
 CARD = """
-from asia.agents.library.card import Card
+from asia.agents.library.move import Card
 from asia.agents.library.family import Family
 from asia.agents.library.move import Move
 from asia.agents.library.recipe import Recipe

@@ -2,8 +2,9 @@
 
 import pytest
 
-from asia.agents import RandomAgent, make_agent
+from asia.agents import make_agent
 from asia.agents.library.registry import families
+from asia.agents.random import RandomAgent
 from asia.errors import UserError
 from tests.unit.agents.searches import recipe_of, search, simulation, view, windows
 

@@ -2,8 +2,9 @@
 
 import pytest
 
-from asia.agents import ExpertAgent, Proposal, Trial
-from asia.agents.expert.tune import TUNED
+from asia.agents import Proposal, Trial
+from asia.agents.expert.agent import ExpertAgent
+from asia.agents.expert.moves import TUNED
 from asia.agents.library.move import plain_title
 from tests.unit.agents.searches import CLEAN, recipe_of, search, simulation, trial, view
 

@@ -9,7 +9,8 @@ import pytest
 
 import asia
 from asia._source import source_facts
-from asia.agents import ExpertAgent, Facts
+from asia.agents import Facts
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.library.family import under_protocol
 from asia.agents.library.registry import all_families
 from asia.agents.llm.prompt import EXAMPLE

@@ -193,7 +193,7 @@ def test_joined_states_keep_their_order() -> None:
 
 @pytest.mark.slow
 def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
-    done = command_line("run", "two_tanks_sim", "--experiments", "2", "--runs", tmp_path)
+    done = command_line("run", "two_tanks_sim", "--experiments", "1", "--runs", tmp_path)
     assert done.code == 0
     shown = command_line("linear", "--runs", tmp_path, "--at", "u=2", "--at", "start", "--to-tf",
                          "--reduce", "auto", "--continuous")  # fmt: skip
@@ -204,7 +204,9 @@ def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
     found = json.loads((folder / "linear.json").read_text("utf-8"))
     first = found["points"][0]
     assert first["gain"][0][0] == pytest.approx(
-        first["C"][0] @ np.linalg.solve(np.eye(first["order"]) - first["A"], first["B"]), rel=1e-6
+        first["D"][0][0]
+        + first["C"][0] @ np.linalg.solve(np.eye(first["order"]) - first["A"], first["B"]),
+        rel=1e-6,
     )
     assert (folder / "linear.png").stat().st_size > 10_000
     assert "process models fitted to the training records, with 95 % intervals" in shown.out

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from asia.errors import UserError
-from asia.export.pipeline import Ready, weighted_mean, write
-from asia.export.registry import TARGETS
+from asia.export.pipeline import TARGETS, Ready, weighted_mean, write
 from asia.export.targets.c import FLAGS, c_compiler
 from asia.lowering.evaluation import simulate
 from asia.lowering.program import Builder, LoweredModel

@@ -87,7 +87,7 @@ def test_a_static_function_is_found(
     maps: static_maps.Config, f: Function, g: Function, gain: float
 ) -> None:
     """Its error is at least so many times below that of the linear model alone."""
-    training, test = record(1500, 0, f, g), record(800, 1, f, g)
+    training, test = record(800, 0, f, g), record(400, 1, f, g)
     plain = linear.train(linear.build(linear.Config(), CONTEXT), [training], CONTEXT, METHOD)
     model = fitted(maps, [training])
     assert gain * error(model, test) < error(plain, test)
@@ -113,7 +113,7 @@ def test_the_sign_of_a_simulation_in_mid_motion_comes_from_its_past_outputs() ->
 
 @pytest.mark.slow
 def test_levels_are_reported_in_units_of_the_input() -> None:
-    training = [record(900, seed, lambda u: np.clip(u, -6, 9)) for seed in (2, 3)]
+    training = [record(500, seed, lambda u: np.clip(u, -6, 9)) for seed in (2, 3)]
     found = fitted(static_maps.Config(input_map="saturation"), training).parameters()
     assert found["u1 lower level"] == pytest.approx(-6.0, abs=0.1)
     assert found["u1 upper level"] == pytest.approx(9.0, abs=0.1)
@@ -122,12 +122,12 @@ def test_levels_are_reported_in_units_of_the_input() -> None:
 
 @pytest.mark.slow
 def test_a_system_without_saturation_keeps_its_range() -> None:
-    training = record(1500, 4)
+    training = record(800, 4)
     model = fitted(static_maps.Config(input_map="saturation"), [training])
     assert model.maps is not None
     u = training.u
     assert np.mean(abs(model.maps.driven(u) - u) > 1e-9) < 0.02
-    assert error(model, record(800, 5)) < 0.012
+    assert error(model, record(400, 5)) < 0.012
 
 
 @pytest.mark.slow
@@ -135,7 +135,7 @@ def test_another_family_is_fitted_to_the_mapped_records() -> None:
     def clipped(u: Array) -> Array:
         return np.clip(u, -6, 9)
 
-    training, test = record(1500, 0, clipped), record(800, 1, clipped)
+    training, test = record(800, 0, clipped), record(400, 1, clipped)
     errors = []
     for maps in (None, static_maps.Config(input_map="saturation")):
         model = narx.build(narx.Config(degree=1), CONTEXT)

@@ -15,7 +15,7 @@ from asia.ledger.run import open_run
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import Seal
-from asia.report import write_page
+from asia.report.page.page import write_page
 
 from .made_up import write_run
 

@@ -12,8 +12,15 @@ from asia.ledger.events import Unsealed
 from asia.problem import protocol
 from asia.problem.load import builtin_problems
 from asia.problem.problem import Problem
-from asia.report import Entry, OfficialFigure, leaderboard, official_figures
-from asia.report.published import ordinal, standings, submission_line
+from asia.report.published import (
+    Entry,
+    OfficialFigure,
+    leaderboard,
+    official_figures,
+    ordinal,
+    standings,
+    submission_line,
+)
 
 FIGURES = {
     "cascaded_tanks": 1,

@@ -16,9 +16,8 @@ import pytest
 
 from asia.candidate import ParameterEstimate, ParameterEstimates
 from asia.errors import InternalError
-from asia.judge.scoring.attribution import Attribution
 from asia.judge.scoring.checks.check import Verdict
-from asia.judge.scoring.repeated_fits import ExpectedError, Interval
+from asia.judge.scoring.repeated_fits import Attribution, ExpectedError, Interval
 from asia.ledger.chain import Chain
 from asia.ledger.events import (
     Ablated,
@@ -38,10 +37,9 @@ from asia.ledger.run import Run, open_run
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import DESCRIPTION_TEMPLATE, Seal, is_described
-from asia.report import write_bundle, write_page
 from asia.report.page.code import python
 from asia.report.page.html import Html, fixed, join, said, table, tag
-from asia.report.page.page import LIMIT, audit, page_of
+from asia.report.page.page import LIMIT, audit, page_of, write_bundle, write_page
 from asia.report.page.sections.evidence import CERTIFICATE_FILE, LINEAR_FILE
 from asia.report.page.subject import Section, Subject
 from asia.report.pictures.evidence import draw_ablation

@@ -17,9 +17,8 @@ from asia.ledger.run import open_run
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import Seal
-from asia.report import methods_paragraph, write_figures, write_tables
-from asia.report.files import COLUMN, PAGE
-from asia.report.paper import latex
+from asia.report.files import COLUMN, PAGE, write_figures
+from asia.report.paper import latex, methods_paragraph, write_tables
 
 from .made_up import write_run
 

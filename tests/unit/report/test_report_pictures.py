@@ -25,9 +25,8 @@ from asia.ledger.run import open_run
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import Seal
-from asia.report import draw_problem, write_report
 from asia.report.drawing.style import drawing, plain
-from asia.report.files import pictures, save
+from asia.report.files import draw_problem, pictures, save, write_report
 from asia.report.pictures.check import draw_data
 from asia.report.pictures.evidence import draw_validation
 

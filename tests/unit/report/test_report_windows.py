@@ -19,22 +19,21 @@ from asia.problem.lock import lock_text
 from asia.problem.problem import Problem, Seal
 from asia.problem.protocol import FoldRule, Group, OutputGroup
 from asia.problem.protocol import TestRule as SealedRule
-from asia.report import (
+from asia.report.comparison import (
     ArmCurves,
     ArmsPicture,
     BenchPictures,
     ComparedValue,
     Curve,
     PublishedMee,
-    draw_bench,
-    leaderboard,
 )
 from asia.report.drawing.style import drawing
-from asia.report.files import pictures
+from asia.report.files import draw_bench, pictures
 from asia.report.pictures.check import draw_data
 from asia.report.pictures.leaderboard import draw_standing
 from asia.report.pictures.progress import draw_arms
 from asia.report.pictures.simulation import ErrorCurve, Growth, Marks, draw_growth
+from asia.report.published import leaderboard
 from asia.report.simulated import representative_windows
 
 from .made_up import Shape, make_problem, write_run

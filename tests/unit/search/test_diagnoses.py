@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.agents import AgentView, ExpertAgent, Proposal
+from asia.agents import AgentView, Proposal
+from asia.agents.expert.agent import ExpertAgent
 from asia.judge.evaluation.references import LINEAR
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search

@@ -7,15 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from asia.analysis.validation import validate
+from asia.analysis.validation import VALIDATION_CHECKS, validate
 from asia.errors import CandidateError, InternalError, Reason, UserError
 from asia.interfaces.cli import main
 from asia.judge.evaluation import findings
 from asia.judge.scoring.checks.check import Verdict
-from asia.judge.scoring.checks.registry import VALIDATION_CHECKS
 from asia.ledger.run import Run, error_of, open_run
 from asia.problem.load import load_problem
-from asia.report import files, write_page, write_report
+from asia.report import files
+from asia.report.files import write_report
+from asia.report.page.page import write_page
 from asia.report.page.sections import experiments
 from asia.search import final, loop
 from asia.search.run import prepare, search

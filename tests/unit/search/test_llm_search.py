@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 
 import asia
-from asia.agents import LlmAgent, LlmSettings
+from asia.agents.llm.agent import LlmAgent
 from asia.agents.llm.prompt import EXAMPLE
+from asia.agents.llm.settings import LlmSettings
 from asia.errors import UserError
 from asia.ledger.events import Evaluated, Exchanged
 from asia.ledger.run import Run

@@ -38,7 +38,8 @@ from asia.ledger.verification import verify
 from asia.problem.check import check_problem
 from asia.problem.load import load_problem
 from asia.problem.seal import seal
-from asia.report import draw_cases, draw_problem, write_figures, write_page, write_report
+from asia.report.files import draw_cases, draw_problem, write_figures, write_report
+from asia.report.page.page import write_page
 from asia.search.agent_views import agent_view, problem_facts
 from asia.search.dry_runs import dry_run
 from asia.search.run import prepare, search

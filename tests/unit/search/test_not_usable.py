@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.agents import ExpertAgent
+from asia.agents.expert.agent import ExpertAgent
 from asia.errors import UserError
 from asia.judge.evaluation.references import LINEAR
 from asia.ledger.run import Usability, usability

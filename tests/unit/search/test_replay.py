@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import asia
-from asia.agents import AGENTS
+from asia.agents.registry import AGENTS
 from asia.errors import UserError
 from asia.search.replay import Replayed, replay_run
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from asia.agents import Facts
-from asia.agents.library.card import Card
 from asia.agents.library.family import Family
-from asia.agents.library.move import Move
+from asia.agents.library.move import Card, Move
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import Space, Span
 

@@ -1,7 +1,5 @@
 """Notes of `asia steer` that the expert reads: a family, saturation, friction, a delay."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Moves on the equations of a grey-box and on ridge weights."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from asia.agents.library.methods import LM

@@ -1,8 +1,6 @@
 """Training methods: suitable settings of each for a problem, and their search spaces."""
 
-from __future__ import annotations
-
-from asia.agents.library.cost import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
+from asia.agents.library.family import CHUNK, FEWEST_STEPS, SampleCost, Stage, steps
 from asia.agents.library.move import Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.record_facts import integrating

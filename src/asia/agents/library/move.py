@@ -1,10 +1,8 @@
 """A move: a change to a trial's recipe, when it is worth making, and why."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from asia.agents.library.family import Family
@@ -119,3 +117,17 @@ def _value(value: object) -> str:
         return "-".join(str(v) for v in value) or "none"  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
     text = str(value).replace("(", "").replace(")", "")
     return "none" if value is None else text
+
+
+@dataclass(frozen=True)
+class Card:
+    """Families of one kind and the moves that refine them."""
+
+    families: tuple[Family, ...]
+    moves: tuple[Move, ...] = ()
+    """Moves on these families alone; on all of them where a move names none."""
+
+    def own_moves(self) -> tuple[Move, ...]:
+        """The moves, each with the families it is made on."""
+        names = tuple(family.name for family in self.families)
+        return tuple(replace(move, families=move.families or names) for move in self.moves)

@@ -1,7 +1,5 @@
 """Pages that describe the model library to agents and users."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re
@@ -42,11 +40,8 @@ class Option:
 
 @cache
 def options_of(settings: type) -> tuple[Option, ...]:
-    """The fields of a dataclass, each with the text below it.
-
-    Raises:
-        ValueError: for another class
-    """
+    """The fields of a dataclass, each with the text below it. Raises ValueError for another
+    class."""
     if not is_dataclass(settings):
         raise ValueError(f"{settings.__name__} is no dataclass")
     texts: dict[str, tuple[str, str]] = {}

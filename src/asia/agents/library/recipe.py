@@ -132,11 +132,8 @@ class Recipe:
         )
 
     def changed(self, **changes: Value) -> Recipe:
-        """Return the recipe with settings of the model or the method changed.
-
-        Raises:
-            KeyError: for a setting of neither
-        """
+        """Return the recipe with settings of the model or the method changed. Raises KeyError for a
+        setting of neither."""
         recipe = self
         for name, value in changes.items():
             if name in dict(self.config):

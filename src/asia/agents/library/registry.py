@@ -3,8 +3,6 @@
 Every function raises UserError as `all_cards` does.
 """
 
-from __future__ import annotations
-
 import pkgutil
 from functools import cache
 from importlib import import_module
@@ -12,8 +10,8 @@ from typing import cast
 
 from asia._plugins import Part, parts_of
 from asia.agents.library import cards
-from asia.agents.library.card import Card
 from asia.agents.library.family import Family
+from asia.agents.library.move import Card
 from asia.agents.library.recipe import MODELS
 from asia.agents.view import Facts
 from asia.errors import UserError
@@ -23,11 +21,8 @@ GROUP = "asia.families"
 
 @cache
 def all_cards() -> tuple[Card, ...]:
-    """The built-in cards, then those of other packages.
-
-    Raises:
-        UserError: for a part that is no card, or brings a family with a name that is taken
-    """
+    """The built-in cards, then those of other packages. Raises UserError for a part that is no
+    card, or brings a family with a name that is taken."""
     names = sorted(module.name for module in pkgutil.iter_modules(cards.__path__))
     found = [cast("Card", import_module(f"{cards.__name__}.{n}").CARD) for n in names]
     owners = {row.name: "ASIA" for card in found for row in card.families}

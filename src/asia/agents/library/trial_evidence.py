@@ -1,7 +1,5 @@
 """Evidence from training residuals and errors for the choice of the next move."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from asia.agents.view import Trial

@@ -24,13 +24,7 @@ from asia.agents.llm.prompt import (
     search_text,
     task_of,
 )
-from asia.agents.llm.reply import (
-    NO_CHOICE,
-    Answer,
-    MalformedReplyError,
-    read_choice,
-    read_reply,
-)
+from asia.agents.llm.reply import NO_CHOICE, Answer, MalformedReplyError, read_choice, read_reply
 from asia.agents.llm.settings import LlmSettings
 from asia.agents.view import AgentView, Journal, Proposal
 from asia.errors import InternalError, UserError
@@ -156,11 +150,8 @@ class LlmAgent:
     def _read(
         self, answer: Answer, view: AgentView, task: Task, offers: tuple[Offer, ...]
     ) -> tuple[Proposal, str]:
-        """Return the proposal of an answer, and the error of its source, "" for none.
-
-        Raises:
-            MalformedReplyError: for an answer without a candidate
-        """
+        """Return the proposal of an answer, and the error of its source, "" for none. Raises
+        MalformedReplyError for an answer without a candidate."""
         choice = read_choice(answer.text) if offers else None
         if choice is not None:
             if not 1 <= choice.number <= len(offers):

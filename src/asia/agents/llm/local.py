@@ -1,7 +1,5 @@
 """Server of a language model on this machine, which ASIA starts and stops itself."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import importlib.metadata

@@ -1,7 +1,5 @@
 """Replies of a language model, parsed into candidates, and statistics of a search."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

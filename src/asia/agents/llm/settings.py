@@ -130,11 +130,8 @@ class LlmSettings:
         }
 
     def api_key(self) -> str:
-        """The key, from the environment; servers other than OpenAI's may need none.
-
-        Raises:
-            UserError: when it is missing
-        """
+        """The key, from the environment; servers other than OpenAI's may need none. Raises
+        UserError when it is missing."""
         key = os.environ.get(self.api_key_env, "").strip()
         if not key and self.base_url is None:
             raise UserError(
@@ -166,11 +163,7 @@ class LlmSettings:
 
     @classmethod
     def from_record(cls, record: Mapping[str, str]) -> LlmSettings:
-        """The settings of `record`.
-
-        Raises:
-            UserError: when it is not one
-        """
+        """The settings of `record`. Raises UserError when it is not one."""
         try:
             given = {
                 k: v if k in ("model", "base_url") else json.loads(v) for k, v in record.items()
@@ -185,12 +178,8 @@ class LlmSettings:
 
 
 def first_model(base_url: str, api_key_env: str) -> str:
-    """The name of the first model that an OpenAI-compatible server lists.
-
-    Raises:
-        UserError: without the extra `llm`, for a server that cannot be reached, and for one
-            that lists none
-    """
+    """The name of the first model that an OpenAI-compatible server lists. Raises UserError without
+    the extra `llm`, for a server that cannot be reached, and for one that lists none."""
     if importlib.util.find_spec("openai") is None:
         raise UserError(
             "asking a server needs the package openai: pip install '.[llm]' in a clone of ASIA"

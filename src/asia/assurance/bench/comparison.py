@@ -5,14 +5,16 @@ from __future__ import annotations
 import itertools
 import json
 import statistics
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
+from pydantic import TypeAdapter
 from scipy.stats import wilcoxon
 
 from asia._text import printable_line
@@ -30,7 +32,6 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.metrics import MEE, find_metric, metric_label
 from asia.problem.problem import Problem
 from asia.problem.protocol import EarlyStopping, ShownResidual
-from asia.report import draw_bench
 from asia.report.comparison import (
     ArmCurves,
     ArmsPicture,
@@ -39,12 +40,12 @@ from asia.report.comparison import (
     Curve,
     PublishedMee,
 )
+from asia.report.files import draw_bench
 from asia.report.published import leaderboard, official_figures, read_board
 from asia.search.run import prepare, search
 from asia.search.unsealing import unseal
 
-# Published results of the paper on its two benchmarks. Figures are those of Piga and Forgione's
-# article on ASIA; every V there was measured with the validation fold used for early stopping.
+# Published results of the paper on its two benchmarks.
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,7 @@ class PaperTest:
     value: float
 
 
-@dataclass(frozen=True)
-class GroupErrors:
+class GroupErrors(NamedTuple):
     """Mean Euclidean Error of one output group after 10 and 50 samples, and summed over 1 to 50."""
 
     group: str
@@ -103,62 +103,8 @@ class Paper:
 
 def paper(problem_name: str) -> Paper | None:
     """The paper's figures on a built-in problem; None when it has none."""
-    return {"cascaded_tanks": _TANKS, "nanodrone": _NANODRONE}.get(problem_name)
-
-
-_TANKS = Paper(
-    experiments=15,
-    references=("rnn4", "ltc64"),
-    values=(
-        PaperV("RNN-4, the search's baseline", 0.681, "rnn4"),
-        PaperV("LSTM-128, truncated back-propagation", 0.430),
-        PaperV("LTC/CfC-64", 0.250, "ltc64"),
-        PaperV("agentic search, best of 15", 0.250, "expert"),
-    ),
-    test=(PaperTest("paper: LTC/CfC-64, ensemble of 2 fold models", 0.298),),
-    protocol="Samples 51 to 1024 of the test record count, simulated from its first 5 samples. The "
-    "authors' 11 repeated searches came to 0.271 to 0.381 V on the test.",
-)
-
-
-def _mee(model: str, *numbers: float) -> PaperMee:
-    groups = ("p", "v", "R", "omega")
-    rows = (GroupErrors(g, *numbers[3 * i : 3 * i + 3]) for i, g in enumerate(groups))
-    return PaperMee(model, tuple(rows))
-
-
-_NANODRONE = Paper(
-    experiments=30,
-    references=(),
-    values=(
-        PaperV("LSTM-32, the search's baseline", 0.707, "baseline"),
-        PaperV("random search, best of 30", 0.31, "random-paper"),
-        PaperV("agentic search, best of 30", 0.286, "expert"),
-    ),
-    mee=(
-        _mee(
-            "paper: naive", 0.143, 0.680, 17.8, 0.318, 1.475, 38.9, 0.069, 0.304, 8.2, 0.360,
-            0.884, 29.1,
-        ),
-        _mee(
-            "paper: physics + residual (Busetto 2026)", 0.017, 0.112, 2.4, 0.061, 0.556, 10.4,
-            0.038, 0.231, 6.2, 0.488, 0.598, 29.0,
-        ),
-        _mee(
-            "paper: random search", 0.015, 0.124, 2.6, 0.078, 0.417, 10.1, 0.026, 0.155, 4.3, 0.354,
-            0.581, 22.4,
-        ),
-        _mee(
-            "paper: agentic search", 0.013, 0.096, 2.1, 0.077, 0.342, 8.4, 0.027, 0.149, 3.9, 0.314,
-            0.450, 19.6,
-        ),
-    ),
-    protocol="Two protocols are published. The benchmark's own code takes 19347 windows, one at "
-    "every sample, with the inputs u[i] to u[i+49]. The ASIA paper takes 390 windows, one every 50 "
-    "samples, with the inputs u[i+1] to u[i+50], the motor speeds of the samples that are "
-    "predicted; so do we. On the 390 windows the naive row comes out 0.2 to 6 % below the paper's: "
-    "differences of that size are protocol, not progress.",
-)  # fmt: skip
+    text = (resources.files("asia.assurance.bench") / "paper.toml").read_text("utf-8")
+    return TypeAdapter(dict[str, Paper]).validate_python(tomllib.loads(text)).get(problem_name)
 
 
 # Plan of a comparison: its searches and their budgets.

@@ -1,7 +1,5 @@
 """Benchmark suite: every built-in benchmark searched and ranked."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -23,7 +21,7 @@ from asia.ledger.chain import write_whole
 from asia.ledger.run import open_run
 from asia.ledger.text import error_value
 from asia.problem.load import load_problem
-from asia.report import draw_all_boards
+from asia.report.files import draw_all_boards
 from asia.report.published import Board, read_board
 
 # Plan of a suite: its benchmarks and their budgets.

@@ -4,8 +4,6 @@ Arguments: `off`, `control` (broken candidates, with isolation off) or a level, 
 leave out, and the attacks' numbers. It prints one finding a line.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,7 +1,5 @@
 """Arena: one cheating candidate against the real evaluator."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import contextmanager

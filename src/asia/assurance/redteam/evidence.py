@@ -1,7 +1,5 @@
 """Evidence of an attack: signs of success, targets, traces, verdict."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import os

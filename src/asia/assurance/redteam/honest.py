@@ -1,8 +1,6 @@
 """Honest candidates under the checks that cheats are flagged by: every model family of the library,
 on the two-tank simulation and on windows of a small made-up drone."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 
@@ -79,11 +77,7 @@ def small_problems() -> tuple[HonestProblem, ...]:
 
 
 def problem_named(name: str) -> HonestProblem:
-    """A problem by name or path, in full.
-
-    Raises:
-        UserError: as `load_problem`
-    """
+    """A problem by name or path, in full. Raises UserError as `load_problem`."""
     problem: Problem = load_problem(name)
     seconds = problem.budget.fit_seconds
     return HonestProblem(name, problem_facts(problem), problem.protocol, seconds, tiny=False)

@@ -204,11 +204,7 @@ _PROBLEMS: dict[ProblemName, _Row] = {
         (0.93, 0.1),
         lambda: (_saturating(slow=True),),
     ),
-    "noisy": (
-        ProtocolRule("simulation", _TWO_FOLDS, 4, 4),
-        _NOISY,
-        lambda: (_noisy(480),),
-    ),
+    "noisy": (ProtocolRule("simulation", _TWO_FOLDS, 4, 4), _NOISY, lambda: (_noisy(480),)),
     "noisy windows": (
         ProtocolRule("windows", _TWO_FOLDS, 1, 1, horizon=24),
         _NOISY,
@@ -229,16 +225,8 @@ _PROBLEMS: dict[ProblemName, _Row] = {
         _FLEET,
         lambda: _fleet(weather=0.0, own=0.1, samples=12),
     ),
-    "drift": (
-        ProtocolRule("simulation", FoldRule(count=4), 2, 2),
-        _DRIFT,
-        lambda: (_drifting(),),
-    ),
-    "levels": (
-        ProtocolRule("simulation", _TWO_FOLDS, 2, 2),
-        _LEVELS,
-        lambda: (_two_levels(),),
-    ),
+    "drift": (ProtocolRule("simulation", FoldRule(count=4), 2, 2), _DRIFT, lambda: (_drifting(),)),
+    "levels": (ProtocolRule("simulation", _TWO_FOLDS, 2, 2), _LEVELS, lambda: (_two_levels(),)),
 }
 
 

@@ -1,7 +1,5 @@
 """Red-team suite: attacks at each level and with isolation off, honest candidates, tables."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -109,9 +107,7 @@ def run_suite(plan: RedTeamPlan, on_result: OnResult = lambda result: None) -> R
     """Run the plan, two jobs at a time; `on_result` is called with each finding as it is made.
 
     Attacks without protection run in an outer sandbox, and so do levels that confine nothing.
-
-    Raises:
-        SandboxError: where a worker or the outer sandbox cannot be started
+    Raises SandboxError where a worker or the outer sandbox cannot be started.
     """
     interruption = Interruption()
     honest: list[Job] = [
@@ -161,10 +157,8 @@ def without_layers(
 ) -> tuple[Finding, ...]:
     """Run attacks without these layers, in an outer sandbox.
 
-    Attacks that no layer of the sandbox affects are left out.
-
-    Raises:
-        SandboxError: when the outer sandbox cannot be started
+    Attacks that no layer of the sandbox affects are left out. Raises SandboxError when the outer
+    sandbox cannot be started.
     """
     walled = [attack for attack in attacks if attack.walled]
     jobs = [partial(_outside, level, layers, walled) for level, layers in settings]

@@ -1,7 +1,5 @@
 """File formats: arrays (NumPy, MATLAB, HDF5), Arrow, Excel, data loggers, ROS bags, text."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -31,11 +29,7 @@ from asia.errors import UserError
 
 
 def need(module: str, path: Path, extra: str) -> Any:
-    """A library that comes with an extra.
-
-    Raises:
-        UserError: that says how to get it
-    """
+    """A library that comes with an extra. Raises UserError that says how to get it."""
     try:
         return import_module(module)
     except ImportError:

@@ -1,7 +1,5 @@
 """Measured frequency responses: text, spreadsheets, NumPy and MATLAB files."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping
@@ -62,10 +60,8 @@ def read_frequency_response(path: Path) -> FrequencyRecord:
     counts), and `real` and `imag`, or `magnitude` and `phase`; with several responses the names are
     `OUTPUT/INPUT real`. Optional: `std` or `variance`. NumPy and MATLAB files have `frequency` and
     `response` (F, ny, nu), or the fields of a MATLAB frd or idfrd: `Frequency`, `ResponseData` (ny,
-    nu, F), `FrequencyUnit`, `Ts`, `CovarianceData`.
-
-    Raises:
-        UserError: for a file without a frequency response
+    nu, F), `FrequencyUnit`, `Ts`, `CovarianceData`. Raises UserError for a file without a frequency
+    response.
     """
     suffix = path.suffix.casefold()
     if suffix == ".mat":

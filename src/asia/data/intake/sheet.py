@@ -1,7 +1,5 @@
 """Contents of a file before it becomes a record: named columns, or trees of named arrays."""
 
-from __future__ import annotations
-
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -86,9 +84,7 @@ class FileFormat(ABC):
         """Read the tables that have the wanted columns.
 
         Where none has, return one with the existing columns, so that the message can name them.
-
-        Raises:
-            UserError: when the file cannot be read
+        Raises UserError when the file cannot be read.
         """
 
     def columns(self, path: Path) -> Mapping[str, str]:
@@ -126,11 +122,8 @@ def find_channels(columns: Mapping[str, Column], name: str) -> tuple[str, ...]:
 
 
 def require_column(sheet: FileTable, name: str) -> Column:
-    """Return the column of this name.
-
-    Raises:
-        UserError: naming the existing columns, when it is missing
-    """
+    """Return the column of this name. Raises UserError naming the existing columns, when it is
+    missing."""
     found = find_column(list(sheet.columns), name)
     if found is None:
         known = [c for c in sheet.columns if c]

@@ -1,7 +1,5 @@
 """CSV and other text tables, and the numbers in their cells."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
@@ -264,11 +262,7 @@ def _rank(layout: _Layout, wanted: Wanted) -> tuple[int, float, int]:
 
 
 def _with_delimiter(
-    lines: Sequence[str],
-    filled: Sequence[int],
-    delimiter: str | None,
-    units: bool,
-    wanted: Wanted,
+    lines: Sequence[str], filled: Sequence[int], delimiter: str | None, units: bool, wanted: Wanted
 ) -> _Layout | None:
     """The layout with this delimiter; None where no row is data."""
     sample = [(k, _cut(lines[k], delimiter)) for k in filled[:_SAMPLE]]

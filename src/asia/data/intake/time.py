@@ -1,7 +1,5 @@
 """Time columns as seconds, and samples on one time grid."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -168,11 +166,8 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def time_column(sheet: FileTable, wanted: Wanted) -> str | None:
-    """Return the name of the column with the sample times; None without one.
-
-    Raises:
-        UserError: when the named column is missing or ambiguous
-    """
+    """Return the name of the column with the sample times; None without one. Raises UserError when
+    the named column is missing or ambiguous."""
     if wanted.time == "none":
         return None
     if wanted.time is not None:

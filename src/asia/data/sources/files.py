@@ -1,7 +1,5 @@
 """Records in files, of every format that ASIA reads."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Flights of the nanodrone benchmark (https://github.com/idsia-robotics/nanodrone-sysid-benchmark):
 where its CSV files lie on this machine."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,11 +57,7 @@ class Nanodrone(DataSet):
 
 
 def _flights(subset: Literal["train", "test"]) -> tuple[Path, ...]:
-    """The files.
-
-    Raises:
-        UserError: that says how to get them
-    """
+    """The files. Raises UserError that says how to get them."""
     missing = ""
     own, home = os.environ.get("ASIA_DATA_DIR"), Path.home() / ".asia" / _REPOSITORY
     for clone in [*([Path(own) / "nanodrone", Path(own) / _REPOSITORY] if own else []), home]:

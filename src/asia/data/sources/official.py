@@ -1,7 +1,5 @@
 """Benchmarks of nonlinearbenchmark.org, read from the published files."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -347,9 +345,7 @@ LAYOUTS: dict[str, BenchmarkLayout] = {
         _emps,
     ),
     "silverbox": _one_file(
-        "Silverbox",
-        PublishedFile("SilverboxFiles/SNLS80mV.mat", "5c7413a5...77ed4"),
-        _silverbox,
+        "Silverbox", PublishedFile("SilverboxFiles/SNLS80mV.mat", "5c7413a5...77ed4"), _silverbox
     ),
     "wiener_hammerstein": _one_file(
         "WienerHammerBenchMark", PublishedFile("WienerHammerBenchMark.mat"), _wiener_hammerstein
@@ -395,12 +391,8 @@ class OfficialBenchmark(DataSet):
         return name.lower() if self.source.startswith("nonlinear_benchmarks:") else name
 
     def load(self, subset: Literal["train", "test"], channels: Channels) -> SourceData:
-        """Implement `DataSet.load`.
-
-        Raises:
-            UserError: when a file is missing, is not the published one, or does not have the
-                published layout
-        """
+        """Implement `DataSet.load`. Raises UserError when a file is missing, is not the published
+        one, or does not have the published layout."""
         del channels
         layout = LAYOUTS[self.argument]
         files = layout.train if subset == "train" else layout.test

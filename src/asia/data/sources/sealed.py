@@ -32,11 +32,7 @@ class SealedStore(Source):
         return cls((root / table.sealed.file).resolve(), table.sealed.sha256)
 
     def read(self, subset: Subset, channels: Channels) -> SourceData:
-        """Implement `Source.read`.
-
-        Raises:
-            UserError: also without the key
-        """
+        """Implement `Source.read`. Raises UserError also without the key."""
         if subset != "test":
             return SourceData(())
         inputs, outputs = channels.names

@@ -1,7 +1,5 @@
 """C99 without allocation: model, header, command-line program."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import re
@@ -23,13 +21,7 @@ from asia.data.trajectory import Array, Signal
 from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed, TrainingWindow
 from asia.export.target import Answers
-from asia.export.targets.indices import (
-    Places,
-    inside_places,
-    kept_axes,
-    slices,
-    source_places,
-)
+from asia.export.targets.indices import Places, inside_places, kept_axes, slices, source_places
 from asia.lowering.program import Node, Program, Shape
 
 # Files around `model.c`.

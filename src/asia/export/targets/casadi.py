@@ -1,7 +1,5 @@
 """CasADi functions of the initial state and of one sample, for optimal control and estimation."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 import time

@@ -1,7 +1,5 @@
 """A python-control system, and its matrices where the model is linear."""
 
-from __future__ import annotations
-
 import math
 import runpy
 import sys

@@ -1,7 +1,5 @@
 """Functional mock-up units for co-simulation, FMI 2.0 and 3.0."""
 
-from __future__ import annotations
-
 import importlib.util
 import io
 import platform

@@ -3,8 +3,6 @@
 An index counts the numbers of an array row after row.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any

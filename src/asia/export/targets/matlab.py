@@ -3,8 +3,6 @@
 Every value is a column: the numbers of its array, row after row.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import shutil

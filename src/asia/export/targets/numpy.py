@@ -1,7 +1,5 @@
 """Readable Python file that needs only NumPy."""
 
-from __future__ import annotations
-
 import math
 import re
 import runpy

@@ -1,7 +1,5 @@
 """ONNX graphs of the initial state, of one sample, and of a whole simulation."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -49,11 +47,7 @@ simulate = onnxruntime.InferenceSession("simulate.onnx")
         return missing_package("onnx", "onnxruntime")
 
     def print(self, model: ExportModel) -> Printed:
-        """Print the files.
-
-        Raises:
-            UserError: for an operation that ONNX does not have.
-        """
+        """Print the files. Raises UserError for an operation that ONNX does not have."""
         low = model.lowered
         states = [f"x{i}" for i in range(len(low.states))]
         after = [f"{x}_next" for x in states]

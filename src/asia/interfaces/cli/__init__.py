@@ -4,8 +4,6 @@ Exit codes: 0 done; 1 a bug, a broken sandbox or a failed check; 2 an error that
 correct; 3 a search whose candidates all failed; 130 interrupted (SIGINT), 143 terminated (SIGTERM).
 """
 
-from __future__ import annotations
-
 import inspect
 import signal
 import sys
@@ -34,7 +32,6 @@ from asia.interfaces.cli import (
     models,
     monitor,
     next_experiment,
-    note,
     query,
     report,
     show,
@@ -146,7 +143,7 @@ MAIN_COMMANDS: dict[str, Callable[..., None]] = {
 }
 MORE_COMMANDS: dict[str, Callable[..., None] | typer.Typer] = {
     "steer": steer.steer,
-    "note": note.note,
+    "note": steer.note,
     "verify": verify.verify,
     "query": query.query,
     "agent": agent_app,

@@ -157,8 +157,7 @@ def try_(
         str, typer.Option("--message", "-m", help="Hypothesis: what changed, and why it helps.")
     ] = "",
     expect: Annotated[
-        str,
-        typer.Option(help="Expected V and residuals, as text or a number."),
+        str, typer.Option(help="Expected V and residuals, as text or a number.")
     ] = "",
     parent: Annotated[
         int | None, typer.Option(help="Experiment that the candidate was derived from.")
@@ -174,8 +173,7 @@ def try_(
         ),
     ] = False,
     plot: Annotated[
-        bool,
-        typer.Option("--plot", help="Also draw the simulation and its residuals into plots/."),
+        bool, typer.Option("--plot", help="Also draw the simulation and its residuals into plots/.")
     ] = False,
     json: Json = False,
 ) -> None:
@@ -373,7 +371,7 @@ def mcp(
     Coding agents start this command themselves: asia agent config prints their configuration. The
     search is a separate process and outlives this one; asia status and asia steer work on it.
     """
-    from asia.interfaces.mcp.opened import AGENT, open_search, require_sdk
+    from asia.interfaces.mcp import AGENT, open_search, require_sdk
     from asia.interfaces.workspace.process import guard_words, with_guard
 
     require_sdk()

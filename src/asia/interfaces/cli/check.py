@@ -25,7 +25,7 @@ def check(
     from asia.problem.check import check_problem
     from asia.problem.load import load_problem
     from asia.problem.seal import seal
-    from asia.report import draw_problem
+    from asia.report.files import draw_problem
     from asia.search.run import check_baseline, level_here
 
     loaded = load_problem(problem)

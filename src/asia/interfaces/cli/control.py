@@ -219,7 +219,7 @@ def control(
     if out is not None:
         from asia.report.files import save
         from asia.report.page.sections.evidence import CONTROL_FILE
-        from asia.report.pictures.control import draw_control
+        from asia.report.pictures.analysis import draw_control
 
         named = [(p.name, y, u) for p, (y, u) in zip(loop.simulated, responses, strict=True)]
         names, ends = (loop.y, loop.u), (low, high)

@@ -1,7 +1,5 @@
 """asia demo: the example notebooks."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

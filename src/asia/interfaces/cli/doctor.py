@@ -58,8 +58,7 @@ class AttackOptions:
     only: Annotated[
         list[int] | None,
         _option(
-            metavar="N ...",
-            help="Attacks by number; default: all, and the honest candidates.",
+            metavar="N ...", help="Attacks by number; default: all, and the honest candidates."
         ),
     ] = None
     without: Annotated[
@@ -84,8 +83,7 @@ class AttackOptions:
         bool, _option("--quick", help="Try each honest model family on one problem, not on two.")
     ] = False
     prove: Annotated[
-        bool,
-        _option(help="Also show that the attacks work with isolation off (needs bubblewrap)."),
+        bool, _option(help="Also show that the attacks work with isolation off (needs bubblewrap).")
     ] = True
 
 

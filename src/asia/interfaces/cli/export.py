@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import json as jsonlib
-import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    Json,
-    RunName,
-    Runs,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import RunName, RunOptions
+
+if TYPE_CHECKING:
+    from asia.export.target import ParityRow
 
 
 def export(
+    *,
     run: RunName = None,
     to: Annotated[
         list[str] | None,
@@ -49,9 +45,7 @@ def export(
         list[str] | None,
         typer.Option(help="Parameter that the observer estimates, as for asia monitor."),
     ] = None,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Write a model of a run as code for other programs.
 
@@ -59,28 +53,28 @@ def export(
     agrees.
     """
     from asia.export.pipeline import export as write
-    from asia.export.pipeline import table
-    from asia.export.registry import target_names
+    from asia.export.pipeline import table, target_names
 
     if not to:
         raise UserError(f"--to is missing: one of {', '.join(target_names())}, or several")
     if (observer or parameter) and ("c" not in to or not observer):
         raise UserError("--observer belongs to --to c, and --parameter to --observer")
-    directory, level = run_directory(runs, run), candidate_level(isolation)
-    for one in write(directory, to, model, out, isolation=level):
-        if json:
+    directory, level = options.directory(run), options.level
+
+    def show(target: str, files: Sequence[Path], rows: Sequence[ParityRow]) -> None:
+        if options.json:
             facts = {
-                "target": one.target,
-                "files": [str(path) for path in one.files],
-                "parity": {r.target: r.difference for r in one.parity},
-                "microseconds_per_step": {r.target: r.microseconds for r in one.parity},
-                "bytes": one.parity[0].bytes,
+                "target": target,
+                "files": [str(path) for path in files],
+                "parity": {row.target: row.difference for row in rows},
+                "microseconds_per_step": {row.target: row.microseconds for row in rows},
+                "bytes": rows[0].bytes,
             }
             say(jsonlib.dumps(facts, allow_nan=False))
-        stream = sys.stderr if json else sys.stdout
-        for line in table(one.parity):
-            say(line, file=stream)
-        say(str(one.folder), file=stream)
+
+    for one in write(directory, to, model, out, isolation=level):
+        show(one.target, one.files, one.parity)
+        options.print([*table(one.parity), str(one.folder)])
     if observer:
         from asia.export.monitor import Monitor, export_observer
 
@@ -89,12 +83,5 @@ def export(
         found = Monitor(directory, parameter or (), model=model, isolation=level)
         folder = (out or directory / "export") / "c" / "observer"
         files, row = export_observer(found, folder)
-        if json:
-            facts = {"target": row.target, "files": [str(path) for path in files],
-                     "parity": {row.target: row.difference},
-                     "microseconds_per_step": {row.target: row.microseconds},
-                     "bytes": row.bytes}  # fmt: skip
-            say(jsonlib.dumps(facts, allow_nan=False))
-        stream = sys.stderr if json else sys.stdout
-        for line in (*table([row])[1:], str(folder)):
-            say(line, file=stream)
+        show(row.target, files, [row])
+        options.print([*table([row])[1:], str(folder)])

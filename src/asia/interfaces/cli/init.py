@@ -231,8 +231,7 @@ def init(
     ] = False,
     keys: Keys = None,
     yes: Annotated[
-        bool,
-        typer.Option("--yes", help="Ask nothing: use the detected columns, and seal a test."),
+        bool, typer.Option("--yes", help="Ask nothing: use the detected columns, and seal a test.")
     ] = False,
 ) -> None:
     """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y"""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as jsonlib
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,14 +13,7 @@ import typer
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    Json,
-    Runs,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import RunOptions
 
 # Greatest number of inputs for which process models are fitted to records.
 _MOST_INPUTS = 3
@@ -36,6 +28,7 @@ if TYPE_CHECKING:
 
 
 def linear(
+    *,
     run: Annotated[
         str | None,
         typer.Argument(
@@ -62,31 +55,28 @@ def linear(
         bool, typer.Option("--continuous", help="Print the continuous-time model too.")
     ] = False,
     model: Annotated[
-        str | None,
-        typer.Option(help="refit, or the number of an experiment; default: the refit."),
+        str | None, typer.Option(help="refit, or the number of an experiment; default: the refit.")
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for linear.png and linear.json; default: linear in the run."),
     ] = None,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Print order, poles, gains and delays of a model at operating points, and draw its Bode plot
     and step response. With a file of a frequency response, fit a linear model to it."""
     from asia.export.linear import linearize
     from asia.report.files import save
     from asia.report.page.sections.evidence import LINEAR_FILE
-    from asia.report.pictures.linear import draw_linear
+    from asia.report.pictures.analysis import draw_linear
 
     if run is not None and Path(run).is_file():
         if at or reduce or to_tf or continuous_time or model:
             raise UserError(f"{run} is a file: the options of a run do not apply, only --out")
-        _of_file(Path(run), out, json=json)
+        _of_file(Path(run), out, options)
         return
-    directory = run_directory(runs, run)
-    found = linearize(directory, at or (), model, isolation=candidate_level(isolation))
+    directory = options.directory(run)
+    found = linearize(directory, at or (), model, isolation=options.level)
     fitted = _fitted(found) if to_tf else []
     facts: dict[str, Any] = {
         "run": found.name,
@@ -110,21 +100,17 @@ def linear(
     failed: list[str] = []
     picture = "linear", lambda: draw_linear(drawn, found.inputs, found.outputs)
     files = [*save([picture], folder, failed), folder / LINEAR_FILE.name]
-    if json:
+    if options.json:
         say(text)
-    stream = sys.stderr if json else sys.stdout
-    for line in (*lines, *(f"note      {one}" for one in failed)):
-        say(line, file=stream)
-    for path in files:
-        say(f"file      {path}", file=stream)
+    options.print((*lines, *(f"note      {one}" for one in failed)), files)
 
 
-def _of_file(path: Path, out: Path | None, *, json: bool) -> None:
+def _of_file(path: Path, out: Path | None, options: RunOptions) -> None:
     """Fit a linear model to a measured frequency response."""
     from asia.analysis.frequency import fit_frequency_response
     from asia.data.intake.frequency import read_frequency_response
     from asia.report.files import save
-    from asia.report.pictures.linear import draw_frequency_response
+    from asia.report.pictures.analysis import draw_frequency_response
 
     record = read_frequency_response(path)
     found = fit_frequency_response(record)
@@ -179,13 +165,9 @@ def _of_file(path: Path, out: Path | None, *, json: bool) -> None:
         frequency, record.response, deviation, curves, record.inputs, record.outputs
     )
     files = [*save([("linear", draw)], folder, failed), folder / "linear.json"]
-    if json:
+    if options.json:
         say(text)
-    stream = sys.stderr if json else sys.stdout
-    for line in (*lines, *(f"note      {one}" for one in failed)):
-        say(line, file=stream)
-    for file in files:
-        say(f"file      {file}", file=stream)
+    options.print((*lines, *(f"note      {one}" for one in failed)), files)
 
 
 def _drawn(run: LinearRun) -> list[DrawnCheck]:

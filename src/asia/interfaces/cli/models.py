@@ -1,7 +1,5 @@
 """asia models: the model families that a candidate can import."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as jsonlib
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -12,14 +11,7 @@ import typer
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    Json,
-    Runs,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import RunOptions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,6 +20,7 @@ if TYPE_CHECKING:
 
 
 def monitor(
+    *,
     words: Annotated[
         list[str],
         typer.Argument(metavar="[RUN] FILE", help="Run (default: the newest) and recorded file."),
@@ -44,19 +37,15 @@ def monitor(
     ] = "ekf",
     false_alarms: Annotated[float, typer.Option(help="Highest number a sample.")] = 1e-4,
     memory: Annotated[
-        float | None,
-        typer.Option(help="Memory for the parameters in s; default: 500 samples."),
+        float | None, typer.Option(help="Memory for the parameters in s; default: 500 samples.")
     ] = None,
     model: Annotated[
-        str | None,
-        typer.Option(help="refit, or the number of an experiment; default: the refit."),
+        str | None, typer.Option(help="refit, or the number of an experiment; default: the refit.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for the picture; default: monitor in the run.")
     ] = None,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Say since when the model of a run no longer describes the system, from a recorded file.
 
@@ -71,17 +60,15 @@ def monitor(
     path = Path(words[-1])
     if not path.is_file():
         raise UserError(f"{path}: no such file: name a recorded file after the run")
-    directory = run_directory(runs, words[0] if len(words) == 2 else None)
+    directory = options.directory(words[0] if len(words) == 2 else None)
     found = Monitor(
         directory, parameter or (), method=method, false_alarms=false_alarms, memory=memory,
-        model=model, isolation=candidate_level(isolation),
+        model=model, isolation=options.level,
     )  # fmt: skip
     records, date = found.records_of(path)
-    stream = sys.stderr if json else sys.stdout
-    say(f"run {found.name}, model {found.use}: at most {false_alarms:g} false alarms a sample",
-        file=stream)  # fmt: skip
-    for note in found.notes:
-        say(f"note      {note}", file=stream)
+    rate = f"at most {false_alarms:g} false alarms a sample"
+    notes = (f"note      {note}" for note in found.notes)
+    options.print((f"run {found.name}, model {found.use}: {rate}", *notes))
     valid = True
     for k, record in enumerate(records):
         result = found.on(record)
@@ -90,7 +77,7 @@ def monitor(
         name = "monitor" if len(records) == 1 else f"monitor-{k + 1}"
         folder = out or directory / "monitor"
         files = save([(name, lambda result=result: _picture(result))], folder, failed)
-        if json:
+        if options.json:
             last = result.samples[-1]
             facts = {
                 "record": record.name, "samples": len(result.samples),
@@ -102,17 +89,14 @@ def monitor(
                 "files": [str(file) for file in files],
             }  # fmt: skip
             say(jsonlib.dumps(facts, allow_nan=False))
-        for line in (*text, *(f"note      {one}" for one in failed)):
-            say(line, file=stream)
-        for file in files:
-            say(f"file      {file}", file=stream)
+        options.print((*text, *(f"note      {one}" for one in failed)), files)
         valid &= result.samples[-1].valid
     if not valid:
         raise typer.Exit(1)
 
 
 def _picture(found: MonitoredRecord) -> Figure:
-    from asia.report.pictures.monitor import draw_monitor
+    from asia.report.pictures.analysis import draw_monitor
 
     owner, step, first = found.monitor, found.monitor.sampling_time, found.first
     samples = found.samples

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json as jsonlib
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,21 +13,14 @@ import typer
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    Json,
-    RunName,
-    Runs,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import RunName, RunOptions
 
 if TYPE_CHECKING:
     from asia.analysis.experiment_design import Judged, RunExperiment
 
 
 def next_(
+    *,
     run: RunName = None,
     duration: Annotated[float, typer.Option(help="Length of the record in s.")] = 0.0,
     limits: Annotated[
@@ -42,8 +34,7 @@ def next_(
         typer.Option(help="Largest change of an input in a second, u=0.5, repeatable."),
     ] = None,
     keep: Annotated[
-        list[str] | None,
-        typer.Option(help='Limit of an output, "y<9" or "y>1", repeatable.'),
+        list[str] | None, typer.Option(help='Limit of an output, "y<9" or "y>1", repeatable.')
     ] = None,
     start: Annotated[
         list[str] | None,
@@ -56,21 +47,19 @@ def next_(
         typer.Option(help="Folder for next.csv and the picture; default: next in the run."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Propose the input of the next experiment: the one that tells most about where the leading
     models differ, within limits of inputs and of the expected outputs."""
     from asia.analysis.experiment_design import next_experiment
     from asia.problem.load import load_lock
     from asia.report.files import save
-    from asia.report.pictures.experiment import draw_experiment
+    from asia.report.pictures.analysis import draw_experiment
     from asia.search.run import LOCK
 
     if not duration > 0:
         raise UserError("--duration is missing: give the length of the record in s")
-    directory = run_directory(runs, run)
+    directory = options.directory(run)
     problem = load_lock(directory / LOCK)
     inputs, outputs = ([s.name for s in side] for side in (problem.inputs, problem.outputs))
     spans = {
@@ -92,7 +81,7 @@ def next_(
     kept = _kept(keep or (), outputs)
     made = next_experiment(
         directory, duration, spans, rates, kept, start=rest, seed=seed,
-        isolation=candidate_level(isolation),
+        isolation=options.level,
     )  # fmt: skip
     folder = directory / "next" if out is None else out
     folder.mkdir(parents=True, exist_ok=True)
@@ -118,14 +107,10 @@ def next_(
     facts = _facts(made, named, kept)
     (folder / "next.json").write_text(jsonlib.dumps(facts, allow_nan=False) + "\n", "utf-8")
     files = [folder / "next.csv", *save([("next", draw)], folder), folder / "next.json"]
-    if json:
+    if options.json:
         say(jsonlib.dumps(facts, allow_nan=False))
-    stream = sys.stderr if json else sys.stdout
-    for line in () if json else facts["text"]:
-        say(line)
-    for path in files:
-        say(f"file      {path}", file=stream)
-    if found.proposed.excess and not json:
+    options.print(() if options.json else facts["text"], files)
+    if found.proposed.excess and not options.json:
         raise typer.Exit(1)
 
 
@@ -182,9 +167,7 @@ def _kept(texts: Sequence[str], outputs: Sequence[str]) -> dict[str, tuple[float
 
 
 def _facts(
-    made: RunExperiment,
-    named: Sequence[tuple[str, Judged]],
-    kept: dict[str, tuple[float, float]],
+    made: RunExperiment, named: Sequence[tuple[str, Judged]], kept: dict[str, tuple[float, float]]
 ) -> dict[str, Any]:
     """Content of next.json; `text` holds the printed lines."""
     found, numbers = made.found, made.found.members

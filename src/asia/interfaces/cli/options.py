@@ -7,7 +7,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from copy import copy
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import partial, wraps
@@ -509,6 +509,30 @@ def candidate_level(text: str | None) -> Isolation:
             file=sys.stderr,
         )
     return level
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of a command that runs candidates of an existing run."""
+
+    isolation: CandidateLevel = None
+    runs: Runs = DEFAULT_RUNS
+    json: Json = False
+
+    @property
+    def level(self) -> Isolation:
+        """The level for the candidates. Raises UserError."""
+        return candidate_level(self.isolation)
+
+    def directory(self, run: str | None, *, named: bool = False) -> Path:
+        """Find the run as `run_directory` does."""
+        return run_directory(self.runs, run, named=named)
+
+    def print(self, lines: Iterable[str], files: Iterable[Path] = ()) -> None:
+        """Print lines and files: on stderr with --json, which has stdout for itself."""
+        stream = sys.stderr if self.json else sys.stdout
+        for line in (*lines, *(f"file      {path}" for path in files)):
+            say(line, file=stream)
 
 
 # Options of a search: budget, name, isolation.

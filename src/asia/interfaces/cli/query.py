@@ -1,7 +1,5 @@
 """asia query: read-only SQL over the runs of a folder."""
 
-from __future__ import annotations
-
 import contextlib
 import json as jsonlib
 import sqlite3

@@ -1,7 +1,5 @@
 """asia report: the page and the pictures of a run; figures, tables and methods for a paper."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -18,8 +16,7 @@ from asia.ledger.run import open_run
 def report(
     run: RunName = None,
     figures: Annotated[
-        Path | None,
-        typer.Option(help="Only write the figures for a paper there: PDF, SVG, PNG."),
+        Path | None, typer.Option(help="Only write the figures for a paper there: PDF, SVG, PNG.")
     ] = None,
     latex: Annotated[
         Path | None, typer.Option(help="Only write the tables for a paper there, in LaTeX.")
@@ -34,14 +31,9 @@ def report(
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Write a run as one HTML page, and its pictures as PNG and PDF."""
-    from asia.report import (
-        methods_paragraph,
-        write_bundle,
-        write_figures,
-        write_page,
-        write_report,
-        write_tables,
-    )
+    from asia.report.files import write_figures, write_report
+    from asia.report.page.page import write_bundle, write_page
+    from asia.report.paper import methods_paragraph, write_tables
 
     if bundle is not None:
         written = write_bundle(runs, bundle)

@@ -152,7 +152,7 @@ def search_and_print(
     from asia.agents.relay import RelayAgent
     from asia.interfaces.coding_agents.session import CommandAgent, search_with_agents
     from asia.judge.executors import make_executor
-    from asia.report import write_report
+    from asia.report.files import write_report
     from asia.search.run import prepare, with_relay_budget
     from asia.search.sinks import open_sinks
 
@@ -368,10 +368,7 @@ class JsonDisplay:
                 )
             case ReferenceScored():
                 self._print(
-                    "reference",
-                    name=event.name,
-                    V=_value(event.outcome),
-                    structure=event.structure,
+                    "reference", name=event.name, V=_value(event.outcome), structure=event.structure
                 )
             case GuardLooked():
                 scores = {str(s.experiment): _value(s.outcome) for s in event.scores}

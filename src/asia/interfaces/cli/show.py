@@ -1,7 +1,5 @@
 """asia show: one experiment, or two side by side."""
 
-from __future__ import annotations
-
 import difflib
 import json
 from typing import Annotated

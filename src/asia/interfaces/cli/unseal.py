@@ -11,17 +11,7 @@ import typer
 
 from asia._text import one_line, say
 from asia.errors import InternalError, UserError
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    Json,
-    Keys,
-    RunName,
-    Runs,
-    YesProcess,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import Keys, RunName, RunOptions, YesProcess
 from asia.interfaces.cli.output import print_alarms, use_lines, validation_words
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.events import TestedModel, Unsealed
@@ -35,23 +25,23 @@ if TYPE_CHECKING:
 
 
 def unseal(
+    *,
     run: RunName = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask; for scripts.")] = False,
     yes_process: YesProcess = False,
     keys: Keys = None,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Score the winner on the sealed test. This ends the search and can be done once."""
     from asia.interfaces.workspace.server import end_idle
     from asia.problem.load import load_lock
-    from asia.report import write_page, write_report
+    from asia.report.files import write_report
+    from asia.report.page.page import write_page
     from asia.report.published import read_board
     from asia.search.unsealing import needs_consent
     from asia.search.unsealing import unseal as open_seal
 
-    directory = run_directory(runs, run, named=True)
+    directory = options.directory(run, named=True)
     opened = open_run(directory)
     if opened.view.unsealed is None and not yes:
         if not sys.stdin.isatty():
@@ -62,7 +52,7 @@ def unseal(
         )
         if typer.prompt("Type the run's name to continue", err=True) != opened.name:
             raise UserError("the name does not match; nothing was opened")
-    level = candidate_level(isolation) if opened.view.unsealed is None else None
+    level = options.level if opened.view.unsealed is None else None
     consent = yes_process or _consents(opened, level)
     if consent or not needs_consent(opened.view, level):
         end_idle(directory, lambda line: say(line, file=sys.stderr))
@@ -76,7 +66,7 @@ def unseal(
     board = read_board(load_lock(directory / "problem.lock.toml"), view)
     # What was drawn before is not changed by the test.
     draw = partial(write_report, directory, missing_only=result.first_time)
-    if json:
+    if options.json:
         draw()
         say(jsonlib.dumps(_result_object(result.record, view, board), allow_nan=False))
     else:

@@ -16,19 +16,7 @@ from asia._text import say
 from asia._timer import duration
 from asia.errors import UserError
 from asia.interfaces.cli.init import split_at_commas
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    ColumnNames,
-    Experiment,
-    Json,
-    RunName,
-    Runs,
-    Time,
-    TimeUnit,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import ColumnNames, Experiment, RunName, RunOptions, Time, TimeUnit
 from asia.interfaces.cli.output import value_words
 from asia.judge.scoring.outcome import Score
 from asia.judge.scoring.repeated_fits import Interval
@@ -53,6 +41,7 @@ _fits = partial(typer.Option, rich_help_panel="Repeated fits (--repeat, --ablate
 
 
 def validate(
+    *,
     run: RunName = None,
     record: Annotated[
         Path | None,
@@ -93,9 +82,7 @@ def validate(
             "--ablate. One if fits do not depend on the seed.",
         ),
     ] = None,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Check whether the model of a run is fit for use, and list its deficiencies.
 
@@ -105,7 +92,7 @@ def validate(
     """
     from asia.analysis.validation import validate as check
     from asia.data.intake.sheet import Wanted
-    from asia.report import write_validation
+    from asia.report.files import write_validation
 
     reading = Wanted(
         (), (), time, time_unit, experiment_column, tuple(split_at_commas(columns or ()))
@@ -119,8 +106,7 @@ def validate(
     if (repeat or ablate) and (record is not None or reading != Wanted((), ())):
         option = "--repeat" if repeat else "--ablate"
         raise UserError(f"{option} uses training records only: leave --record and its columns out")
-    directory = run_directory(runs, run)
-    level = candidate_level(isolation)
+    directory, level, json = options.directory(run), options.level, options.json
     if repeat:
         _repeat(directory, top or DEFAULT_TOP, seeds or REPEAT_SEEDS, level, json=json)
         return
@@ -304,7 +290,7 @@ def _candidate_line(candidate: ConfirmedCandidate, v_name: str) -> str:
 
 def _ablate(directory: Path, seeds: int, level: Isolation, *, json: bool) -> None:
     from asia.analysis.ablation import ablate
-    from asia.report import write_report
+    from asia.report.files import write_report
 
     def fitted(event: AblationFit, done: int, total: int) -> None:
         if json:

@@ -13,15 +13,7 @@ import typer
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.cli.options import (
-    DEFAULT_RUNS,
-    CandidateLevel,
-    Json,
-    RunName,
-    Runs,
-    candidate_level,
-    run_directory,
-)
+from asia.interfaces.cli.options import RunName, RunOptions
 from asia.ledger.artifacts import Store
 
 if TYPE_CHECKING:
@@ -30,6 +22,7 @@ if TYPE_CHECKING:
 
 
 def verify(
+    *,
     run: RunName = None,
     replay: Annotated[
         bool,
@@ -57,9 +50,7 @@ def verify(
             "Built-in agents and those of installed packages need no trust.",
         ),
     ] = None,
-    isolation: CandidateLevel = None,
-    runs: Runs = DEFAULT_RUNS,
-    json: Json = False,
+    options: RunOptions,
 ) -> None:
     """Check the hash chain of the ledger, every artifact that it names, and V.
 
@@ -73,20 +64,20 @@ def verify(
 
     if from_scratch and not replay:
         raise UserError("--from-scratch belongs to --replay: add --replay or leave it out")
-    for name, value in (("trust-agent", trust_agent), ("isolation", isolation)):
+    for name, value in (("trust-agent", trust_agent), ("isolation", options.isolation)):
         if value and not replay:
             raise UserError(f"--{name} belongs to --replay: add --replay or leave it out")
-    directory = run_directory(runs, run)
+    directory = options.directory(run)
     if replay:
-        level = candidate_level(isolation)
+        level = options.level
         scratch = tolerance if from_scratch else 0.0
-        _replay(directory, scratch, trust_agent or (), level, json=json)
+        _replay(directory, scratch, trust_agent or (), level, json=options.json)
         return
     alone = not Store(directory / "artifacts").kept
     scores = ScoreCheck(directory)
     found = verify_run(directory, ledger_alone=alone, check=None if alone else scores)
     reason = "the simulations are not in this folder" if alone else scores.not_recomputed
-    if json:
+    if options.json:
         counts = {"experiments": scores.experiments, "tested": scores.tested}
         recomputed = {**counts, "reason": reason, "test_reason": scores.test_not_compared}
         result = {"run": directory.name, "ledger_alone": alone, **asdict(found)}

@@ -1,7 +1,5 @@
 """asia view: live pages of the runs in a browser."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 import webbrowser

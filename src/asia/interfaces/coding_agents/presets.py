@@ -1,7 +1,5 @@
 """Presets of coding agents, their event streams, and their rules."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Configuration of the clients that start `asia agent mcp`, each in its own file format."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Mapping, Sequence

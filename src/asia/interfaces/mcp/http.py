@@ -1,7 +1,5 @@
 """Streamable HTTP on this machine, behind a bearer token."""
 
-from __future__ import annotations
-
 import hmac
 import os
 import secrets
@@ -14,7 +12,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from asia._text import say
 from asia.errors import UserError
-from asia.interfaces.mcp.opened import Opened
+from asia.interfaces.mcp import Opened
 from asia.interfaces.mcp.server import make_server
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")

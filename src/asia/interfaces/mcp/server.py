@@ -1,7 +1,5 @@
 """MCP server: tools, resources, prompt."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 import threading
@@ -25,7 +23,7 @@ from asia._text import markdown_line, one_line, say
 from asia.agents.llm.prompt import briefing
 from asia.agents.view import Proposal
 from asia.errors import AsiaError, UserError
-from asia.interfaces.mcp.opened import Opened
+from asia.interfaces.mcp import Opened
 from asia.interfaces.workspace.server import (
     Best,
     DryRunResult,
@@ -237,11 +235,7 @@ class Tools:
         """The last experiments with V, folds, status and reason, oldest first."""
         found = await ask(self._desk.results)
         now = await ask(self._desk.progress)
-        return ResultsAnswer(
-            total=len(found),
-            best=now.best,
-            results=found[-last:],
-        )
+        return ResultsAnswer(total=len(found), best=now.best, results=found[-last:])
 
     async def show(
         self, experiment: Annotated[int, Field(description="Its number, from 1.")]

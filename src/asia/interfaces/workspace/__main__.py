@@ -6,7 +6,7 @@ from pathlib import Path
 
 from asia.errors import UserError
 from asia.interfaces.workspace.process import attending, serve
-from asia.report import write_report
+from asia.report.files import write_report
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))

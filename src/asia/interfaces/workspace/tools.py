@@ -53,7 +53,7 @@ from asia.problem.load import load_problem
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 from asia.problem.protocol import FoldRule, Group, ProtocolRule
-from asia.report import draw_cases
+from asia.report.files import draw_cases
 from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
 
 # A candidate fitted and scored in this process, by the evaluator's own folds, order of cases and

@@ -23,7 +23,7 @@ from asia.ledger.folder import MARK, link_workspace, linked_workspace, workspace
 from asia.ledger.run import open_run
 from asia.ledger.view import SearchView, published
 from asia.problem.problem import Problem, training_text
-from asia.report import draw_cases
+from asia.report.files import draw_cases
 from asia.report.simulated import SimulatedCases
 from asia.search.run import Prepared
 

@@ -1,7 +1,5 @@
 """Run evaluations in background threads, with a cancel flag."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -27,11 +25,8 @@ class CancelFlag:
 
     @contextmanager
     def on_cancel(self, callback: Callable[[], None]) -> Generator[None]:
-        """Call `callback` if `cancel` is called while this is open.
-
-        Raises:
-            SandboxError: if it was called before
-        """
+        """Call `callback` if `cancel` is called while this is open. Raises SandboxError if it was
+        called before."""
         with self._lock:
             if self.cancelled:
                 raise SandboxError("the result of this fit is not wanted any more")

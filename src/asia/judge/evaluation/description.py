@@ -7,8 +7,6 @@ two questions that a copy fails: does it also gain on records that nobody was sh
 keep its gain where its literals change in their last digits?
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Evaluator: folds, sandbox and scoring in one composition."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Collection, Generator, Sequence
@@ -296,10 +294,7 @@ class Evaluator:
     """Judges candidates on the folds of one problem, each fold in a fresh sandboxed worker."""
 
     def __init__(
-        self,
-        data: EvaluationData,
-        workers: WorkerRunner,
-        options: EvaluatorOptions | None = None,
+        self, data: EvaluationData, workers: WorkerRunner, options: EvaluatorOptions | None = None
     ) -> None:
         """Raises UserError where folds would be fitted on other machines and candidates may ask for
         scores, which takes the held-out outputs there."""

@@ -1,7 +1,5 @@
 """Compare worker machines with this one: a model must come back bitwise the same from each."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import json
@@ -94,11 +92,7 @@ class MachineState:
 
 
 def survey_machines(carrier: RemoteExecutor) -> list[MachineState]:
-    """Query every worker.
-
-    Raises:
-        SandboxError: where one does not respond
-    """
+    """Query every worker. Raises SandboxError where one does not respond."""
     request = json.dumps(dict(installation())).encode()
     states: list[MachineState] = []
     for worker, (reply, seconds, asked) in carrier.ask_each(described, request).items():

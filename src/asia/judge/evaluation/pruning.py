@@ -1,7 +1,5 @@
 """Early pruning: folds that can change no decision, since V is too high without them."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 

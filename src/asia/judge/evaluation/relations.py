@@ -1,7 +1,5 @@
 """Metamorphic checks: relations between the answers of any model of a dynamical system."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """Results of an evaluation."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass

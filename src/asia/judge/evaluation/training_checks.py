@@ -3,8 +3,6 @@
 They run at every evaluation, so they use few samples and the worst outputs only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

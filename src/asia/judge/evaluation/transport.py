@@ -4,8 +4,6 @@ A request is made by the search and may be unpickled there. An answer holds data
 candidate: it is JSON and raw numbers, which the search checks against its request.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -111,11 +109,7 @@ def encode_data(data: FoldData) -> tuple[str, bytes]:
 
 
 def decode_data(raw: bytes, digest: str) -> FoldData:
-    """The data of a search of our own.
-
-    Raises:
-        SandboxError: where they are not those
-    """
+    """The data of a search of our own. Raises SandboxError where they are not those."""
     if hashlib.sha256(raw).hexdigest() != digest:
         raise SandboxError("the data of a fold came as other bytes than the search sent")
     return pickle.loads(raw)

@@ -1,7 +1,5 @@
 """The score on a fold's held-out part while a candidate trains: metered, capped, a number only."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Executors of evaluations; results come back in the order of the jobs."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -148,7 +146,7 @@ def _dask(setting: str) -> Executor:
 
 
 def _dask_slurm(setting: str) -> Executor:
-    from asia.judge.executors.slurm import SlurmExecutor
+    from asia.judge.executors.dask import SlurmExecutor
 
     return SlurmExecutor(Path(setting) if setting else None)
 

@@ -1,7 +1,5 @@
 """Isolation levels of this machine: what works, why not, and a worker at a level."""
 
-from __future__ import annotations
-
 import compileall
 import os
 import platform
@@ -25,10 +23,7 @@ def probe(wanted: Isolation | None = None) -> Probe:
     """The strongest level that works here, found by starting something at it, or the `wanted` one.
 
     Also byte-compiles this package where its folder can be written: workers write nothing, so each
-    of them would compile it anew.
-
-    Raises:
-        SandboxError: where `wanted` does not work
+    of them would compile it anew. Raises SandboxError where `wanted` does not work.
     """
     compileall.compile_dir(package_folder(), quiet=2)
     notes = [] if wanted is None else ["requested by the user"]

@@ -4,8 +4,6 @@ The agent sees a workspace, the search's socket, programs, and the folders that 
 home, no ledger, no test data, and no network unless requested.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Interface of an isolation level."""
 
-from __future__ import annotations
-
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Collection

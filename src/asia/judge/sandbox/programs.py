@@ -6,8 +6,6 @@ by its key. Programs are taken only from workers that ran the library alone
 (`asia.candidate.library_only`): no candidate can plant one.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping

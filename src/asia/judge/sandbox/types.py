@@ -1,7 +1,5 @@
 """Types that pass between the sandbox and its callers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum

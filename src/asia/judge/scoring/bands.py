@@ -1,7 +1,5 @@
 """Output bands and the region of validity."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Literals of a new best against the information that it gained on held-out data."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log2

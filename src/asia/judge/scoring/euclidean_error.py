@@ -6,8 +6,6 @@ counts by the geodesic distance of its rotations.
 Source: Busetto et al. (2026), nanodrone benchmark.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,11 +19,8 @@ from asia.problem.protocol import OutputGroup
 
 @dataclass(frozen=True)
 class GroupError:
-    """Mean distance of one group of outputs at steps 1..H, in its unit (rotations: rad).
-
-    Raises:
-        InternalError: when a number is not finite
-    """
+    """Mean distance of one group of outputs at steps 1..H, in its unit (rotations: rad). Raises
+    InternalError when a number is not finite."""
 
     name: str
     steps: tuple[float, ...]

@@ -1,7 +1,5 @@
 """Outcomes: scores, failures, and their computation from simulated outputs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -53,11 +51,7 @@ PARTS = 8
 
 @dataclass(frozen=True)
 class FoldScore:
-    """Score on one fold.
-
-    Raises:
-        InternalError: when a number in it is not finite
-    """
+    """Score on one fold. Raises InternalError when a number in it is not finite."""
 
     value: float
     """The metric as it enters V: mean over the outputs, lower is better."""
@@ -92,11 +86,7 @@ class FoldScore:
 
 @dataclass(frozen=True)
 class Score:
-    """Score of a candidate.
-
-    Raises:
-        InternalError: when it is not finite
-    """
+    """Score of a candidate. Raises InternalError when it is not finite."""
 
     value: float
     """V, the mean over the folds."""

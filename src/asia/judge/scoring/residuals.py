@@ -1,7 +1,5 @@
 """Residual analysis: correlations, diagnostics, signed residuals over parts of the data."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
@@ -121,17 +119,10 @@ class Diagnostics:
 
 
 def diagnose(
-    u: Sequence[Array],
-    y: Sequence[Array],
-    y_hat: Sequence[Array],
-    scale: Array,
-    train_error: float,
+    u: Sequence[Array], y: Sequence[Array], y_hat: Sequence[Array], scale: Array, train_error: float
 ) -> Diagnostics:
-    """Residual analysis of simulated training records, one (H, n) array a record or window.
-
-    Raises:
-        CandidateError: when the residual is too large to analyse
-    """
+    """Residual analysis of simulated training records, one (H, n) array a record or window. Raises
+    CandidateError when the residual is too large to analyse."""
     with np.errstate(over="ignore", invalid="ignore"):
         residual = [a - b for a, b in zip(y, y_hat, strict=True)]
         for one in residual:

@@ -1,7 +1,5 @@
 """Training loop of `methods.Adam`, compiled as one loop over steps."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple, cast

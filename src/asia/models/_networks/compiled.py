@@ -1,7 +1,5 @@
 """Simulation of a network compiled by JAX, which is imported with this module."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

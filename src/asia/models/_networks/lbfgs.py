@@ -4,8 +4,6 @@ It is in double precision: the line search compares losses that differ in the la
 float32.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 

@@ -1,7 +1,5 @@
 """Checks between the steps of a fit: the log, scores, early stopping, the plateau rule."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

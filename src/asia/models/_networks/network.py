@@ -1,7 +1,5 @@
 """Model of a network family: settings and simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeAlias, TypeVar
@@ -285,11 +283,7 @@ class Driven(Generic[C]):
 
     @classmethod
     def of(cls, config: C, context: Context) -> Any:
-        """Structure for a problem.
-
-        Raises:
-            UserError: if settings and problem do not go together.
-        """
+        """Structure for a problem. Raises UserError if settings and problem do not go together."""
         del context
         return cls(config, drive=Features(config.features))
 
@@ -327,11 +321,8 @@ def network_family(config: type[C], structure: type[Driven[C]]) -> tuple[Build[C
     kind, name = config, config.__module__.rpartition(".")[2]
 
     def build(config: C, context: Context) -> NetworkModel:
-        """Build an untrained network initialised from `context.seed`.
-
-        Raises:
-            UserError: if the settings are of another family or do not go with the problem.
-        """
+        """Build an untrained network initialised from `context.seed`. Raises UserError if the
+        settings are of another family or do not go with the problem."""
         if not isinstance(config, kind):
             raise UserError(f"{name}.build: expected {name}.Config, not {type(config).__name__}")
         cell = structure.of(config, context)
@@ -343,11 +334,8 @@ def network_family(config: type[C], structure: type[Driven[C]]) -> tuple[Build[C
         context: Context,
         method: NetworkMethod,
     ) -> NetworkModel:
-        """Fit the network to the simulation error.
-
-        Raises:
-            UserError: for records too short or mis-shaped.
-        """
+        """Fit the network to the simulation error. Raises UserError for records too short or
+        mis-shaped."""
         check(trajectories, context)
         cell = model.cell
         if not isinstance(cell, structure):

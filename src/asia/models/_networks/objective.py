@@ -197,11 +197,7 @@ def error_of(cell: NetworkStructure, loss: Loss, params: Any, data: Simulations)
 
 
 def check_structure(cell: NetworkStructure, params: Params, method: Adam) -> None:
-    """Check that the network can do what the method requires.
-
-    Raises:
-        UserError: if it cannot.
-    """
+    """Check that the network can do what the method requires. Raises UserError if it cannot."""
     if max(method.teacher, method.teacher_end) > 0 and not isinstance(cell, OutputFeedback):
         raise UserError(
             "Adam: teacher is for networks that feed back their own output, and this one does "

@@ -1,7 +1,5 @@
 """Training loop of `methods.MultipleShooting`."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, NamedTuple, cast
 

@@ -304,11 +304,7 @@ FUNCTIONS: dict[str, Callable[[AnyArray], AnyArray]] = {
 
 
 def check_features(settings: NetworkConfig) -> None:
-    """Check that `settings.features` names known functions.
-
-    Raises:
-        UserError: if it does not.
-    """
+    """Check that `settings.features` names known functions. Raises UserError if it does not."""
     for name in settings.features:
         if name not in FUNCTIONS:
             known = ", ".join(FUNCTIONS)

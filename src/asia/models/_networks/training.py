@@ -1,7 +1,5 @@
 """Training of networks: objective, programs, method."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -69,11 +69,7 @@ class NoiseChoice:
 
 
 def check_noise(method: NoiseSettings) -> None:
-    """Check the noise settings of a method.
-
-    Raises:
-        UserError: if a setting is out of its range.
-    """
+    """Check the noise settings of a method. Raises UserError if a setting is out of its range."""
     check_choice(method, "noise_model", get_args(NoiseKind))
     for name in ("slow_time", "huber"):
         value = getattr(method, name)

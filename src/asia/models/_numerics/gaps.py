@@ -1,7 +1,5 @@
 """Reconstruction of outputs that were not measured, from a model of the records."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

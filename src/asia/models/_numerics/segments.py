@@ -1,7 +1,5 @@
 """Segments and chunks of records that training simulates."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol

@@ -30,11 +30,7 @@ class SignalTransformations:
 
     @classmethod
     def of(cls, context: Context) -> SignalTransformations:
-        """Group of a problem.
-
-        Raises:
-            UserError: if it has no such symmetry.
-        """
+        """Group of a problem. Raises UserError if it has no such symmetry."""
         inputs, outputs = ([s.name for s in side] for side in (context.inputs, context.outputs))
         usable = of_signals(context.symmetry, inputs, outputs)
         if not usable:
@@ -77,11 +73,7 @@ class SignalTransformations:
         count = len(u)
         turned = (
             np.concatenate([signal @ turn.T for turn in turns])
-            for signal, turns in (
-                (past_u, self.inputs),
-                (past_y, self.outputs),
-                (u, self.inputs),
-            )
+            for signal, turns in ((past_u, self.inputs), (past_y, self.outputs), (u, self.inputs))
         )
         found = simulate(*turned).reshape(len(self), count, u.shape[1], -1)
         return np.mean([y @ turn for y, turn in zip(found, self.outputs, strict=True)], axis=0)

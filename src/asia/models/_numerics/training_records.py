@@ -102,11 +102,8 @@ def window_size(context: Context) -> int:
 
 
 def check(trajectories: Sequence[Trajectory], context: Context) -> None:
-    """Check that there is something to simulate and every record has the right channels.
-
-    Raises:
-        UserError: if not.
-    """
+    """Check that there is something to simulate and every record has the right channels. Raises
+    UserError if not."""
     if not trajectories:
         raise UserError("no training records: a model needs at least one trajectory")
     if any(s.role == "time_step" for s in context.inputs):

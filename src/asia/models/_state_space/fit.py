@@ -3,8 +3,6 @@
 Fits go from several starts, and the noise is estimated between them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -273,10 +273,7 @@ def carried_records(
     records: Sequence[Trajectory], context: Context, pace: int
 ) -> tuple[Transport, list[Trajectory], Context]:
     """Estimate the pipe from records; return it, the records at its outlet, and their context.
-
-    Raises:
-        UserError: if input `pace` has values that are not positive.
-    """
+    Raises UserError if input `pace` has values that are not positive."""
     try:
         transport = find_transport(records, pace).transport
     except ValueError as error:

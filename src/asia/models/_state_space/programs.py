@@ -6,8 +6,6 @@ It is never stored as a whole: its products are summed chunk by chunk, so that m
 with the length of the records.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
@@ -88,11 +86,7 @@ class CompiledEquations:
     """Costs and normal equations of one fit, for `minimise`."""
 
     def __init__(
-        self,
-        structure: StateSpaceStructure,
-        packing: Packing,
-        data: SampleChunks,
-        watch: Watch,
+        self, structure: StateSpaceStructure, packing: Packing, data: SampleChunks, watch: Watch
     ) -> None:
         self._program, self._data, self._watch = (structure, packing), data, watch
         self.done = 0

@@ -1,7 +1,5 @@
 """Equations of neural state-space models, with friction and play elements."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache

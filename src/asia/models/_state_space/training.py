@@ -1,7 +1,5 @@
 """Training of neural state-space models: Levenberg-Marquardt, on segments first."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple

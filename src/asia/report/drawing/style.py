@@ -1,7 +1,5 @@
 """Style and layout of pictures."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Pictures of the evidence: residuals, validation checks, ablation, training records."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from textwrap import fill
 

@@ -1,7 +1,5 @@
 """Pictures of published results with our own among them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of a search: V against experiments, of one search or several."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass

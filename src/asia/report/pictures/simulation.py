@@ -1,7 +1,5 @@
 """Pictures of simulated outputs, of long records and of windows."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -349,10 +347,7 @@ def draw_test(run: Run, problem: Problem, opened: Unsealed, ensemble: TestedMode
 
 
 def _test_error(
-    problem: Problem,
-    opened: Unsealed,
-    models: tuple[TestedModel, TestedModel | None],
-    channel: int,
+    problem: Problem, opened: Unsealed, models: tuple[TestedModel, TestedModel | None], channel: int
 ) -> str:
     ensemble, refitted = models
     score = ensemble.scores[0]

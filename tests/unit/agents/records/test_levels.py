@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.agents import ExpertAgent, Facts
+from asia.agents import Facts
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.library.record_facts import periodic, several_levels
 from asia.agents.library.registry import family
 from asia.data import Trajectory

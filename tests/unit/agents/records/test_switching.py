@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from asia.agents import ExpertAgent, Trial
+from asia.agents import Trial
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.library.record_facts import Cause, switching
 from asia.data import Trajectory
 from tests.unit.agents.searches import recipe_of, simulation, trial, view

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asia.agents import ExpertAgent, Facts, Trial
+from asia.agents import Facts, Trial
+from asia.agents.expert.agent import ExpertAgent
 from asia.agents.library.record_facts import transport
 from asia.data import Signal, Trajectory
 from tests.unit.agents.searches import recipe_of, simulation, trial, view

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from asia.agents import AgentView, ExpertAgent, Proposal
+from asia.agents import AgentView, Proposal
+from asia.agents.expert.agent import ExpertAgent
 from asia.data.sources import Channels, Source, SourceData, Subset
 from asia.problem.load import load_problem
 from asia.search.run import prepare, search

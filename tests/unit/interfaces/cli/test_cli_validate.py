@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from asia.analysis.validation import VALIDATION_CHECKS
 from asia.judge.sandbox.types import Isolation
-from asia.judge.scoring.checks.registry import VALIDATION_CHECKS
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify
 from asia.problem.load import load_problem
-from asia.report import write_page
+from asia.report.page.page import write_page
 from asia.search.run import prepare, search
 from tests.unit.search.toy import Scripted, arx, write_problem
 

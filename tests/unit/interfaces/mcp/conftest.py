@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from mcp import Client
 
-from asia.interfaces.mcp.opened import Opened, open_search
+from asia.interfaces.mcp import Opened, open_search
 from tests.unit.interfaces.workspace.desks import end_searches, order
 from tests.unit.search.toy import arx, write_problem
 

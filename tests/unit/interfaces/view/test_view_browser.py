@@ -19,7 +19,7 @@ from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
 from asia.ledger.verification import verify
 from asia.problem.problem import Problem
-from asia.report import write_page
+from asia.report.page.page import write_page
 from tests.unit.report.made_up import append_experiment
 
 from .conftest import ATTACK, make_run, write_linear

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from asia.agents import reads_notes
 from asia.agents.library.recipe import Recipe
+from asia.agents.registry import reads_notes
 from asia.errors import Reason, UserError
 from asia.interfaces.view.followed import FollowedRun, RunFolder
 from asia.interfaces.view.pages import importance_part, share_of_variance, steering_panel

@@ -14,7 +14,7 @@ from asia.ledger.run import open_run
 from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
 from asia.problem.protocol import ProtocolRule
-from asia.report import SimulatedCases
+from asia.report.simulated import SimulatedCases
 from asia.search.simulation import training_excerpt
 from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from asia.agents import LlmSettings
+from asia.agents.llm.settings import LlmSettings
 from asia.errors import UserError
 from asia.interfaces.workspace.process import start_search
 from asia.interfaces.workspace.server import RunDesk

@@ -66,7 +66,7 @@ def fitted(
 
 @pytest.mark.slow
 def test_feedback_of_noise_biases_the_open_loop_fit_only() -> None:
-    measured = record(0.8, 0)
+    measured = record(0.8, 0, samples=900)
     biased = plant_error(fitted(measured, None), 0.8)
     assert biased > 0.15
     for method in ("direct", "two_stage", "controller"):
@@ -77,12 +77,12 @@ def test_feedback_of_noise_biases_the_open_loop_fit_only() -> None:
 @pytest.mark.parametrize("method", ["direct", "two_stage", "controller"])
 @pytest.mark.parametrize("pole", [1.0, 1.05])
 def test_a_plant_that_integrates_or_is_unstable(pole: float, method: LoopMethod) -> None:
-    model = fitted(record(pole, 0), method)
+    model = fitted(record(pole, 0, samples=900), method)
     assert model.fitted is not None
     assert abs(abs(np.linalg.eigvals(model.fitted.system.a)).max() - pole) < 0.02
     # From the past window on, the operating point included.
-    new = record(pole, 7)
-    starts = np.arange(20, 1400, 30)
+    new = record(pole, 7, samples=900)
+    starts = np.arange(20, 880, 30)
     past_u, past_y, u, y = (
         np.stack([values[s + a : s + b] for s in starts])
         for values, a, b in ((new.u, -10, 0), (new.y, -10, 0), (new.u, 0, 10), (new.y, 0, 10))
@@ -133,7 +133,7 @@ def test_a_delay_is_found_and_lies_in_the_loop() -> None:
 def test_explained_inputs_remove_the_bias_of_every_family() -> None:
     errors = list[tuple[float, float]]()
     for seed in range(2):
-        measured = record(0.8, seed)
+        measured = record(0.8, seed, samples=900)
         clean = replace(measured, u=explained_inputs([measured])[0])
         errors.append(
             (plant_error(fitted(measured, None), 0.8), plant_error(fitted(clean, None), 0.8))

@@ -10,7 +10,7 @@ import pytest
 import asia
 from asia.analysis.ablation import ablate, crossed, without_change
 from asia.errors import UserError
-from asia.judge.scoring.attribution import attribute
+from asia.judge.scoring.repeated_fits import attribute
 from asia.ledger.events import AblationFit
 from asia.ledger.run import open_run
 from asia.ledger.verification import verify

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from asia.agents import Agent, RelayAgent, legs_of, make_agent, make_runner
+from asia.agents import Agent, make_agent
+from asia.agents.relay import RelayAgent, legs_of, make_runner
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation

@@ -10,7 +10,7 @@ from asia.data import Array
 from asia.ledger.events import TestedModel as Recorded
 from asia.ledger.run import Run
 from asia.problem.create import Preparation, init_problem
-from asia.report import write_report
+from asia.report.files import write_report
 
 DELAY, STEP = 3, 0.1
 

@@ -15,18 +15,11 @@ from pathlib import Path
 import pytest
 
 import asia
-from asia.agents import (
-    AGENTS,
-    Agent,
-    LlmAgent,
-    LlmSettings,
-    RelayAgent,
-    choose_agent,
-    legs_of,
-    make_agent,
-    make_runner,
-    recorded_agents,
-)
+from asia.agents import Agent, make_agent
+from asia.agents.llm.agent import LlmAgent
+from asia.agents.llm.settings import LlmSettings
+from asia.agents.registry import AGENTS, choose_agent, recorded_agents
+from asia.agents.relay import RelayAgent, legs_of, make_runner
 from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation

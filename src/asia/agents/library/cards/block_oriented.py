@@ -1,13 +1,9 @@
 """Linear systems in series with static functions."""
 
-from __future__ import annotations
-
-from asia.agents.library.card import Card
-from asia.agents.library.cost import Timing
 from asia.agents.library.equation_moves import RIDGE_MOVES
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
-from asia.agents.library.move import Move
+from asia.agents.library.move import Card, Move
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.traits import traits

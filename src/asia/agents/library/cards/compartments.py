@@ -1,12 +1,8 @@
 """Storages in series, for systems that fill and run off."""
 
-from __future__ import annotations
-
-from asia.agents.library.card import Card
-from asia.agents.library.cost import Timing
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM, noise_space, slow_noise
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.record_facts import has_storage, plateau_share
 from asia.agents.library.space import OneOf, Space, Span

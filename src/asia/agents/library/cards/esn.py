@@ -1,11 +1,7 @@
 """Echo state networks."""
 
-from __future__ import annotations
-
-from asia.agents.library.card import Card
-from asia.agents.library.cost import Timing
-from asia.agents.library.family import Family
-from asia.agents.library.move import Move
+from asia.agents.library.family import Family, Timing
+from asia.agents.library.move import Card, Move
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
 

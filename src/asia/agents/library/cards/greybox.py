@@ -1,9 +1,5 @@
 """Grey-box model of the problem's equations, its possible missing terms and their symptoms."""
 
-from __future__ import annotations
-
-from asia.agents.library.card import Card
-from asia.agents.library.cost import Timing
 from asia.agents.library.equation_moves import (
     EQUATION_MOVES,
     less_ridge,
@@ -11,9 +7,9 @@ from asia.agents.library.equation_moves import (
     names_of,
     output_offsets,
 )
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.record_facts import has_storage, plateau_share
 from asia.agents.library.space import OneOf, Space, Span

@@ -1,12 +1,9 @@
 """Hybrid model: the problem's equations with a learned residual."""
 
-from __future__ import annotations
-
-from asia.agents.library.card import Card
-from asia.agents.library.cost import Timing
 from asia.agents.library.equation_moves import less_ridge, more_ridge
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM
+from asia.agents.library.move import Card
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space, Span
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from asia.agents.library.card import Card
-from asia.agents.library.cost import Timing
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (
     LM,
     integrator_moves,
@@ -14,7 +12,7 @@ from asia.agents.library.methods import (
     noise_space,
     slow_noise,
 )
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.record_facts import periodic, several_levels
 from asia.agents.library.space import OneOf, Space

@@ -1,13 +1,9 @@
 """Networks trained by Adam: a short fit first, a long one when it is promising."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
-from asia.agents.library.card import Card
-from asia.agents.library.cost import SampleCost, Stage, Timing, steps
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, SampleCost, Stage, Timing, steps
 from asia.agents.library.methods import (
     adam,
     adam_space,
@@ -17,6 +13,7 @@ from asia.agents.library.methods import (
     integrator_setting,
     symmetry_space,
 )
+from asia.agents.library.move import Card
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.traits import Trait

@@ -1,11 +1,7 @@
 """A linear state-space model with small static networks in it."""
 
-from __future__ import annotations
-
-from asia.agents.library.card import Card
-from asia.agents.library.cost import Timing
 from asia.agents.library.equation_moves import RIDGE_MOVES
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (
     LM,
     from_pieces,
@@ -15,7 +11,7 @@ from asia.agents.library.methods import (
     slow_noise,
     symmetry_space,
 )
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe, Value
 from asia.agents.library.record_facts import Cause, switching, transport
 from asia.agents.library.space import OneOf, Space, Span

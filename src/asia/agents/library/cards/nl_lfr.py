@@ -1,11 +1,7 @@
 """A linear system with a few static functions in feedback."""
 
-from __future__ import annotations
-
-from asia.agents.library.card import Card
-from asia.agents.library.cost import Timing
 from asia.agents.library.equation_moves import RIDGE_MOVES
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (
     LM,
     from_pieces,
@@ -14,7 +10,7 @@ from asia.agents.library.methods import (
     noise_space,
     slow_noise,
 )
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space, Span
 from asia.agents.library.trial_evidence import coloured

@@ -1,12 +1,8 @@
 """Nonlinear models that predict one step ahead and are simulated on their own output."""
 
-from __future__ import annotations
-
-from asia.agents.library.card import Card
-from asia.agents.library.cost import Timing
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM
-from asia.agents.library.move import Move
+from asia.agents.library.move import Card, Move
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.record_facts import plateau_share
 from asia.agents.library.space import OneOf, Space, Span

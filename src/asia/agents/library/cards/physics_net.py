@@ -1,14 +1,10 @@
 """Problem's equations with all states measured: learned terms and a parallel network."""
 
-from __future__ import annotations
-
 from functools import partial
 
-from asia.agents.library.card import Card
-from asia.agents.library.cost import GENTLE_STEPS, Timing, steps
-from asia.agents.library.family import Family
+from asia.agents.library.family import GENTLE_STEPS, Family, Timing, steps
 from asia.agents.library.methods import LM, absolute_loss, adam_space
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.trial_evidence import coloured, overfit

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from asia.agents.library.card import Card
-from asia.agents.library.cost import Timing
-from asia.agents.library.family import Family
+from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import LM
-from asia.agents.library.move import Move, Situation
+from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Recipe
 from asia.agents.library.space import OneOf, Space
 from asia.agents.library.trial_evidence import coloured

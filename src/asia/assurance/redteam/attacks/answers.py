@@ -1,7 +1,5 @@
 """Attacks by answers that depend on later inputs or on other windows."""
 
-from __future__ import annotations
-
 from asia.assurance.redteam.attacks.source import candidate
 from asia.assurance.redteam.evidence import scores_better
 from asia.assurance.redteam.types import Barrier, CandidateAttack
@@ -372,10 +370,7 @@ MEMORY = {
     "a decision": _of_memory("0.1 * np.sign(push) * (abs(push) > 0.03)"),
     "seldom": _of_memory("push * (abs(push) > 0.09)"),
 }
-PLACES = {
-    "from the start": _of_places(0),
-    "late in the row": _of_places(5),
-}
+PLACES = {"from the start": _of_places(0), "late in the row": _of_places(5)}
 
 
 # Attacks by outputs that depend on forbidden data: later inputs, other windows, the data after a

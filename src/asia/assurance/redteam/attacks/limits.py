@@ -19,12 +19,7 @@ from asia.assurance.redteam.arena import ScoreOnlySearch
 from asia.assurance.redteam.attacks.searches import Scene
 from asia.assurance.redteam.attacks.source import candidate
 from asia.assurance.redteam.problem import SmallProblem, small_problem
-from asia.assurance.redteam.types import (
-    Barrier,
-    CandidateAttack,
-    SearchAttack,
-    SearchAttackResult,
-)
+from asia.assurance.redteam.types import Barrier, CandidateAttack, SearchAttack, SearchAttackResult
 from asia.candidate import check_source
 from asia.errors import CandidateError
 from asia.judge.evaluation.dry_runs import dry_run, made_up_fold

@@ -1,7 +1,5 @@
 """Attacks that bring the record along in the source: in letters, in numbers, in names."""
 
-from __future__ import annotations
-
 from asia.assurance.redteam.attacks.source import HONEST_FUNCTION
 from asia.assurance.redteam.evidence import scores_better
 from asia.assurance.redteam.types import Barrier, CandidateAttack

@@ -1,8 +1,6 @@
 """Extraction of held-out data from scores or verdicts: an agent submits a baseline plus one cosine
 at a time and solves for the hidden error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -16,7 +14,10 @@ from asia.assurance.redteam.arena import (
     turn,
 )
 from asia.assurance.redteam.attacks.searches import Scene
-from asia.assurance.redteam.types import Barrier, SearchAttack, SearchAttackResult
+from asia.assurance.redteam.attacks.source import candidate
+from asia.assurance.redteam.evidence import scores_better
+from asia.assurance.redteam.problem import Principle
+from asia.assurance.redteam.types import Barrier, CandidateAttack, SearchAttack, SearchAttackResult
 from asia.data.trajectory import Array
 from asia.judge.scoring.outcome import Failure, Score, combine, score_fold
 from asia.problem.protocol_table import LADDER_STEP
@@ -140,5 +141,52 @@ PROBING = (
         _with_ladder,
         lambda _: exact(probe(exact)) < _GAIN * _ERROR,
         (Barrier.FEEDBACK,),
+    ),
+)
+
+
+# Records that have mean 0 and mean square 1 as a whole tell in one part what the other part lacks.
+# Both folds train on about half of the record.
+_INFER = """
+def inferred(records):
+    y = np.concatenate([r.y[:, 0] for r in records])
+    level = -y.mean()
+    spread = max(2 - (y**2).mean() - level**2, 0) ** 0.5
+    return level * MEAN, spread if SPREAD else 1.0
+
+def drawn(known, past_u, past_y, u):
+    level, size = known
+    x, v, y = past_y[:, -1], past_u[:, -1, :1], np.empty(u.shape[:2] + (1,))
+    for k in range(u.shape[1]):
+        x = POLE * x + size * GAIN * v + (1 - POLE) * level
+        v = u[:, k, :1]
+        y[:, k] = x
+    return y
+"""
+
+
+def _infers(*, mean: bool, spread: bool) -> str:
+    return candidate(
+        fit="model = Model()\nmodel.known = inferred(trajectories)\nreturn model",
+        after="drawn(self.known, past_u, past_y, u)",
+        top=f"MEAN, SPREAD = {mean}, {spread}\n{_INFER}",
+    )
+
+
+STATISTICS = (
+    CandidateAttack(
+        51,
+        "infer the held-out part",
+        "computes the mean, the spread or both of the held-out outputs from those of its training "
+        "records, as if whole records had been standardised",
+        {
+            "mean": _infers(mean=True, spread=False),
+            "spread": _infers(mean=False, spread=True),
+            "mean and spread": _infers(mean=True, spread=True),
+        },
+        scores_better,
+        (Barrier.PARENT,),
+        problem="levels",
+        checks=(Principle.FOLD_STATISTICS,),
     ),
 )

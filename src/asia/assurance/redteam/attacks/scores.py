@@ -1,7 +1,5 @@
 """Attacks on the score: manipulated replies, manipulated messages, search of the memory."""
 
-from __future__ import annotations
-
 from asia.assurance.redteam.attacks.source import candidate
 from asia.assurance.redteam.evidence import (
     SPEECH,

@@ -1,8 +1,6 @@
 """Attacks of agents on the search: edits of its ledger, repeated draws, degenerate data. Played
 against the real code in a scratch folder."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

@@ -1,14 +1,11 @@
 """All attacks, in the order of their numbers."""
 
-from __future__ import annotations
-
 from asia.assurance.redteam.attacks.answers import RELATIONS
 from asia.assurance.redteam.attacks.limits import LIMITS
 from asia.assurance.redteam.attacks.literals import LITERALS
-from asia.assurance.redteam.attacks.probing import PROBING
+from asia.assurance.redteam.attacks.probing import PROBING, STATISTICS
 from asia.assurance.redteam.attacks.scores import SCORES
 from asia.assurance.redteam.attacks.searches import SEARCHES
-from asia.assurance.redteam.attacks.statistics import STATISTICS
 from asia.assurance.redteam.attacks.walls import WALLS
 from asia.assurance.redteam.types import Attack
 

@@ -3,17 +3,11 @@
 None does harm where it succeeds: each opens, asks or allocates, and touches only its own targets.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from asia.assurance.redteam.attacks.folds import FOLDS, PLACES, WHISPERS
 from asia.assurance.redteam.attacks.source import candidate, steps
-from asia.assurance.redteam.evidence import (
-    a_step_succeeded,
-    output_flooded,
-    scores_better,
-)
+from asia.assurance.redteam.evidence import a_step_succeeded, output_flooded, scores_better
 from asia.assurance.redteam.types import Barrier, CandidateAttack, Mistake, Success
 from asia.errors import Reason
 

@@ -1,8 +1,6 @@
 """The outer sandbox: no network, no process and no file of this machine but the code, so that an
 attack that succeeds meets nothing."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
@@ -32,10 +30,7 @@ def why_no_outer(nested: bool = False) -> str | None:
 
 def inside(arguments: Sequence[str], *, nested: bool = False) -> Iterator[Finding]:
     """Findings of `python -m asia.assurance.redteam ARGUMENTS` in an outer sandbox, as they come.
-
-    Raises:
-        SandboxError: where it cannot run or fails
-    """
+    Raises SandboxError where it cannot run or fails."""
     reason = why_no_outer(nested)
     if reason is not None:
         raise SandboxError(f"attacks run unprotected in an outer sandbox only, and {reason}")

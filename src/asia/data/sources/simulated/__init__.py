@@ -1,7 +1,5 @@
 """Systems whose records ASIA simulates itself, from a seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from asia.data.trajectory import Array

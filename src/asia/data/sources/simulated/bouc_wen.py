@@ -2,8 +2,6 @@
 equations: J. P. Noël and M. Schoukens, "Hysteretic benchmark with a dynamic nonlinearity", Workshop
 on Nonlinear System Identification Benchmarks, 2016."""
 
-from __future__ import annotations
-
 from math import pi
 
 import numpy as np
@@ -36,10 +34,7 @@ def bouc_wen_records(seed: int, subset: Subset, guard: int) -> dict[str, Simulat
     """Training and guard records: multisines with noise. Test: a multisine of other phases and a
     slow sine sweep, without noise."""
     if subset == "test":
-        return {
-            "multisine_test": _multisine(seed, 0, noise=0.0),
-            "sweep_test": _sweep(),
-        }
+        return {"multisine_test": _multisine(seed, 0, noise=0.0), "sweep_test": _sweep()}
     if subset == "guard":
         first = 1 + _TRAIN_RECORDS
         return {

@@ -1,7 +1,5 @@
 """Simulated records: the source and its record type."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

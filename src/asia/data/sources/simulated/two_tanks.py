@@ -1,8 +1,6 @@
 """Two tanks in series with overflow, simulated: water from a pump runs through an upper tank,
 which is not measured, into a lower one."""
 
-from __future__ import annotations
-
 from math import sqrt
 
 import numpy as np

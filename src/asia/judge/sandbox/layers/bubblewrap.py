@@ -1,7 +1,5 @@
 """Command line of bubblewrap: the view of a program in its own namespaces."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Collection, Mapping
 from typing import Literal
@@ -20,10 +18,7 @@ _SHM_BYTES = 16 * 1024 * 1024
 
 
 def bubblewrap_options(
-    tmp_bytes: int = _TMP_BYTES,
-    *,
-    shared: Collection[Shared] = (),
-    nesting: bool = False,
+    tmp_bytes: int = _TMP_BYTES, *, shared: Collection[Shared] = (), nesting: bool = False
 ) -> list[str]:
     """Return the bwrap options of a worker, up to the command.
 

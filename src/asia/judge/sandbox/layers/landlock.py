@@ -7,8 +7,6 @@ exists and how large it is, its attributes, UDP, new processes; the system call 
 Only the standard library is imported here.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os
@@ -27,11 +25,7 @@ _PR_SET_NO_NEW_PRIVS = 38
 
 
 def abi() -> int:
-    """Version of the kernel's Landlock.
-
-    Raises:
-        OSError: where there is none that can be used
-    """
+    """Version of the kernel's Landlock. Raises OSError where there is none that can be used."""
     return _call(_CREATE_RULESET, 0, 0, _VERSION)
 
 

@@ -5,8 +5,6 @@ namespace, where Linux (5.14 and newer) counts the worker alone; root is exempt 
 watcher in the parent counts them and ends the worker, so that more can run for a moment.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import re

@@ -7,8 +7,6 @@ objects that outlive a process, namespaces and mounts. Loaded by the worker befo
 runs; a filter cannot be taken off again. Only the standard library is imported here.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal
@@ -91,11 +89,7 @@ def why_not() -> str | None:
 
 
 def install() -> None:
-    """Bind all threads of this process.
-
-    Raises:
-        OSError: if the kernel refuses
-    """
+    """Bind all threads of this process. Raises OSError if the kernel refuses."""
     machine = os.uname().machine
     program = build(machine, os.getpid())
     code = ctypes.create_string_buffer(program, len(program))

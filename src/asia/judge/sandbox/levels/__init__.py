@@ -1,7 +1,5 @@
 """Levels of isolation, one a file."""
 
-from __future__ import annotations
-
 from asia.judge.sandbox.level import Level
 from asia.judge.sandbox.levels.landlock import Landlock
 from asia.judge.sandbox.levels.namespace import Namespace

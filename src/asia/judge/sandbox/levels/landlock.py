@@ -5,8 +5,6 @@ the environment, this package and the packages of parts, and writes nowhere. It 
 ending it ends all. It can still learn that a file exists, its size and its age.
 """
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Collection
 

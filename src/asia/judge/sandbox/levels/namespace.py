@@ -5,8 +5,6 @@ read-only, and two small file systems in memory, which Landlock keeps it from us
 other processes, no capability.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -4,8 +4,6 @@ processes.
 It protects against accidents, not against malice: the candidate reads whatever the user can read.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 from asia.judge.sandbox.level import Level

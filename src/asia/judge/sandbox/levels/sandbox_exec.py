@@ -5,8 +5,6 @@ libraries and the code that every worker reads, and writing to devices that stor
 calls sandbox-exec deprecated and still ships it. A supervisor ends remaining processes.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -35,11 +35,7 @@ ESTIMATES_BYTES = (
 
 def pack_parameters(offered: object) -> bytes:
     """Pack parameters into rows of one length, each a name and a float64; values that are not
-    finite are left out.
-
-    Raises:
-        Exception: where `offered` is no mapping of names to numbers
-    """
+    finite are left out. Raises Exception where `offered` is no mapping of names to numbers."""
     if not isinstance(offered, Mapping):
         raise TypeError("parameters: expected a mapping of names to numbers")
     rows = [(_raw(name, 48), float(v)) for name, v in offered.items()]
@@ -48,11 +44,8 @@ def pack_parameters(offered: object) -> bytes:
 
 
 def unpack_parameters(body: bytes) -> tuple[tuple[str, float], ...]:
-    """The names, of letters, digits and a few marks, each once, with their numbers.
-
-    Raises:
-        ValueError: where `body` has another size than rows have, or a number is not finite
-    """
+    """The names, of letters, digits and a few marks, each once, with their numbers. Raises
+    ValueError where `body` has another size than rows have, or a number is not finite."""
     if len(body) % _PARAMETER.size or len(body) > PARAMETERS_BYTES:
         raise ValueError(f"{len(body)} bytes of parameters")
     found: dict[str, float] = {}
@@ -127,11 +120,8 @@ def pack_values(model: Any, reason: str) -> bytes:
 
 
 def unpack_estimates(body: bytes) -> ParameterEstimates:
-    """Unpack the result of `pack_estimates`.
-
-    Raises:
-        ValueError: where `body` cannot be a result of `pack_estimates`
-    """
+    """Unpack the result of `pack_estimates`. Raises ValueError where `body` cannot be a result of
+    `pack_estimates`."""
     # Here, as the worker reads nothing: it imports this module without these.
     import numpy as np
 

@@ -6,8 +6,6 @@ or the request pipe closes, which a killed parent does too.
 Arguments: request fd, reply fd, the worker's home, then its command line.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

@@ -4,8 +4,6 @@ A model that holds a function of a library, such as a closure, is pickled with i
 names the file that it was read from.
 """
 
-from __future__ import annotations
-
 import os
 import pickletools
 import re
@@ -37,11 +35,7 @@ def places_here(packages: Iterable[str] = ()) -> tuple[str, ...]:
 
 def portable(pickled: bytes, places: tuple[str, ...]) -> bytes:
     """Remove these paths from the strings of a pickle: `/home/me/lib/scipy/odr.py` becomes
-    `scipy/odr.py`.
-
-    Raises:
-        PlaceError: where one occurs in bytes, which must not change
-    """
+    `scipy/odr.py`. Raises PlaceError where one occurs in bytes, which must not change."""
     if not any(place.encode() in pickled for place in places):
         return pickled
     known = "|".join(map(re.escape, sorted(places, key=len, reverse=True)))

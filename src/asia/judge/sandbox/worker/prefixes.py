@@ -4,8 +4,6 @@ Sample k is taken from a request whose inputs end within a few samples of k. Wha
 look-ahead inside such a chunk: only the last sample of a chunk is answered without any later input.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Result of one check of a model."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

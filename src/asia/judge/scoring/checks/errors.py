@@ -1,7 +1,5 @@
 """Checks of the errors: growth, overfit, bands, region of validity."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

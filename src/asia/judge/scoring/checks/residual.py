@@ -1,7 +1,5 @@
 """Checks of the residual: which missing effect would explain it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Checks of the model's response: gain, frequency response, long runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Data that the validation checks work on: simulations, linear responses, ranges, noise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from asia.agents import all_families
+from asia.agents.library.registry import all_families
 from asia.candidate import check_source
 from tests.unit.interfaces.cli.conftest import Asia
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asia.agents import families_page
+from asia.agents.library.pages import families_page
 from asia.candidate import check_source
 from asia.interfaces.workspace.program import Confinement, models_page, program
 from asia.problem.load import load_problem
