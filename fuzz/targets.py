@@ -19,8 +19,7 @@ import numpy as np
 from fuzz import hostile
 
 from asia._source import source_facts
-from asia.agents.llm.cassette import may_have_cost, request_key
-from asia.agents.llm.client import ChatClient, read_answer
+from asia.agents.llm.client import ChatClient, may_have_cost, read_answer, request_key
 from asia.agents.llm.reply import MalformedReplyError, read_reply
 from asia.agents.llm.settings import LlmSettings
 from asia.candidate import check_source

@@ -331,7 +331,8 @@ def test_a_fit_ends_with_all():
 def test_every_family_is_among_the_honest():
     from asia.agents.library.registry import all_families
 
-    names = {row.name for row in all_families()}
+    # A simulator of the user's own comes with its problem.
+    names = {row.name for row in all_families() if "plant" not in row.needs}
     assert {row.name for _, row in honest_plan(quick=True)} == names
     assert {row.name for _, row in honest_plan()} == names
     assert len(honest_plan()) > len(names)

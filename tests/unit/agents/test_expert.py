@@ -357,7 +357,7 @@ def test_a_repeated_title_says_which_settings_change() -> None:
 
 @pytest.mark.parametrize(
     ("whiteness", "value", "tries", "ends"),
-    [(0.1, 0.1, 3, True), (0.1, 0.1, 2, False), (0.6, 0.1, 3, False), (0.1, 0.12, 3, False)],
+    [(0.1, 0.1, 1, True), (0.1, 0.1, 0, False), (0.6, 0.1, 1, False), (0.1, 0.12, 1, False)],
     ids=["floor", "too early", "coloured", "above training"],
 )
 def test_the_search_ends_at_the_noise_floor_and_nowhere_else(

@@ -9,7 +9,7 @@ import pytest
 
 import asia
 from asia.errors import CandidateError
-from asia.judge.sandbox.worker.child import PlaceError, places_here, portable
+from asia.judge.sandbox.worker.portable import PlaceError, places_here, portable
 
 # A closure of the standard library, pickled with its code; the place of a library; the home.
 HOLDS = """
