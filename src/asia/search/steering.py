@@ -147,7 +147,8 @@ def running_losses(directory: Path, view: SearchView) -> dict[int, FoldLosses]:
         found = _CURVES.validate_json(_losses_path(directory).read_bytes())
     except (OSError, ValidationError):
         return {}
-    return {e.number: found[e.proposed.digest] for e in view.running if e.proposed.digest in found}
+    known = [e for e in view.running if e.proposed.digest in found]
+    return {e.number: dict(sorted(found[e.proposed.digest].items())) for e in known}
 
 
 def _losses_path(directory: Path) -> Path:
