@@ -3,9 +3,9 @@
 python benchmarks/machinery/rivals.py RUNS OUT
 
 Writes OUT/optuna.db, two studies a run: V, with the values of the folds as intermediate values, and
-the trade-off of V against the count of numbers in the model. Writes OUT/trackio, two projects a run:
-the search as `asia run --sink trackio` sends it, and a run for each experiment with its settings and
-picture. Prints the commands that open the three.
+the trade-off of V against the count of numbers in the model. Writes OUT/trackio, two projects a
+run: the search as `asia run --sink trackio` sends it, and a run for each experiment with its
+settings and picture. Prints the commands that open the three.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from asia.ledger.view import Experiment
 from asia.problem.folds import make_folds
 from asia.problem.load import load_lock
 from asia.report.pictures.simulation import draw_simulation
+from asia.search.sinks import TrackioSink
 
 
 def main() -> None:
@@ -88,7 +90,6 @@ def send_to_optuna(run: Run, rows: list[Row], out: Path) -> None:
     import optuna
     from optuna.artifacts import FileSystemArtifactStore, upload_artifact
     from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
-    from optuna_dashboard import save_note
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     storage = f"sqlite:///{out}/optuna.db"
@@ -121,7 +122,9 @@ def send_to_optuna(run: Run, rows: list[Row], out: Path) -> None:
             if study is two:
                 study.tell(trial, [e.score.value, facts["size"]])
                 continue
-            save_note(trial, f"{facts['hypothesis']}\n\n{facts['status']}: {facts['reason']}")
+            import_module("optuna_dashboard").save_note(
+                trial, f"{facts['hypothesis']}\n\n{facts['status']}: {facts['reason']}"
+            )
             # A finished trial takes no artifact.
             upload_artifact(artifact_store=store, file_path=str(picture), study_or_trial=trial)
             for k, fold in enumerate(e.score.folds, 1):
@@ -131,9 +134,7 @@ def send_to_optuna(run: Run, rows: list[Row], out: Path) -> None:
 
 def send_to_trackio(run: Run, rows: list[Row]) -> None:
     """Write the projects of a run. The sink keeps a file in a run, so it sends a copy."""
-    import trackio
-
-    from asia.search.sinks import TrackioSink
+    trackio = import_module("trackio")
 
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / run.name
