@@ -594,7 +594,7 @@ def probe(trajectories: Sequence[Trajectory], context: Context) -> SimulatorProb
     seconds = time.monotonic() - begin
     if (abs(again - first) > tolerance).any():
         raise SimulatorError(
-            f"[plant] {context.plant and context.plant.label} returned other outputs for the same "
+            f"[plant] {model.plant.label} returned other outputs for the same "
             "arguments: use a fixed seed, and keep no state between calls"
         )
     # Differences take up to 30 simulations for each unknown.
@@ -604,7 +604,7 @@ def probe(trajectories: Sequence[Trajectory], context: Context) -> SimulatorProb
     changed[half:] = changed[half:][::-1] + record.u.std(axis=0)
     if (abs(model.run(changed, z, start)[:half] - first[:half]) > tolerance).any():
         raise SimulatorError(
-            f"[plant] {context.plant and context.plant.label} looks ahead: outputs changed before "
+            f"[plant] {model.plant.label} looks ahead: outputs changed before "
             "the input did; output k may use inputs up to k only"
         )
     draws = np.random.default_rng(0).uniform(0.1, 0.9, (_DRAWS, error.size))

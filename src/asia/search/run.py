@@ -21,9 +21,9 @@ from asia.agents.relay import check_relay_budget, relay_budget
 from asia.agents.view import Agent
 from asia.candidate import check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
-from asia.judge.evaluation.dry_runs import check_plant
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.plant_check import check_plant
 from asia.judge.evaluation.references import LINEAR
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import derive_seed

@@ -9,8 +9,8 @@ import pytest
 from asia.agents.library.registry import families, family
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
-from asia.judge.evaluation.dry_runs import check_plant
 from asia.judge.evaluation.findings import search_context
+from asia.judge.evaluation.plant_check import check_plant
 from asia.judge.sandbox.types import Isolation
 from asia.models import simulator
 from asia.models.methods import LevenbergMarquardt

@@ -21,7 +21,7 @@ def check(
     """Print the data and the protocol of a problem, judge the data, and draw them."""
     from asia.analysis.data_verdict import judge_data
     from asia.interfaces.workspace.workspace import is_workspace
-    from asia.judge.evaluation.dry_runs import check_plant
+    from asia.judge.evaluation.plant_check import check_plant
     from asia.problem.check import check_problem
     from asia.problem.load import load_problem
     from asia.problem.seal import seal
