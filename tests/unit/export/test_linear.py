@@ -220,6 +220,16 @@ def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
     found = json.loads(shown.out)
     assert [one["model"] for one in found["responses"]][:3] == ["loop", "fold 1", "fold 2"]
     assert all(one["settling"] <= 404 for one in found["responses"])
+    shown = command_line("control", "--runs", tmp_path, "--model", "1", "--at", "u=2",
+                         "--settling", "400", "--kind", "lqr", "--json")  # fmt: skip
+    (folder,) = tmp_path.glob("*/control-1")
+    assert json.loads((folder / "control.json").read_text("utf-8"))["model"] == "experiment 1"
+    models = {one["model"] for one in json.loads(shown.out)["responses"]}
+    assert models <= {"loop", "fold 1", "fold 2", "mean of folds"}
+    shown = command_line("certify", "--runs", tmp_path, "--model", "1", "--u", "2..2",
+                         "--horizon", "2")  # fmt: skip
+    assert shown.code == 0, shown.err
+    assert "certificate-1.json" in shown.out
     shown = command_line("certify", "--runs", tmp_path, "--u", "1.95..2.05", "--horizon", "5",
                          "--y", "tank2_level=0..10")  # fmt: skip
     assert shown.code == 0, shown.err

@@ -326,10 +326,11 @@ def _loop(
             "controller is designed for one input and one output"
         )
     point = found.points[0]
-    view, y0 = opened.view, float(point.at.y[0])
-    own = view.best if number is None else view.experiment(int(number))
+    own, y0 = opened.view.best, float(point.at.y[0])
     others: dict[str, LinearPoint] = {}
-    for one in leading_experiments(view, 1 + _OTHERS, _FAR):
+    # An experiment that is asked for is judged by its own models.
+    leading = leading_experiments(opened.view, 1 + _OTHERS, _FAR) if number is None else []
+    for one in leading:
         if own is None or one.proposed.family == own.proposed.family:
             continue
         try:
@@ -447,8 +448,8 @@ def _weakest(
             f"; {loop.u} goes from {np.nanmin(u):.4g} to {np.nanmax(u):.4g}, outside its training "
             f"range {low:.4g} to {high:.4g}, where the models are not tested"
         )
-    end = np.array([one[-1] for _, one in responses])
-    room = float(np.nanmin(np.minimum(end - controller.low, controller.high - end)))
+    end = np.array([one[-1] for _, one in responses if np.isfinite(one[-1])])
+    room = np.minimum(end - controller.low, controller.high - end).min(initial=math.inf)
     if math.isfinite(room) and room >= 0:
         text += f"; at the set point {loop.u} has {room:.3g} left to its limit"
     return text
