@@ -142,7 +142,7 @@ def unsent(view: SearchView, sent: set[int]) -> Generator[tuple[int, str, dict[s
 
 class MlflowSink:
     """Sends a search to MLflow, at `MLFLOW_TRACKING_URI`: a run in the experiment with the name of
-    the problem, metrics by number of the experiment; at the end results.tsv and report.html."""
+    the problem, metrics by number of the experiment; at the end results.tsv, and report.html where `asia report` wrote it."""
 
     def __init__(self, directory: Path, view: SearchView) -> None:
         self.directory, self.client = directory, import_module("mlflow").MlflowClient()
@@ -183,7 +183,7 @@ class MlflowSink:
 
     def close(self) -> None:
         """See `Sink`."""
-        for name in ("results.tsv", "report.html"):
+        for name in ("results.tsv", "report/report.html"):
             if (file := self.directory / name).is_file():
                 self.client.log_artifact(self.run, str(file))
         self.client.set_terminated(self.run)

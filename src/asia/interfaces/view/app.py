@@ -215,7 +215,7 @@ async def _sent_text(request: Request) -> str:
     async for part in request.stream():
         body += part
         if len(body) > _LONGEST_BODY:
-            raise UserError(f"a note has at most {_LONGEST_BODY} bytes")
+            raise UserError(f"a request has at most {_LONGEST_BODY} bytes")
     return body.decode("utf-8", "replace")
 
 
