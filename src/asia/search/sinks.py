@@ -142,7 +142,8 @@ def unsent(view: SearchView, sent: set[int]) -> Generator[tuple[int, str, dict[s
 
 class MlflowSink:
     """Sends a search to MLflow, at `MLFLOW_TRACKING_URI`: a run in the experiment with the name of
-    the problem, metrics by number of the experiment; at the end results.tsv, and report.html where `asia report` wrote it."""
+    the problem, metrics by number of the experiment; at the end results.tsv, and report.html if
+    `asia report` wrote it."""
 
     def __init__(self, directory: Path, view: SearchView) -> None:
         self.directory, self.client = directory, import_module("mlflow").MlflowClient()
