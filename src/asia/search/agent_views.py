@@ -97,7 +97,7 @@ def agent_view(
     settings = RunSettings(facts.inputs, facts.outputs, facts.budget.fit_seconds, 0)
     tried = {e.proposed.digest for e in view.experiments}
     if view.started.ladder is None:
-        (linear,) = [r for r in view.references if r.name == LINEAR_REFERENCE] or (None,)
+        linear = next((r for r in view.references if r.name == LINEAR_REFERENCE), None)
         recipe = read_recipe(linear.source) if linear is not None else None
         if recipe is not None:
             facts = replace(facts, linear=recipe.config)
