@@ -19,7 +19,7 @@ from asia.problem.budget import Budget
 from asia.problem.feedback import Loop, loop_table
 from asia.problem.folds import least_samples
 from asia.problem.physics import Physics
-from asia.problem.plant import Plant
+from asia.problem.plant import Plant, Unknown, plant_file
 from asia.problem.protocol import ProtocolRule
 from asia.problem.protocol_table import ProtocolTable, groups_table, protocol_table
 from asia.problem.symmetry import Symmetry
@@ -134,6 +134,7 @@ class Problem:
         budget: Budget | Mapping[str, Any] | None = None,
         physics: Physics | Mapping[str, Any] | None = None,
         symmetry: Symmetry | None = None,
+        plant: Mapping[str, Any] | None = None,
     ) -> Problem:
         """Make a problem from records in memory, and write it to `directory` so that runs can
         resume, verify and unseal.
@@ -152,6 +153,8 @@ class Problem:
             name: name of the problem; that of the directory by default
             protocol, budget, physics, symmetry: tables as in problem.toml, or objects
             baseline: source of the first candidate
+            plant: table as in problem.toml for a simulator of your own; `source` is
+                "plant.py:simulate", "model.fmu" or a function of a Python file, which is copied
 
         Raises:
             UserError: for arguments that make no problem, and when the directory holds other
@@ -175,6 +178,10 @@ class Problem:
         if isinstance(protocol, ProtocolRule):
             groups = groups_table(protocol) if groups is None else groups
             protocol = protocol_table(protocol)
+        files: dict[str, str | bytes] = {}
+        if plant is not None:
+            plant, file, content = plant_file(plant)
+            files[file] = content
         tables = {
             "name": name or directory.name,
             "description": "description.md" if description else None,
@@ -189,12 +196,13 @@ class Problem:
             "protocol": _plain(protocol),
             "budget": _plain(budget),
             "physics": _plain(physics),
+            "plant": _plain(plant),
             "symmetry": {k: dict(v) for k, v in symmetry.items()} if symmetry else None,
         }
         # The module loads problems: imported above, it would close a circle.
         create = import_module("asia.problem.create")
         names = [signal.name for side in signals for signal in side]
-        files = {
+        files |= {
             f"{t.name}.csv": create.record_csv(t, names) for t in (*train.records, *test.records)
         }
         if description:
@@ -220,7 +228,7 @@ class Problem:
 
 def _plain(value: Any) -> Any:
     """Tables and lists of Python's own numbers, at any depth."""
-    if isinstance(value, (Budget, Physics)):
+    if isinstance(value, (Budget, Physics, Unknown)):
         return asdict(value)
     if isinstance(value, Mapping):
         return {key: _plain(entry) for key, entry in value.items()}
