@@ -15,10 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from asia.analysis.frequency import fit_frequency_response
-from asia.data.frequency import frequency_response
-from asia.data.intake.frequency import FrequencyRecord
+from asia.data.frequency import FrequencyRecord, frequency_response
 from asia.data.trajectory import Signal
+from asia.models.frequency_response import fit_frequency_response
 from asia.problem.load import load_problem
 
 

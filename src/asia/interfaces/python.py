@@ -99,8 +99,8 @@ class SystemIdentifier:
     """Searches for a model of records in memory, and simulates with the one that it finds.
 
     Parameters are those of `asia run` and of problem.toml: `experiments`, `agent`, `seed`;
-    `protocol`, `budget`, `physics`, `symmetry`, `plant`: tables with the keys of problem.toml, where
-    `source` of `plant` may be a function of a Python file; `description` of the system in plain
+    `protocol`, `budget`, `physics`, `symmetry`, `plant`: tables with the keys of problem.toml;
+    `source` of `plant` may be a function of a Python file. `description` of the system in plain
     English. `model`: `ensemble`, `refit` or `stack` instead of the one that
     the search names. `runs`: the directory of runs. `directory`: where the problem is written, by
     default below `runs` under a name made from records and settings, so that the same call resumes.

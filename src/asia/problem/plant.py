@@ -122,8 +122,8 @@ def plant_file(table: Mapping[str, Any]) -> tuple[dict[str, Any], str, bytes]:
     """Return [plant] with a source beside the problem file, the name of that file, and its content.
 
     Args:
-        table: [plant] of the problem file; `source` may be a Python function, and paths are relative
-            to the working directory.
+        table: [plant] of the problem file; `source` may be a Python function, and paths are
+            relative to the working directory.
 
     Raises:
         UserError: for a function that is not in a file, and a file that is missing.

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter
 
 from asia._text import one_line
 from asia.data.arrays import name_signals, one_a_record, read_arrays
+from asia.data.frequency import FrequencyRecord
 from asia.data.preprocess import Preprocess
 from asia.data.sources.source import Channels, Source
 from asia.data.trajectory import Array, Signal, Trajectory
@@ -113,6 +114,10 @@ class Problem:
     """Feedback loop in which the training records were taken."""
     plant: Plant | None = None
     """Simulator of the user's own."""
+    responses: tuple[FrequencyRecord, ...] = ()
+    """Measured frequency responses of the system."""
+    response_files: tuple[Path, ...] = ()
+    """Their files."""
 
     @classmethod
     def from_arrays(
@@ -287,6 +292,8 @@ def training_text(problem: Problem, names: Sequence[str]) -> str:
         "data": {
             "train": [f"data/{name}.csv" for name in names],
             "groups": {k: [called[name] for name in v] for k, v in groups.items()} or None,
+            "frequency": [f"data/response{k + 1}.npz" for k in range(len(problem.responses))]
+            or None,
         },
         "protocol": protocol_table(problem.protocol),
         "budget": {"fit_seconds": budget.fit_seconds, "memory_mb": budget.memory_mb},
