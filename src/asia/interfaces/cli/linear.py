@@ -49,7 +49,9 @@ def linear(
     ] = None,
     reduce: Annotated[
         str | None,
-        typer.Option(help="States to keep by balanced truncation, or auto (error below 1 %)."),
+        typer.Option(
+            help="Smaller model by balanced truncation: states to keep, or auto (error below 1 %)."
+        ),
     ] = None,
     to_tf: Annotated[
         bool,
@@ -75,7 +77,8 @@ def linear(
     options: RunOptions,
 ) -> None:
     """Print order, poles, gains and delays of a model at operating points, and draw its Bode plot
-    and step response. With a file of a frequency response, fit a linear model to it."""
+    and step response; also smaller, in continuous time or as a transfer function. With a file of a
+    frequency response, fit a linear model to it."""
     from asia.export.linear import linearize
     from asia.report.files import save
     from asia.report.page.sections.evidence import LINEAR_FILE
