@@ -250,6 +250,8 @@ class LinearStateSpace(TrainableModel[Config, FittedLinear | FittedLevels]):
         f = self._trained()
         if isinstance(f, FittedLevels):
             raise ValueError("linear model: gains and time constants differ from level to level")
+        if context.responses:
+            raise ValueError("linear model: fitted to frequency responses beside the records")
         if self.config.integrators:
             raise ValueError("linear model: with free integrators there are no static gains")
         units = {

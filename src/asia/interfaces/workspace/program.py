@@ -290,6 +290,14 @@ def _physics(problem: Problem) -> str:
         given = [*simulator(problem.plant), *given]
         others = use if problem.physics or problem.symmetry else ""
         use = f"`context.plant` has the simulator. {others}"
+    if problem.responses:
+        lines = [
+            f"frequency response {one.name}: {len(one.frequency)} frequencies up to "
+            f"{one.frequency[-1]:.4g} Hz" for one in problem.responses
+        ]  # fmt: skip
+        others = use if given else ""
+        given = [*given, *lines]
+        use = f"`context.responses` has the frequency responses: `linear` fits them. {others}"
     if not given:
         return ""
     # Headings with what is indented below them on the same line, where it fits; else on indented
