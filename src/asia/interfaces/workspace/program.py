@@ -7,7 +7,14 @@ import textwrap
 from enum import Enum
 
 from asia.agents.library.pages import families_page
-from asia.agents.llm.prompt import MODEL_RULES, equations, ladder_rule, simulator, symmetries
+from asia.agents.llm.prompt import (
+    MODEL_RULES,
+    equations,
+    ladder_rule,
+    response_lines,
+    simulator,
+    symmetries,
+)
 from asia.candidate import installed_libraries
 from asia.data.trajectory import Signal
 from asia.problem.metrics import metric_label
@@ -291,13 +298,8 @@ def _physics(problem: Problem) -> str:
         others = use if problem.physics or problem.symmetry else ""
         use = f"`context.plant` has the simulator. {others}"
     if problem.responses:
-        lines = [
-            f"frequency response {one.name}: {len(one.frequency)} frequencies up to "
-            f"{one.frequency[-1]:.4g} Hz" for one in problem.responses
-        ]  # fmt: skip
-        others = use if given else ""
-        given = [*given, *lines]
-        use = f"`context.responses` has the frequency responses: `linear` fits them. {others}"
+        use = use if given else ""
+        given = [*given, *response_lines(problem.responses)]
     if not given:
         return ""
     # Headings with what is indented below them on the same line, where it fits; else on indented

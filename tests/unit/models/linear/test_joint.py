@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from asia.agents.llm.prompt import briefing
 from asia.candidate import Context
 from asia.data.frequency import ComplexArray, FrequencyRecord
 from asia.data.intake.frequency import read_frequency_response, write_response
@@ -27,6 +28,7 @@ from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import lock_text
 from asia.problem.problem import training_text
 from asia.problem.seal import seal
+from asia.search.agent_views import problem_facts
 
 STEP, FINE = 0.05, 10
 ZERO = np.zeros(1)
@@ -151,6 +153,7 @@ def test_the_responses_of_a_problem_reach_fits_locks_and_workspaces(tmp_path: Pa
     problem = load_problem(problem_of(tmp_path))
     (measured,) = problem.responses
     assert search_context(problem, 0).responses == problem.responses
+    assert "# Frequency responses\nfrequency response tip: 60" in briefing(problem_facts(problem))
     (tmp_path / "run").mkdir()
     lock = tmp_path / "run" / "problem.lock.toml"
     lock.write_text(lock_text(problem, seal(problem)))
