@@ -22,6 +22,8 @@ from asia.lowering.program import (
     Shape,
 )
 
+# Numbers in an array that a prepared program keeps: a program may be a stranger's.
+_KEPT = 4096
 _Function: TypeAlias = Callable[..., list[Any]]
 _functions: dict[int, _Function] = {}
 """Prepared programs by identity."""
@@ -36,7 +38,8 @@ def evaluate(program: Program, inputs: Sequence[Array]) -> list[Array]:
         weakref.finalize(program, _functions.pop, key, None)
     with np.errstate(all="ignore"):
         found = function(*(np.asarray(x, np.float64) for x in inputs))
-    return [np.asarray(value) for value in found]
+    # Copies: a value may be one that the prepared program keeps.
+    return [np.array(value) for value in found]
 
 
 def simulate(model: LoweredModel, past_u: Array, past_y: Array, u: Array) -> Array:
@@ -66,17 +69,20 @@ def _prepared(program: Program) -> _Function:
     with np.errstate(all="ignore"):
         for number, node in enumerate(program.nodes, program.first_node):
             function = _bound(node)
-            if all(i in known for i in node.operands):
+            small = node.op not in ("loop", "part") and math.prod(node.shape) <= _KEPT
+            if small and all(i in known for i in node.operands):
                 known[number] = function(*(known[i] for i in node.operands))
             else:
                 plan.append((number, function, node.operands))
+    # The function keeps no reference to the program, so that both are freed.
+    outputs = program.outputs
     rest = [known.get(k) for k in range(count, program.first_node + len(program.nodes))]
 
     def run(*inputs: Array) -> list[Any]:
         values: list[Any] = [*inputs, *rest]
         for number, function, operands in plan:
             values[number] = function(*[values[i] for i in operands])
-        return [values[i] for i in program.outputs]
+        return [values[i] for i in outputs]
 
     return run
 
@@ -104,7 +110,10 @@ def _bound(node: Node) -> Callable[..., Any]:
     if op == "reshape":
         return lambda x: x.reshape(attrs)
     if op == "broadcast":
-        ones = np.ones(node.shape)
+        wide = node.shape
+        if math.prod(wide) > _KEPT:
+            return lambda x: np.broadcast_to(_sides(attrs, x), wide)
+        ones = np.ones(wide)
         return lambda x: _sides(attrs, x) * ones
     return partial(_COMPUTED[op], attrs)
 
