@@ -73,7 +73,8 @@ class FrequencyRecord:
                 f"sampling frequency of the records, {0.5 / sampling_time:g} Hz: expected at least "
                 f"{_LEAST_FREQUENCIES}"
             )
-        chosen = np.ix_(np.flatnonzero(seen), *places)
+        rows, columns = (np.array(one) for one in places)
+        chosen = np.flatnonzero(seen)[:, None, None], rows[:, None], columns
         return replace(
             self, frequency=self.frequency[seen], response=self.response[chosen],
             variance=None if self.variance is None else self.variance[chosen],

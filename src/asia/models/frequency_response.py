@@ -404,7 +404,7 @@ def sampled_response(fit: FrequencyFit, sampling_time: float) -> FrequencyRecord
         """Transition and effect of a constant input over a time."""
         both = np.zeros((n + nu, n + nu))
         both[:n] = np.hstack([model.a, model.b])
-        moved = np.asarray(expm(time * both))
+        moved = np.asarray(expm(time * both), np.float64)
         return moved[:n, :n], moved[:n, n:]
 
     a, full = held(sampling_time)

@@ -76,7 +76,7 @@ def read_frequency_response(path: Path) -> FrequencyRecord:
 
 def write_response(path: Path, record: FrequencyRecord) -> None:
     """Write a frequency response as a NumPy file, which reads back the same."""
-    known = {} if record.variance is None else {"variance": record.variance}
+    known: dict[str, Any] = {} if record.variance is None else {"variance": record.variance}
     np.savez(
         path, frequency=record.frequency, response=record.response,
         sampling_time=record.sampling_time, inputname=[s.name for s in record.inputs],
