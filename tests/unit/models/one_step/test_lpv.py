@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from asia.agents.library.registry import family
+from asia.agents.library.space import draw
 from asia.candidate import Context, simulate_steps
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
@@ -115,6 +116,14 @@ data = { train = ["one.csv"] }
     plain = replace(facts, inputs=(Signal("u"), Signal("p")))
     assert row.trial(plain).get("scheduling") is None
     assert row.aptness(facts) > row.aptness(plain)
+    row = family("neural_ss")
+    assert row is not None
+    assert row.trial(facts).get("basis") == "scheduling"
+    assert row.trial(plain).get("basis") is None
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        drawn = dict(draw(rng, row.trial(facts), row.space(facts)).config)
+        neural_ss.Config(**drawn)  # pyright: ignore[reportArgumentType]
     (tmp_path / "problem.toml").write_text(
         text.replace('["y"]', '[{ name = "y", role = "scheduling" }]')
     )

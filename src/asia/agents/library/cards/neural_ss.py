@@ -14,7 +14,7 @@ from asia.agents.library.methods import (
 from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe, Value
 from asia.agents.library.record_facts import Cause, switching, transport
-from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.trial_evidence import coloured, curved, overfit
 from asia.agents.view import Facts
 
@@ -41,14 +41,24 @@ def _scheduled(facts: Facts) -> bool:
 
 def _space(facts: Facts) -> Space:
     carried = transport(facts)
+    places: tuple[Parameter, ...] = (
+        OneOf("nonlinearity", ("state", "input", "output", "both", "none")),
+        OneOf("channels", (None, 1, 2), needs="nonlinearity", being="state"),
+        OneOf("basis", ("tanh", "polynomial")),
+        OneOf("degree", (2, 3), needs="basis", being="polynomial"),
+    )
+    if _scheduled(facts):
+        # Matrices that follow the signal act on all states.
+        places = (
+            OneOf("nonlinearity", ("state", "none")),
+            OneOf("basis", ("scheduling", "tanh", "polynomial")),
+            OneOf("degree", (2, 3)),
+        )
     paces = () if carried is None else (OneOf("transport", (None, carried.transport.pace)),)
     return Space(
         config=(
             OneOf("order", (None, 2, 3, 4)),
-            OneOf("nonlinearity", ("state", "input", "output", "both", "none")),
-            OneOf("channels", (None, 1, 2), needs="nonlinearity", being="state"),
-            OneOf("basis", ("tanh", "polynomial")),
-            OneOf("degree", (2, 3), needs="basis", being="polynomial"),
+            *places,
             OneOf("hidden", (4, 8, 12)),
             Span("ridge", 1e-6, 1e-2),
             OneOf("delay", (0, None)),
