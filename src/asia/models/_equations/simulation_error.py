@@ -146,8 +146,7 @@ class SimulationError:
         z, shift = self._parts(self._around(theta[:1], fitted, central=True))
         with np.errstate(all="ignore"):
             found = [
-                self._derivatives(first, z, shift, p, central=True)
-                for p in self._simulate.pieces()
+                self._derivatives(first, z, shift, p, central=True) for p in self._simulate.pieces()
             ]
         e, jacobian = (np.concatenate([part[i][0] for part in found]) for i in range(2))
         e = e.reshape(self._segments.y.shape)
