@@ -78,8 +78,8 @@ def fit(
     third fits the residual network, which starts without effect, from the best of these.
     With a noise model, the fits before the network and those with it are followed by estimates of
     the noise from the best fit's residuals, and generalised least squares from the best points
-    found. The same seed gives bitwise the same result. `log` receives the number of each iteration and the
-    least cost of all starting points.
+    found. The same seed gives bitwise the same result. `log` receives the number of each iteration
+    and the least cost of all starting points.
 
     Raises:
         FloatingPointError: if no starting point gives a finite simulation.
