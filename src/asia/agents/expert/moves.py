@@ -149,7 +149,10 @@ def _calmer(at: Situation) -> Recipe:
 
 
 def _order(at: Situation) -> int:
-    return round(at.recipe.number("order", 2))
+    """Return the states of the model: where the fit chooses, those that it reports, or else those
+    of the first trial that reports any."""
+    chosen = [t.order for t in (at.trial, *at.view.trials) if t.order is not None]
+    return round(at.recipe.number("order", chosen[0] if chosen else 2))
 
 
 GENERAL_MOVES: tuple[Move, ...] = (

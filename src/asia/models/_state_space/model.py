@@ -385,6 +385,30 @@ def symmetric(
     return refine(records, replace(found, x0=x0), refinement)
 
 
+def in_modes(found: LinearFit, records: ScaledData) -> tuple[LinearFit, int]:
+    """Give each mode of the linear model states of its own, of unit size on the records.
+
+    Returns:
+        The same system in these states, and the number of complex pairs, which come first.
+    """
+    s = found.system
+    poles, vectors = np.linalg.eig(s.a)
+    oscillating = np.flatnonzero(poles.imag > 0)
+    real = np.flatnonzero(poles.imag == 0)
+    pairs = [part(vectors[:, k]) for k in oscillating for part in (np.real, np.imag)]
+    basis = np.stack([*pairs, *(np.real(vectors[:, k]) for k in real)], axis=1)
+    into = np.linalg.inv(basis)
+    states = np.concatenate([
+        s.simulate(x0[None], r.u[None])[0][0] @ into.T
+        for x0, r in zip(found.x0, records, strict=True)
+    ])  # fmt: skip
+    sizes = np.sqrt((states**2).mean(axis=0))
+    many = 2 * len(oscillating)
+    sizes[:many] = np.repeat(np.hypot(sizes[0:many:2], sizes[1:many:2]), 2)
+    into = into / np.maximum(sizes, 1e-9)[:, None]
+    return replace(found, system=s.transformed(into), x0=found.x0 @ into.T), len(oscillating)
+
+
 def with_elements(structure: StateSpaceStructure, found: LinearFit) -> LinearFit:
     """Add elements at rest to the initial states of the linear model."""
     more = structure.size - structure.order

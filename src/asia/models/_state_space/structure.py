@@ -66,7 +66,7 @@ def lost(p: Coefficients, x: AnyArray, v: AnyArray, behind: AnyArray) -> tuple[A
 # their own after x.
 
 Nonlinearity = Literal["state", "input", "output", "both", "none"]
-Basis = Literal["tanh", "polynomial"]
+Basis = Literal["tanh", "polynomial", "modal"]
 
 # Limit on the unit-size signals of monomials, so that a simulation that leaves the training range
 # grows linearly at most.
@@ -94,6 +94,7 @@ class StateSpaceStructure:
     play: int = 0  # Number of elements of play, each with a state
     integrators: int = 0
     """Number of last states whose pole is held at 1 and which f and g do not read."""
+    pairs: int = 0  # Number of complex pairs among the modes of the start, for the modal basis
 
     @property
     def size(self) -> int:
@@ -149,9 +150,32 @@ class StateSpaceStructure:
     def _change(self, p: Coefficients, x: Any, v: Any) -> Any:
         x = x[..., : self.order - self.integrators] if self.integrators else x
         both = namespace(x, v).concatenate([x, v], axis=-1)
+        if self.basis == "modal":
+            return self._by_amplitude(x) @ p["f"]["w2"]
         if self.channels is None:
             return self._net(p["f"], both)
         return self._net(p["f"], both @ p["read"]) @ p["act"]
+
+    def _by_amplitude(self, x: Any) -> Any:
+        """Each mode times the powers of its amplitude from 1 to degree - 1: stiffness and damping
+        that depend on the amplitude."""
+        sizes = [
+            namespace(x).sqrt((x[..., mode] ** 2).sum(axis=-1, keepdims=True) + 1e-12)
+            for mode in self._modes
+        ]
+        terms = [
+            bounded(size, 0.0, _RANGE) ** power * x[..., mode]
+            for mode, size in zip(self._modes, sizes, strict=True)
+            for power in range(1, self.degree)
+        ]
+        return namespace(x).concatenate(terms, axis=-1)
+
+    @property
+    def _modes(self) -> list[slice]:
+        """States of each mode: complex pairs first."""
+        pairs = 2 * self.pairs
+        modes = [slice(i, i + 2) for i in range(0, pairs, 2)]
+        return modes + [slice(i, i + 1) for i in range(pairs, self.order)]
 
     def output(self, p: Coefficients, w: Any) -> Any:
         """Output y after the static function r, from w (..., ny)."""
@@ -198,6 +222,8 @@ class StateSpaceStructure:
             p["act"] = rng.standard_normal((m, outputs)) / np.sqrt(outputs)
 
     def _function(self, rng: np.random.Generator, inputs: int, outputs: int) -> dict[str, Any]:
+        if self.basis == "modal":
+            return {"w2": np.zeros(((self.degree - 1) * self.order, outputs))}
         if self.basis == "polynomial":
             size = sum(len(i) for i in _monomials(inputs, self.degree))
             return {"w2": np.zeros((size, outputs))}
