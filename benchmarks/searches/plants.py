@@ -154,9 +154,9 @@ def _wing(
 ) -> tuple[Array, Array]:
     """Force in, acceleration out; a mode of almost no damping, and gusts that nobody measures."""
     w = np.array([numbers.uniform(0.2, 0.3), numbers.uniform(0.32, 0.4)])
-    d, hard = np.array([0.006, 0.03]), numbers.uniform(0.05, 0.15)
+    d, hard = np.array([0.01, 0.03]), numbers.uniform(0.0003, 0.0006)
     force = np.convolve(rng.standard_normal(samples), np.ones(3) / 3, "same")
-    gust = 0.05 * rng.standard_normal(samples)
+    gust = 0.03 * rng.standard_normal(samples)
 
     def slope(x: Array, u: Array) -> Array:
         q, v = x[:2], x[2:]

@@ -53,17 +53,18 @@ class Config:
     """States; None takes the order of the best linear model, but at least 2."""
     nonlinearity: Nonlinearity = "state"
     """Place of the static functions: in the "state" equation and the output, at the "input", at
-    the "output", or at "both" ends. "none" leaves them out."""
+    the "output", or at "both" ends. "none" leaves them out. "modal" has in the state equation and
+    the output every mode of the linear model times powers of its own amplitude, so that its
+    frequency and its damping depend on the amplitude."""
     channels: int | None = None
     """Signals through which f and g act, with nonlinearity "state"; None: on all states and
     outputs directly."""
     basis: Basis = "tanh"
-    """A layer of tanh units, polynomials, or "modal": every mode of the linear model times powers of
-    its own amplitude, which makes its frequency and its damping depend on the amplitude."""
+    """A layer of tanh units, or polynomials."""
     hidden: int = 8
     """Units of that layer."""
     degree: int = 3
-    """Greatest degree of the polynomials, or of the products of a mode and its amplitude."""
+    """Greatest degree of the polynomials, and of a mode times powers of its amplitude."""
     ridge: float = 1e-5
     """Weight, against the mean squared error in z-scores, of the squared distance of the nonlinear
     weights from their start."""
@@ -106,11 +107,6 @@ class Config:
         check_at_least(0, self, "friction", "play", "integrators", "transport")
         still = self.transport is None or not self.symmetry
         demand(self, "symmetry", still, "False with transport")
-        modal = self.nonlinearity == "state" and self.channels is None and not self.integrators
-        demand(
-            self, "basis", self.basis != "modal" or modal,
-            "another one than modal with channels, integrators, or nonlinearity but at the state",
-        )  # fmt: skip
         placed = self.channels is None or self.nonlinearity == "state"
         demand(self, "channels", placed, "None without nonlinearity state")
 
@@ -166,8 +162,7 @@ def train(
         choice = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
         still = linear.scaling_of(trajectories, context, choice)
         data = replace(data, records=scaled(trajectories, still), scaling=still)
-    smooth = not (c.friction or c.play or c.integrators)
-    if c.nonlinearity == "state" and c.basis != "modal" and smooth:
+    if c.nonlinearity == "state" and not (c.friction or c.play or c.integrators):
         choice = linear.Config(order=c.order, delay=c.delay)
         predictor = linear.windowed(data.records, context, choice, Refinement())
         if predictor is not None:
@@ -191,8 +186,8 @@ def _train_records(
         used = data.with_transformed(used)
         found = symmetric(found, used, data.copies, Refinement(integrators=c.integrators))
     pairs = 0
-    if c.basis == "modal":
-        found, pairs = in_modes(found, used)
+    if c.nonlinearity == "modal":
+        found, pairs = in_modes(found, used, c.integrators)
     structure = StateSpaceStructure(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
         c.channels, friction=c.friction, play=c.play, integrators=c.integrators, pairs=pairs,

@@ -371,6 +371,7 @@ def fit_encoded(
 # Stiffness of the elements of a start, by turns, for motions of unit size, and width of a play.
 _STIFFNESS = (30.0, 2.0, 0.5)
 _WIDTH = 0.5
+_PARTS = (np.real, np.imag)
 # Samples for the size of the signals that elements act on.
 _SIZED = 4000
 
@@ -385,28 +386,30 @@ def symmetric(
     return refine(records, replace(found, x0=x0), refinement)
 
 
-def in_modes(found: LinearFit, records: ScaledData) -> tuple[LinearFit, int]:
-    """Give each mode of the linear model states of its own, of unit size on the records.
+def in_modes(
+    found: LinearFit, records: ScaledData, integrators: int
+) -> tuple[LinearFit, int]:
+    """Give each mode of the linear model states of its own, of unit size on the records, before
+    those that integrate.
 
     Returns:
         The same system in these states, and the number of complex pairs, which come first.
     """
-    s = found.system
-    poles, vectors = np.linalg.eig(s.a)
-    oscillating = np.flatnonzero(poles.imag > 0)
-    real = np.flatnonzero(poles.imag == 0)
-    pairs = [part(vectors[:, k]) for k in oscillating for part in (np.real, np.imag)]
-    basis = np.stack([*pairs, *(np.real(vectors[:, k]) for k in real)], axis=1)
-    into = np.linalg.inv(basis)
+    s, x0 = found.system, found.x0
+    poles, vectors = np.linalg.eig(s.a[: s.order - integrators, : s.order - integrators])
+    columns = [part(vectors[:, k]) for k in np.flatnonzero(poles.imag > 0) for part in _PARTS]
+    many = len(columns)
+    columns += [np.real(vectors[:, k]) for k in np.flatnonzero(poles.imag == 0)]
     states = np.concatenate([
-        s.simulate(x0[None], r.u[None])[0][0] @ into.T
-        for x0, r in zip(found.x0, records, strict=True)
+        s.simulate(one[None], r.u[None])[0][0] for one, r in zip(x0, records, strict=True)
     ])  # fmt: skip
-    sizes = np.sqrt((states**2).mean(axis=0))
-    many = 2 * len(oscillating)
+    into = np.eye(s.order)
+    into[: len(columns), : len(columns)] = np.linalg.inv(np.stack(columns, axis=1))
+    sizes = np.sqrt(((states @ into.T) ** 2).mean(axis=0))
     sizes[:many] = np.repeat(np.hypot(sizes[0:many:2], sizes[1:many:2]), 2)
-    into = into / np.maximum(sizes, 1e-9)[:, None]
-    return replace(found, system=s.transformed(into), x0=found.x0 @ into.T), len(oscillating)
+    sizes[len(columns) :] = 1.0
+    into /= np.maximum(sizes, 1e-9)[:, None]
+    return replace(found, system=s.transformed(into), x0=x0 @ into.T), many // 2
 
 
 def with_elements(structure: StateSpaceStructure, found: LinearFit) -> LinearFit:

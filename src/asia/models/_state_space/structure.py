@@ -65,8 +65,8 @@ def lost(p: Coefficients, x: AnyArray, v: AnyArray, behind: AnyArray) -> tuple[A
 # zero, so that the model starts as the linear one. Elements of friction and of play have states of
 # their own after x.
 
-Nonlinearity = Literal["state", "input", "output", "both", "none"]
-Basis = Literal["tanh", "polynomial", "modal"]
+Nonlinearity = Literal["state", "modal", "input", "output", "both", "none"]
+Basis = Literal["tanh", "polynomial"]
 
 # Limit on the unit-size signals of monomials, so that a simulation that leaves the training range
 # grows linearly at most.
@@ -94,7 +94,7 @@ class StateSpaceStructure:
     play: int = 0  # Number of elements of play, each with a state
     integrators: int = 0
     """Number of last states whose pole is held at 1 and which f and g do not read."""
-    pairs: int = 0  # Number of complex pairs among the modes of the start, for the modal basis
+    pairs: int = 0  # Number of complex pairs among the modes of the start, with "modal"
 
     @property
     def size(self) -> int:
@@ -104,7 +104,7 @@ class StateSpaceStructure:
     @property
     def starts_vary(self) -> bool:
         """Starting points differ: polynomials all start at zero."""
-        drawn = self.nonlinearity != "none" and self.basis == "tanh"
+        drawn = self.nonlinearity not in ("none", "modal") and self.basis == "tanh"
         return drawn or self.channels is not None or self.size > self.order
 
     def input(self, p: Coefficients, u: Any) -> Any:
@@ -150,7 +150,7 @@ class StateSpaceStructure:
     def _change(self, p: Coefficients, x: Any, v: Any) -> Any:
         x = x[..., : self.order - self.integrators] if self.integrators else x
         both = namespace(x, v).concatenate([x, v], axis=-1)
-        if self.basis == "modal":
+        if self.nonlinearity == "modal":
             return self._by_amplitude(x) @ p["f"]["w2"]
         if self.channels is None:
             return self._net(p["f"], both)
@@ -175,7 +175,7 @@ class StateSpaceStructure:
         """States of each mode: complex pairs first."""
         pairs = 2 * self.pairs
         modes = [slice(i, i + 2) for i in range(0, pairs, 2)]
-        return modes + [slice(i, i + 1) for i in range(pairs, self.order)]
+        return modes + [slice(i, i + 1) for i in range(pairs, self.order - self.integrators)]
 
     def output(self, p: Coefficients, w: Any) -> Any:
         """Output y after the static function r, from w (..., ny)."""
@@ -204,6 +204,8 @@ class StateSpaceStructure:
         n, nu, ny = self.order, self.nu, self.ny
         if self.nonlinearity == "state":
             self._add_state_function(p, rng, n + ny)
+        if self.nonlinearity == "modal":
+            p["f"] = {"w2": np.zeros(((self.degree - 1) * (n - self.integrators), n + ny))}
         if self.nonlinearity in ("input", "both"):
             p["s"] = self._function(rng, nu, nu)
         if self.nonlinearity in ("output", "both"):
@@ -222,8 +224,6 @@ class StateSpaceStructure:
             p["act"] = rng.standard_normal((m, outputs)) / np.sqrt(outputs)
 
     def _function(self, rng: np.random.Generator, inputs: int, outputs: int) -> dict[str, Any]:
-        if self.basis == "modal":
-            return {"w2": np.zeros(((self.degree - 1) * self.order, outputs))}
         if self.basis == "polynomial":
             size = sum(len(i) for i in _monomials(inputs, self.degree))
             return {"w2": np.zeros((size, outputs))}
