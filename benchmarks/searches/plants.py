@@ -94,7 +94,7 @@ def _exchanger(
     volume = np.cumsum(flow)
     entry = np.interp(volume - pipe, volume, np.arange(samples))
     hot = 100 - 80 * np.exp(-gain * np.interp(entry, np.arange(samples), flow) ** -0.2)
-    walk = np.cumsum(0.03 * rng.standard_normal(samples))
+    walk = np.cumsum(0.003 * rng.standard_normal(samples))
     x = np.full(2, hot[0])
     answer = np.empty((samples, 1))
     for sample in range(samples):
