@@ -1,9 +1,10 @@
 """Eight generated plants like those of a laboratory, as problem directories for `zoo.py`.
 
-A positioning drive in a loop, a heat exchanger with transport, a flexible arm with two modes, coupled
-drives whose speed is measured without sign, a wing near flutter, a ball on a beam in a loop, a soft
-arm with three inputs and two outputs, and a two-mass drive with a limited torque. Each has friction,
-transport, play or stiffness that no linear model has, and noise of about 1 % of the output.
+A positioning drive in a loop, a heat exchanger with transport, a flexible arm with two modes,
+coupled drives whose speed is measured without sign, a wing near flutter, a ball on a beam in a
+loop, a soft arm with three inputs and two outputs, and a two-mass drive with a limited torque. Each
+has friction, transport, a limit or stiffness that no linear model has, and noise of about 1 % of
+the output.
 
     python benchmarks/searches/plants.py --out plants --seed 0
     python benchmarks/zoo.py --zoo plants --systems flexible_arm ball_beam
@@ -162,9 +163,7 @@ def _wing(
         q, v = x[:2], x[2:]
         return np.concatenate([v, w * (u[0] + u[1]) - w**2 * (q + hard * q**3) - 2 * d * w * v])
 
-    u, x = _simulate(
-        slope, lambda k, x: np.array([force[k], gust[k]]), np.zeros(4), samples, 1.0
-    )
+    u, x = _simulate(slope, lambda k, x: np.array([force[k], gust[k]]), np.zeros(4), samples, 1.0)
     return u[:, :1], x[:, :1] - 0.7 * x[:, 1:2]
 
 
@@ -199,7 +198,9 @@ def _soft_arm(
         q, v, creep, p = x[:2], x[2:4], x[4:6], x[6:]
         push = ways @ (p + 0.15 * p**2)
         stiff = w**2 * (1 + hard * float(q @ q)) * (q - 0.2 * creep)
-        return np.concatenate([v, w**2 * push - stiff - 2 * d * w * v, (q - creep) / 8, 5 * (u - p)])
+        return np.concatenate(
+            [v, w**2 * push - stiff - 2 * d * w * v, (q - creep) / 8, 5 * (u - p)]
+        )
 
     u, x = _simulate(slope, lambda k, x: pressure[k], np.zeros(9), samples, 0.1)
     return u, x[:, :2]
@@ -277,9 +278,7 @@ def write(name: str, out: Path, seed: int) -> Path:
         u, y = plant.record(numbers, rng, samples)
         y = y + plant.noise * y.std(axis=0) * rng.standard_normal(y.shape)
         header = ",".join([*plant.inputs, *plant.outputs])
-        np.savetxt(
-            directory / file, np.hstack([u, y]), "%.7g", ",", header=header, comments=""
-        )
+        np.savetxt(directory / file, np.hstack([u, y]), "%.7g", ",", header=header, comments="")
     (directory / "description.md").write_text(plant.description + "\n", encoding="utf-8")
 
     def signals(names: tuple[str, ...]) -> str:

@@ -137,8 +137,7 @@ def best_linear(evaluator: Evaluator) -> Reference:
 
     Tried are the least simulation error with order and delay chosen in each fold, the same with the
     median choice in all folds where these differ, the least prediction error, which is less easily
-    misled by drift and slow noise, and regularised impulse responses and difference equations. The
-    delay of the least prediction error is open only where this kind is the best one.
+    misled by drift and slow noise, and regularised impulse responses and difference equations.
     """
 
     def scored(**changes: str) -> tuple[Evaluation, str]:
@@ -146,10 +145,6 @@ def best_linear(evaluator: Evaluator) -> Reference:
         for name, value in changes.items():
             source = re.sub(rf"\b{name}=\w+", f"{name}={value}", source, count=1)
         return evaluator.evaluate(source), source
-
-    def value(option: tuple[Evaluation, str]) -> float:
-        outcome = option[0].outcome
-        return outcome.value if isinstance(outcome, Score) else inf
 
     options = [scored()]
     known = [dict(f.findings.parameters) for f in options[0][0].folds if f.findings is not None]
@@ -160,11 +155,13 @@ def best_linear(evaluator: Evaluator) -> Reference:
         both = {median_low(orders), median_high(orders)}
         options += [scored(order=str(n), delay=delay) for n in sorted(both)]
     if each and evaluator.data.horizon is None:
-        direct = 'loop="direct"'
-        others = (direct, 'regularised="response"', 'regularised="equation"')
+        others = ('loop="direct"', 'regularised="response"', 'regularised="equation"')
         options += [scored(periodic=f"False, {other}", delay="0") for other in others]
-        if direct in min(options, key=value)[1]:
-            options.append(scored(periodic=f"False, {direct}"))
+
+    def value(option: tuple[Evaluation, str]) -> float:
+        outcome = option[0].outcome
+        return outcome.value if isinstance(outcome, Score) else inf
+
     best, source = min(options, key=value)
     other = "" if source == LINEAR else source
     return Reference(LINEAR_REFERENCE, best.outcome, best.failed_checks, other)

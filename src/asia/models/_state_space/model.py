@@ -386,9 +386,7 @@ def symmetric(
     return refine(records, replace(found, x0=x0), refinement)
 
 
-def in_modes(
-    found: LinearFit, records: ScaledData, integrators: int
-) -> tuple[LinearFit, int]:
+def in_modes(found: LinearFit, records: ScaledData, integrators: int) -> tuple[LinearFit, int]:
     """Give each mode of the linear model states of its own, of unit size on the records, before
     those that integrate.
 
