@@ -49,9 +49,9 @@ class Facts:
         ladder: the share of V by which a new best must be better to be reported, None where
             every V is reported
         symmetry: changes of the signals that leave the system's laws as they are
-        terms: computes terms that a linear model lacks, with the place ("at the input", "in
-            the dynamics", "at the output") and the share of its residual that each explains, the largest first; () where
-            nothing is found
+        terms: computes terms that a linear model lacks, with the place ("at the input", "in the
+            dynamics", "at the output") and the share of its residual that each explains, the
+            largest first; () where nothing is found
         linear: settings of the best linear model, () for those of the baseline
         loop: feedback loop in which the records were taken
         plant: simulator of the user's own

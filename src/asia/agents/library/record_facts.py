@@ -105,8 +105,8 @@ def integrating(records: tuple[Trajectory, ...]) -> tuple[int, ...]:
     return tuple(found)
 
 
-# Lightly damped modes of a one-step model: lags, largest damping ratio, least samples a period. Noise
-# alone makes modes near the Nyquist frequency.
+# Lightly damped modes of a one-step model: lags, largest damping ratio, least samples a period.
+# Noise alone makes modes near the Nyquist frequency.
 _MODE_LAGS, _LIGHT, _LEAST_PERIOD = 8, 0.1, 3.0
 
 

@@ -20,8 +20,9 @@ def traits(facts: Facts) -> frozenset[Trait]:
     equations, the past window is one output sample; short, long: at most 2000 or at least 20 000
     samples to fit; several: more than one output; symmetric: a symmetry of inputs and outputs alone
     is declared; integrating: an output drifts with the sum of the inputs, and whole records are
-    simulated; resonant: an output has a lightly damped mode, and whole records are simulated; plant: a simulator of the user's own is given;
-    scheduling: an input is a scheduling signal; irregular: an input holds the time step."""
+    simulated; resonant: an output has a lightly damped mode, and whole records are simulated;
+    plant: a simulator of the user's own is given; scheduling: an input is a scheduling signal;
+    irregular: an input holds the time step."""
     physics = facts.physics
     inputs, outputs = [s.name for s in facts.inputs], [s.name for s in facts.outputs]
     if physics is None:

@@ -258,10 +258,10 @@ CARD = Card(
             name="functions of all states",
             weight=lambda c: 0.7 * (c.recipe.get("nonlinearity") == "modal"),
             change=lambda c: c.recipe.configured(nonlinearity="state", hidden=8),
-            hypothesis="The modes act on each other, or the nonlinearity lies elsewhere: a layer of "
-            "units reads all states and inputs.",
-            expected="A lower training error and V, if frequency and damping of each mode depend on "
-            "more than its own amplitude.",
+            hypothesis="The modes act on each other, or the nonlinearity lies elsewhere: a layer "
+            "of units reads all states and inputs.",
+            expected="A lower training error and V, if frequency and damping of each mode depend "
+            "on more than its own amplitude.",
         ),
         Move(
             name="median of several fits",
