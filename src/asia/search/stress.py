@@ -85,7 +85,7 @@ def stress_cases(
     return tuple(blocks)
 
 
-def _largest_bend(y: Array) -> float:
+def largest_bend(y: Array) -> float:
     """Largest second difference of y (T,) a squared sample, over a fiftieth of the record."""
     wide = max(1, len(y) // _BENDS)
     bend = y[2 * wide :] - 2.0 * y[wide:-wide] + y[: -2 * wide]
@@ -111,7 +111,7 @@ class StressRoom:
         drift = np.max(steps, axis=0) * length
         # The speed of an output that integrates may integrate as well.
         for k in integrating:
-            bends = [_largest_bend(record.y[:, k]) for record in data.records]
+            bends = [largest_bend(record.y[:, k]) for record in data.records]
             drift[k] = max(drift[k], max(bends) * length**2 / 2.0)
         self._drift = drift / self._half
         self._linear: Array | None = None

@@ -351,6 +351,18 @@ def test_a_repeated_title_says_which_settings_change() -> None:
         assert title_of(at, more, more.change(at)) == expected
 
 
+def test_one_state_more_is_more_than_the_fit_chose() -> None:
+    known = simulation(physics=False)
+    first, *_ = best_linear(known)
+    row = family("neural_ss")
+    assert row is not None
+    seen = view(known, (replace(first, order=4),), "refine")
+    more = next(m for m in all_moves() if m.name == "one state more")
+    for own, expected in ((None, 5), (2, 3)):
+        at = Situation(seen, replace(first, order=own), row.trial(known), row, 0, 1)
+        assert more.change(at).get("order") == expected
+
+
 @pytest.mark.parametrize(
     ("whiteness", "value", "tries", "ends"),
     [(0.1, 0.1, 1, True), (0.1, 0.1, 0, False), (0.6, 0.1, 1, False), (0.1, 0.12, 1, False)],
