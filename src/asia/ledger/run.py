@@ -215,8 +215,8 @@ def usability(view: SearchView) -> Usability | None:
     if any("stress simulation" in line for line in failed):
         doubts.append("The stress simulation failed, so nothing is known of other inputs.")
     if test is not None and test.outcome != "bounded":
-        advice = "Record each input with steps of its own." if test.outcome == "diverges" else (
-            "Is the plant an integrator? If not, record each input with steps of its own."
+        advice = "Record more levels, each input with steps of its own." if test.outcome == "diverges" else (
+            "Is the plant an integrator? If not, record more levels, each input with steps of its own."
         )  # fmt: skip
         (wrong if test.outcome == "diverges" else doubts).append(f"{stress_text(test)} {advice}")
     for validation in view.validated:
