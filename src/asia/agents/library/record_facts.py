@@ -118,9 +118,9 @@ def resonant(records: tuple[Trajectory, ...]) -> bool:
         return False
     for output in range(records[0].y.shape[1]):
         poles = _one_step_poles(signals, output, _MODE_LAGS, 0)
-        logs = np.log(poles[(poles.imag > 0) & (abs(poles) > 0)])
-        slow = logs.imag <= 2 * np.pi / _LEAST_PERIOD
-        if (slow & (abs(logs.real) < _LIGHT * abs(logs))).any():
+        logs = np.log(poles[np.imag(poles) > 0])
+        slow = np.imag(logs) <= 2 * np.pi / _LEAST_PERIOD
+        if (slow & (abs(np.real(logs)) < _LIGHT * abs(logs))).any():
             return True
     return False
 

@@ -392,7 +392,9 @@ def missing_terms(
             def force(name: str, own: _Responses = responses) -> Place:
                 return "at the input" if name in own.of_inputs else "in the dynamics"
 
-            jobs = [(n, force(n), c, constant) for n, c in linear.items()]
+            jobs: list[tuple[str, Place, Array, Array]] = [
+                (n, force(n), c, constant) for n, c in linear.items()
+            ]
             for n, c in responses.dynamic.items():
                 late, _, delay = n.partition(", ")
                 base = np.concatenate([constant, linear[late]], axis=2) if delay else every

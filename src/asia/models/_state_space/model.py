@@ -395,9 +395,9 @@ def in_modes(found: LinearFit, records: ScaledData, integrators: int) -> tuple[L
     """
     s, x0 = found.system, found.x0
     poles, vectors = np.linalg.eig(s.a[: s.order - integrators, : s.order - integrators])
-    columns = [part(vectors[:, k]) for k in np.flatnonzero(poles.imag > 0) for part in _PARTS]
+    columns = [part(vectors[:, k]) for k in np.flatnonzero(np.imag(poles) > 0) for part in _PARTS]
     many = len(columns)
-    columns += [np.real(vectors[:, k]) for k in np.flatnonzero(poles.imag == 0)]
+    columns += [np.real(vectors[:, k]) for k in np.flatnonzero(np.imag(poles) == 0)]
     states = np.concatenate([
         s.simulate(one[None], r.u[None])[0][0] for one, r in zip(x0, records, strict=True)
     ])  # fmt: skip
