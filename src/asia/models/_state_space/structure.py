@@ -71,6 +71,8 @@ Basis = Literal["tanh", "polynomial"]
 # Limit on the unit-size signals of monomials, so that a simulation that leaves the training range
 # grows linearly at most.
 _RANGE = 4.0
+# Limit that the amplitude of a mode of unit size approaches in its effect on stiffness and damping.
+_AMPLITUDE = 2.0
 
 
 @dataclass(frozen=True)
@@ -158,16 +160,12 @@ class StateSpaceStructure:
 
     def _by_amplitude(self, x: Any) -> Any:
         """Each mode times the powers of its amplitude from 1 to degree - 1: stiffness and damping
-        that depend on the amplitude."""
-        sizes = [
-            namespace(x).sqrt((x[..., mode] ** 2).sum(axis=-1, keepdims=True) + 1e-12)
-            for mode in self._modes
-        ]
-        terms = [
-            bounded(size, 0.0, _RANGE) ** power * x[..., mode]
-            for mode, size in zip(self._modes, sizes, strict=True)
-            for power in range(1, self.degree)
-        ]
+        that depend on the amplitude, and hardly change beyond the training range."""
+        terms: list[Any] = []
+        for mode in self._modes:
+            square = (x[..., mode] ** 2).sum(axis=-1, keepdims=True) + 1e-12
+            size = namespace(x).sqrt(square / (1.0 + square / _AMPLITUDE**2))
+            terms += [size**power * x[..., mode] for power in range(1, self.degree)]
         return namespace(x).concatenate(terms, axis=-1)
 
     @property
