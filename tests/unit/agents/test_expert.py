@@ -114,8 +114,11 @@ def with_diagnosis(trials: tuple[Trial, ...], *diagnoses: tuple[str, float]) -> 
     return tuple(replace(t, diagnoses=diagnoses) if t.family == "linear" else t for t in trials)
 
 
-def test_the_strongest_open_diagnosis_is_answered_next() -> None:
-    known = simulation(physics=False)
+@pytest.mark.parametrize("placed", [True, False])
+def test_the_strongest_open_diagnosis_is_answered_next(placed: bool) -> None:
+    """Without a likely place one static function that does not help is enough."""
+    terms = (("|u|", "at the input", 0.6),) if placed else ()
+    known = replace(simulation(physics=False), terms=lambda: terms)
     trials = best_linear(known)
     usual = following(known, trials)
     assert "input_map" not in usual.source
@@ -126,7 +129,8 @@ def test_the_strongest_open_diagnosis_is_answered_next() -> None:
         made.append(proposal.title)
         found = (*found, trial(proposal, len(found) + 1, 0.35))
     assert made[0] == "linear state-space: saturated inputs"
-    assert made[1] == "linear state-space: rising function of the inputs"
+    second = "rising function of the inputs" if placed else "slow disturbance in the noise"
+    assert made[1] == f"linear state-space: {second}"
     drift = with_diagnosis(trials, ("amplitude", 0.2), ("time", 0.5))
     assert following(known, drift).title == "linear state-space: slow disturbance in the noise"
 

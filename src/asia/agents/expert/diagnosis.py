@@ -280,6 +280,8 @@ def answers(view: AgentView) -> dict[str, float]:
         if name == "amplitude":
             likely = places(view.facts)
             left = [m for m in left if not likely or _PLACES.get(m, DYNAMICS) in likely]
+            # Without a likely place one answer that did not help is enough.
+            left = left if likely or len(left) == len(ANSWERS[name]) else []
         if left:
             low, high = _ANSWER
             weight = low + (high - low) * min(1.0, share)

@@ -211,7 +211,12 @@ def _map_move(name: str, setting: str, kind: str, weight: float, hypothesis: str
     """
     return Move(
         name=name,
-        weight=lambda c: weight * (c.recipe.get(setting) != kind),
+        # Of the functions in place of another one only the rising one is more general.
+        weight=lambda c: (
+            weight
+            * (c.recipe.get(setting) != kind)
+            * (kind == "monotone" or c.recipe.get(setting) is None)
+        ),
         change=lambda c: c.recipe.mapped(**{setting: kind}),
         hypothesis=hypothesis,
         expected="A far lower V; the residual no longer depends on the amplitude.",
