@@ -107,6 +107,8 @@ class Config:
         check_at_least(0, self, "friction", "play", "integrators", "transport")
         still = self.transport is None or not self.symmetry
         demand(self, "symmetry", still, "False with transport")
+        swings = self.order is None or self.order > self.integrators
+        demand(self, "order", swings, "more than the integrators")
         placed = self.channels is None or self.nonlinearity == "state"
         demand(self, "channels", placed, "None without nonlinearity state")
 

@@ -372,6 +372,8 @@ def fit_encoded(
 _STIFFNESS = (30.0, 2.0, 0.5)
 _WIDTH = 0.5
 _PARTS = (np.real, np.imag)
+# Condition number of the mode shapes from which on they are not used.
+_ILL_CONDITIONED = 1e8
 # Samples for the size of the signals that elements act on.
 _SIZED = 4000
 
@@ -398,11 +400,15 @@ def in_modes(found: LinearFit, records: ScaledData, integrators: int) -> tuple[L
     columns = [part(vectors[:, k]) for k in np.flatnonzero(np.imag(poles) > 0) for part in _PARTS]
     many = len(columns)
     columns += [np.real(vectors[:, k]) for k in np.flatnonzero(np.imag(poles) == 0)]
+    basis = np.stack(columns, axis=1)
+    if np.linalg.cond(basis) > _ILL_CONDITIONED:
+        # Poles that coincide: the states as they are.
+        basis, many = np.eye(len(basis)), 0
     states = np.concatenate([
         s.simulate(one[None], r.u[None])[0][0] for one, r in zip(x0, records, strict=True)
     ])  # fmt: skip
     into = np.eye(s.order)
-    into[: len(columns), : len(columns)] = np.linalg.inv(np.stack(columns, axis=1))
+    into[: len(columns), : len(columns)] = np.linalg.inv(basis)
     sizes = np.sqrt(((states @ into.T) ** 2).mean(axis=0))
     sizes[:many] = np.repeat(np.hypot(sizes[0:many:2], sizes[1:many:2]), 2)
     sizes[len(columns) :] = 1.0
