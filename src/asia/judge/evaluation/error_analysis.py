@@ -399,9 +399,8 @@ def missing_terms(
                 late, _, delay = n.partition(", ")
                 base = np.concatenate([constant, linear[late]], axis=2) if delay else every
                 jobs.append((n, force(n), c[:, :, k], base))
-            jobs += [
-                (n, "at the output", c[:, :, k, None], every) for n, c in responses.static.items()
-            ]
+            for n, c in responses.static.items():
+                jobs.append((n, "at the output", c[:, :, k, None], every))
             for name, where, columns, base in jobs:
                 one = explained(e, list(base), list(columns))
                 sure = one.chance * len(jobs) < _CHANCE and one.share > 0
