@@ -182,7 +182,7 @@ def untried(view: AgentView) -> Iterator[Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
     used, lost = {t.family for t in view.proposed}, beats_nothing(view)
     static = any(name == "amplitude" for name, _ in diagnoses(view))
-    static = static and places(view.facts) != frozenset({DYNAMICS})
+    static = static and set(places(view.facts)) != {DYNAMICS}
     maps = dict(leading_maps(view))
     for row in families(view.facts):
         if row.name in used:

@@ -256,14 +256,14 @@ def diagnoses(view: AgentView) -> tuple[tuple[str, float], ...]:
     return tuple(sorted(large, key=lambda item: -item[1]))
 
 
-def places(facts: Facts) -> frozenset[str]:
-    """Likely places of what a linear model lacks, by a score test of many terms; empty where no
-    term explains much."""
+def places(facts: Facts) -> dict[str, float]:
+    """Likely places of what a linear model lacks, by a score test of many terms, with the largest
+    share of its residual that one explains; empty where no term explains much."""
     best = dict[str, float]()
     for _, place, share in facts.terms():
         best[place] = max(share, best.get(place, 0.0))
     limit = max(_LEAST_TERM, _LIKELY * max(best.values(), default=0.0))
-    return frozenset(place for place, share in best.items() if share >= limit)
+    return {place: share for place, share in best.items() if share >= limit}
 
 
 def answers(view: AgentView) -> dict[str, float]:
@@ -280,6 +280,7 @@ def answers(view: AgentView) -> dict[str, float]:
         if name == "amplitude":
             likely = places(view.facts)
             left = [m for m in left if not likely or _PLACES.get(m, DYNAMICS) in likely]
+            left.sort(key=lambda m: -likely.get(_PLACES.get(m, DYNAMICS), 0.0))
             # Without a likely place one answer that did not help is enough.
             left = left if likely or len(left) == len(ANSWERS[name]) else []
         if left:
