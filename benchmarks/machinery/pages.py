@@ -39,8 +39,11 @@ def main() -> None:
         ("run", page, ""),
         ("experiments", page, "experiments"),
         ("trade-offs", page, "tradeoff"),
+        ("timeline", page, "timeline"),
+        ("simulations", f"{page}/simulations", ""),
         ("experiment", f"{page}/experiments/3", ""),
         ("overlay", f"/compare?e={given.run}/2&e={given.run}/4&e={given.run}/8", "overlays"),
+        ("settings", f"/compare?e={given.run}/2&e={given.run}/4&e={given.run}/8", "settings"),
         ("linear", f"{page}/linear", ""),
         *([("search", real, "progress")] if given.real else []),
     ]
@@ -56,7 +59,7 @@ def main() -> None:
                     executable_path=given.browser, args=["--no-sandbox"]
                 )
                 for end in SIZES:
-                    kept = ("run", "experiments") if end else [name for name, *_ in pictures]
+                    kept = ("run", "experiments", "simulations") if end else [name for name, *_ in pictures]
                     chosen = [one for one in pictures if one[0] in kept]
                     take(browser, address, chosen, given.out, end)
         finally:
@@ -77,7 +80,7 @@ def take(
         waiting = page.locator("section:not([hidden]) [data-part]:empty")
         expect(waiting).to_have_count(0, timeout=60_000)
         file = out / f"view-{name}{end}.png"
-        if section in ("progress", "overlays", "tradeoff"):
+        if section in ("progress", "overlays", "settings", "timeline", "tradeoff"):
             page.locator(f"#{section}").screenshot(path=file)
         else:
             if section:

@@ -446,9 +446,8 @@ def test_settings_that_differ_are_compared(
     recipes = [Recipe("arx", (("na", na), ("nb", 4)), "LeastSquares", ()) for na in (2, 8)]
     make_recipes(runs / "other", problem, [(recipes[0], 0.1), (recipes[1], 0.08)])
     page = client.get("/compare?e=other/1&e=other/2&e=made/1").text
-    row = (
-        r'<tr(?: class="same")?><th scope="row"><span class="said">(\w[\w ]*)</span></th>(.*?)</tr>'
-    )
+    start = r'<tr(?: class="same")?><th scope="row">'
+    row = start + r'<span class="said">(\w[\w ]*)</span></th>(.*?)</tr>'
     found = {name: re.findall(r'"said">([^<]*)<', cells) for name, cells in re.findall(row, page)}
     assert found["na"] == ["2", "8", ""]
     assert found["training method"] == ["LeastSquares", "LeastSquares", "own code"]
