@@ -59,7 +59,11 @@ def main() -> None:
                     executable_path=given.browser, args=["--no-sandbox"]
                 )
                 for end in SIZES:
-                    kept = ("run", "experiments", "simulations") if end else [name for name, *_ in pictures]
+                    kept = (
+                        ("run", "experiments", "simulations")
+                        if end
+                        else [name for name, *_ in pictures]
+                    )
                     chosen = [one for one in pictures if one[0] in kept]
                     take(browser, address, chosen, given.out, end)
         finally:
@@ -80,6 +84,10 @@ def take(
         waiting = page.locator("section:not([hidden]) [data-part]:empty")
         expect(waiting).to_have_count(0, timeout=60_000)
         file = out / f"view-{name}{end}.png"
+        # The bar of sections would lie over the top of a long section.
+        page.evaluate(
+            "for (const nav of document.querySelectorAll('nav')) nav.style.position = 'static'"
+        )
         if section in ("progress", "overlays", "settings", "timeline", "tradeoff"):
             page.locator(f"#{section}").screenshot(path=file)
         else:

@@ -180,8 +180,8 @@ def start_process(module: Sequence[str], directory: Path, log: Path) -> None:
             raise UserError(f"the search did not start: {last[:300]}")
         if time.monotonic() > end:
             raise UserError(
-                f"the search did not start in {_START_SECONDS:g} s. Its process goes on: repeat the "
-                f"command in a minute. Its log is {log}"
+                f"the search did not start in {_START_SECONDS:g} s. Its process goes on: repeat "
+                f"the command in a minute. Its log is {log}"
             )
         time.sleep(0.05)
 
