@@ -32,7 +32,6 @@ PAGES = (
     "/",
     "/runs/made",
     "/runs/made/simulations",
-    "/compare?e=made/1&e=made/2",
     "/runs/made/experiments/2",
     "/compare?run=other&e=made/1&e=made/2",
     "/runs/made/linear",
