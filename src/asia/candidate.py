@@ -17,6 +17,7 @@ import numpy as np
 import asia
 from asia._source import Imports, SourceFacts, imports_of
 from asia._syntax import syntax_tree
+from asia.data.frequency import FrequencyRecord
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import CandidateError, Reason
 from asia.problem.physics import Physics
@@ -82,6 +83,8 @@ class Context:
     """Feedback loop of the records, whose `reference` it names; None for open loop."""
     plant: Plant | None = None
     """Simulator of the user's own, from the problem file."""
+    responses: tuple[FrequencyRecord, ...] = ()
+    """Measured frequency responses, with the channels of the problem."""
 
     @property
     def nu(self) -> int:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
+from asia.data.frequency import FrequencyRecord
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
 from asia.judge.scoring.residuals import Diagnostics
@@ -55,6 +56,7 @@ class Facts:
         linear: settings of the best linear model, () for those of the baseline
         loop: feedback loop in which the records were taken
         plant: simulator of the user's own
+        responses: measured frequency responses, which linear models are fitted to as well
     """
 
     description: str
@@ -81,6 +83,7 @@ class Facts:
     )
     loop: Loop | None = None
     plant: Plant | None = None
+    responses: tuple[FrequencyRecord, ...] = ()
 
     @property
     def past(self) -> int:

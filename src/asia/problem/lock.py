@@ -109,6 +109,7 @@ def lock_text(problem: Problem, seal: Seal) -> str:
             "guard": guard,
             "guard_share": problem.guard_share,
             "period": problem.period,
+            "frequency": [str(path) for path in problem.response_files] or None,
         },
         "protocol": protocol_table(problem.protocol),
         "budget": asdict(problem.budget),
@@ -135,7 +136,10 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
     except (OSError, ValueError, RecursionError) as error:
         raise UserError(f"cannot read {path}: {error}") from error
     now = dict(_flat(tomllib.loads(lock_text(problem, seal))))
-    moved = {"data.train", "data.test", "data.guard", "data.sealed.file", "plant.source", *_TEXTS}
+    moved = {
+        "data.train", "data.test", "data.guard", "data.frequency", "data.sealed.file",
+        "plant.source", *_TEXTS,
+    }  # fmt: skip
     keys = [k for k in {**before, **now} if k not in moved and before.get(k) != now.get(k)]
     return tuple(Difference(k, before.get(k), now.get(k)) for k in keys)
 
@@ -143,8 +147,11 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
 def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
     """Raise UserError that names every part whose digest is not the expected one."""
     found = _digests(problem, None)
-    parts = (*_TEXTS, "physics", "plant", "symmetry", "protocol")
-    changed = [f"the {part}" for part in parts if found[part] != getattr(expected, part)]
+    parts = (*_TEXTS, "physics", "plant", "symmetry", "protocol", "frequency")
+    names = {"frequency": "frequency responses"}
+    changed = [
+        f"the {names.get(part, part)}" for part in parts if found[part] != getattr(expected, part)
+    ]
     train = found["train"]
     if len(train) != len(expected.train):
         changed.append("the number of training records")
@@ -168,6 +175,7 @@ def _digests(problem: Problem, test: str | None) -> dict[str, Any]:
         "baseline": None if problem.baseline is None else text_digest(problem.baseline),
         "physics": None if problem.physics is None else physics_digest(problem.physics),
         "plant": problem.plant and problem.plant.digest,
+        "frequency": tuple(one.digest for one in problem.responses) or None,
         "symmetry": symmetry_digest(problem.symmetry) if problem.symmetry else None,
         "protocol": protocol_digest(problem),
     }

@@ -85,6 +85,7 @@ class DigestTable:
     physics: str | None = None
     plant: str | None = None
     symmetry: str | None = None
+    frequency: tuple[str, ...] | None = None
     protocol: str
 
 
