@@ -89,7 +89,9 @@ def take(
             "for (const nav of document.querySelectorAll('nav')) nav.style.position = 'static'"
         )
         if section in ("progress", "overlays", "settings", "timeline", "tradeoff"):
+            page.set_viewport_size({"width": size["width"], "height": 2000})
             page.locator(f"#{section}").screenshot(path=file)
+            page.set_viewport_size(size)  # pyright: ignore
         else:
             if section:
                 page.evaluate(f"document.querySelector('#{section}').scrollIntoView()")
