@@ -11,7 +11,7 @@ import secrets
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Final, get_args
 
@@ -21,10 +21,11 @@ from asia.agents.relay import check_relay_budget, relay_budget
 from asia.agents.view import Agent
 from asia.candidate import check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
+from asia.judge.evaluation.control import closed_loop, prepare_control
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.plant_check import check_plant
-from asia.judge.evaluation.references import LINEAR
+from asia.judge.evaluation.references import CONTROLLER, LINEAR
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.workers import WorkerRunner
@@ -42,6 +43,7 @@ from asia.ledger.run import ERROR, keep_error
 from asia.ledger.verification import check_lock
 from asia.ledger.view import SearchView
 from asia.problem.folds import Fold, fold_names, make_folds
+from asia.problem.load import with_models
 from asia.problem.lock import lock_differences, lock_text, protocol_digest
 from asia.problem.problem import Problem, kept_places, record_places
 from asia.problem.protocol import EarlyStopping
@@ -207,7 +209,9 @@ def prepare(
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
     if not resumes:
         check_plant(problem, found.level)
+        problem = prepare_control(problem, found.level)
     else:
+        problem = with_models(problem, directory)
         # The budget may grow. A run from before there were retests goes on by its ledger's rule.
         different = [
             one
@@ -274,6 +278,8 @@ def search(
     check_steps_ahead(prepared.started.parallel, agent)
     with Chain(directory / "ledger.jsonl") as chain:
         if not chain.lines:
+            for model in problem.control.models if problem.control else ():
+                Store(directory / "artifacts").put(model)
             write_whole(directory / LOCK, prepared.lock.encode())
             chain.append(prepared.started)
         view = chain.view
@@ -284,7 +290,7 @@ def search(
         evaluator.workers.on_loss = RunningLosses(directory)
         loop = Loop(
             problem=problem,
-            baseline=problem.baseline or LINEAR,
+            baseline=problem.baseline or (LINEAR if problem.control is None else CONTROLLER),
             agent=agent,
             evaluator=evaluator,
             chain=chain,
@@ -351,6 +357,8 @@ def make_evaluator(
     """
     rule = problem.protocol
     runs_on = executor or LocalExecutor()
+    if problem.control is not None and remote_executor_of(executor) is not None:
+        raise UserError("controllers are simulated on this machine: use --executor local")
     context = search_context(problem, derive_seed(view.started.seed, "search"))
     chosen = make_folds(problem.train, rule) if folds is None else tuple(folds)
     workers = WorkerRunner(
@@ -358,6 +366,9 @@ def make_evaluator(
         problem.budget,
         SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
         standby=len(chosen),
+    )
+    workers.closed_loop = closed_loop(
+        problem, partial(workers.open_for, fitting=True, plant=True)
     )
     data = EvaluationData(chosen, problem.train, context, rule)
     options = EvaluatorOptions(view.started.salt, without, view.started.lock_digest)
@@ -367,6 +378,8 @@ def make_evaluator(
 def with_early_stopping(problem: Problem, setting: str) -> Problem:
     """The problem with this setting instead of its file's. Raises UserError for another word, or
     one that the protocol's feedback rules out."""
+    if problem.control is not None and setting != "inner":
+        raise UserError('controllers are designed without scores: keep --early-stopping "inner"')
     for known in get_args(EarlyStopping):
         if setting == known:
             rule = replace(problem.protocol, early_stopping=known)
