@@ -235,7 +235,7 @@ def pid(
     context: Context,
     *,
     scheduled: bool = False,
-    generations: int = 40,
+    generations: int = 20,
     population: int = 32,
 ) -> LawController:
     """PID loops with anti-windup, derivative filter and feedforward, optimised together.
@@ -482,7 +482,7 @@ def _feedback_maker(
 
 
 def lqr(
-    models: Sequence[StepModel], context: Context, *, generations: int = 15, population: int = 16
+    models: Sequence[StepModel], context: Context, *, generations: int = 10, population: int = 16
 ) -> LawController:
     """Linear quadratic regulator with an observer of constant disturbances; the weight of the
     input changes and the speed of the observer are optimised in simulation."""
@@ -538,7 +538,7 @@ class _PredictiveLaw(_FeedbackLaw):
 
 
 def mpc(
-    models: Sequence[StepModel], context: Context, *, moves: int = _MOVES, generations: int = 15,
+    models: Sequence[StepModel], context: Context, *, moves: int = _MOVES, generations: int = 10,
     population: int = 16,
 ) -> LawController:  # fmt: skip
     """Predictive controller: the regulator of `lqr`, whose next moves are planned within the limits
@@ -619,7 +619,7 @@ class _ResidualLaw:
 
 
 def with_residual(
-    base: LawController, context: Context, *, hidden: int = 3, generations: int = 60,
+    base: LawController, context: Context, *, hidden: int = 3, generations: int = 40,
     population: int = 40,
 ) -> LawController:  # fmt: skip
     """A controller plus a learned residual: a small network of errors and outputs adds at most a

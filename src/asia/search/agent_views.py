@@ -54,6 +54,8 @@ def problem_facts(problem: Problem) -> Facts:
         symmetry=problem.symmetry,
         loop=problem.loop,
         terms=lambda: _terms_beyond_linear(problem),
+        control=problem.control and problem.control.task(),
+        identification=problem.control and problem_facts(problem.control.base),
     )
 
 

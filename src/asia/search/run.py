@@ -25,7 +25,7 @@ from asia.judge.evaluation.control import closed_loop, prepare_control
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.plant_check import check_plant
-from asia.judge.evaluation.references import CONTROLLER, LINEAR
+from asia.judge.evaluation.references import first_source
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.workers import WorkerRunner
@@ -129,6 +129,8 @@ def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
 
 
 LOCK = "problem.lock.toml"
+# Agents that know no controllers.
+_MODELS_ONLY = ("random", "random-paper", "bayes", "leading", "workspace")
 
 
 @dataclass(frozen=True)
@@ -191,6 +193,12 @@ def prepare(
             sequential folds.
     """
     rule, budget = problem.protocol, problem.budget
+    for name in (agent_name, *(leg.agent for leg in legs)):
+        if problem.control is not None and name in _MODELS_ONLY:
+            raise UserError(
+                f"agent {name} proposes models, and '{problem.name}' asks for a controller: use "
+                "expert, llm, mcp or an agent of your own"
+            )
     check_ways(rule, parallel, strict=isolation_strict, stop_folds=stop_folds)
     check_baseline(problem)
     # The file's schema checks a budget that was read; this one may come from anywhere.
@@ -286,11 +294,13 @@ def search(
         check_lock(directory, view.started)
         check_same_search(view, prepared.started)
         level = Isolation(prepared.started.isolation)
-        evaluator = make_evaluator(problem, view, executor, isolation=level)
+        evaluator = make_evaluator(
+            problem, view, executor, isolation=level, controllers=True
+        )
         evaluator.workers.on_loss = RunningLosses(directory)
         loop = Loop(
             problem=problem,
-            baseline=problem.baseline or (LINEAR if problem.control is None else CONTROLLER),
+            baseline=first_source(problem),
             agent=agent,
             evaluator=evaluator,
             chain=chain,
@@ -343,19 +353,27 @@ def make_evaluator(
     folds: Sequence[Fold] | None = None,
     without: Collection[SuspicionKind] = (),
     isolation: Isolation | None = None,
+    *,
+    controllers: bool = False,
 ) -> Evaluator:
     """Make the evaluator of a run.
 
     Args:
+        controllers: whether the caller can use a run whose candidates are controllers.
         folds: folds in place of those of the problem.
         without: as in `EvaluatorOptions`.
         isolation: level of the candidates; None for the strongest of this machine. The level that
             the ledger names has no effect, because the run may come from somebody else.
 
     Raises:
-        UserError: this machine does not have the level.
+        UserError: this machine does not have the level, or the candidates are controllers.
     """
     rule = problem.protocol
+    if problem.control is not None and not controllers:
+        raise UserError(
+            f"run '{view.started.run}' searched for a controller, and this needs a model: use a run "
+            "that identified the plant"
+        )
     runs_on = executor or LocalExecutor()
     if problem.control is not None and remote_executor_of(executor) is not None:
         raise UserError("controllers are simulated on this machine: use --executor local")

@@ -18,6 +18,7 @@ from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.references import LINEAR
 from asia.judge.evaluation.results import derive_seed
 from asia.judge.sandbox.availability import open_worker
+from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.types import Isolation, Limits
 from asia.judge.sandbox.worker.closed_loop import Ask, ClosedLoop
 from asia.judge.sandbox.worker.worker import Worker
@@ -163,7 +164,7 @@ def prepare_control(problem: Problem, isolation: Isolation) -> Problem:
     for records in _parts(base.train):
         try:
             with opener(source) as worker:
-                worker.fit(source, records, context)
+                worker.fit(source, records, context, programs=program_store())
                 models.append(worker.dump())
         except CandidateError as error:
             if not models:

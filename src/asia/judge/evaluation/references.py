@@ -16,6 +16,7 @@ from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, score_outputs
 from asia.judge.scoring.outcome import Outcome, Score
 from asia.problem.folds import Block, Fold
+from asia.problem.problem import Problem
 
 Rates = tuple[int | None, ...]
 
@@ -74,7 +75,7 @@ def transfer(model):
 def tuned(models, pair):
     plants = [transfer(model) for model in models]
     wanted = Specification(2.0, 45.0, None, plants[0].own_settling, 10.0, 1e-3)
-    made = optimised(plants, wanted)
+    made = optimised(plants, wanted, effort=30)
     return sampled(
         made.controller, models[0].sampling_time, u0=pair.u0, y0=pair.y0,
         limits=(pair.low, pair.high), rate=pair.rate,
@@ -210,6 +211,11 @@ def score_references(
         yield Reference(
             TRUTH, score(lambda _, block: truth[block.record][block.start : block.stop])
         )
+
+
+def first_source(problem: Problem) -> str:
+    """Source of the first experiment of a search."""
+    return problem.baseline or (LINEAR if problem.control is None else CONTROLLER)
 
 
 def control_references(evaluator: Evaluator, known: Set[str]) -> Iterator[Reference]:
