@@ -289,8 +289,8 @@ def check_source(source: str) -> None:
 
     Raises:
         CandidateError: SYNTAX if it does not parse, or takes too long or too much memory to parse,
-            CONTRACT if it defines no top-level name `fit` or `design`, LITERAL_DATA if it is over 64 KB or
-            carries more data than a model needs.
+            CONTRACT if it defines no top-level name `fit` or `design`, LITERAL_DATA if it is over
+            64 KB or carries more data than a model needs.
     """
     facts = _facts(source)
     if not facts.defines_fit:

@@ -1,6 +1,5 @@
 """Contract of a controller, and what a candidate cannot do in closed loop."""
 
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -36,8 +35,8 @@ def problem(tmp_path_factory: pytest.TempPathFactory) -> Problem:
 
 
 @pytest.fixture(scope="module")
-def evaluator(problem: Problem) -> Iterator[Evaluator]:
-    yield evaluator_of(problem)
+def evaluator(problem: Problem) -> Evaluator:
+    return evaluator_of(problem)
 
 
 def expected_responses(problem: Problem, gain: float = 1.0) -> list[np.ndarray]:
@@ -100,9 +99,7 @@ def test_every_scenario_begins_with_a_fresh_controller(evaluator: Evaluator) -> 
         ("def design(models", "def fit(models", Reason.CONTRACT),
     ],
 )
-def test_what_breaks_the_contract(
-    evaluator: Evaluator, old: str, new: str, reason: Reason
-) -> None:
+def test_what_breaks_the_contract(evaluator: Evaluator, old: str, new: str, reason: Reason) -> None:
     assert old in PI
     outcome = evaluator.evaluate(PI.replace(old, new)).outcome
     assert isinstance(outcome, Failure)
@@ -224,7 +221,7 @@ def test_models_are_identified_and_given_to_the_design(problem: Problem) -> None
     prepared = prepare_control(problem, probe().level)
     assert prepared.control is not None
     assert len(prepared.control.models) > 1
-    source = '''
+    source = """
 import numpy as np
 
 
@@ -240,7 +237,7 @@ def design(models, context):
     past = np.ones((1, context.n_past_u, 1)), np.full((1, context.n_past_y, 1), 2.0)
     y = models[0].simulate(*past, np.full((1, 200, 1), 1.5))
     return Controller(float(y[0, -1, 0]) / 1.5)
-'''
+"""
     found = evaluator_of(prepared).evaluate(source)
     held = evaluator_of(prepared).evaluate(PI.replace("self.k = 1.0, k", "self.k = 1.0, 0.0"))
     assert isinstance(found.outcome, Score), found.outcome

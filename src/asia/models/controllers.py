@@ -281,8 +281,8 @@ def relay(models: Sequence[StepModel], context: Context) -> LawController:
         ultimate, period = _oscillation(
             plants[0], basis.u, column, place, size * np.sign(gain), 2.0 * task.noise[place]
         )
-        theta += [np.log(max(ultimate * abs(gain) / 2.2, 1e-6)),
-                  np.log(2.2 * period / basis.pace), np.log(period / 6.3 / basis.pace), 0.0]  # fmt: skip
+        times = 2.2 * period / basis.pace, period / 6.3 / basis.pace
+        theta += [np.log(max(ultimate * abs(gain) / 2.2, 1e-6)), *np.log(times), 0.0]
     return LawController(make(np.array([theta])), {})
 
 

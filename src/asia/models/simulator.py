@@ -564,8 +564,8 @@ class SteppedSimulator:
 
     Its input sample holds the inputs, then parameters and initial states; those of the first sample
     of a case count, whose answer are the outputs before any input. A function is called as
-    `step(x, u, params, dt)`, with x None at first, and returns the next x and y; an FMU is simulated
-    from its start, as far as the case has come.
+    `step(x, u, params, dt)`, with x None at first, and returns the next x and y; an FMU is
+    simulated from its start, as far as the case has come.
     """
 
     simulator: Simulator

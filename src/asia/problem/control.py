@@ -51,7 +51,9 @@ class Steps:
         found, start = np.empty(samples), 0
         while start < samples:
             share = float(random.uniform(0.5, 1.5))
-            length = samples if self.hold == inf else max(round(share * self.hold / sampling_time), 1)
+            length = (
+                samples if self.hold == inf else max(round(share * self.hold / sampling_time), 1)
+            )
             found[start : start + length] = random.uniform(self.min, self.max)
             start += length
         return np.round(found, _DECIMALS)

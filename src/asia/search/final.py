@@ -519,7 +519,10 @@ def _chosen_controller(refitted: Refitted) -> dict[str, Any]:
     """
     if refitted.model is not None:
         return {"use": "refit", "reason": "It was designed for all training scenarios."}
-    return {"use": "ensemble", "reason": f"There is no design for all scenarios: {refitted.detail}."}
+    return {
+        "use": "ensemble",
+        "reason": f"There is no design for all scenarios: {refitted.detail}.",
+    }
 
 
 def undeclared_feedback(problem: Problem) -> Feedback | None:

@@ -193,10 +193,10 @@ def prepare(
             sequential folds.
     """
     rule, budget = problem.protocol, problem.budget
-    for name in (agent_name, *(leg.agent for leg in legs)):
-        if problem.control is not None and name in _MODELS_ONLY:
+    for one in (agent_name, *(leg.agent for leg in legs)):
+        if problem.control is not None and one in _MODELS_ONLY:
             raise UserError(
-                f"agent {name} proposes models, and '{problem.name}' asks for a controller: use "
+                f"agent {one} proposes models, and '{problem.name}' asks for a controller: use "
                 "expert, llm, mcp or an agent of your own"
             )
     check_ways(rule, parallel, strict=isolation_strict, stop_folds=stop_folds)
@@ -294,9 +294,7 @@ def search(
         check_lock(directory, view.started)
         check_same_search(view, prepared.started)
         level = Isolation(prepared.started.isolation)
-        evaluator = make_evaluator(
-            problem, view, executor, isolation=level, controllers=True
-        )
+        evaluator = make_evaluator(problem, view, executor, isolation=level, controllers=True)
         evaluator.workers.on_loss = RunningLosses(directory)
         loop = Loop(
             problem=problem,
@@ -371,8 +369,8 @@ def make_evaluator(
     rule = problem.protocol
     if problem.control is not None and not controllers:
         raise UserError(
-            f"run '{view.started.run}' searched for a controller, and this needs a model: use a run "
-            "that identified the plant"
+            f"run '{view.started.run}' searched for a controller, and this needs a model: use a "
+            "run that identified the plant"
         )
     runs_on = executor or LocalExecutor()
     if problem.control is not None and remote_executor_of(executor) is not None:
@@ -385,9 +383,7 @@ def make_evaluator(
         SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
         standby=len(chosen),
     )
-    workers.closed_loop = closed_loop(
-        problem, partial(workers.open_for, fitting=True, plant=True)
-    )
+    workers.closed_loop = closed_loop(problem, partial(workers.open_for, fitting=True, plant=True))
     data = EvaluationData(chosen, problem.train, context, rule)
     options = EvaluatorOptions(view.started.salt, without, view.started.lock_digest)
     return Evaluator(data, workers, options)

@@ -74,9 +74,7 @@ def test_the_lock_restores_the_problem(tmp_path: Path) -> None:
         ("min = 1.0, max = 4.0", "min = 4.0, max = 1.0", "min is above max"),
     ],
 )
-def test_tables_that_do_not_fit_are_refused(
-    tmp_path: Path, old: str, new: str, said: str
-) -> None:
+def test_tables_that_do_not_fit_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert old in PROBLEM
     write_control_problem(tmp_path, PROBLEM.replace(old, new))
     with pytest.raises(UserError, match=said):

@@ -45,7 +45,7 @@ from asia.models import controllers
 def design(models, context):
     return controllers.relay(models, context)
 ''',
-    "PID of asia control": '''"""PID loops by the optimisation of `asia control`, one after the other."""
+    "PID of asia control": '''"""PID loops by the optimisation of `asia control`, one by one."""
 
 import numpy as np
 

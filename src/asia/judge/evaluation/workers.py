@@ -183,9 +183,7 @@ class WorkerRunner:
             worker.abort()
 
     @contextmanager
-    def open_for(
-        self, source: str, *, fitting: bool, plant: bool = False
-    ) -> Generator[Worker]:
+    def open_for(self, source: str, *, fitting: bool, plant: bool = False) -> Generator[Worker]:
         """Open a worker for a candidate, to fit it or to load its models: a standby one where one
         fits, which waits again afterwards where the candidate calls the library alone. `abort` and
         the cancel flag end it.

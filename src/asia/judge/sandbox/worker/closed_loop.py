@@ -19,7 +19,9 @@ from asia.problem.control_task import Actuator
 
 Ask: TypeAlias = Callable[[Array], Array]
 """From the next sample of what a model sees to its answer."""
-OpenPlant: TypeAlias = Callable[[], AbstractContextManager[Callable[[], AbstractContextManager[Ask]]]]
+OpenPlant: TypeAlias = Callable[
+    [], AbstractContextManager[Callable[[], AbstractContextManager[Ask]]]
+]
 """Opens the plant, then begins one case of it after the other."""
 
 
