@@ -563,9 +563,8 @@ class SteppedSimulator:
     """Simulator that gets an input sample and answers with the outputs at the end of it.
 
     Its input sample holds the inputs, then parameters and initial states; those of the first sample
-    of a case count, whose answer are the outputs before any input. A function is called as
-    `step(x, u, params, dt)`, with x None at first, and returns the next x and y; an FMU is
-    simulated from its start, as far as the case has come.
+    of a case count, whose answer are the outputs before any input. The function is called as
+    `step(x, u, params, dt)`, with x None at first, and returns the next x and y.
     """
 
     simulator: Simulator
@@ -594,12 +593,6 @@ class SteppedSimulator:
             values = u[0, nu:].tolist()
             state = dict(zip((*of.plant.parameters, *of.plant.initial), values, strict=True)), None
         parameters, x = state
-        if of.plant.is_unit:
-            call = _function(of.plant, of.inputs, of.outputs, of.sampling_time)
-            x = np.zeros((0, nu)) if x is None else np.concatenate([x, inputs[None]])
-            # The outputs at the end of a sample are those at the beginning of the next one.
-            rows = np.concatenate([x, x[-1:] if len(x) else inputs[None]])
-            return (parameters, x), np.asarray(call(rows, parameters, {}))[-1:]
         x, y = _loaded(of.plant.code, of.plant.function)(x, inputs, parameters, of.sampling_time)
         return (parameters, x), np.asarray(y, np.float64).reshape(1, -1)
 

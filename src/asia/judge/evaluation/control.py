@@ -20,10 +20,11 @@ from asia.judge.evaluation.results import derive_seed
 from asia.judge.sandbox.availability import open_worker
 from asia.judge.sandbox.programs import program_store
 from asia.judge.sandbox.types import Isolation, Limits
-from asia.judge.sandbox.worker.closed_loop import Ask, ClosedLoop
+from asia.judge.sandbox.worker.closed_loop import Ask, BeginPlant, ClosedLoop
 from asia.judge.sandbox.worker.worker import Worker
 from asia.models import simulator
 from asia.problem.control import Control
+from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 
 Opener: TypeAlias = Callable[[str], AbstractContextManager[Worker]]
@@ -73,9 +74,7 @@ def closed_loop(problem: Problem, opener: Opener) -> ClosedLoop | None:
 
 
 @contextmanager
-def _opened(
-    control: Control, opener: Opener
-) -> Generator[Callable[[], AbstractContextManager[Ask]]]:
+def _opened(control: Control, opener: Opener) -> Generator[BeginPlant]:
     base, plant = control.base, control.plant
     disturbances = (Signal(name) for name in control.table.disturbances)
     context = Context(
@@ -125,6 +124,59 @@ def _failure(control: Control, error: CandidateError) -> UserError:
     return UserError(f"[plant] {control.plant.label} failed: {last or error.reason.advice}")
 
 
+def control_lines(problem: Problem, isolation: Isolation) -> list[str]:
+    """Try the plant of a control problem in the sandbox, and describe its scenarios.
+
+    Raises:
+        UserError: for a plant that fails
+    """
+    control = problem.control
+    assert control is not None
+    cost = _cost_of_held_inputs(problem, isolation)
+    table = control.table.scenarios
+    return [
+        f"plant: {control.plant.label}, {len(control.plant.parameters)} parameters drawn for each "
+        "scenario",
+        f"scenarios: {table.train} of {table.samples} samples in {table.folds} folds, {table.test} "
+        f"sealed; V: {find_metric(problem.protocol.metric).label} in tolerances",
+        "tolerances: "
+        + ", ".join(
+            f"{s.name} {tolerance:g} {s.unit}".rstrip()
+            for s, tolerance in zip(control.responses, control.tolerance, strict=True)
+        ),
+        f"inputs held at their start cost {cost:.3g} in scenario {problem.train[0].name}",
+    ]
+
+
+def _cost_of_held_inputs(problem: Problem, isolation: Isolation) -> float:
+    """Cost of the first scenario with the inputs held. Raises UserError for a plant that fails."""
+    control, record = problem.control, problem.train[0]
+    assert control is not None
+    loop = closed_loop(problem, partial(_opened_worker, problem, isolation))
+    assert loop is not None
+    held = np.array([a.start for a in loop.actuators])
+    try:
+        with loop.plant() as plant:
+            found = loop.simulate(lambda sample: held, plant, record.u)
+    except CandidateError as error:
+        raise _failure(control, error) from None
+    if not np.isfinite(found).all():
+        raise UserError(
+            f"[plant] {control.plant.label} is not finite with its inputs held at their start "
+            f"at sample {int(np.argmax(~np.isfinite(found).all(axis=1))) + 1}"
+        )
+    metric = find_metric(problem.protocol.metric)
+    return metric.shortfall(record.y, found, np.array(control.tolerance))
+
+
+def _opened_worker(
+    problem: Problem, isolation: Isolation, source: str
+) -> AbstractContextManager[Worker]:
+    del source
+    seconds = problem.budget.fit_seconds
+    return open_worker(isolation, Limits(seconds, seconds, problem.budget.memory_mb))
+
+
 def prepare_control(problem: Problem, isolation: Isolation) -> Problem:
     """Try the plant with its inputs held, and identify models from its records, in the sandbox.
 
@@ -137,33 +189,14 @@ def prepare_control(problem: Problem, isolation: Isolation) -> Problem:
     control = problem.control
     if control is None:
         return problem
-    seconds = problem.budget.fit_seconds
-    limits = Limits(seconds, seconds, problem.budget.memory_mb)
-
-    def opener(source: str) -> AbstractContextManager[Worker]:
-        del source
-        return open_worker(isolation, limits)
-
-    loop = closed_loop(problem, opener)
-    assert loop is not None
-    held = np.array([a.start for a in loop.actuators])
-    try:
-        with loop.plant() as plant:
-            found = loop.simulate(lambda sample: held, plant, problem.train[0].u)
-    except CandidateError as error:
-        raise _failure(control, error) from None
-    if not np.isfinite(found).all():
-        raise UserError(
-            f"[plant] {control.plant.label} is not finite with its inputs held at their start "
-            f"at sample {int(np.argmax(~np.isfinite(found).all(axis=1))) + 1}"
-        )
+    _cost_of_held_inputs(problem, isolation)
     base = replace(control.base, plant=None)
     source = LINEAR if base.physics is None else _GREYBOX
     context = search_context(base, derive_seed(0, "identification"))
     models: list[bytes] = []
     for records in _parts(base.train):
         try:
-            with opener(source) as worker:
+            with _opened_worker(problem, isolation, source) as worker:
                 worker.fit(source, records, context, programs=program_store())
                 models.append(worker.dump())
         except CandidateError as error:

@@ -19,10 +19,10 @@ from asia.problem.control_task import Actuator
 
 Ask: TypeAlias = Callable[[Array], Array]
 """From the next sample of what a model sees to its answer."""
-OpenPlant: TypeAlias = Callable[
-    [], AbstractContextManager[Callable[[], AbstractContextManager[Ask]]]
-]
-"""Opens the plant, then begins one case of it after the other."""
+BeginPlant: TypeAlias = Callable[[], AbstractContextManager[Ask]]
+"""Begins a case of the plant."""
+OpenPlant: TypeAlias = Callable[[], AbstractContextManager[BeginPlant]]
+"""Opens the plant."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,7 @@ class ClosedLoop:
         """Inputs of the plant that a controller gives."""
         return len(self.actuators)
 
-    def simulate(
-        self, controller: Ask, plant: Callable[[], AbstractContextManager[Ask]], outside: Array
-    ) -> Array:
+    def simulate(self, controller: Ask, plant: BeginPlant, outside: Array) -> Array:
         """Simulate one scenario.
 
         Args:

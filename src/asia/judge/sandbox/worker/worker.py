@@ -27,7 +27,7 @@ from asia.judge.sandbox.types import (
     ScoreRefusedError,
     WorkerKilledError,
 )
-from asia.judge.sandbox.worker.closed_loop import ClosedLoop
+from asia.judge.sandbox.worker.closed_loop import BeginPlant, ClosedLoop
 from asia.judge.sandbox.worker.figures import (
     ESTIMATES_BYTES,
     PARAMETERS_BYTES,
@@ -125,6 +125,8 @@ class Worker:
         because it could contain cases."""
         self.closed_loop: ClosedLoop | None = None
         """Loop in which its controllers are simulated; None for models."""
+        self._plant = contextlib.ExitStack()
+        self._begin_plant: BeginPlant | None = None
         self.left_behind: int | None = None
         """Process id of a worker that the kernel does not end."""
         self._process = process
@@ -252,11 +254,20 @@ class Worker:
     def _in_closed_loop(self, loop: ClosedLoop, u: Array, deadline: float) -> Array:
         """Simulate scenarios (B, H, n) with the controller in this worker; responses (B, H, m)."""
         found: list[Array] = []
-        with loop.plant() as plant:
+        if self._begin_plant is None:
+            self._begin_plant = self._plant.enter_context(loop.plant())
+        try:
             for outside in u:
                 with self.stream(loop.seen, loop.driven, deadline) as ask:
-                    found.append(loop.simulate(ask, plant, outside))
+                    found.append(loop.simulate(ask, self._begin_plant, outside))
+        except CandidateError:
+            self._close_plant()
+            raise
         return np.stack(found)
+
+    def _close_plant(self) -> None:
+        self._begin_plant = None
+        self._plant.close()
 
     @contextlib.contextmanager
     def stream(
@@ -468,6 +479,7 @@ class Worker:
         if not self._closed:
             with self._ending:
                 self._closed = True
+            self._close_plant()
             if isinstance(self._pids, ResourceWatch):
                 self._pids.close()
             with self._clock.activity(Activity.START):
