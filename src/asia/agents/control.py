@@ -86,17 +86,20 @@ def propose_controller(view: AgentView) -> Proposal | None:
                 hypothesis=f"{card.title}: {card.use}.",
                 expected="A first V of this kind of controller, to compare it with the others.",
             )
-    for trial, design in _known(view):
-        for changed, title, hypothesis in _moves(design):
-            if not view.is_known(changed.source):
-                return Proposal(
-                    source=changed.source,
-                    family=changed.family,
-                    title=title,
-                    hypothesis=hypothesis,
-                    expected=f"A lower V than #{trial.number:02d}.",
-                    parent=trial.number,
-                )
+    known = list(_known(view))
+    moves = [(trial, *move) for trial, design in known for move in _moves(design)]
+    # A learned residual on the best controller that can have one comes first.
+    first = [move for move in moves if move[1].residual == ()][:1]
+    for trial, changed, title, hypothesis in (*first, *moves):
+        if not view.is_known(changed.source):
+            return Proposal(
+                source=changed.source,
+                family=changed.family,
+                title=title,
+                hypothesis=hypothesis,
+                expected=f"A lower V than #{trial.number:02d}.",
+                parent=trial.number,
+            )
     return None
 
 

@@ -98,7 +98,7 @@ class ControllerModel:
 
     def parameters(self) -> Mapping[str, float]:
         """Parameters that the controller offers."""
-        offered = getattr(self.controller, "parameters", None)
+        offered: Any = getattr(self.controller, "parameters", None)
         return offered() if callable(offered) else {}
 
 
@@ -170,8 +170,9 @@ def _basis(plants: Sequence[PlantModel], context: Context) -> _Basis:
     size = float(np.clip(np.abs(linear.poles).max(), 0.1, 0.9995))
     pair = gain[np.arange(len(inputs)), inputs]
     select = np.eye(gain.shape[1])[inputs]
+    inverse = np.asarray(np.linalg.pinv(gain), np.float64)
     pace = -1.0 / np.log(size)
-    return _Basis(linear, r, u, np.linalg.pinv(gain), inputs, select, pair, float(pace))
+    return _Basis(linear, r, u, inverse, inputs, select, pair, float(pace))
 
 
 # PID.
@@ -441,7 +442,7 @@ def _feedback_maker(
     n, nu, ny = of.order, len(of.u0), len(of.y0)
     tolerance = np.array(task.tolerance)
     whole = np.block([[of.a - np.eye(n), of.b], [of.c[places], np.zeros((len(places), nu))]])
-    target = np.linalg.pinv(whole)[:, n:]
+    target = np.asarray(np.linalg.pinv(whole)[:, n:], np.float64)
     a = np.block([[of.a, of.b], [np.zeros((nu, n)), np.eye(nu)]])
     b = np.vstack([of.b, np.eye(nu)])
     c = np.hstack([of.c[places], np.zeros((len(places), nu))]) / tolerance[: len(places), None]

@@ -2,6 +2,7 @@
 S. Engell, Computers & Chemical Engineering 22(4/5), 1998. Concentrations in mol/l, temperatures in
 degrees Celsius, times in h inside, in s outside."""
 
+from collections.abc import Mapping, Sequence
 from math import exp
 
 K1, K2, K3 = 1.287e12, 1.287e12, 9.043e9  # 1/h, 1/h, l/(mol h)
@@ -14,7 +15,9 @@ FLOW, POWER = 14.19, -1113.5  # 1/h, kJ/h
 SUBSTEPS = 4
 
 
-def slopes(x, flow, power, inlet, p):
+def slopes(
+    x: Sequence[float], flow: float, power: float, inlet: float, p: Mapping[str, float]
+) -> tuple[float, ...]:
     ca, cb, t, tk = x
     # The exponents stay finite where a loop diverges.
     kelvin = min(max(t, -100.0), 400.0) + 273.15
@@ -29,7 +32,9 @@ def slopes(x, flow, power, inlet, p):
     )
 
 
-def moved(x, flow, power, inlet, p, h):
+def moved(
+    x: Sequence[float], flow: float, power: float, inlet: float, p: Mapping[str, float], h: float
+) -> tuple[float, ...]:
     a = slopes(x, flow, power, inlet, p)
     b = slopes([s + h / 2 * d for s, d in zip(x, a, strict=True)], flow, power, inlet, p)
     c = slopes([s + h / 2 * d for s, d in zip(x, b, strict=True)], flow, power, inlet, p)
@@ -39,7 +44,9 @@ def moved(x, flow, power, inlet, p, h):
     )
 
 
-def step(x, u, params, dt):
+def step(
+    x: Sequence[float] | None, u: Sequence[float], params: Mapping[str, float], dt: float
+) -> tuple[Sequence[float], list[float]]:
     """Concentration of B and temperature at the end of a sample, from rest."""
     if x is None:
         x = (2.14, 1.09, 114.2, 112.9)

@@ -1,6 +1,7 @@
 """Quadruple tank at its minimum-phase point: K. H. Johansson, IEEE Trans. Control Systems
 Technology 8(3), 2000. Levels of the four tanks in cm, pump voltages in V, times in s."""
 
+from collections.abc import Mapping, Sequence
 from math import sqrt
 
 AREA = (28.0, 32.0, 28.0, 32.0)  # cm^2
@@ -9,7 +10,9 @@ GRAVITY = 981.0  # cm/s^2
 SUBSTEPS = 4
 
 
-def slopes(h, v1, v2, leak, p):
+def slopes(
+    h: Sequence[float], v1: float, v2: float, leak: float, p: Mapping[str, float]
+) -> tuple[float, ...]:
     q = [a * sqrt(2.0 * GRAVITY * max(level, 0.0)) for a, level in zip(OUTLET, h, strict=True)]
     g1, g2, k1, k2 = p["gamma1"], p["gamma2"], p["k1"], p["k2"]
     return (
@@ -20,14 +23,16 @@ def slopes(h, v1, v2, leak, p):
     )
 
 
-def rest(v1, v2, p):
+def rest(v1: float, v2: float, p: Mapping[str, float]) -> tuple[float, ...]:
     g1, g2, k1, k2 = p["gamma1"], p["gamma2"], p["k1"], p["k2"]
     q3, q4 = (1.0 - g2) * k2 * v2, (1.0 - g1) * k1 * v1
     flows = (q3 + g1 * k1 * v1, q4 + g2 * k2 * v2, q3, q4)
     return tuple((q / a) ** 2 / (2.0 * GRAVITY) for q, a in zip(flows, OUTLET, strict=True))
 
 
-def step(x, u, params, dt):
+def step(
+    x: Sequence[float] | None, u: Sequence[float], params: Mapping[str, float], dt: float
+) -> tuple[Sequence[float], list[float]]:
     """Levels at the end of a sample, from rest at 3 V; the lower two are measured."""
     if x is None:
         x = rest(3.0, 3.0, params)

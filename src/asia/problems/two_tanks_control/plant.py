@@ -1,6 +1,7 @@
 """Two tanks in series with overflow, as the simulator of `two_tanks_sim`: the pump fills the upper
 tank, which runs into the lower one. Levels and the pump voltage in V, times in s."""
 
+from collections.abc import Mapping, Sequence
 from math import sqrt
 
 FULL = 10.0
@@ -8,7 +9,9 @@ SPILL_SHARE = 0.3
 SUBSTEPS = 8
 
 
-def slopes(upper, lower, pump, leak, p):
+def slopes(
+    upper: float, lower: float, pump: float, leak: float, p: Mapping[str, float]
+) -> tuple[float, float]:
     drop = sqrt(max(upper, 0.0))
     return (
         -p["k1"] * drop + p["k4"] * pump,
@@ -16,7 +19,9 @@ def slopes(upper, lower, pump, leak, p):
     )
 
 
-def step(x, u, params, dt):
+def step(
+    x: tuple[float, float] | None, u: Sequence[float], params: Mapping[str, float], dt: float
+) -> tuple[tuple[float, float], list[float]]:
     """Levels (upper, lower) at the end of a sample, from rest at 2.8 V."""
     pump, leak = float(u[0]), float(u[1])
     if x is None:

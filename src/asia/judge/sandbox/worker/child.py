@@ -263,7 +263,7 @@ class _Session:
             trajectories.append(Trajectory(u, y, sampling_time, name, missing, reference))
         module = _execute(source)
         name, first = ("fit", "trajectories") if known["control"] is None else ("design", "models")
-        fit = getattr(module, name, None)
+        fit: Any = getattr(module, name, None)
         if not callable(fit):
             raise _RefusedError(f"the source defines no function {name}({first}, context)")
         points = _TrainingCurve(self._show_loss)
