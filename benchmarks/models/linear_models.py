@@ -1,15 +1,18 @@
 """Do the bands of `asia linear` hold the truth? Six nonlinear systems at three operating points.
 
 Three systems are searched with their equations, three without. Each search has a few experiments
-and two folds; `asia linear` linearises the model to use. The truth is the zero-order-hold
-equivalent of the system's own linearisation.
+and two folds; `asia linear` linearises the model to use. With --direct there is no search:
+`greybox` is fitted where there are equations, and `nl_lfr` elsewhere. The truth is the
+zero-order-hold equivalent of the system's own linearisation.
 
-    python benchmarks/models/linear_models.py [--experiments 6] [--runs DIR] [--systems tanks,...]
+    python benchmarks/models/linear_models.py [--experiments 6 | --direct] [--seeds 1] [--runs DIR]
+        [--systems tanks,...]
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import tempfile
 import time
@@ -18,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -25,6 +29,15 @@ from scipy.optimize import approx_fprime, fsolve
 
 import asia
 from asia.export.linear import LinearPoint
+from asia.judge.evaluation.findings import search_context
+from asia.lowering.evaluation import evaluate
+from asia.lowering.linear import OperatingPoint, joined, linearised, operating_points
+from asia.lowering.program import LoweredModel
+from asia.lowering.trace import lowered
+from asia.models import greybox, nl_lfr
+from asia.models.methods import LevenbergMarquardt
+from asia.problem.load import load_problem
+from asia.problem.problem import Problem
 
 SAMPLES, NOISE = 1600, 0.02
 
@@ -137,27 +150,66 @@ def judged(
     return found
 
 
+def fitted(problem: Problem, points: tuple[float, ...], seed: int) -> list[LinearPoint]:
+    """Linear models of a model of the whole record and of models of both folds."""
+    jax.config.update("jax_enable_x64", True)
+    family, context = (greybox if problem.physics else nl_lfr), search_context(problem, seed)
+    (record,), nu, ny = problem.train, 1, 1
+    half = len(record) // 2
+    parts = [record, record[half:], record[:half]]
+    past = context.n_past_u, context.n_past_y
+    models: list[LoweredModel] = []
+    for part in parts:
+        model = family.build(family.Config(), context)
+        model = family.train(model, [part], context, LevenbergMarquardt(60, starts=4))
+        models.append(lowered(model, *past, nu, ny))
+    found: list[LinearPoint] = []
+    for u in points:
+        at: list[OperatingPoint] = []
+        for one in models:
+            states = [
+                joined(evaluate(one.initial, [record.u[k : k + one.n_past_u],
+                                              record.y[k : k + one.n_past_y], record.u[k]]))
+                for k in (0, half)
+            ]  # fmt: skip
+            at.append(operating_points(one, states, np.array([u]))[0])
+        own, *folds = [
+            linearised(one, there, problem.sampling_time)
+            for one, there in zip(models, at, strict=True)
+        ]
+        found.append(LinearPoint(f"u={u}", at[0], True, own, tuple(folds)))
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--experiments", type=int, default=6)
+    parser.add_argument("--direct", action="store_true")
+    parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--runs", type=Path, default=Path(tempfile.mkdtemp()))
     parser.add_argument("--systems", default=",".join(SYSTEMS))
     given = parser.parse_args()
     every: list[tuple[str, Any]] = []
     print("| system | u | gain | true | band | poles | true | held |")
     print("|---|---|---|---|---|---|---|---|", flush=True)
-    for number, name in enumerate(given.systems.split(",")):
+    for seed, name in itertools.product(range(given.seeds), given.systems.split(",")):
         system, start = SYSTEMS[name], time.monotonic()
+        number = list(SYSTEMS).index(name) + 100 * seed
         u, y = simulated(system, np.random.default_rng(number))
-        folder = given.runs / "problems" / name
+        named = name if seed == 0 else f"{name}{seed}"
+        folder = given.runs / "problems" / named
         if not folder.exists():
             asia.Problem.from_arrays(
                 u, y, sampling_time=system.step, directory=folder, inputs=["u"], outputs=["y"],
                 physics=system.physics,
             )  # fmt: skip
-        run = asia.run(folder, experiments=given.experiments, runs=given.runs, name=name)
-        found = asia.linearize(run.directory, at=[f"u={value}" for value in system.points])
-        for value, point in zip(system.points, found.points, strict=True):
+        if given.direct:
+            points, use = fitted(load_problem(folder), system.points, seed), "direct"
+        else:
+            run = asia.run(folder, experiments=given.experiments, runs=given.runs, name=named)
+            linear = asia.linearize(run.directory, at=[f"u={value}" for value in system.points])
+            points, use = linear.points, linear.use
+        for value, point in zip(system.points, points, strict=True):
             gain, poles = truth(system, value)
             results = judged(point, gain, poles, system.step)
             every += results
@@ -168,7 +220,7 @@ def main() -> None:
             true = ", ".join(f"{p:.4f}" for p in poles)
             print(f"| {name} | {value} | {point.model.gain[0, 0]:.4g} | {gain:.4g} | {shown} "
                   f"| {own} | {true} | {held} |", flush=True)  # fmt: skip
-        print(f"<!-- {name}: {found.use}, {time.monotonic() - start:.0f} s -->", flush=True)
+        print(f"<!-- {name}: {use}, {time.monotonic() - start:.0f} s -->", flush=True)
     for kind in ("gain", "pole"):
         of = [ok for n, ok in every if n == kind]
         print(f"{kind}s inside their bands: {sum(ok is True for ok in of)} of {len(of)}; "

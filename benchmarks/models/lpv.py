@@ -1,6 +1,6 @@
 """Linear parameter-varying models against models without a scheduling signal.
 
-    python benchmarks/models/lpv.py [SEED ...]
+    python benchmarks/models/lpv.py [SEED ...] [--only TEXT]
 
 Two generated systems: a mass on a spring whose stiffness and damping follow a scheduling signal,
 and a heater whose time constant is inverse to a flow. 1500 samples to train, 1500 new ones to test,
@@ -9,7 +9,7 @@ and a heater whose time constant is inverse to a flow. 1500 samples to train, 15
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from collections.abc import Callable
 from typing import Any
@@ -58,15 +58,23 @@ MODELS: dict[str, tuple[Any, Any]] = {
     "arx, quadratic": (arx, arx.Config(scheduling=2)),
     "neural_ss": (neural_ss, neural_ss.Config()),
     "neural_ss, polynomial": (neural_ss, neural_ss.Config(basis="polynomial", degree=2)),
+    "neural_ss, affine": (neural_ss, neural_ss.Config(basis="scheduling", degree=2)),
+    "neural_ss, quadratic": (neural_ss, neural_ss.Config(basis="scheduling", degree=3)),
     "nl_lfr": (nl_lfr, nl_lfr.Config()),
 }
 
 
 def main() -> None:
     """Print the table."""
-    seeds = [int(word) for word in sys.argv[1:]] or [1, 2, 3]
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seeds", nargs="*", type=int, default=[1, 2, 3])
+    parser.add_argument("--only", default="", help="part of the names of the models")
+    options = parser.parse_args()
+    seeds = options.seeds
     print(f"{'model':24} {'spring':>8} {'heater':>8} {'seconds':>8}")
     for name, (family, config) in MODELS.items():
+        if options.only not in name:
+            continue
         errors: list[list[float]] = []
         begin = time.perf_counter()
         for system, output in ((spring, 0), (heater, 1)):

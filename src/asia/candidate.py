@@ -17,6 +17,7 @@ import numpy as np
 import asia
 from asia._source import Imports, SourceFacts, imports_of
 from asia._syntax import syntax_tree
+from asia.data.frequency import FrequencyRecord
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import CandidateError, Reason
 from asia.problem.physics import Physics
@@ -86,6 +87,8 @@ class Context:
     control: ControlTask | None = None
     """Task of a controller; None where a model is fitted. Inputs, outputs and equations of the
     context are then those of the plant to be controlled."""
+    responses: tuple[FrequencyRecord, ...] = ()
+    """Measured frequency responses, with the channels of the problem."""
 
     @property
     def nu(self) -> int:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
+from asia.data.frequency import FrequencyRecord
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
 from asia.judge.scoring.residuals import Diagnostics
@@ -58,6 +59,7 @@ class Facts:
         plant: simulator of the user's own
         control: task of a controller, whose training scenarios are the records
         identification: facts about the plant of a control problem
+        responses: measured frequency responses, which linear models are fitted to as well
     """
 
     description: str
@@ -86,6 +88,7 @@ class Facts:
     plant: Plant | None = None
     control: ControlTask | None = None
     identification: Facts | None = None
+    responses: tuple[FrequencyRecord, ...] = ()
 
     @property
     def past(self) -> int:

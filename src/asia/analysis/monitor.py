@@ -419,7 +419,7 @@ class Linearised:
             found.append((measured - y_hat, z, slope[:, :n], slope[:, n:], c))
             z = after
         residuals, states, a, b, c = (np.stack(part) for part in zip(*found, strict=True))
-        return cls(residuals, states, a, b, c, start_variance(low, [segment]))
+        return cls(residuals, states, a, b, c, start_variance(low, [segment], [states]))
 
     def likelihood(self, trials: Sequence[Noise]) -> Array:
         """Negative logarithms of the likelihood of the residuals under each of several noises."""
@@ -452,21 +452,30 @@ class Linearised:
         return np.where(np.isfinite(total), total, np.inf)
 
 
-def start_variance(low: LoweredModel, segments: Sequence[HeldOut]) -> Array:
-    """Variances (n,) of initial states from past windows inside the segments, around the states of
-    the simulation there."""
+def simulated_states(low: LoweredModel, segment: HeldOut) -> Array:
+    """States (T, n) of a simulation of a segment with a model of one state vector."""
+    (z,) = evaluate(low.initial, [segment.past_u, segment.past_y, segment.u[0]])
     found: list[Array] = []
-    for one in segments:
+    for row in segment.u:
+        found.append(z)
+        (z,) = evaluate(low.update, [z, row])
+    return np.stack(found)
+
+
+def start_variance(
+    low: LoweredModel, segments: Sequence[HeldOut], states: Sequence[Array]
+) -> Array:
+    """Variances (n,) of initial states from past windows inside the segments, around the states (T,
+    n) of the simulation there."""
+    found: list[Array] = []
+    for one, simulated in zip(segments, states, strict=True):
         us, ys = np.concatenate([one.past_u, one.u]), np.concatenate([one.past_y, one.y])
         past_u, past_y, last = len(one.past_u), len(one.past_y), len(one.u) - 1
         # In the first half the simulation forgets its own start.
-        places = set(np.linspace(last // 2, last, _STARTS).astype(int).tolist())
-        (z,) = evaluate(low.initial, [one.past_u, one.past_y, one.u[0]])
-        for k, row in enumerate(one.u):
+        for k in sorted(set(np.linspace(last // 2, last, _STARTS).astype(int).tolist())):
             window = us[k : past_u + k], ys[k : past_y + k]
-            if k in places and np.isfinite(window[1]).all():
-                found.append(evaluate(low.initial, [*window, row])[0] - z)
-            (z,) = evaluate(low.update, [z, row])
+            if np.isfinite(window[1]).all():
+                found.append(evaluate(low.initial, [*window, one.u[k]])[0] - simulated[k])
     return np.mean(np.square(found), axis=0) if found else np.zeros(low.states[0])
 
 
@@ -558,7 +567,8 @@ def make_observer(
     def initial(variances: Array) -> Array:
         return variances[: len(variances) - ny - physical]
 
-    own_start = initial(start_variance(augmented(own, (), 0.0), part))
+    alone = augmented(own, (), 0.0)
+    own_start = initial(start_variance(alone, part, [simulated_states(alone, one) for one in part]))
     low = augmented(own, changes, noise.pole)
     observer = Observer(low, tuple(parameters), noise, own_start, forgetting, math.inf, math.inf)
     sequences: list[Array] = []

@@ -1,13 +1,95 @@
-"""Frequency content of records: periods, best linear approximation, noise and distortion."""
+"""Frequency content of records: periods, best linear approximation, noise and distortion. And
+measured frequency responses."""
 
+from __future__ import annotations
+
+import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.data.trajectory import Array, Trajectory
+from asia.data.trajectory import Array, Signal, Trajectory
+from asia.errors import UserError
+
+ComplexArray: TypeAlias = NDArray[np.complex128]
+
+# Measured frequency responses.
+
+_LEAST_FREQUENCIES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyRecord:
+    """Measured frequency response."""
+
+    name: str
+    frequency: Array
+    """(F,) in Hz, rising."""
+    response: ComplexArray
+    """(F, ny, nu)."""
+    variance: Array | None
+    """Variance (F, ny, nu) of the response, of its real and imaginary part together; None where it
+    is not known."""
+    sampling_time: float
+    """In s; 0 for a response in continuous time."""
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+
+    def of_channels(
+        self, inputs: Sequence[Signal], outputs: Sequence[Signal], sampling_time: float
+    ) -> FrequencyRecord:
+        """Return the response with the channels of a problem, up to half its sampling frequency.
+
+        The names decide; where none of them is known, the order does.
+
+        Raises:
+            UserError: for other channels, another sampling time, and fewer than 8 frequencies.
+        """
+        places: list[list[int]] = []
+        sides = ("outputs", self.outputs, outputs), ("inputs", self.inputs, inputs)
+        for what, own, wanted in sides:
+            names, expected = [s.name for s in own], [s.name for s in wanted]
+            unknown = not set(names) & set(expected)
+            if len(names) != len(expected) or (set(names) != set(expected) and not unknown):
+                raise UserError(
+                    f"frequency response {self.name} has the {what} {', '.join(names)}, expected "
+                    f"{', '.join(expected)}"
+                )
+            places.append(list(range(len(own))) if unknown else [names.index(n) for n in expected])
+        own_time = self.sampling_time
+        if own_time and abs(own_time - sampling_time) > 1e-6 * sampling_time:
+            raise UserError(
+                f"frequency response {self.name} is sampled every {own_time:g} s, the records "
+                f"every {sampling_time:g} s: give the response in continuous time, or resample the "
+                "records"
+            )
+        seen = self.frequency <= 0.5 / sampling_time * (1.0 + 1e-9)
+        if seen.sum() < _LEAST_FREQUENCIES:
+            raise UserError(
+                f"frequency response {self.name} has {int(seen.sum())} frequencies up to half the "
+                f"sampling frequency of the records, {0.5 / sampling_time:g} Hz: expected at least "
+                f"{_LEAST_FREQUENCIES}"
+            )
+        rows, columns = (np.array(one) for one in places)
+        chosen = np.flatnonzero(seen)[:, None, None], rows[:, None], columns
+        return replace(
+            self, frequency=self.frequency[seen], response=self.response[chosen],
+            variance=None if self.variance is None else self.variance[chosen],
+            inputs=tuple(inputs), outputs=tuple(outputs),
+        )  # fmt: skip
+
+    @property
+    def digest(self) -> str:
+        """Hex sha256 over sampling time, frequencies, response and variance."""
+        digest = hashlib.sha256(repr((self.sampling_time, self.response.shape)).encode())
+        parts = (self.frequency, self.response, self.variance)
+        for values in (one for one in parts if one is not None):
+            digest.update(np.ascontiguousarray(values).data)
+        return digest.hexdigest()
+
 
 # Periods of the inputs.
 

@@ -7,6 +7,7 @@ from typing import get_args
 
 import numpy as np
 
+from asia.data.frequency import FrequencyRecord
 from asia.data.trajectory import Array, Signal, Trajectory
 from asia.errors import UserError
 from asia.export.pipeline import measured
@@ -102,6 +103,8 @@ class LinearRun:
     """Sentences on the choice of the model and on points that do not exist."""
     records: tuple[Trajectory, ...]
     """Training records, on which a reduction is checked and process models are fitted."""
+    responses: tuple[FrequencyRecord, ...]
+    """Measured frequency responses of the problem."""
     noise: Array
     """Standard deviation (ny,) of the measurement noise: of the changes of the residuals from
     sample to sample, over sqrt 2, which a slow error of the model hardly moves."""
@@ -198,7 +201,7 @@ def linearize(
             points.append(_point(label, point, own, near, problem.sampling_time, rests=rests))
     return LinearRun(
         opened.name, use, problem.inputs, problem.outputs, tuple(points), tuple(notes),
-        tuple(records), noise,
+        tuple(records), problem.responses, noise,
     )  # fmt: skip
 
 

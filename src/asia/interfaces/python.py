@@ -27,6 +27,7 @@ from asia.ledger.run import Run, find_run, model_to_use, open_run
 from asia.ledger.text import error_value
 from asia.ledger.view import SearchView
 from asia.problem.load import load_lock
+from asia.problem.plant import plant_file
 from asia.problem.problem import Problem
 from asia.report.brief import brief_html
 from asia.report.files import write_report
@@ -98,8 +99,9 @@ class SystemIdentifier:
     """Searches for a model of records in memory, and simulates with the one that it finds.
 
     Parameters are those of `asia run` and of problem.toml: `experiments`, `agent`, `seed`;
-    `protocol`, `budget`, `physics`, `symmetry`: tables with the keys of problem.toml; `description`
-    of the system in plain English. `model`: `ensemble`, `refit` or `stack` instead of the one that
+    `protocol`, `budget`, `physics`, `symmetry`, `plant`: tables with the keys of problem.toml;
+    `source` of `plant` may be a function of a Python file. `description` of the system in plain
+    English. `model`: `ensemble`, `refit` or `stack` instead of the one that
     the search names. `runs`: the directory of runs. `directory`: where the problem is written, by
     default below `runs` under a name made from records and settings, so that the same call resumes.
     `progress`: print a line for each experiment.
@@ -118,6 +120,7 @@ class SystemIdentifier:
         budget: Table | None = None,
         physics: Table | None = None,
         symmetry: Any = None,
+        plant: Table | None = None,
         description: str = "",
         model: Use | None = None,
         runs: Path | str = "runs",
@@ -131,6 +134,7 @@ class SystemIdentifier:
         self.budget = budget
         self.physics = physics
         self.symmetry = symmetry
+        self.plant = plant
         self.description = description
         self.model: Use | None = model
         self.runs = runs
@@ -183,6 +187,7 @@ class SystemIdentifier:
             budget=self.budget,
             physics=self.physics,
             symmetry=self.symmetry,
+            plant=self.plant,
         )
         if self.progress:
             for warning in problem.warnings:
@@ -397,7 +402,8 @@ class SystemIdentifier:
             if hasattr(one, "columns") and hasattr(one, "index")
         ]
         given = step, inputs, outputs, self.protocol, self.budget, self.physics
-        settings = (*given, self.symmetry, self.description, *times)
+        plant = () if self.plant is None else plant_file(self.plant)
+        settings = (*given, self.symmetry, self.description, *plant, *times)
         digest = hashlib.sha256(repr(settings).encode())
         for record in records:
             array = np.asarray(record, dtype=np.float64)

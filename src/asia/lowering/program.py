@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -247,12 +248,12 @@ class LoweredModel:
         """Shapes of the states."""
         return self.step.inputs[:-1]
 
-    @property
+    @cached_property
     def output(self) -> Program:
         """Program from states and input to the output."""
         return self.step.with_outputs(self.step.outputs[:1])
 
-    @property
+    @cached_property
     def update(self) -> Program:
         """Program from states and input to the states at the next sample."""
         return self.step.with_outputs(self.step.outputs[1:])

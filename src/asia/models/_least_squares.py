@@ -6,7 +6,7 @@ while a model is trained; given JAX arrays it is traced, for a step that `asia e
 Source: Marquardt, SIAM J. Appl. Math. 11 (1963).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -118,6 +118,7 @@ def minimise(
     schedule: DampingSchedule = SIDE_BY_SIDE,
     *,
     patience: int = 1,
+    race: Sequence[tuple[int, float]] = (),
     after: Callable[[Array, Array], None] | None = None,
 ) -> Minimum:
     """Minimise the sum of squares of each row from theta0 (R, n).
@@ -134,6 +135,8 @@ def minimise(
         method: settings.
         schedule: rule for the damping.
         patience: iterations in a row with little gain before a row stops.
+        race: pairs of an iteration and a ratio of costs; from that iteration on a row stops whose
+            cost is more than so many times the least one.
         after: called as after(theta, cost) after each iteration.
     """
     theta = np.array(theta0, dtype=np.float64)
@@ -152,6 +155,9 @@ def minimise(
         if iteration == 0:
             history[:] = before[:, None]
         history[open_rows, iteration + 1 :] = reached[open_rows, None]
+        for ratio in (ratio for begin, ratio in race if iteration + 1 >= begin):
+            behind = history[:, -1] > ratio * history[:, -1].min()
+            search = search._replace(done=search.done | behind)
         if after is not None:
             after(search.theta, history[:, -1])
     return Minimum(search.theta, history[:, -1].copy(), history)
@@ -204,6 +210,7 @@ def _iterate(
         with np.errstate(all="ignore"):
             damped = gram[:, None] + dampings[..., None, None] * np.eye(n)
             points = search.theta[:, None] - solve(damped, gradient) / scale[:, None]
+            points = xp.where(done[:, None, None], search.theta[:, None], points)
         costs = _finite(cost(points))
         point, least, chosen = points[:, 0], costs[:, 0], dampings[:, 0]
         for k in range(1, len(schedule.factors)):

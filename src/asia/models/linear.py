@@ -1,4 +1,5 @@
-"""Linear state-space model: subspace start, then refinement of the simulation error.
+"""Linear state-space model: subspace start, then refinement of the simulation error, with that of
+measured frequency responses where the problem has some.
 
 x[k+1] = A x[k] + B u[k - delay],  y[k] = C x[k] + D u[k - delay] + offset, with the initial state
 estimated from the past window. With a horizon, a model whose state is the past window itself
@@ -7,6 +8,7 @@ competes. Source: Ljung, System Identification, 2nd ed., chapters 4 and 10.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, get_args
@@ -32,6 +34,7 @@ from asia.models._linear.fit import (
     system_estimates,
     unseen_errors,
 )
+from asia.models._linear.joint import fit_jointly, sampled_responses
 from asia.models._linear.periodic import PeriodicChoice, fit_periodic
 from asia.models._linear.regularised import Form, fit_regularised
 from asia.models._linear.system import LinearSystem
@@ -74,7 +77,9 @@ _MOST_PARAMETERS = 64
 
 @dataclass(frozen=True)
 class Config:
-    """Order and delay of the system, or limits of their choice."""
+    """Order and delay of the system, or limits of their choice. Frequency responses of the problem
+    count beside the records, except with a noise model, `periodic`, `levels`, `regularised` and
+    `loop`."""
 
     order: int | None = None
     """States; None chooses among 1..max_order by the simulation error on blocks inside the training
@@ -245,6 +250,8 @@ class LinearStateSpace(TrainableModel[Config, FittedLinear | FittedLevels]):
         f = self._trained()
         if isinstance(f, FittedLevels):
             raise ValueError("linear model: gains and time constants differ from level to level")
+        if context.responses:
+            raise ValueError("linear model: fitted to frequency responses beside the records")
         if self.config.integrators:
             raise ValueError("linear model: with free integrators there are no static gains")
         units = {
@@ -297,6 +304,8 @@ def train(
         choices = Choices(c.order, c.max_order, c.delay, c.max_delay)
         parts = fit_in_loop(trajectories, context, c.loop, choices, refinement, scaling)
         return replace(model, fitted=FittedLinear(*parts))
+    if c.levels:
+        context = replace(context, responses=())
     groups = levels.groups_by_level([r.u for r in records]) if model.config.levels else []
     if len(groups) < 2:
         fitted = _fitted(records, context, model.config, refinement, scaling)
@@ -323,6 +332,9 @@ def _fitted(
         found = fit_regularised(late, context, config.regularised, config.order)
         if found is not None:
             return FittedLinear(*found, config.delay or 0, scaling)
+    if context.responses and refinement.noise is None:
+        found, delay, used = _fit_with_responses(records, context, config, refinement, scaling)
+        return FittedLinear(found.system, encoder_of(used, found, context), delay, scaling)
     predictor = windowed(records, context, config, refinement)
     if predictor is not None:
         return FittedLinear(*predictor.system(), 0, scaling)
@@ -452,6 +464,33 @@ def fit_records(
     )  # fmt: skip
     found = refined_under_noise(late, found, refinement, context.sampling_time, context.log)
     return found, delay, late
+
+
+def _fit_with_responses(
+    records: ScaledData, context: Context, config: Config, refinement: Refinement, scaling: Scaling
+) -> tuple[LinearFit, int, list[ScaledTrajectory]]:
+    """Fit as `fit_records`, together with the frequency responses; an open order or delay is the
+    records' own or the responses', by the Bayesian information criterion."""
+    responses = sampled_responses(context, scaling)
+    found, delay, used = fit_records(records, context, config, refinement)
+    orders, delays = {found.system.order}, {delay}
+    if config.order is None:
+        highest = max(_affordable(records, config.max_order), found.system.order)
+        orders.add(min(max(one.order for one in responses), highest))
+    if config.delay is None:
+        delays |= {min(one.delay, config.max_delay) for one in responses}
+    first, held = (found.system.order, delay), replace(refinement, integrators=config.integrators)
+    tried: list[tuple[float, tuple[LinearFit, int, list[ScaledTrajectory]]]] = []
+    for n, d in itertools.product(sorted(orders), sorted(delays)):
+        start, late = found, used
+        if (n, d) != first:
+            known = replace(config, order=n, delay=d)
+            start, _, late = fit_records(records, context, known, refinement)
+        joint, value = fit_jointly(late, [one.delayed(d) for one in responses], start, held)
+        parameters = (n + 1) * (context.nu + context.ny)
+        value += parameters * np.log(sum(len(r) for r in late) * context.ny)
+        tried.append((float(value), (joint, d, late)))
+    return min(tried, key=lambda pair: pair[0])[1]
 
 
 def fit_of_least_order(

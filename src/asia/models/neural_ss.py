@@ -57,11 +57,14 @@ class Config:
     """Signals through which f and g act, with nonlinearity "state"; None: on all states and
     outputs directly."""
     basis: Basis = "tanh"
-    """A layer of tanh units, or polynomials."""
+    """A layer of tanh units, or polynomials. "scheduling": products of a state or input with
+    scheduling signals alone, with nonlinearity "state" on all states, so that the model is linear
+    for constant scheduling signals (LPV)."""
     hidden: int = 8
     """Units of that layer."""
     degree: int = 3
-    """Greatest degree of the polynomials."""
+    """Greatest degree of the polynomials; with "scheduling" 2 makes the matrices affine in the
+    scheduling signals, 3 quadratic."""
     ridge: float = 1e-5
     """Weight, against the mean squared error in z-scores, of the squared distance of the nonlinear
     weights from their start."""
@@ -106,6 +109,13 @@ class Config:
         demand(self, "symmetry", still, "False with transport")
         placed = self.channels is None or self.nonlinearity == "state"
         demand(self, "channels", placed, "None without nonlinearity state")
+        plain = self.nonlinearity in ("state", "none") and self.channels is None
+        demand(
+            self,
+            "basis",
+            plain or self.basis != "scheduling",
+            "another one without nonlinearity state on all states",
+        )
 
 
 @dataclass(frozen=True)
@@ -140,6 +150,8 @@ def train(
     """
     check(trajectories, context)
     c = model.config
+    scheduled = c.basis != "scheduling" or bool(_scheduling(c, context))
+    demand(c, "basis", scheduled, "tanh or polynomial without an input of role scheduling")
     if c.transport is not None:
         # Train on inputs at the outlet of the pipe.
         demand(c, "transport", c.transport < context.nu, f"less than {context.nu}, the inputs")
@@ -185,6 +197,7 @@ def _train_records(
     structure = StateSpaceStructure(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
         c.channels, friction=c.friction, play=c.play, integrators=c.integrators,
+        scheduling=_scheduling(c, context),
     )  # fmt: skip
     if isinstance(method, LevenbergMarquardt):
         from asia.models._state_space.training import LmOptions, fit_members
@@ -218,7 +231,7 @@ def _train_windowed(
     c, lags = model.config, predictor.lags
     structure = StateSpaceStructure(
         lags.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree, c.channels,
-        lags,
+        lags, scheduling=_scheduling(c, context),
     )  # fmt: skip
     encoder = affine(lags.selection(), np.zeros(lags.order))
     rng = np.random.default_rng(context.seed)
@@ -240,6 +253,13 @@ def _train_windowed(
         members = [one.params for one in fits[: c.members]]
     each = tuple((p, encoder) for p in members)
     return replace(model, fitted=FittedStateSpace(structure, each, 0, data.scaling, data.turns))
+
+
+def _scheduling(config: Config, context: Context) -> tuple[int, ...]:
+    """Return the numbers of the scheduling inputs, for the basis that reads them."""
+    if config.basis != "scheduling":
+        return ()
+    return tuple(j for j, s in enumerate(context.inputs) if s.role == "scheduling")
 
 
 def _ridges(config: Config) -> dict[str, float]:

@@ -150,6 +150,14 @@ class CheckReport:
             f"{len(t) * t.sampling_time if place is None else t.u[:, place].sum():g} s"
             for t in problem.train
         ]
+        lines += [
+            f"frequency response {one.name}: {len(one.frequency)} frequencies from "
+            f"{one.frequency[0]:.4g} to {one.frequency[-1]:.4g} Hz, "
+            f"{'continuous time' if not one.sampling_time else 'sampled like the records'}: linear "
+            "models are fitted to it too; a response estimated from these records would show them "
+            "what the folds hold out"
+            for one in problem.responses
+        ]
         lines += [_missing_line(problem), *delay_lines(problem), *response_lines(problem)]
         lines += map(_fold_line, self.folds)
         if rule.horizon is None:

@@ -307,6 +307,7 @@ def control_problem(base: Problem, table: ControlTable, plant: Plant) -> Problem
         plant=None,
         truth=None,
         period=None,
-        warnings=base.warnings,
+        responses=(),
+        response_files=(),
         control=control,
     )

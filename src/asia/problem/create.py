@@ -92,7 +92,7 @@ def check_directory(directory: Path) -> None:
 
 def write_directory(
     directory: Path,
-    files: Mapping[str, str | RecordRows],
+    files: Mapping[str, str | bytes | RecordRows],
     seal: Callable[[Path], Path] | None = None,
 ) -> Path | None:
     """Write `files`, texts by name, and load the problem, all or nothing.
@@ -117,6 +117,9 @@ def write_directory(
         raise UserError(f"cannot write to {directory.parent}: {error.strerror}") from error
     try:
         for name, text in files.items():
+            if isinstance(text, bytes):
+                (draft / name).write_bytes(text)
+                continue
             with (draft / name).open("w", encoding="utf-8") as file:
                 file.writelines([text] if isinstance(text, str) else text.blocks())
         load_problem(draft)
@@ -136,7 +139,7 @@ def write_directory(
     return key
 
 
-def save_problem(directory: Path, files: Mapping[str, str]) -> Problem:
+def save_problem(directory: Path, files: Mapping[str, str | bytes]) -> Problem:
     """Write the problem directory, or verify that it holds the same files, and load it.
 
     Raises:
@@ -146,7 +149,8 @@ def save_problem(directory: Path, files: Mapping[str, str]) -> Problem:
     if (directory / "problem.toml").is_file():
         for name, text in files.items():
             path = directory / name
-            if not path.is_file() or path.read_bytes() != text.encode():
+            content = text.encode() if isinstance(text, str) else text
+            if not path.is_file() or path.read_bytes() != content:
                 raise UserError(
                     f"{directory} holds another problem ({name} differs), and nothing is "
                     "overwritten: name another directory, or remove this one"

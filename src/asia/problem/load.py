@@ -12,6 +12,7 @@ from pathlib import Path
 
 from asia._files import read_file, read_text
 from asia._text import suggestion
+from asia.data.intake.frequency import read_frequency_response
 from asia.data.intake.sheet import Wanted
 from asia.data.sources import data_source, test_source
 from asia.data.sources.files import RecordFiles
@@ -258,6 +259,12 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         # Kept as they were measured: test and guard records, which have no reference.
         explained = explained_inputs(measured)
         measured = tuple(replace(t, u=u) for t, u in zip(measured, explained, strict=True))
+    files = tuple((root / name).resolve() for name in file.data.frequency)
+    if files and (done or loop is not None or channels.time_step is not None):
+        other = "[loop]" if loop is not None else "[preprocess] or role = 'time_step'"
+        raise UserError(f"data.frequency is for records as they were measured: leave {other} out")
+    signals = channels.inputs, channels.outputs, channels.sampling_time
+    responses = tuple(read_frequency_response(path).of_channels(*signals) for path in files)
     guard_share = file.data.guard_share
     if guard_share is not None:
         division = divided(measured, guard_share, rule, done)
@@ -295,6 +302,8 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         period=file.data.period,
         loop=loop,
         guard_share=guard_share,
+        responses=responses,
+        response_files=files,
     )
     if file.control is None or plant is None:
         return found

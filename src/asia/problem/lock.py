@@ -113,6 +113,7 @@ def lock_text(problem: Problem, seal: Seal) -> str:
             "guard": guard,
             "guard_share": base.guard_share,
             "period": base.period,
+            "frequency": [str(path) for path in base.response_files] or None,
         },
         "protocol": protocol_table(base.protocol),
         "budget": asdict(problem.budget),
@@ -140,7 +141,10 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
     except (OSError, ValueError, RecursionError) as error:
         raise UserError(f"cannot read {path}: {error}") from error
     now = dict(_flat(tomllib.loads(lock_text(problem, seal))))
-    moved = {"data.train", "data.test", "data.guard", "data.sealed.file", "plant.source", *_TEXTS}
+    moved = {
+        "data.train", "data.test", "data.guard", "data.frequency", "data.sealed.file",
+        "plant.source", *_TEXTS,
+    }  # fmt: skip
     keys = [k for k in {**before, **now} if k not in moved and before.get(k) != now.get(k)]
     return tuple(Difference(k, before.get(k), now.get(k)) for k in keys)
 
@@ -148,8 +152,11 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
 def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
     """Raise UserError that names every part whose digest is not the expected one."""
     found = _digests(problem, None)
-    parts = (*_TEXTS, "physics", "plant", "control", "symmetry", "protocol")
-    changed = [f"the {part}" for part in parts if found[part] != getattr(expected, part)]
+    parts = (*_TEXTS, "physics", "plant", "control", "symmetry", "protocol", "frequency")
+    names = {"frequency": "frequency responses"}
+    changed = [
+        f"the {names.get(part, part)}" for part in parts if found[part] != getattr(expected, part)
+    ]
     train = found["train"]
     if len(train) != len(expected.train):
         changed.append("the number of training records")
@@ -178,6 +185,7 @@ def _digests(problem: Problem, test: str | None) -> dict[str, Any]:
         "plant": plant and plant.digest,
         "control": control and _json_digest(control.toml()),
         "models": control and [hashlib.sha256(m).hexdigest() for m in control.models],
+        "frequency": tuple(one.digest for one in base.responses) or None,
         "symmetry": symmetry_digest(problem.symmetry) if problem.symmetry else None,
         "protocol": protocol_digest(problem),
     }

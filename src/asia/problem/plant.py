@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import inspect
 import io
 import os
 import shutil
@@ -123,6 +124,44 @@ def units_folder() -> Path:
     return Path(os.environ.get("ASIA_UNITS") or Path(cache) / "asia" / "units").absolute()
 
 
+def plant_file(table: Mapping[str, Any]) -> tuple[dict[str, Any], str, bytes]:
+    """Return [plant] with a source beside the problem file, the name of that file, and its content.
+
+    Args:
+        table: [plant] of the problem file; `source` may be a Python function, and paths are
+            relative to the working directory.
+
+    Raises:
+        UserError: for a function that is not in a file, and a file that is missing.
+    """
+    source: Any = table.get("source", "")
+    if callable(source):
+        file, name = inspect.getsourcefile(source), getattr(source, "__qualname__", "")
+        if file is None or not os.path.isfile(file) or not name.isidentifier():
+            raise UserError(
+                f"plant source {name or source} is not at the top level of a Python file: write it "
+                "to one, and give 'plant.py:function'"
+            )
+        source = f"{file}:{name}"
+    path, function = _parts(str(source))
+    content = read_file(Path(path).absolute(), "plant names it: put the simulator there")
+    file = os.path.basename(path)
+    return {**table, "source": f"{file}:{function}" if function else file}, file, content
+
+
+def _parts(source: str) -> tuple[str, str]:
+    """Return file and function of a source; no function for an FMU."""
+    if source.endswith(".fmu"):
+        return source, ""
+    file, _, function = source.rpartition(":")
+    if not file or not function.isidentifier():
+        raise UserError(
+            f"[plant] source is '{source}', expected 'plant.py:simulate', a function in a "
+            "file beside the problem, or 'model.fmu'"
+        )
+    return file if file.endswith(".py") else f"{file}.py", function
+
+
 def load_plant(
     table: PlantTable,
     root: Path,
@@ -147,17 +186,8 @@ def load_plant(
     for name in table.initial:
         if name in table.parameters:
             raise UserError(f"'{name}' is in [plant.parameters] and [plant.initial]: keep one")
-    file, _, function = table.source.rpartition(":")
-    is_unit = table.source.endswith(".fmu")
-    if is_unit:
-        file = table.source
-    elif not file or not function.isidentifier():
-        raise UserError(
-            f"[plant] source is '{table.source}', expected 'plant.py:simulate', a function in a "
-            "file beside the problem, or 'model.fmu'"
-        )
-    elif not file.endswith(".py"):
-        file += ".py"
+    file, function = _parts(table.source)
+    is_unit = not function
     path = (root / file).absolute()
     code = read_file(path, "[plant] names it: put the simulator there")
     source = str(path) if is_unit else f"{path}:{function}"

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter
 
 from asia._text import one_line
 from asia.data.arrays import name_signals, one_a_record, read_arrays
+from asia.data.frequency import FrequencyRecord
 from asia.data.preprocess import Preprocess
 from asia.data.sources.source import Channels, Source
 from asia.data.trajectory import Array, Signal, Trajectory
@@ -19,7 +20,7 @@ from asia.problem.budget import Budget
 from asia.problem.feedback import Loop, loop_table
 from asia.problem.folds import least_samples
 from asia.problem.physics import Physics
-from asia.problem.plant import Plant
+from asia.problem.plant import Plant, Unknown, plant_file
 from asia.problem.protocol import ProtocolRule
 from asia.problem.protocol_table import ProtocolTable, groups_table, protocol_table
 from asia.problem.symmetry import Symmetry
@@ -118,6 +119,10 @@ class Problem:
     """Simulator of the user's own."""
     control: Control | None = None
     """Plant and cost of a control problem; its records are then scenarios."""
+    responses: tuple[FrequencyRecord, ...] = ()
+    """Measured frequency responses of the system."""
+    response_files: tuple[Path, ...] = ()
+    """Their files."""
 
     @classmethod
     def from_arrays(
@@ -139,6 +144,7 @@ class Problem:
         budget: Budget | Mapping[str, Any] | None = None,
         physics: Physics | Mapping[str, Any] | None = None,
         symmetry: Symmetry | None = None,
+        plant: Mapping[str, Any] | None = None,
     ) -> Problem:
         """Make a problem from records in memory, and write it to `directory` so that runs can
         resume, verify and unseal.
@@ -157,6 +163,8 @@ class Problem:
             name: name of the problem; that of the directory by default
             protocol, budget, physics, symmetry: tables as in problem.toml, or objects
             baseline: source of the first candidate
+            plant: table as in problem.toml for a simulator of your own; `source` is
+                "plant.py:simulate", "model.fmu" or a function of a Python file, which is copied
 
         Raises:
             UserError: for arguments that make no problem, and when the directory holds other
@@ -180,6 +188,10 @@ class Problem:
         if isinstance(protocol, ProtocolRule):
             groups = groups_table(protocol) if groups is None else groups
             protocol = protocol_table(protocol)
+        files: dict[str, str | bytes] = {}
+        if plant is not None:
+            plant, file, content = plant_file(plant)
+            files[file] = content
         tables = {
             "name": name or directory.name,
             "description": "description.md" if description else None,
@@ -194,12 +206,13 @@ class Problem:
             "protocol": _plain(protocol),
             "budget": _plain(budget),
             "physics": _plain(physics),
+            "plant": _plain(plant),
             "symmetry": {k: dict(v) for k, v in symmetry.items()} if symmetry else None,
         }
         # The module loads problems: imported above, it would close a circle.
         create = import_module("asia.problem.create")
         names = [signal.name for side in signals for signal in side]
-        files = {
+        files |= {
             f"{t.name}.csv": create.record_csv(t, names) for t in (*train.records, *test.records)
         }
         if description:
@@ -225,7 +238,7 @@ class Problem:
 
 def _plain(value: Any) -> Any:
     """Tables and lists of Python's own numbers, at any depth."""
-    if isinstance(value, (Budget, Physics)):
+    if isinstance(value, (Budget, Physics, Unknown)):
         return asdict(value)
     if isinstance(value, Mapping):
         return {key: _plain(entry) for key, entry in value.items()}
@@ -284,6 +297,8 @@ def training_text(problem: Problem, names: Sequence[str]) -> str:
         "data": {
             "train": [f"data/{name}.csv" for name in names],
             "groups": {k: [called[name] for name in v] for k, v in groups.items()} or None,
+            "frequency": [f"data/response{k + 1}.npz" for k in range(len(problem.responses))]
+            or None,
         },
         "protocol": protocol_table(problem.protocol),
         "budget": {"fit_seconds": budget.fit_seconds, "memory_mb": budget.memory_mb},

@@ -89,6 +89,7 @@ class DigestTable:
     control: str | None = None
     models: tuple[str, ...] = ()
     symmetry: str | None = None
+    frequency: tuple[str, ...] | None = None
     protocol: str
 
 

@@ -24,7 +24,7 @@ from asia.problem.load import load_lock
 from asia.problem.problem import Problem
 from asia.report.comparison import BenchPictures
 from asia.report.drawing.style import DPI, drawing
-from asia.report.pictures.check import draw_data, draw_delays, draw_equations, draw_responses
+from asia.report.pictures.check import draw_data, draw_delays, draw_responses
 from asia.report.pictures.evidence import (
     draw_ablation,
     draw_residuals,
@@ -113,6 +113,8 @@ def draw_problem(
         drawn.append(("delays", lambda: draw_delays(problem, delays)))
     physics = problem.physics
     if physics is not None:
+        from asia.report.pictures.equations import draw_equations  # SymPy takes half a second
+
         drawn.append(("equations", lambda: draw_equations(physics)))
     return save(drawn, directory, failed)
 

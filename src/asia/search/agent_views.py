@@ -53,6 +53,7 @@ def problem_facts(problem: Problem) -> Facts:
         strategies=problem.strategies,
         symmetry=problem.symmetry,
         loop=problem.loop,
+        responses=problem.responses,
         terms=lambda: _terms_beyond_linear(problem),
         control=problem.control and problem.control.task(),
         identification=problem.control and problem_facts(problem.control.base),

@@ -117,6 +117,7 @@ def extended_problem(run: Run, record: Path, directory: Path) -> tuple[Problem, 
         if problem.test.source is not None:
             notes.append("the copy has no test: that of the old source stays with the old run")
         data = {"groups": data.get("groups"), "period": data.get("period"),
+                "frequency": data.get("frequency"),
                 "train": [f"{one.name}.csv" for one in old]}  # fmt: skip
     name = record.name
     if name in files or any(Path(one).name == name for one in data["train"]):

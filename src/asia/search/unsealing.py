@@ -158,11 +158,13 @@ def _score(
     bands: TestBands | None = None
     failed: list[str] = []
     with scorer.evaluator.workers.ready_workers():
-        scores = {
-            use: scorer.score(final_members(view, use))
+        each = {
+            use: final_members(view, use)
             for use in get_args(Use)
             if has_model(view, use) and (problem.control is None or use == "refit")
         }
+        scorer.simulate([member for members in each.values() for member in members])
+        scores = {use: scorer.score(members) for use, members in each.items()}
         if problem.control is not None:
             scores["ensemble"] = Failure(
                 Reason.CONTRACT, "the mean of several closed loops is no closed loop"
@@ -268,15 +270,28 @@ class _TestScorer:
     def _simulated(self, member: FinalMember) -> Sequence[Answers] | Failure:
         """The simulation of each of the member's models, made once."""
         if member not in self.simulated:
-            source, models = self.store.text(member.source), map(self.store.get, member.models)
-            try:
-                each = self.evaluator.models.simulate_scored(source, list(models), self.blocks)
-                failed = [one for one in each if isinstance(one, CandidateError)]
-                if failed:
-                    raise failed[0]
-                self.simulated[member] = [
-                    one for one in each if not isinstance(one, CandidateError)
-                ]
-            except CandidateError as error:
-                self.simulated[member] = Failure(error.reason, error.detail)
+            self.simulate([member])
         return self.simulated[member]
+
+    def simulate(self, members: Sequence[FinalMember]) -> None:
+        """Simulate the models of several members side by side."""
+        new = dict.fromkeys(replace(member, weight=1.0) for member in members)
+        new = [member for member in new if member not in self.simulated]
+        jobs = [(m, self.store.text(m.source), key) for m in new for key in m.models]
+        try:
+            found = self.evaluator.models.simulate_scored(
+                [(source, self.store.get(key)) for _, source, key in jobs], self.blocks
+            )
+        except CandidateError as error:
+            found = [error] * len(jobs)
+        for member in new:
+            answers: list[Answers] = []
+            for (own, *_), one in zip(jobs, found, strict=True):
+                if own is not member:
+                    continue
+                if isinstance(one, CandidateError):
+                    self.simulated[member] = Failure(one.reason, one.detail)
+                    break
+                answers.append(one)
+            else:
+                self.simulated[member] = answers

@@ -210,6 +210,17 @@ def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
     )
     assert (folder / "linear.png").stat().st_size > 10_000
     assert "process models fitted to the training records, with 95 % intervals" in shown.out
+    # The response of the model itself, with an error of 10 %.
+    model = LinearModel(*(np.array(first[name]) for name in "ABCD"), 4.0, np.zeros(1), np.zeros(1))
+    f = np.geomspace(1e-4, 0.1, 30)
+    np.savez(
+        tmp_path / "tank.npz", frequency=f, sampling_time=4.0, response=1.1 * model.response(f)
+    )
+    shown = command_line("linear", "--runs", tmp_path, "--response", tmp_path / "tank.npz",
+                         "--at", "u=2", "--out", tmp_path / "measured")  # fmt: skip
+    assert shown.code == 0, shown.err
+    assert "by pump_voltage: relative error 9.09% of response tank" in shown.out
+    assert (tmp_path / "measured" / "linear_response1.png").stat().st_size > 10_000
     assert command_line("report", "--runs", tmp_path).code == 0
     (page,) = tmp_path.glob("*/report/report.html")
     assert "at u=2: pump_voltage 2 V; tank2_level" in page.read_text("utf-8")

@@ -1,6 +1,8 @@
 """Lowering of JAX functions to a model."""
 
+import gc
 from collections.abc import Iterator
+from weakref import ref
 
 import jax
 import jax.numpy as jnp
@@ -8,8 +10,8 @@ import numpy as np
 import pytest
 
 from asia.lowering.derivatives import derivatives
-from asia.lowering.evaluation import simulate
-from asia.lowering.program import LoweredModel
+from asia.lowering.evaluation import evaluate, simulate
+from asia.lowering.program import Builder, LoweredModel
 from asia.lowering.trace import lowered, lowered_bytes
 from asia.lowering.wire import unpack
 
@@ -34,6 +36,21 @@ class Model:
     def step(self, state, u):
         after, y = self._step(state[0], u[0])
         return jax.tree.map(lambda leaf: leaf[None], after), y[None]
+
+
+def test_outputs_belong_to_the_caller_and_programs_are_freed() -> None:
+    build = Builder(((2,),))
+    fixed = build.add("add", (build.constant([1.0, 2.0]), build.constant([3.0, 4.0])))
+    program = build.program([fixed, build.add("mul", (0, fixed))])
+    first, _ = evaluate(program, [np.ones(2)])
+    first[:] = 0.0
+    again, product = evaluate(program, [np.full(2, 2.0)])
+    assert again.tolist() == [4.0, 6.0]
+    assert product.tolist() == [8.0, 12.0]
+    gone = ref(program)
+    del program
+    gc.collect()
+    assert gone() is None
 
 
 def of(step) -> LoweredModel:

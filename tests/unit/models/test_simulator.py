@@ -1,5 +1,6 @@
 """A simulator of the user's own: what is read, tried, calibrated and refused."""
 
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from asia.models import simulator
 from asia.models.methods import LevenbergMarquardt
 from asia.problem.load import load_lock, load_problem
 from asia.problem.lock import lock_text
-from asia.problem.plant import Plant
+from asia.problem.plant import Plant, Unknown
 from asia.problem.problem import Problem
 from asia.problem.seal import seal
 from asia.search.agent_views import problem_facts
@@ -201,6 +202,37 @@ def test_parameters_without_separate_effect_are_named(tmp_path: Path) -> None:
     assert any("tau, gain cannot be told apart in record one" in line for line in found)
 
 
+def test_records_in_memory_take_a_function_or_its_file(tmp_path: Path) -> None:
+    """Check that the file of the function is copied, and another one is another problem."""
+    (tmp_path / "plant.py").write_text(LAG)
+    spec = spec_from_file_location("plant", tmp_path / "plant.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    known = {"parameters": {"tau": {"min": 0.5, "max": 50.0}, "gain": Unknown(-5.0, 5.0)}}
+    u = np.repeat(np.random.default_rng(0).normal(size=30), 8)
+
+    def made(source: Any) -> Problem:
+        y = module.simulate(u[:, None], TRUTH, {"start": 0.0}, 0.5)
+        return Problem.from_arrays(u, y, sampling_time=0.5, directory=tmp_path / "made",
+                                   plant={"source": source, **known})  # fmt: skip
+
+    known["initial"] = {"start": Unknown(-3.0, 3.0)}
+    problem = made(module.simulate)
+    assert problem.plant is not None
+    assert problem.plant.source == f"{tmp_path / 'made' / 'plant.py'}:simulate"
+    assert problem.plant.parameters["gain"] == Unknown(-5.0, 5.0)
+    assert made(f"{tmp_path}/plant.py:simulate").plant == problem.plant
+    (tmp_path / "plant.py").write_text(ROUNDED)
+    with pytest.raises(UserError, match=r"another problem \(plant.py differs\)"):
+        made(module.simulate)
+    with pytest.raises(UserError, match="not at the top level of a Python file"):
+        made(lambda u, params, x0, dt: u)
+    with pytest.raises(UserError, match="put the simulator there"):
+        made("missing.py:simulate")
+
+
 @pytest.mark.slow
 def test_a_unit_of_asias_own_export_is_calibrated(tmp_path: Path) -> None:
     from asia.export.targets.fmu import FmuTarget
@@ -241,6 +273,14 @@ u1 = { min = -5.0, max = 5.0, unit = "V" }
     np.savetxt(tmp_path / "one.csv", table, delimiter=",", header=names[0], comments="")
     problem = load_problem(tmp_path)
     assert isinstance(problem.plant, Plant)
+    # The same from arrays: the unit is copied to the problem.
+    unknown = {**problem.plant.table, "source": str(tmp_path / "model.fmu")}
+    same = Problem.from_arrays(
+        u, y, sampling_time=0.5, directory=tmp_path / "arrays", inputs=["u0"],
+        outputs=["y0", "y1"], plant=unknown,
+    )  # fmt: skip
+    assert same.plant is not None
+    assert (same.plant.digest, same.plant.is_unit) == (problem.plant.digest, True)
     # In the sandbox too, from the folder that workers may read.
     assert "determines every parameter" in check_plant(problem, level_here())[-1]
     fitted = calibrated(problem, LevenbergMarquardt(iterations=4))

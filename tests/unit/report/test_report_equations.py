@@ -1,7 +1,7 @@
 from asia.problem import Bounds, ParameterRange, Physics
 from asia.problem.physics import FUNCTIONS
 from asia.report.drawing.style import drawing
-from asia.report.pictures.check import draw_equations, typeset
+from asia.report.pictures.equations import draw_equations, typeset
 
 
 def test_terms_stay_in_the_order_the_person_wrote() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
@@ -24,6 +24,7 @@ from asia.agents.llm.control import (
 )
 from asia.agents.view import AgentView, Facts, Running, Trial
 from asia.candidate import VALIDATION_SCORES, installed_libraries
+from asia.data.frequency import FrequencyRecord
 from asia.data.trajectory import Signal
 from asia.ledger.text import error_line
 from asia.problem.metrics import find_metric, metric_label
@@ -176,6 +177,7 @@ def briefing(facts: Facts) -> str:
         "Judgement": "\n".join(_judgement(facts)),
         "Equations": "" if facts.physics is None else "\n".join(equations(facts.physics)),
         "Simulator": "" if facts.plant is None else "\n".join(simulator(facts.plant)),
+        "Frequency responses": "\n".join(response_lines(facts.responses)),
         "Symmetry": "\n".join(symmetries(facts.symmetry)),
         "Training records": "\n".join(_records(facts)),
         "Contract": contract,
@@ -267,6 +269,15 @@ def equations(physics: Physics) -> Iterator[str]:
         yield from _listed(title, (f"{name}: {one_line(e, 400)}" for name, e in found.items()))
     yield from _listed("prior knowledge, mean +- standard deviation", prior_lines(physics))
     yield from _listed("corrections, 0 in the equations as they stand", correction_lines(physics))
+
+
+def response_lines(responses: Sequence[FrequencyRecord]) -> Iterator[str]:
+    """One a measured frequency response."""
+    for one in responses:
+        yield (
+            f"frequency response {one_line(one.name, 100)}: {len(one.frequency)} frequencies up to "
+            f"{one.frequency[-1]:.4g} Hz, in `context.responses`; `linear` fits it with the records"
+        )
 
 
 def simulator(plant: Plant) -> Iterator[str]:

@@ -3,20 +3,18 @@
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from asia.data.frequency import FrequencyRecord
 from asia.data.intake.formats import file_format
 from asia.data.intake.sheet import FileTable, Wanted, split_unit
 from asia.data.intake.text import to_numbers
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
 
-ComplexArray: TypeAlias = NDArray[np.complex128]
 _FREQUENCY = ("frequency", "freq", "f", "omega", "w")
 _HZ = {
     "hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "rad/s": 0.5 / math.pi, "rpm": 1.0 / 60.0,
@@ -33,24 +31,6 @@ _SAVE = (
     "s = struct('ResponseData', g.ResponseData, 'Frequency', g.Frequency, 'FrequencyUnit', "
     "g.FrequencyUnit, 'Ts', g.Ts); save('response.mat', '-struct', 's', '-v7')"
 )
-
-
-@dataclass(frozen=True)
-class FrequencyRecord:
-    """Measured frequency response."""
-
-    name: str
-    frequency: Array
-    """(F,) in Hz, rising."""
-    response: ComplexArray
-    """(F, ny, nu)."""
-    variance: Array | None
-    """Variance (F, ny, nu) of the response, of its real and imaginary part together; None where it
-    is not known."""
-    sampling_time: float
-    """In s; 0 for a response in continuous time."""
-    inputs: tuple[Signal, ...]
-    outputs: tuple[Signal, ...]
 
 
 def read_frequency_response(path: Path) -> FrequencyRecord:
@@ -91,6 +71,16 @@ def read_frequency_response(path: Path) -> FrequencyRecord:
         found.name, frequency[good], response[good],
         None if variance is None else variance[good],
         found.sampling_time, found.inputs, found.outputs,
+    )  # fmt: skip
+
+
+def write_response(path: Path, record: FrequencyRecord) -> None:
+    """Write a frequency response as a NumPy file, which reads back the same."""
+    known: dict[str, Any] = {} if record.variance is None else {"variance": record.variance}
+    np.savez(
+        path, frequency=record.frequency, response=record.response,
+        sampling_time=record.sampling_time, inputname=[s.name for s in record.inputs],
+        outputname=[s.name for s in record.outputs], **known,
     )  # fmt: skip
 
 

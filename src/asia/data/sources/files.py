@@ -40,6 +40,11 @@ class RecordFiles(Source):
     @classmethod
     def from_table(cls, table: DataTable, root: Path) -> Self:
         refuse_seed(table)
+        if not table.train and table.frequency:
+            raise UserError(
+                '[data] has frequency responses and no records: add train = ["file.csv"], or run '
+                f"asia linear {table.frequency[0]}, which fits a response alone"
+            )
         if not table.train:
             raise UserError(
                 '[data] names no training data: expected train = ["file.csv"] or source'

@@ -102,6 +102,8 @@ class DataTable:
     """Share of the training records, or of their samples, that is held back as guard records."""
     period: Annotated[int, Field(ge=2, le=100_000_000)] | None = None
     """Samples after which the inputs of every record repeat; found where it is not given."""
+    frequency: tuple[FileName, ...] = ()
+    """Measured frequency responses, fitted together with the records."""
     time: str | None = None
     """Column with the time stamps; found by its name where not given, and "none" for no stamps."""
     time_unit: str | None = None

@@ -19,7 +19,12 @@ def check(
     runs: Runs = DEFAULT_RUNS,
     draw: Annotated[bool, typer.Option(help="Draw the training data.")] = True,
 ) -> None:
-    """Print the data and the protocol of a problem, judge the data, and draw them."""
+    """Print the data and the protocol of a problem, draw the data, and judge them: enough or not,
+    which order and delay, which experiment would help.
+
+    Closed-loop records, parameters that no record can determine, and a simulator of your own are
+    tested too, see `asia init --help`.
+    """
     from asia.analysis.data_verdict import judge_data
     from asia.interfaces.workspace.workspace import is_workspace
     from asia.judge.evaluation.control import control_lines

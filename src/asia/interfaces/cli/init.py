@@ -234,7 +234,15 @@ def init(
         bool, typer.Option("--yes", help="Ask nothing: use the detected columns, and seal a test.")
     ] = False,
 ) -> None:
-    """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y"""
+    """Write a minimal problem: asia init NAME --train a.csv --inputs u --outputs y. Its
+    problem.toml also takes equations, a simulator of your own, closed-loop records and frequency
+    responses.
+
+    Tables and keys to add: `[physics]` (equations), `[plant]` (Python function or FMU to
+    calibrate), `[loop]` (reference and controller of records from a closed loop), `[data]
+    frequency` (measured frequency responses), `role` of an input (scheduling signal, irregular time
+    steps). The page docs/problem.md describes them.
+    """
     from asia.data.intake.sheet import Wanted
     from asia.data.store import key_folder
     from asia.problem.create import Preparation, init_problem

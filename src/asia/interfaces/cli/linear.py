@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json as jsonlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,7 +21,10 @@ _MOST_INPUTS = 3
 _MOST_CURVES, _MOST_SAMPLES = 6, 5_000
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from asia.analysis.process import ProcessFit
+    from asia.data.frequency import FrequencyRecord
     from asia.data.trajectory import Array, Signal
     from asia.export.linear import LinearPoint, LinearRun
     from asia.ledger.evidence import DrawnCheck
@@ -45,7 +49,9 @@ def linear(
     ] = None,
     reduce: Annotated[
         str | None,
-        typer.Option(help="States to keep by balanced truncation, or auto (error below 1 %)."),
+        typer.Option(
+            help="Smaller model by balanced truncation: states to keep, or auto (error below 1 %)."
+        ),
     ] = None,
     to_tf: Annotated[
         bool,
@@ -57,6 +63,13 @@ def linear(
     model: Annotated[
         str | None, typer.Option(help="refit, or the number of an experiment; default: the refit.")
     ] = None,
+    response: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="File with a measured frequency response to compare with, repeatable; default: "
+            "those of the problem."
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for linear.png and linear.json; default: linear in the run."),
@@ -64,19 +77,22 @@ def linear(
     options: RunOptions,
 ) -> None:
     """Print order, poles, gains and delays of a model at operating points, and draw its Bode plot
-    and step response. With a file of a frequency response, fit a linear model to it."""
+    and step response; also smaller, in continuous time or as a transfer function. With a file of a
+    frequency response, fit a linear model to it."""
     from asia.export.linear import linearize
     from asia.report.files import save
     from asia.report.page.sections.evidence import LINEAR_FILE
     from asia.report.pictures.analysis import draw_linear
 
     if run is not None and Path(run).is_file():
-        if at or reduce or to_tf or continuous_time or model:
+        if at or reduce or to_tf or continuous_time or model or response:
             raise UserError(f"{run} is a file: the options of a run do not apply, only --out")
         _of_file(Path(run), out, options)
         return
     directory = options.directory(run)
+    given = _responses(response or ())
     found = linearize(directory, at or (), model, isolation=options.level)
+    compared = _compared(found, given)
     fitted = _fitted(found) if to_tf else []
     facts: dict[str, Any] = {
         "run": found.name,
@@ -88,8 +104,9 @@ def linear(
         "process_models_of_records": [None if one is None else asdict(one) for one in fitted],
     }
     lines = [f"run {found.name}, model {found.use}", *(f"note      {n}" for n in found.notes)]
-    for point, values in zip(found.points, facts["points"], strict=True):
-        lines += _lines(found, point, values)
+    for point, values, measured in zip(found.points, facts["points"], compared, strict=True):
+        values["responses"] = [one.facts for one in measured]
+        lines += [*_lines(found, point, values), *(line for one in measured for line in one.lines)]
     lines += _fitted_lines(found, fitted)
     facts["text"], facts["drawn"] = lines, [asdict(one) for one in _drawn(found)]
     folder = directory / LINEAR_FILE.parent if out is None else out
@@ -98,17 +115,79 @@ def linear(
     (folder / LINEAR_FILE.name).write_text(text + "\n", "utf-8")
     drawn = [(one.name, one.model, one.folds) for one in found.points]
     failed: list[str] = []
-    picture = "linear", lambda: draw_linear(drawn, found.inputs, found.outputs)
-    files = [*save([picture], folder, failed), folder / LINEAR_FILE.name]
+    pictures = [("linear", lambda: draw_linear(drawn, found.inputs, found.outputs))]
+    pictures += [one.picture for measured in compared for one in measured]
+    files = [*save(pictures, folder, failed), folder / LINEAR_FILE.name]
     if options.json:
         say(text)
     options.print((*lines, *(f"note      {one}" for one in failed)), files)
 
 
+@dataclass(frozen=True)
+class _Compared:
+    """Response of a linear model beside a measured one."""
+
+    facts: dict[str, Any]
+    lines: tuple[str, ...]
+    picture: tuple[str, Callable[[], Figure]]
+
+
+def _responses(files: Sequence[Path]) -> list[FrequencyRecord]:
+    from asia.data.intake.frequency import read_frequency_response
+
+    return [read_frequency_response(path) for path in files]
+
+
+def _compared(run: LinearRun, given: Sequence[FrequencyRecord]) -> list[list[_Compared]]:
+    """Compare the model at each operating point with each measured response.
+
+    Args:
+        given: responses; those of the problem where there are none
+    """
+    from asia.models.frequency_response import fit_frequency_response, sampled_response
+    from asia.report.pictures.analysis import draw_frequency_response
+
+    found: list[list[_Compared]] = [[] for _ in run.points]
+    step = run.points[0].model.sampling_time
+    own = [one.of_channels(run.inputs, run.outputs, step) for one in given] or run.responses
+    for number, record in enumerate(own, 1):
+        if not record.sampling_time:
+            record = sampled_response(fit_frequency_response(record), step)
+        measured, known = record.response, record.variance is not None
+        deviation = None if record.variance is None else np.sqrt(record.variance)
+        for place, (point, results) in enumerate(zip(run.points, found, strict=True), 1):
+            apart = np.abs(measured - point.model.response(record.frequency))
+            size = np.sqrt((np.abs(measured) ** 2).mean(axis=0))
+            error = np.sqrt((apart**2).mean(axis=0)) / np.maximum(size, 1e-300)
+            times = None if deviation is None else np.sqrt(((apart / deviation) ** 2).mean(axis=0))
+            worst = record.frequency[apart.argmax(axis=0)]
+            lines = [
+                f"measured  {out.name} by {into.name}: relative error {error[i, j]:.2%} of "
+                f"response {record.name}, largest at {worst[i, j]:.4g} Hz"
+                + ("" if times is None else f"; {times[i, j]:.3g} times its standard deviation")
+                for i, out in enumerate(run.outputs)
+                for j, into in enumerate(run.inputs)
+            ]
+            if not given:
+                lines.append(f"note      linear models of the search know {record.name}")
+            facts = {
+                "response": record.name, "relative_error": error, "largest_error_hz": worst,
+                "errors_in_standard_deviations": times if known else None,
+            }  # fmt: skip
+            curves = [(one, 0.0) for one in (point.model, *point.folds)]
+            draw = partial(
+                draw_frequency_response, record.frequency, measured, deviation, curves,
+                run.inputs, run.outputs,
+            )  # fmt: skip
+            name = f"linear_response{number}" + (f"_at{place}" if len(run.points) > 1 else "")
+            results.append(_Compared(facts, tuple(lines), (name, draw)))
+    return found
+
+
 def _of_file(path: Path, out: Path | None, options: RunOptions) -> None:
     """Fit a linear model to a measured frequency response."""
-    from asia.analysis.frequency import fit_frequency_response
     from asia.data.intake.frequency import read_frequency_response
+    from asia.models.frequency_response import fit_frequency_response
     from asia.report.files import save
     from asia.report.pictures.analysis import draw_frequency_response
 

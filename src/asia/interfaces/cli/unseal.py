@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
-from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -35,8 +35,6 @@ def unseal(
     """Score the winner on the sealed test. This ends the search and can be done once."""
     from asia.interfaces.workspace.server import end_idle
     from asia.problem.load import load_lock
-    from asia.report.files import write_report
-    from asia.report.page.page import write_page
     from asia.report.published import read_board
     from asia.search.unsealing import needs_consent
     from asia.search.unsealing import unseal as open_seal
@@ -64,8 +62,13 @@ def unseal(
         say("the test of this run is open already: this is its only result", file=sys.stderr)
     view = open_run(directory).view
     board = read_board(load_lock(directory / "problem.lock.toml"), view)
-    # What was drawn before is not changed by the test.
-    draw = partial(write_report, directory, missing_only=result.first_time)
+
+    def draw() -> tuple[Path, ...]:
+        """Draw the pictures of the test; what was drawn before is not changed by it."""
+        from asia.report.files import write_report  # takes a second, the scores come before
+
+        return write_report(directory, missing_only=result.first_time)
+
     if options.json:
         draw()
         say(jsonlib.dumps(_result_object(result.record, view, board), allow_nan=False))
@@ -83,6 +86,8 @@ def unseal(
             if board.submission:
                 say(f"submit   {board.submission}")
     # The old page says that the test is sealed.
+    from asia.report.page.page import write_page
+
     try:
         write_page(directory)
     except InternalError as error:

@@ -84,7 +84,8 @@ def validate(
     ] = None,
     options: RunOptions,
 ) -> None:
-    """Check whether the model of a run is fit for use, and list its deficiencies.
+    """Check whether the model of a run is valid: fit for use, with a list of its deficiencies; on a
+    record of your own with --record.
 
     Uses the held-out folds, small steps and a long simulation. The sealed test stays closed.
     --repeat and --ablate fit the candidates of a finished search again, on training records only.

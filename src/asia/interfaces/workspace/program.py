@@ -7,7 +7,14 @@ import textwrap
 from enum import Enum
 
 from asia.agents.library.pages import families_page
-from asia.agents.llm.prompt import MODEL_RULES, equations, ladder_rule, simulator, symmetries
+from asia.agents.llm.prompt import (
+    MODEL_RULES,
+    equations,
+    ladder_rule,
+    response_lines,
+    simulator,
+    symmetries,
+)
 from asia.candidate import installed_libraries
 from asia.data.trajectory import Signal
 from asia.problem.metrics import metric_label
@@ -290,6 +297,9 @@ def _physics(problem: Problem) -> str:
         given = [*simulator(problem.plant), *given]
         others = use if problem.physics or problem.symmetry else ""
         use = f"`context.plant` has the simulator. {others}"
+    if problem.responses:
+        use = use if given else ""
+        given = [*given, *response_lines(problem.responses)]
     if not given:
         return ""
     # Headings with what is indented below them on the same line, where it fits; else on indented

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from asia._files import write_file
+from asia.data.intake.frequency import write_response
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.interfaces.workspace.process import SearchRequest, start_search
@@ -233,6 +234,9 @@ def write_folder(
     write_file(folder, "problem.toml", training_text(problem, names))
     if problem.plant is not None:
         (folder / problem.plant.label.partition(":")[0]).write_bytes(problem.plant.code)
+    (folder / "data").mkdir(exist_ok=True)
+    for number, response in enumerate(problem.responses, 1):
+        write_response(folder / "data" / f"response{number}.npz", response)
     write_file(folder, "tools.py", TOOLS.replace("{seed}", str(seed)))
     for name, trajectory in zip(names, problem.train, strict=True):
         # Time first; empty where an output was not measured.

@@ -83,7 +83,9 @@ def guard_error(
     """Score the mean simulation of fold models on the guard records, in the search's metric over
     the standard deviations of all training records."""
     try:
-        y_hat = mean_simulation(evaluator.models.simulate_scored(source, models, blocks))
+        y_hat = mean_simulation(
+            evaluator.models.simulate_scored([(source, m) for m in models], blocks)
+        )
         y, data = [block.y for block in blocks], evaluator.data
         return combine([score_fold(y, y_hat, data.scale, data.rule.metric)])
     except CandidateError as error:

@@ -183,17 +183,18 @@ class StoredModels:
         return self._workers.run([run])[0]
 
     def simulate_scored(
-        self, source: str, models: Sequence[bytes], blocks: Sequence[Block]
+        self, models: Sequence[tuple[str, bytes]], blocks: Sequence[Block]
     ) -> list[tuple[Array, ...] | CandidateError]:
-        """As `simulate`, for answers that will be scored: with a fresh worker for each of the
-        `sessions`, and with some cases asked again in another one. For each model its simulations,
-        or what it did: reason SUSPECT where an answer depends on cases before it."""
-        ask = partial(
-            strangers, secret=self.secret_of(blocks), scale=self._data.scale,
-            seed=self.check_seed(source, "other"), rounding=0.0,
-        )  # fmt: skip
+        """As `simulate`, for answers that will be scored, of models each with its source: with a
+        fresh worker for each of the `sessions`, and with some cases asked again in another one. For
+        each model its simulations, or what it did: reason SUSPECT where an answer depends on cases
+        before it."""
 
-        def checked(model: bytes) -> tuple[Array, ...] | CandidateError:
+        def checked(source: str, model: bytes) -> tuple[Array, ...] | CandidateError:
+            ask = partial(
+                strangers, secret=self.secret_of(blocks), scale=self._data.scale,
+                seed=self.check_seed(source, "other"), rounding=0.0,
+            )  # fmt: skip
             try:
                 y_hat = self._simulate_sessions(source, model, blocks, sessions(blocks))
                 if SuspicionKind.STRANGERS in self._options.without:
@@ -203,7 +204,7 @@ class StoredModels:
                 return error
             return y_hat if failure is None else CandidateError(failure.reason, failure.detail)
 
-        return self._workers.run([partial(checked, model) for model in models])
+        return self._workers.run([partial(checked, *one) for one in models])
 
     def lowered(
         self, source: str, models: Sequence[bytes], parameters: Sequence[str] = ()

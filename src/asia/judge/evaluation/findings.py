@@ -165,5 +165,6 @@ def search_context(problem: Problem, seed: int) -> Context:
         detrend=problem.preprocess.detrend,
         scale=problem.preprocess.scale,
         loop=problem.loop,
+        responses=problem.responses,
         seed=seed,
     )

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from asia.models._equations.programs import CompiledSimulator
 
 _INITIAL_RIDGE = 1e-6
-# Step of the differences, in coordinates whose search ranges are about 1 wide; rounding grows below
-# it.
-_STEP = 1e-6
+# Steps of the differences, in coordinates whose search ranges are about 1 wide: forward ones in a
+# search, central ones where derivatives are reported; rounding grows below them.
+_FORWARD, _CENTRAL = 1e-7, 1e-6
 # Weak ridge on physical quantities, which acts only where the data carry no information.
 _WEAK = 1e-3
 
@@ -68,7 +68,18 @@ class SimulationError:
         return len(self._starts.z)
 
     def cost(self, theta: Array) -> Array:
-        """Cost (R, K) at points (R, K, n)."""
+        """Cost (R, K) at points (R, K, n). Rows that stay where they were linearised are not
+        computed again."""
+        total, moved = np.empty(theta.shape[:2]), np.arange(len(theta))
+        if self._last is not None:
+            before, found = self._last
+            total[:] = found.cost[:, None]
+            moved = moved[(theta != before[:, None]).any(axis=(1, 2))]
+        if len(moved):
+            total[moved] = self._cost(theta[moved], moved)
+        return total
+
+    def _cost(self, theta: Array, chosen: Indices) -> Array:
         z, shift = self._parts(theta)
         with np.errstate(all="ignore"):
             total = (self._prior(z)[0] ** 2).sum(axis=2)
@@ -77,7 +88,7 @@ class SimulationError:
             if not self._structure.measured:
                 total += _INITIAL_RIDGE / shift.shape[2] * (shift**2).sum(axis=(2, 3))
             for part in self._simulate.pieces():
-                e = self._errors(np.arange(len(self)), z, shift, part)
+                e = self._errors(chosen, z, shift, part)
                 total += np.einsum("rkstn,rkstn->rk", e, e)
         return total
 
@@ -98,7 +109,7 @@ class SimulationError:
         return found
 
     def _normal_equations(self, theta: Array, chosen: Indices) -> NormalEquations:
-        """Normal equations of some rows, by central differences. A segment's errors depend on its
+        """Normal equations of some rows, by forward differences. A segment's errors depend on its
         own initial state only, so those of all segments are moved together."""
         size, nx, count = self._structure.layout.size, self._structure.nx, theta.shape[1]
         fitted = np.flatnonzero(self._active)
@@ -132,9 +143,11 @@ class SimulationError:
         derivatives (S, T, ny, P) by the coordinates that are fitted, and (S, T, ny, nx) by the
         segment's own initial state, () where that is measured."""
         fitted, first = np.flatnonzero(self._active), np.arange(1)
-        z, shift = self._parts(self._around(theta[:1], fitted))
+        z, shift = self._parts(self._around(theta[:1], fitted, central=True))
         with np.errstate(all="ignore"):
-            found = [self._derivatives(first, z, shift, p) for p in self._simulate.pieces()]
+            found = [
+                self._derivatives(first, z, shift, p, central=True) for p in self._simulate.pieces()
+            ]
         e, jacobian = (np.concatenate([part[i][0] for part in found]) for i in range(2))
         e = e.reshape(self._segments.y.shape)
         jacobian = jacobian.reshape(*e.shape, -1)
@@ -159,17 +172,16 @@ class SimulationError:
         return held[0][chosen], known[0][chosen], float(self._prior_weight**2)
 
     def _derivatives(
-        self, chosen: Indices, z: Array, shift: Array, part: slice
+        self, chosen: Indices, z: Array, shift: Array, part: slice, *, central: bool = False
     ) -> tuple[Array, Array]:
         """Errors (R, S, M) of M values a segment, and their derivatives (R, S, M, K), at points as
         from `_around`."""
         found = self._errors(chosen, z, shift, part)
         found = found.reshape(*found.shape[:3], -1)
-        up, down = np.split(found[:, 1:], 2, axis=1)
-        return found[:, 0], ((up - down) / (2.0 * _STEP)).transpose(0, 2, 3, 1)
+        return found[:, 0], _slopes(found.transpose(0, 2, 3, 1), central=central)
 
-    def _around(self, theta: Array, fitted: Indices) -> Array:
-        """Points theta (R, n), then every unknown moved up, then down: (R, K, n)."""
+    def _around(self, theta: Array, fitted: Indices, *, central: bool = False) -> Array:
+        """Points theta (R, n), then every unknown moved up, and if central then down: (R, K, n)."""
         size, nx = self._structure.layout.size, self._structure.nx
         moves = np.eye(size + nx)[fitted]
         if not self._structure.measured:
@@ -178,7 +190,9 @@ class SimulationError:
         every = (theta.shape[1] - size) // nx
         moves = np.concatenate([moves[:, :size], np.tile(moves[:, size:], (1, every))], axis=1)
         none = np.zeros((1, theta.shape[1]))
-        return theta[:, None] + _STEP * np.concatenate([none, moves, -moves])
+        if central:
+            return theta[:, None] + _CENTRAL * np.concatenate([none, moves, -moves])
+        return theta[:, None] + _FORWARD * np.concatenate([none, moves])
 
     def _add_ridges(self, theta: Array, cost: Array, gram: Array, gradient: Array) -> None:
         size, diagonal = self._structure.layout.size, np.arange(theta.shape[1])
@@ -200,8 +214,7 @@ class SimulationError:
         if not len(self._structure.priors):
             return
         found = self._deviations(z)
-        e, (up, down) = found[..., 0], np.split(found[..., 1:], 2, axis=2)
-        jacobian = ((up - down) / (2.0 * _STEP))[..., : len(fitted)].transpose(1, 0, 2)
+        e, jacobian = found[..., 0], _slopes(found)[..., : len(fitted)].transpose(1, 0, 2)
         transposed = jacobian.swapaxes(1, 2)
         cost += (e**2).sum(axis=0)
         gram[:, fitted[:, None], fitted] += transposed @ jacobian
@@ -249,3 +262,11 @@ class SimulationError:
         effect, slope = z.copy(), np.ones_like(z)
         effect[..., layout.spill] = slope[..., layout.spill] = np.exp(z[..., layout.spill])
         return weights * effect, weights * slope
+
+
+def _slopes(values: Array, *, central: bool = False) -> Array:
+    """Derivatives (..., P) of values (..., K) at the K points of `SimulationError._around`."""
+    if central:
+        up, down = np.split(values[..., 1:], 2, axis=-1)
+        return (up - down) / (2.0 * _CENTRAL)
+    return (values[..., 1:] - values[..., :1]) / _FORWARD

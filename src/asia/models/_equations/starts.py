@@ -239,10 +239,14 @@ def augment(
 
 
 def add_network(
-    structure: GreyBoxStructure, starts: Starts, found: Minimum, rng: np.random.Generator
+    structure: GreyBoxStructure,
+    starts: Starts,
+    found: Minimum,
+    count: int,
+    rng: np.random.Generator,
 ) -> Starts:
-    """Repeat the best fit, each time with another first layer of the network."""
-    count, best = len(starts.z), int(np.argmin(found.cost))
+    """Repeat the best fit `count` times, each with another first layer of the network."""
+    best = int(np.argmin(found.cost))
     inner = structure.nx_own + structure.nu + 1
     z = np.tile(found.theta[best, : structure.layout.size], (count, 1))
     x0 = np.tile(initial_states(structure, starts, found, best), (count, 1, 1))

@@ -6,10 +6,12 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
+from asia.data.frequency import ComplexArray
 from asia.data.trajectory import Array, Trajectory
 from asia.models import uncertainty
 from asia.models._arrays import AnyArray, namespace
@@ -312,6 +314,23 @@ def fit(
     return best
 
 
+class ResponseResiduals(Protocol):
+    """Measured frequency response as residuals of a system for z-scored signals."""
+
+    @property
+    def response(self) -> ComplexArray:
+        """Response (F, ny, nu)."""
+        ...
+
+    def error(self, system: LinearSystem) -> float:
+        """Mean squared weighted error of a system."""
+        ...
+
+    def normal_equations(self, system: LinearSystem) -> tuple[Array, Array]:
+        """Products of the derivatives by A, B, C and D with themselves and with the residuals."""
+        ...
+
+
 def unseen_errors(
     records: ScaledData, context: Context, orders: Sequence[int], refinement: Refinement
 ) -> list[float]:
@@ -427,8 +446,11 @@ def refine(
     refinement: Refinement,
     log: Progress | None = None,
     weightings: Sequence[ErrorWeighting] | None = None,
+    responses: Sequence[ResponseResiduals] = (),
 ) -> LinearFit:
     """Refine A, B, C, D, offset and the initial states by Levenberg-Marquardt.
+
+    The squared errors of `responses` are added to those of the records.
 
     The parametrisation is redundant (any change of state coordinates); the damping makes the
     step unique. A step to an unstable system is refused.
@@ -460,6 +482,8 @@ def refine(
             return np.array([[np.inf]])
         found = response(points[0, 0])
         weighted = found.error * max(found.samples, 1.0)
+        for one in responses:
+            weighted += one.error(found.system) * one.response.size
         return np.array([[weighted + prior * (found.x0**2).sum()]])
 
     def linearise(theta: Array) -> NormalEquations:
@@ -467,6 +491,10 @@ def refine(
         if log is not None:
             log(next(steps), float(np.sqrt(current.error)))
         normal, gradient = current.normal_equations()
+        for one in responses:
+            own, moment = one.normal_equations(current.system)
+            normal[: len(own), : len(own)] += own
+            gradient[: len(own)] += moment
         last = current.x0.size
         normal[-last:, -last:] += prior * np.eye(last)
         gradient[-last:] -= prior * current.x0.ravel()
@@ -474,7 +502,10 @@ def refine(
         normal[: free.size] *= free[:, None]
         normal[:, : free.size] *= free
         gradient[: free.size] *= free
-        square = current.square + prior * (current.x0**2).sum()
+        square = current.square + sum(
+            one.error(current.system) * one.response.size for one in responses
+        )
+        square += prior * (current.x0**2).sum()
         return NormalEquations(np.array([square]), normal[None], -gradient[None])
 
     method = LevenbergMarquardt(

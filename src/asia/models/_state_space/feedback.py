@@ -333,7 +333,7 @@ def feedback_starts(
     # Signals read from the observer explain an output by itself, so starts with both kinds of
     # states are simulated and compared.
     each = [
-        sorted((starts.start(r) for r in search.best(count, observed)), key=by_error)
+        sorted(starts.started(search.best(count, observed)), key=by_error)
         for observed in (False, True)
     ]
     first = sorted((some[0] for some in each if some), key=by_error)
@@ -347,21 +347,26 @@ class _Starts:
     def __init__(self, search: RegressorSearch) -> None:
         self.search, self.structure, self.system = search, search.structure, search.system
 
-    def start(self, regressors: Reading) -> tuple[float, dict[str, Any]]:
-        """Make a starting point: the share of the functions that simulates best, with its linear
-        terms; return the error of its simulation, and its parameters."""
-        layer = self.search.layer(regressors.directions, regressors.observed)
-        ((gram, rhs, _),) = self.search.normal(
-            [(regressors.directions, regressors.observed, layer)]
-        )
-        w2, act = self._factors(gram, rhs)
-        found: list[tuple[float, dict[str, Any]]] = []
-        for scale in _SCALES:
-            moved = self._moved(regressors, layer, scale * w2 @ act)
-            params = self.structure.start(moved, self.search.rng)
-            params |= {"read": regressors.directions, "act": act, "f": {**layer, "w2": scale * w2}}
-            found.append((self._error(params), params))
-        return min(found, key=itemgetter(0))
+    def started(self, readings: Sequence[Reading]) -> list[tuple[float, dict[str, Any]]]:
+        """Make a starting point of each reading: the share of the functions that simulates best,
+        with its linear terms; return the errors of their simulations, and their parameters."""
+        tried: list[dict[str, Any]] = []
+        for regressors in readings:
+            layer = self.search.layer(regressors.directions, regressors.observed)
+            ((gram, rhs, _),) = self.search.normal(
+                [(regressors.directions, regressors.observed, layer)]
+            )
+            w2, act = self._factors(gram, rhs)
+            for scale in _SCALES:
+                moved = self._moved(regressors, layer, scale * w2 @ act)
+                params = self.structure.start(moved, self.search.rng)
+                function = {**layer, "w2": scale * w2}
+                tried.append(params | {"read": regressors.directions, "act": act, "f": function})
+        if not tried:
+            return []
+        errors = self._errors(tried).reshape(len(readings), -1)
+        places = errors.argmin(axis=1) + np.arange(len(readings)) * len(_SCALES)
+        return [(float(errors.flat[i]), tried[i]) for i in places]
 
     def _moved(self, regressors: Reading, layer: dict[str, Array], theta: Array) -> LinearSystem:
         """Linear system that goes with functions of weights theta (h, n + ny)."""
@@ -386,19 +391,29 @@ class _Starts:
             s.a, s.b + change[:n], s.c, s.d + change[n:], s.offset + found[some - ny :]
         )
 
-    def _error(self, params: dict[str, Any]) -> float:
-        """Sum of squared errors of simulations from the best initial states for the linear
-        system."""
-        total, n = 0.0, self.structure.order
+    def _errors(self, tried: Sequence[dict[str, Any]]) -> Array:
+        """Sums of squared errors (K,) of simulations from the best initial states for the linear
+        system, all K side by side."""
+        total, n, count = np.zeros(len(tried)), self.structure.order, len(tried)
+
+        def stacked(values: Sequence[Any]) -> Any:
+            if isinstance(values[0], dict):
+                return {name: stacked([v[name] for v in values]) for name in values[0]}
+            return np.stack([np.atleast_2d(v) for v in values])
+
+        params = stacked(tried)
         with np.errstate(all="ignore"):
             for r in self.search.records:
-                y = self.structure.simulate(params, r.x0[None], r.u[None])[1][0]
+                x0 = np.tile(r.x0, (count, 1, 1))
+                u = np.tile(r.u[:, None], (count, 1, 1, 1))
+                y = self.structure.simulate(params, x0, u)[1][:, :, 0]
                 line = self.system.simulate(r.x0[None], r.u[None])[1][0]
-                rest = (r.residual - (y - line) * r.weight[:, None]).ravel()
+                rest = r.residual - (y - line) * r.weight[:, None]
+                rest = rest.reshape(count, -1)
                 start = orthonormal(r.terms[:, -n:])
-                rest = rest - start @ (start.T @ rest)
-                total += float(rest @ rest)
-        return total if np.isfinite(total) else np.inf
+                rest = rest - rest @ start @ start.T
+                total += (rest**2).sum(axis=1)
+        return np.where(np.isfinite(total), total, np.inf)
 
     def _factors(self, gram: Array, rhs: Array) -> tuple[Array, Array]:
         """Last layer (h, m) and effects of the functions (m, n + ny), by alternating least

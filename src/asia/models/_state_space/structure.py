@@ -66,7 +66,7 @@ def lost(p: Coefficients, x: AnyArray, v: AnyArray, behind: AnyArray) -> tuple[A
 # their own after x.
 
 Nonlinearity = Literal["state", "input", "output", "both", "none"]
-Basis = Literal["tanh", "polynomial"]
+Basis = Literal["tanh", "polynomial", "scheduling"]
 
 # Limit on the unit-size signals of monomials, so that a simulation that leaves the training range
 # grows linearly at most.
@@ -94,6 +94,8 @@ class StateSpaceStructure:
     play: int = 0  # Number of elements of play, each with a state
     integrators: int = 0
     """Number of last states whose pole is held at 1 and which f and g do not read."""
+    scheduling: tuple[int, ...] = ()
+    """Scheduling inputs of the basis "scheduling": its monomials have at most one other signal."""
 
     @property
     def size(self) -> int:
@@ -161,8 +163,15 @@ class StateSpaceStructure:
         if self.basis == "tanh":
             return namespace(z).tanh(z @ p["w1"] + p["b1"]) @ p["w2"]
         z = bounded(z, -_RANGE, _RANGE)
-        terms = [z[..., i].prod(axis=-1) for i in _monomials(z.shape[-1], self.degree)]
+        terms = [z[..., i].prod(axis=-1) for i in self._monomials(z.shape[-1])]
         return namespace(z).concatenate(terms, -1) @ p["w2"]
+
+    def _monomials(self, signals: int) -> tuple[NDArray[np.intp], ...]:
+        if self.basis == "polynomial":
+            return _monomials(signals, self.degree)
+        return _monomials(
+            signals, self.degree, tuple(signals - self.nu + j for j in self.scheduling)
+        )
 
     def start_windowed(
         self, predictor: WindowPredictor, rng: np.random.Generator
@@ -198,8 +207,8 @@ class StateSpaceStructure:
             p["act"] = rng.standard_normal((m, outputs)) / np.sqrt(outputs)
 
     def _function(self, rng: np.random.Generator, inputs: int, outputs: int) -> dict[str, Any]:
-        if self.basis == "polynomial":
-            size = sum(len(i) for i in _monomials(inputs, self.degree))
+        if self.basis != "tanh":
+            size = sum(len(i) for i in self._monomials(inputs))
             return {"w2": np.zeros((size, outputs))}
         return {
             "w1": rng.standard_normal((inputs, self.hidden)) / np.sqrt(inputs),
@@ -221,12 +230,20 @@ class StateSpaceStructure:
 
 # Called at every sample of a simulation.
 @cache
-def _monomials(signals: int, degree: int) -> tuple[NDArray[np.intp], ...]:
-    """Indices (monomials, degree) of the signals that are multiplied, for each degree from 2 on."""
-    return tuple(
-        np.array(list(combinations_with_replacement(range(signals), d)))
-        for d in range(2, degree + 1)
-    )
+def _monomials(
+    signals: int, degree: int, scheduling: tuple[int, ...] | None = None
+) -> tuple[NDArray[np.intp], ...]:
+    """Indices (monomials, degree) of the signals that are multiplied, for each degree from 2 on.
+
+    Args:
+        scheduling: signals of which all but one factor must be; None for any factors
+    """
+    found: list[NDArray[np.intp]] = []
+    for d in range(2, degree + 1):
+        every = combinations_with_replacement(range(signals), d)
+        kept = [i for i in every if scheduling is None or sum(k in scheduling for k in i) >= d - 1]
+        found.append(np.array(kept))
+    return tuple(found)
 
 
 @cache

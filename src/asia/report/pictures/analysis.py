@@ -5,7 +5,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from asia.data.trajectory import Array, Signal
@@ -89,9 +91,9 @@ def draw_linear(
         step.set_xlabel("time [s]")
         for axis in axes[row]:
             quiet_grid(axis)
-        gain.yaxis.set_major_formatter("{x:g}")
+        _label_decades(gain.yaxis)
         for axis in (gain, phase):
-            axis.xaxis.set_major_formatter("{x:g}")
+            _label_decades(axis.xaxis)
     plane = axes[-1][0]
     turn = np.linspace(0, 2 * np.pi, 200)
     plane.plot(np.cos(turn), np.sin(turn), color=QUIET, lw=0.7)
@@ -102,6 +104,14 @@ def draw_linear(
         axis.set_axis_off()
     figure_legend(figure, axes[0][0].get_lines(), 3)
     return figure
+
+
+def _label_decades(axis: Axis) -> None:
+    """Plain numbers on a logarithmic axis, also inside a short range."""
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30.0 * low else (1.0,)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def draw_frequency_response(
@@ -156,10 +166,10 @@ def draw_frequency_response(
         rest.set_title("residual")
         for axis in axes[row]:
             axis.set_xlabel("frequency [Hz]")
-            axis.xaxis.set_major_formatter("{x:g}")
+            _label_decades(axis.xaxis)
             quiet_grid(axis)
         for axis in (gain, rest):
-            axis.yaxis.set_major_formatter("{x:g}")
+            _label_decades(axis.yaxis)
     lines = [*axes[0][0].get_lines()[:3], *axes[0][2].get_lines()]
     figure_legend(figure, lines, 3)
     return figure

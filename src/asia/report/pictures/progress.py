@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 from matplotlib.transforms import blended_transform_factory
-from scipy.optimize import isotonic_regression
 
 from asia.judge.scoring.outcome import Score
 from asia.ledger.run import Control
@@ -221,6 +220,8 @@ def _spread(labels: Sequence[Text], dpi: float) -> None:
     """Move labels up and down until no two overlap, as little as possible (least squares)."""
     if len(labels) < 2:
         return
+    from scipy.optimize import isotonic_regression  # takes half a second to load
+
     boxes = [label.get_window_extent() for label in labels]
     middle = np.array([(b.y0 + b.y1) / 2 for b in boxes])
     order = np.argsort(middle, kind="stable")

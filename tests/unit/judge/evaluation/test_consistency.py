@@ -116,7 +116,7 @@ def test_candidates_scored_elsewhere_are_asked_again() -> None:
         models = [fold.model for fold in judge.evaluate(text).folds]
         blocks = judge.data.folds[0].held_out
         assert len(judge.models.simulate(text, models, blocks)) == 2
-        for found in judge.models.simulate_scored(text, models, blocks):
+        for found in judge.models.simulate_scored([(text, m) for m in models], blocks):
             assert isinstance(found, CandidateError) is not fine
             if isinstance(found, CandidateError):
                 assert found.reason is Reason.NOT_REPRODUCIBLE

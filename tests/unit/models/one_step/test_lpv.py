@@ -1,4 +1,4 @@
-"""Difference equations whose coefficients follow a scheduling signal."""
+"""Difference equations and state-space models whose coefficients follow a scheduling signal."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from asia.agents.library.registry import family
+from asia.agents.library.space import draw
 from asia.candidate import Context, simulate_steps
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
-from asia.models import arx
+from asia.models import arx, neural_ss
+from asia.models._state_space.structure import _monomials
 from asia.models.methods import LeastSquares, LevenbergMarquardt
 from asia.problem.load import load_problem
 from asia.problem.lock import lock_text
@@ -58,6 +60,42 @@ def test_lags_are_chosen_with_the_coefficients() -> None:
     assert error(config, LevenbergMarquardt(iterations=15)) < 0.02
 
 
+@pytest.mark.slow
+def test_matrices_follow_the_scheduling_signal() -> None:
+    """For a constant scheduling signal the model is linear: outputs are superposed."""
+    config = neural_ss.Config(order=2, basis="scheduling", degree=2, past_fit=True)
+    method = LevenbergMarquardt(iterations=30)
+    # The scheduling signal acts on the next sample, the input on the one after that.
+    train, test = (replace(r, u=np.roll(r.u, -1, axis=0)) for r in (record(1), record(2)))
+    model = neural_ss.train(neural_ss.build(config, CONTEXT), [train], CONTEXT, method)
+    case = test.u[None, :5], test.y[None, :5], test.u[None, 5:]
+    y = model.simulate(*case)
+    assert np.allclose(simulate_steps(model, *case), y, atol=1e-9)
+    assert float(np.std(y[0] - test.y[5:]) / np.std(test.y)) < 0.02
+    still = np.column_stack([np.zeros(60), np.full(60, 0.4)])
+    move = np.column_stack([np.sin(np.arange(60)), np.zeros(60)])
+    both = np.stack([still, still + move, still + 0.5 * move])
+    past = np.repeat(case[0], 3, 0), np.repeat(case[1], 3, 0)
+    none, whole, half = model.simulate(*past, both)
+    assert np.abs(whole - none).max() > 0.5
+    assert np.allclose(half - none, 0.5 * (whole - none), atol=1e-9)
+
+
+def test_the_monomials_of_a_scheduling_signal_have_one_other_signal() -> None:
+    known = _monomials(3, 3, (2,))
+    assert known[0].tolist() == [[0, 2], [1, 2], [2, 2]]
+    assert known[1].tolist() == [[0, 2, 2], [1, 2, 2], [2, 2, 2]]
+
+
+def test_matrices_need_a_scheduling_signal_and_the_whole_state() -> None:
+    plain = replace(CONTEXT, inputs=(Signal("u"), Signal("p")))
+    model = neural_ss.build(neural_ss.Config(basis="scheduling"), plain)
+    with pytest.raises(UserError, match="without an input of role scheduling"):
+        neural_ss.train(model, [record(1)], plain, LevenbergMarquardt())
+    with pytest.raises(UserError, match="nonlinearity state on all states"):
+        neural_ss.Config(basis="scheduling", channels=1)
+
+
 def test_a_scheduling_signal_is_read_from_the_problem_file(tmp_path: Path) -> None:
     one = record(1)
     np.savetxt(tmp_path / "one.csv", np.column_stack([np.arange(400), one.u, one.y]),
@@ -78,6 +116,14 @@ data = { train = ["one.csv"] }
     plain = replace(facts, inputs=(Signal("u"), Signal("p")))
     assert row.trial(plain).get("scheduling") is None
     assert row.aptness(facts) > row.aptness(plain)
+    row = family("neural_ss")
+    assert row is not None
+    assert row.trial(facts).get("basis") == "scheduling"
+    assert row.trial(plain).get("basis") is None
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        drawn = dict(draw(rng, row.trial(facts), row.space(facts)).config)
+        neural_ss.Config(**drawn)  # pyright: ignore[reportArgumentType]
     (tmp_path / "problem.toml").write_text(
         text.replace('["y"]', '[{ name = "y", role = "scheduling" }]')
     )

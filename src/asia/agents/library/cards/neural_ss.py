@@ -14,16 +14,19 @@ from asia.agents.library.methods import (
 from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe, Value
 from asia.agents.library.record_facts import Cause, switching, transport
-from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.space import OneOf, Parameter, Space, Span
 from asia.agents.library.trial_evidence import coloured, curved, overfit
 from asia.agents.view import Facts
 
 
 def _start(facts: Facts) -> Recipe:
     past: Arguments = (("past_fit", True),) if facts.horizon is None else ()
+    functions: Arguments = (("hidden", 8),)
+    if _scheduled(facts):
+        functions = ("basis", "scheduling"), ("degree", 2)
     config: Arguments = (
         ("nonlinearity", "state"),
-        ("hidden", 8),
+        *functions,
         ("ridge", 1e-5),
         ("delay", None),
         *past,
@@ -32,16 +35,30 @@ def _start(facts: Facts) -> Recipe:
     return Recipe("neural_ss", config, LM, (("iterations", 60), ("starts", 2)))
 
 
+def _scheduled(facts: Facts) -> bool:
+    return any(s.role == "scheduling" for s in facts.inputs)
+
+
 def _space(facts: Facts) -> Space:
     carried = transport(facts)
+    places: tuple[Parameter, ...] = (
+        OneOf("nonlinearity", ("state", "input", "output", "both", "none")),
+        OneOf("channels", (None, 1, 2), needs="nonlinearity", being="state"),
+        OneOf("basis", ("tanh", "polynomial")),
+        OneOf("degree", (2, 3), needs="basis", being="polynomial"),
+    )
+    if _scheduled(facts):
+        # Matrices that follow the signal act on all states.
+        places = (
+            OneOf("nonlinearity", ("state", "none")),
+            OneOf("basis", ("scheduling", "tanh", "polynomial")),
+            OneOf("degree", (2, 3)),
+        )
     paces = () if carried is None else (OneOf("transport", (None, carried.transport.pace)),)
     return Space(
         config=(
             OneOf("order", (None, 2, 3, 4)),
-            OneOf("nonlinearity", ("state", "input", "output", "both", "none")),
-            OneOf("channels", (None, 1, 2), needs="nonlinearity", being="state"),
-            OneOf("basis", ("tanh", "polynomial")),
-            OneOf("degree", (2, 3), needs="basis", being="polynomial"),
+            *places,
             OneOf("hidden", (4, 8, 12)),
             Span("ridge", 1e-6, 1e-2),
             OneOf("delay", (0, None)),
@@ -90,6 +107,10 @@ def _polynomial_weight(at: Situation) -> float:
     return 0.855 if coloured(at.trial) else 0.5
 
 
+def _is_lpv(at: Situation) -> bool:
+    return at.recipe.get("basis") == "scheduling"
+
+
 def _as_polynomials(at: Situation) -> Recipe:
     degree = 3 if _signals(at.facts) <= _CUBIC else 2
     recipe = at.recipe.configured(basis="polynomial", degree=degree, pieces=True, past_fit=True)
@@ -113,6 +134,7 @@ def _unless_at(at: Situation, place: str, weight: float) -> float:
 def _moved_to(at: Situation, place: str) -> Recipe:
     """Move the static function to another place; channels belong to one in the state equation."""
     recipe = at.recipe.configured(nonlinearity=place)
+    recipe = recipe.without("basis", "degree") if _is_lpv(at) else recipe
     return recipe.configured(channels=None) if recipe.has("channels") else recipe
 
 
@@ -217,7 +239,7 @@ CARD = Card(
             label="neural state-space",
             use="a linear model with small static nonlinearities, for short records",
             base=6,
-            points=(("short", 1), ("long", -2), ("windows", -2)),
+            points=(("short", 1), ("long", -2), ("windows", -2), ("scheduling", 3)),
             start=_start,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
@@ -244,6 +266,20 @@ CARD = Card(
         *_ELEMENTS,
         # Above any ridge: in a local minimum V exceeds the training error as well.
         from_pieces(0.88, 0.4, past_fit=True),
+        Move(
+            name="matrices quadratic in the scheduling signal",
+            weight=lambda c: 0.8 * (_is_lpv(c) and c.recipe.number("degree", 2) < 3),
+            change=lambda c: c.recipe.configured(degree=3),
+            hypothesis="Gain or poles are no straight line of the scheduling signal.",
+            expected="A lower V on every fold.",
+        ),
+        Move(
+            name="functions of states and inputs beside the scheduling signal",
+            weight=lambda c: 0.75 * _is_lpv(c),
+            change=lambda c: c.recipe.without("basis", "degree").configured(hidden=8),
+            hypothesis="The system is nonlinear for a constant scheduling signal too.",
+            expected="A lower V on every fold.",
+        ),
         Move(
             name="polynomials",
             weight=_polynomial_weight,
@@ -294,7 +330,7 @@ CARD = Card(
             weight=lambda c: (
                 (0.5 * _IN_LFR if _has_lfr(c) else 0.5)
                 * (c.recipe.get("nonlinearity") == "state")
-                * (not c.recipe.get("channels"))
+                * (not c.recipe.get("channels") and not _is_lpv(c))
             ),
             change=lambda c: c.recipe.configured(channels=1).trained(starts=4),
             hypothesis="One signal passes one static function in the feedback of a linear system "

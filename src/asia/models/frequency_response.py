@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asia.data.intake.frequency import ComplexArray, FrequencyRecord
+from asia.data.frequency import ComplexArray, FrequencyRecord
 from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.lowering.linear import LinearModel
@@ -133,11 +133,7 @@ def fit_frequency_response(record: FrequencyRecord, order: int | None = None) ->
         np.exp(s * record.sampling_time) if record.sampling_time
         else (1.0 + s / middle) / (1.0 - s / middle)
     )  # fmt: skip
-    size = np.abs(record.response)
-    weight = (
-        1.0 / np.sqrt(record.variance) if record.variance is not None
-        else 1.0 / (size + 0.05 * np.median(size, axis=0))
-    )  # fmt: skip
+    weight = response_weight(record)
     p = z if record.sampling_time else s / middle
     data = _Data(z, p, s, record.response, weight)
     _, ny, nu = record.response.shape
@@ -147,7 +143,7 @@ def fit_frequency_response(record: FrequencyRecord, order: int | None = None) ->
     number = np.arange(len(w))
     coarse = data.at(number % max(len(w) // _COARSE, 1) == 0)
     parts = [(data.at(number % _FOLDS != k), data.at(number % _FOLDS == k)) for k in range(_FOLDS)]
-    scale = float(np.sqrt(np.mean((weight * size) ** 2)))
+    scale = float(np.sqrt(np.mean(np.abs(weight * record.response) ** 2)))
 
     def held_out(n: int, delays: Sequence[float], strict: bool) -> tuple[float, list[_System]]:
         folds = [_fitted(seen, n, delays, _FEW, strict) for seen, _ in parts]
@@ -313,18 +309,13 @@ def _refined(
         )  # fmt: skip
 
     def slopes(one: _System) -> Array:
-        inside = np.linalg.inv(data.p[:, None, None] * np.eye(n) - one.a)
         turn = np.exp(-data.s * one.delay)[:, None, None]
-        left, right = (one.c @ inside) * turn, inside @ one.b
-        whole = left @ one.b + one.d * turn
-        count = len(data.p)
-        by_a = np.einsum("foi,fju->fouij", left, right).reshape(count, ny, nu, n * n)
-        by_b = np.einsum("foi,uv->fouiv", left, np.eye(nu)).reshape(count, ny, nu, n * nu)
-        by_c = np.einsum("op,fju->foupj", np.eye(ny), right * turn).reshape(count, ny, nu, ny * n)
-        by_d = np.einsum("op,uv,f->foupv", np.eye(ny), np.eye(nu), (not strict) * turn[:, 0, 0])
+        whole = one.response(data)
+        full = response_slopes(one.a, one.b, one.c, data.p) * turn[..., None]
+        full[..., full.shape[-1] - ny * nu :] *= not strict
         by_delay = (not hold) * (-data.s * pace)[:, None, None] * whole
-        parts = [by_a, by_b, by_c, by_d.reshape(count, ny, nu, ny * nu), by_delay[..., None]]
-        full = (data.weight[..., None] * np.concatenate(parts, axis=3)).reshape(-1, len(theta))
+        full = data.weight[..., None] * np.concatenate([full, by_delay[..., None]], axis=3)
+        full = full.reshape(-1, len(theta))
         return np.concatenate([full.real, full.imag])
 
     def residual(one: _System) -> Array:
@@ -355,3 +346,75 @@ def _refined(
         if cost > before * (1.0 - 1e-7):
             break
     return system(theta)
+
+
+def response_slopes(a: Array, b: Array, c: Array, p: ComplexArray) -> ComplexArray:
+    """Derivatives (F, ny, nu, parameters) of C (p - A)^-1 B + D by A, B, C and D, at p (F,)."""
+    n, nu, ny, count = len(a), b.shape[1], len(c), len(p)
+    inside = np.linalg.inv(p[:, None, None] * np.eye(n) - a)
+    left, right = c @ inside, inside @ b
+    parts = [
+        np.einsum("foi,fju->fouij", left, right),
+        np.einsum("foi,uv->fouiv", left, np.eye(nu)),
+        np.einsum("op,fju->foupj", np.eye(ny), right),
+        np.einsum("op,uv,f->foupv", np.eye(ny), np.eye(nu), np.ones(count)),
+    ]
+    return np.concatenate([one.reshape(count, ny, nu, -1) for one in parts], axis=3)
+
+
+def response_starts(
+    z: ComplexArray, response: ComplexArray, weight: Array, order: int
+) -> list[tuple[Array, Array, Array, Array]]:
+    """Return subspace estimates (A, B, C, D) of a sampled response (F, ny, nu), the best first.
+
+    Args:
+        z: points (F,) of the unit circle
+        weight: weights (F, ny, nu) of the errors
+    """
+    data = _Data(z, z, np.log(z), response, weight)
+    stable = [one for one in _starts(data, order, 0.0) if data.is_stable(one)]
+    found = sorted(stable, key=data.error)
+    return [(one.a, one.b, one.c, one.d) for one in found]
+
+
+def response_weight(record: FrequencyRecord) -> Array:
+    """Weights (F, ny, nu) of the errors: over the standard deviation, where the variance is known;
+    else relative to the response."""
+    if record.variance is not None:
+        return 1.0 / np.sqrt(record.variance)
+    size = np.abs(record.response)
+    return 1.0 / (size + 0.05 * np.median(size, axis=0))
+
+
+def sampled_response(fit: FrequencyFit, sampling_time: float) -> FrequencyRecord:
+    """Return the response of the sampled system, whose inputs are held between samples.
+
+    The hold multiplies the measured response; what it folds back from above half the sampling
+    frequency, a small part, is that of the model.
+    """
+    from scipy.linalg import expm
+
+    record, model = fit.record, fit.model
+    if record.sampling_time:
+        return record
+    n, nu = model.b.shape
+    whole, part = divmod(fit.delay / sampling_time, 1.0)
+
+    def held(time: float) -> tuple[Array, Array]:
+        """Transition and effect of a constant input over a time."""
+        both = np.zeros((n + nu, n + nu))
+        both[:n] = np.hstack([model.a, model.b])
+        moved = np.asarray(expm(time * both), np.float64)
+        return moved[:n, :n], moved[:n, n:]
+
+    a, full = held(sampling_time)
+    _, late = held((1.0 - part) * sampling_time)
+    turn = 2j * np.pi * record.frequency * sampling_time
+    z = np.exp(turn)[:, None, None]
+    driven = np.linalg.solve(z * np.eye(n) - a, late + (full - late) / z)
+    sampled = (model.c @ driven + model.d * (1.0 / z if part > 0 else 1.0)) * z**-whole
+    with np.errstate(all="ignore"):
+        hold = np.where(turn == 0, 1.0, (1.0 - np.exp(-turn)) / turn)[:, None, None]
+    response = hold * (record.response - fit.response(record.frequency)) + sampled
+    variance = None if record.variance is None else np.abs(hold) ** 2 * record.variance
+    return replace(record, response=response, variance=variance, sampling_time=sampling_time)

@@ -11,15 +11,12 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from asia.analysis.frequency import fit_frequency_response
-from asia.data.intake.frequency import (
-    ComplexArray,
-    FrequencyRecord,
-    read_frequency_response,
-)
+from asia.data.frequency import ComplexArray, FrequencyRecord
+from asia.data.intake.frequency import read_frequency_response
 from asia.data.trajectory import Array, Signal
 from asia.errors import UserError
 from asia.lowering.linear import LinearModel
+from asia.models.frequency_response import fit_frequency_response
 from tests.unit.interfaces.cli.conftest import command_line
 
 MODES = ((3.0, 0.01, 1.0), (11.0, 0.008, -0.6))
