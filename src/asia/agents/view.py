@@ -12,6 +12,7 @@ from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import Event, Exchanged, Phase, Status, StopReason
+from asia.problem.control_task import ControlTask
 from asia.problem.feedback import Loop
 from asia.problem.metrics import TrainingLoss, find_metric
 from asia.problem.physics import Physics
@@ -56,6 +57,8 @@ class Facts:
         linear: settings of the best linear model, () for those of the baseline
         loop: feedback loop in which the records were taken
         plant: simulator of the user's own
+        control: task of a controller, whose training scenarios are the records
+        identification: facts about the plant of a control problem
         responses: measured frequency responses, which linear models are fitted to as well
     """
 
@@ -83,6 +86,8 @@ class Facts:
     )
     loop: Loop | None = None
     plant: Plant | None = None
+    control: ControlTask | None = None
+    identification: Facts | None = None
     responses: tuple[FrequencyRecord, ...] = ()
 
     @property

@@ -56,6 +56,8 @@ def problem_facts(problem: Problem) -> Facts:
         loop=problem.loop,
         responses=problem.responses,
         terms=lambda: _terms_beyond_linear(problem),
+        control=problem.control and problem.control.task(),
+        identification=problem.control and problem_facts(problem.control.base),
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -438,6 +439,8 @@ def refit_winner(
     failed: list[str] = []
 
     def stacked(refused: Collection[int] = ()) -> Stack | None:
+        if problem.control is not None:  # A mean of responses is no response.
+            return None
         with diagnostic("stack", failed):
             return make_stack(evaluator, view, store, metric, refused)
         return None
@@ -484,6 +487,8 @@ def refit_winner(
         stack=stack,
         estimates=estimates,
     )
+    if problem.control is not None:
+        return replace(refitted, failed_checks=tuple(failed), **_chosen_controller(refitted))
     chosen = choose_model(FinalEvidence.of(best, refitted))
     refused: set[int] = set()
     while refitted.stack is not None and (
@@ -505,6 +510,19 @@ def refit_winner(
     with diagnostic("feedback on the inputs", failed):
         refitted = replace(refitted, feedback=undeclared_feedback(problem))
     return replace(refitted, failed_checks=tuple(failed))
+
+
+def _chosen_controller(refitted: Refitted) -> dict[str, Any]:
+    """Controller to use: that of all training scenarios, or, where there is none, the first fold's.
+
+    K controllers in one loop would be another controller, so none is a mean of others.
+    """
+    if refitted.model is not None:
+        return {"use": "refit", "reason": "It was designed for all training scenarios."}
+    return {
+        "use": "ensemble",
+        "reason": f"There is no design for all scenarios: {refitted.detail}.",
+    }
 
 
 def undeclared_feedback(problem: Problem) -> Feedback | None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from statistics import median
 
+from asia.agents.control import propose_controller
 from asia.agents.expert.allocation import CLOSE, Allocation
 from asia.agents.expert.diagnosis import (
     DYNAMICS,
@@ -87,6 +88,8 @@ class ExpertAgent:
         Raises:
             AgentStoppedError: where the noise floor is reached
         """
+        if view.facts.control is not None:
+            return propose_controller(view)
         wishes, answers = read_notes(view.notes)
         unwanted = avoided(wishes)
         remarks, proposal = list(answers), None
