@@ -99,7 +99,8 @@ class ControllerModel:
     def parameters(self) -> Mapping[str, float]:
         """Parameters that the controller offers."""
         offered: Any = getattr(self.controller, "parameters", None)
-        return offered() if callable(offered) else {}
+        found: Mapping[str, float] = offered() if callable(offered) else {}
+        return found
 
 
 def controlled(

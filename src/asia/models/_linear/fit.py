@@ -666,7 +666,7 @@ def invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
     gain = system.gain * scaling.y_std[:, None] / scaling.u_std
     found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
     found = found if len(found) <= 20 else {}
-    poles = np.linalg.eigvals(system.a).astype(complex)
+    poles: ComplexArray = np.linalg.eigvals(system.a).astype(np.complex128)
     sizes = np.abs(poles)
     rates = np.log(poles[(poles.imag >= 0) & (sizes > 0) & (sizes < 1)])
     real = pairs = 0
