@@ -99,7 +99,7 @@ class ControllerModel:
     def parameters(self) -> Mapping[str, float]:
         """Parameters that the controller offers."""
         offered: Any = getattr(self.controller, "parameters", None)
-        found: Mapping[str, float] = offered() if callable(offered) else {}
+        found: Any = offered() if callable(offered) else {}
         return found
 
 

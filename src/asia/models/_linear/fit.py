@@ -668,7 +668,7 @@ def invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
     found = found if len(found) <= 20 else {}
     poles: ComplexArray = np.linalg.eigvals(system.a).astype(np.complex128)
     sizes = np.abs(poles)
-    rates = np.log(poles[(poles.imag >= 0) & (sizes > 0) & (sizes < 1)])
+    rates: ComplexArray = np.log(poles[(poles.imag >= 0) & (sizes > 0) & (sizes < 1)])
     real = pairs = 0
     for rate in rates[np.argsort(-rates.real, kind="stable")][:6]:
         if rate.imag == 0:
