@@ -57,7 +57,7 @@ class SourceFacts:
     """Source without comments and docstrings, with the same line numbers; None where the layout
     does not permit telling comments from code."""
     defines_fit: bool
-    """Whether a top-level statement binds the name `fit`."""
+    """Whether a top-level statement binds the name `fit`, or `design` of a controller."""
     content: SourceContent | None
     """None without `bare`."""
     imports: Imports
@@ -73,7 +73,7 @@ def source_facts(source: str) -> SourceFacts:
     return SourceFacts(
         digest=_digest(tree),
         bare=bare,
-        defines_fit="fit" in _defined(tree.body),
+        defines_fit=bool({"fit", "design"} & _defined(tree.body)),
         content=None if bare is None else _content(tree, docstrings, bare),
         imports=imports_of(tree),
         library_only=_library_only(tree),

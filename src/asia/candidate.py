@@ -25,6 +25,7 @@ from asia.problem.plant import Plant
 from asia.problem.symmetry import Symmetry
 
 if TYPE_CHECKING:
+    from asia.problem.control_task import ControlTask
     from asia.problem.feedback import Loop
 
 # Contract of a candidate: the context of a fit and the interface of a fitted model.
@@ -83,6 +84,9 @@ class Context:
     """Feedback loop of the records, whose `reference` it names; None for open loop."""
     plant: Plant | None = None
     """Simulator of the user's own, from the problem file."""
+    control: ControlTask | None = None
+    """Task of a controller; None where a model is fitted. Inputs, outputs and equations of the
+    context are then those of the plant to be controlled."""
     responses: tuple[FrequencyRecord, ...] = ()
     """Measured frequency responses, with the channels of the problem."""
 
@@ -125,6 +129,25 @@ class Model(Protocol):
 
 
 Fit = Callable[[Sequence[Trajectory], Context], Model]
+
+
+class Controller(Protocol):
+    """A controller, made by `design(models, context)` of a candidate for a control problem.
+
+    `models` are identified models of the plant (`StepModel`): of all open-loop records, then of
+    parts of them. It may keep a state: every scenario begins with a copy of what `design` returned.
+    """
+
+    def step(self, r: Array, y: Array) -> Any:
+        """Inputs u (nu,) for the next sample, in physical units.
+
+        Limits of value and rate apply to them whatever comes.
+
+        Args:
+            r: set points (nr,) of this sample
+            y: measured outputs (ny,) at its beginning
+        """
+        ...
 
 
 # Estimates of a fitted model's parameters: standard errors, intervals and correlations.
@@ -269,13 +292,15 @@ def check_source(source: str) -> None:
 
     Raises:
         CandidateError: SYNTAX if it does not parse, or takes too long or too much memory to parse,
-            CONTRACT if it defines no top-level name `fit`, LITERAL_DATA if it is over 64 KB or
-            carries more data than a model needs.
+            CONTRACT if it defines no top-level name `fit` or `design`, LITERAL_DATA if it is over
+            64 KB or carries more data than a model needs.
     """
     facts = _facts(source)
     if not facts.defines_fit:
         raise CandidateError(
-            Reason.CONTRACT, "the source defines no top-level function fit(trajectories, context)"
+            Reason.CONTRACT,
+            "the source defines no top-level function fit(trajectories, context), nor, for a "
+            "controller, design(models, context)",
         )
     executed_source(source)
     assert facts.content is not None

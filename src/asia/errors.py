@@ -54,7 +54,8 @@ class Reason(StrEnum):
 _ADVICE = {
     Reason.SYNTAX: "the source does not parse: correct the line named below",
     Reason.CONTRACT: "the candidate breaks the contract: "
-    "define fit(trajectories, context) that returns a model with simulate(past_u, past_y, u)",
+    "define fit(trajectories, context) that returns a model with simulate(past_u, past_y, u), or "
+    "for a control problem design(models, context) that returns a controller with step(r, y)",
     Reason.CRASH: "the candidate raised an exception: correct the error at the line named below",
     Reason.EXITED: "the worker process ended before it answered: "
     "do not call exit, and look for a crash in compiled code",

@@ -12,6 +12,7 @@ from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
 from asia.judge.scoring.residuals import Diagnostics
 from asia.ledger.events import Event, Exchanged, Phase, Status, StopReason
+from asia.problem.control_task import ControlTask
 from asia.problem.feedback import Loop
 from asia.problem.metrics import TrainingLoss, find_metric
 from asia.problem.physics import Physics
@@ -50,12 +51,14 @@ class Facts:
         ladder: the share of V by which a new best must be better to be reported, None where
             every V is reported
         symmetry: changes of the signals that leave the system's laws as they are
-        terms: computes terms that a linear model lacks, with the place ("in the dynamics", "at the
-            output") and the share of its residual that each explains, the largest first; () where
-            nothing is found
+        terms: computes terms that a linear model lacks, with the place ("at the input", "in the
+            dynamics", "at the output") and the share of its residual that each explains, the
+            largest first; () where nothing is found
         linear: settings of the best linear model, () for those of the baseline
         loop: feedback loop in which the records were taken
         plant: simulator of the user's own
+        control: task of a controller, whose training scenarios are the records
+        identification: facts about the plant of a control problem
         responses: measured frequency responses, which linear models are fitted to as well
     """
 
@@ -83,6 +86,8 @@ class Facts:
     )
     loop: Loop | None = None
     plant: Plant | None = None
+    control: ControlTask | None = None
+    identification: Facts | None = None
     responses: tuple[FrequencyRecord, ...] = ()
 
     @property
@@ -121,6 +126,7 @@ class Trial:
             residual that each explains, the largest first; with `evidence`
         agent: the proposing agent, "" where the asked agent proposed all
         lowest: with retests, whether its own fit was the best so far
+        order: states that the fits report, median over the folds; None where they report none
     """
 
     number: int
@@ -142,6 +148,7 @@ class Trial:
     diagnoses: tuple[tuple[str, float], ...] = ()
     agent: str = ""
     lowest: bool = False
+    order: int | None = None
 
     @property
     def improved(self) -> bool:

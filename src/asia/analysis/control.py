@@ -385,11 +385,14 @@ def design(
     if wanted.settling_max is not None:
         pace = max(4.0 / wanted.settling_max, 1e-12)
     size = float(np.abs(plant.response(np.array([pace])))[0]) or 1.0
-    # All parameters are positive: a plant that falls with its input gets a negative controller.
-    size = math.copysign(size, float(plant.num[np.flatnonzero(plant.num)[0]] / plant.den[0]))
+    unstable = np.roots(plant.den).real.max(initial=-1.0) > 0
+    # All parameters are positive: a plant that falls with its input gets a negative controller. A
+    # stable one may begin in the other direction.
+    end = 0 if unstable else -1
+    ends = (float(part[np.flatnonzero(part)[end]]) for part in (plant.num, plant.den))
+    size = math.copysign(size, next(ends) / next(ends))
     # The gain of a loop around an unstable plant has a least value. A largest one beyond it, which
     # the nearest gain margin asks for, takes three poles more than zeros or a dead time.
-    unstable = np.roots(plant.den).real.max(initial=-1.0) > 0
     rolled = unstable and not plant.delay and wanted.gain_margin is not None
     excess = len(plant.den) - len(np.trim_zeros(plant.num, "f"))
     exact = plant.den[-1] != 0 and (wanted.steady_state or 1.0) < _INTEGRAL

@@ -555,6 +555,53 @@ def _calibration(
     return replace(plain, center=center, spread=spread, weights=weights, deviation=deviation)
 
 
+# Simulator in closed loop: sample by sample.
+
+
+@dataclass(frozen=True)
+class SteppedSimulator:
+    """Simulator that gets an input sample and answers with the outputs at the end of it.
+
+    Its input sample holds the inputs, then parameters and initial states; those of the first sample
+    of a case count, whose answer are the outputs before any input. The function is called as
+    `step(x, u, params, dt)`, with x None at first, and returns the next x and y.
+    """
+
+    simulator: Simulator
+
+    def simulate(self, past_u: Array, past_y: Array, u: Array) -> Array:
+        """Simulate cases (B, H, n) sample by sample."""
+        del past_u, past_y
+        found: list[Array] = []
+        for case in u:
+            state, rows = None, list[Array]()
+            for sample in case:
+                state, y = self.step(state, sample[None])
+                rows.append(y[0])
+            found.append(np.stack(rows))
+        return np.stack(found)
+
+    def initial(self, past_u: Array, past_y: Array, u: Array) -> None:
+        """No state before the first sample."""
+        del past_u, past_y, u
+
+    def step(self, state: Any, u: Array) -> tuple[Any, Array]:
+        """Advance by one sample u (1, n); outputs (1, ny)."""
+        of, nu = self.simulator, len(self.simulator.inputs)
+        inputs = u[0, :nu]
+        if state is None:
+            values = u[0, nu:].tolist()
+            state = dict(zip((*of.plant.parameters, *of.plant.initial), values, strict=True)), None
+        parameters, x = state
+        x, y = _loaded(of.plant.code, of.plant.function)(x, inputs, parameters, of.sampling_time)
+        return (parameters, x), np.asarray(y, np.float64).reshape(1, -1)
+
+
+def stepped(context: Context) -> SteppedSimulator:
+    """Make the simulator of a context run sample by sample."""
+    return SteppedSimulator(build(Config(), context))
+
+
 # Check of a simulator before a search.
 
 

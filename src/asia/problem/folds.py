@@ -378,6 +378,8 @@ def _blocks(
 def _scale(train: Sequence[Trajectory], rule: ProtocolRule, index: int) -> Array:
     if not train:
         raise UserError(f"fold {index + 1} has no training record longer than the past window")
+    if rule.tolerance is not None:
+        return np.array(rule.tolerance)
     windowed = rule.horizon is not None
     y = np.concatenate(
         [b.y for b in whole(train, rule)] if windowed else [t.measured_y for t in train]

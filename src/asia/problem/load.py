@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
-from asia._files import read_text
+from asia._files import read_file, read_text
 from asia._text import suggestion
 from asia.data.intake.frequency import read_frequency_response
 from asia.data.intake.sheet import Wanted
@@ -18,6 +20,7 @@ from asia.data.sources.source import Channels
 from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
 from asia.problem.check import check_period
+from asia.problem.control import check_control, control_problem
 from asia.problem.feedback import explained_inputs
 from asia.problem.folds import least_samples, require_length
 from asia.problem.held_back import divided
@@ -114,7 +117,32 @@ def load_lock(path: Path) -> Problem:
         guard_sha256=file.digests.guard,
     )
     check_digests(problem, file.digests, path)
-    return problem
+    return with_models(problem, path.parent, file.digests.models)
+
+
+def with_models(problem: Problem, directory: Path, digests: Sequence[str] | None = None) -> Problem:
+    """Return a control problem with the identified models of a run.
+
+    Args:
+        directory: run directory.
+        digests: sha256 of the models; None for those of the lock.
+
+    Raises:
+        UserError: for a model that was changed.
+    """
+    if problem.control is None:
+        return problem
+    if digests is None:
+        digests = read_table(directory / "problem.lock.toml", LockFile).digests.models
+    models: list[bytes] = []
+    for digest in digests:
+        path = directory / "artifacts" / digest
+        if not path.is_file():  # a ledger that was published without artifacts
+            return problem
+        models.append(read_file(path, "put it back"))
+        if hashlib.sha256(models[-1]).hexdigest() != digest:
+            raise UserError(f"artifact {path} was changed after it was written")
+    return replace(problem, control=replace(problem.control, models=tuple(models)))
 
 
 def read_records(
@@ -189,7 +217,22 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         check_physics(physics, inputs, outputs)
     check_symmetry(file.symmetry, inputs, outputs, physics)
     done.check(inputs)
-    plant = file.plant and load_plant(file.plant, root, inputs, outputs)
+    if file.control is not None:
+        check_control(file.control, inputs, outputs)
+    driven = [*inputs, *(file.control.disturbances if file.control else ())]
+    plant = file.plant and load_plant(
+        file.plant, root, driven, outputs, calibrated=file.control is None
+    )
+    if plant and plant.is_unit and file.control is not None:
+        raise UserError(
+            "[plant] source: an FMU cannot be the plant of [control]: give a function "
+            "step(x, u, params, dt), such as 'plant.py:step'"
+        )
+    if (rule.kind == "control") != (file.control is not None) or (file.control and not plant):
+        raise UserError(
+            'protocol.kind = "control", [control] and [plant] belong together: give all three, or '
+            "leave out the first two"
+        )
     if (physics or plant) and (done.detrend or done.scale):
         written = "[physics] is" if physics else "[plant] is"
         raise UserError(
@@ -238,7 +281,7 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
                 f"output '{name}' is {value:g} in every training sample: there is nothing "
                 "to identify; name another column or bring records in which it moves"
             )
-    return Problem(
+    found = Problem(
         name="",
         description="",
         sampling_time=channels.sampling_time * done.decimate,
@@ -262,3 +305,6 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
         responses=responses,
         response_files=files,
     )
+    if file.control is None or plant is None:
+        return found
+    return control_problem(replace(found, plant=None), file.control, plant)

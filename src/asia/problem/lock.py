@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from asia.data.trajectory import data_digest
+from asia.data.trajectory import Trajectory, data_digest
 from asia.errors import UserError
 from asia.problem.feedback import loop_table
 from asia.problem.physics import Physics
@@ -91,8 +91,12 @@ def lock_text(problem: Problem, seal: Seal) -> str:
 
     `load_lock` restores the problem from it.
     """
-    test = problem.test.source
-    data = {**problem.data.to_toml(), **(test.to_toml() if test else {})}
+    control = problem.control
+    # Scenarios are drawn again; the rest of a control problem is its identification problem.
+    base = problem if control is None else control.base
+    plant = problem.plant if control is None else control.plant
+    test = base.test.source
+    data = {**base.data.to_toml(), **(test.to_toml() if test else {})}
     guard = data.pop("guard", None)
     tables = {
         "name": problem.name,
@@ -100,24 +104,25 @@ def lock_text(problem: Problem, seal: Seal) -> str:
         "notes": problem.notes or None,
         "strategies": problem.strategies or None,
         "baseline": problem.baseline,
-        "sampling_time": problem.channels.sampling_time,
-        "inputs": [asdict(s) for s in problem.channels.inputs],
-        "outputs": [asdict(s) for s in problem.channels.outputs],
+        "sampling_time": base.channels.sampling_time,
+        "inputs": [asdict(s) for s in base.channels.inputs],
+        "outputs": [asdict(s) for s in base.channels.outputs],
         "data": {
             **data,
-            "groups": groups_table(problem.protocol),
+            "groups": groups_table(base.protocol),
             "guard": guard,
-            "guard_share": problem.guard_share,
-            "period": problem.period,
-            "frequency": [str(path) for path in problem.response_files] or None,
+            "guard_share": base.guard_share,
+            "period": base.period,
+            "frequency": [str(path) for path in base.response_files] or None,
         },
-        "protocol": protocol_table(problem.protocol),
+        "protocol": protocol_table(base.protocol),
         "budget": asdict(problem.budget),
-        "physics": None if problem.physics is None else asdict(problem.physics),
-        "plant": problem.plant and problem.plant.table,
-        "preprocess": asdict(problem.preprocess) if problem.preprocess else None,
-        "symmetry": {k: dict(v) for k, v in problem.symmetry.items()} or None,
-        "loop": loop_table(problem.loop),
+        "physics": None if base.physics is None else asdict(base.physics),
+        "plant": plant and plant.table,
+        "control": control and control.toml(),
+        "preprocess": asdict(base.preprocess) if base.preprocess else None,
+        "symmetry": {k: dict(v) for k, v in base.symmetry.items()} or None,
+        "loop": loop_table(base.loop),
         "digests": {**_digests(problem, seal.sha256), "guard": seal.guard},
     }
     return _HEADER + toml_text(tables)
@@ -147,7 +152,7 @@ def lock_differences(problem: Problem, seal: Seal, path: Path) -> tuple[Differen
 def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
     """Raise UserError that names every part whose digest is not the expected one."""
     found = _digests(problem, None)
-    parts = (*_TEXTS, "physics", "plant", "symmetry", "protocol", "frequency")
+    parts = (*_TEXTS, "physics", "plant", "control", "symmetry", "protocol", "frequency")
     names = {"frequency": "frequency responses"}
     changed = [
         f"the {names.get(part, part)}" for part in parts if found[part] != getattr(expected, part)
@@ -156,7 +161,7 @@ def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
     if len(train) != len(expected.train):
         changed.append("the number of training records")
     else:
-        pairs = zip(problem.train, train, expected.train, strict=True)
+        pairs = zip(_records(problem), train, expected.train, strict=True)
         changed += [f"training record '{t.name}'" for t, now, was in pairs if now != was]
     if changed:
         raise UserError(
@@ -166,19 +171,29 @@ def check_digests(problem: Problem, expected: DigestTable, path: Path) -> None:
 
 
 def _digests(problem: Problem, test: str | None) -> dict[str, Any]:
+    control = problem.control
+    base = problem if control is None else control.base
+    plant = problem.plant if control is None else control.plant
     return {
-        "train": [data_digest([t]) for t in problem.train],
+        "train": [data_digest([t]) for t in _records(problem)],
         "test": test,
         "description": text_digest(problem.description),
         "notes": text_digest(problem.notes) if problem.notes else None,
         "strategies": text_digest(problem.strategies) if problem.strategies else None,
         "baseline": None if problem.baseline is None else text_digest(problem.baseline),
-        "physics": None if problem.physics is None else physics_digest(problem.physics),
-        "plant": problem.plant and problem.plant.digest,
-        "frequency": tuple(one.digest for one in problem.responses) or None,
+        "physics": None if base.physics is None else physics_digest(base.physics),
+        "plant": plant and plant.digest,
+        "control": control and _json_digest(control.toml()),
+        "models": control and [hashlib.sha256(m).hexdigest() for m in control.models],
+        "frequency": tuple(one.digest for one in base.responses) or None,
         "symmetry": symmetry_digest(problem.symmetry) if problem.symmetry else None,
         "protocol": protocol_digest(problem),
     }
+
+
+def _records(problem: Problem) -> tuple[Trajectory, ...]:
+    """Training records; scenarios, then open-loop records of a control problem."""
+    return (*problem.train, *(problem.control.base.train if problem.control else ()))
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

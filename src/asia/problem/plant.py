@@ -44,10 +44,11 @@ class PlantTable:
 
     source: str
     """`plant.py:simulate`, a function in a file beside the problem, or `model.fmu`."""
-    parameters: Mapping[str, Unknown]
-    """Parameters of the simulator, the same in every record."""
+    parameters: Mapping[str, Unknown] = field(default_factory=dict[str, Unknown])
+    """Parameters of the simulator, the same in every record; with [control] drawn for each
+    scenario."""
     initial: Mapping[str, Unknown] = field(default_factory=dict[str, Unknown])
-    """Initial states, estimated for each record."""
+    """Initial states, estimated for each record; with [control] drawn for each scenario."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +62,11 @@ class Plant(PlantTable):
     def is_unit(self) -> bool:
         """Whether it is an FMU."""
         return self.source.endswith(".fmu")
+
+    @property
+    def is_built_in(self) -> bool:
+        """Whether it comes with ASIA."""
+        return Path(__file__).parents[1] / "problems" in Path(self.source).parents
 
     @property
     def function(self) -> str:
@@ -157,7 +163,12 @@ def _parts(source: str) -> tuple[str, str]:
 
 
 def load_plant(
-    table: PlantTable, root: Path, inputs: Sequence[str], outputs: Sequence[str]
+    table: PlantTable,
+    root: Path,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    calibrated: bool = True,
 ) -> Plant:
     """Read a simulator without executing it.
 
@@ -165,11 +176,12 @@ def load_plant(
         table: [plant] of the problem file.
         root: folder of the problem file.
         inputs, outputs: names of the signals.
+        calibrated: whether its parameters are fitted, so that there must be one.
 
     Raises:
         UserError: for a file that is missing or no simulator, and unknowns that do not fit it.
     """
-    if not table.parameters:
+    if not table.parameters and calibrated:
         raise UserError("[plant.parameters] is empty: name a parameter to fit, with min and max")
     for name in table.initial:
         if name in table.parameters:

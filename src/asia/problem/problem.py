@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter
 
@@ -25,6 +25,9 @@ from asia.problem.protocol import ProtocolRule
 from asia.problem.protocol_table import ProtocolTable, groups_table, protocol_table
 from asia.problem.symmetry import Symmetry
 from asia.problem.toml import toml_text
+
+if TYPE_CHECKING:
+    from asia.problem.control import Control
 
 # A problem as the rest of ASIA sees it, and handles to its data. Holds no test outputs.
 
@@ -114,6 +117,8 @@ class Problem:
     """Feedback loop in which the training records were taken."""
     plant: Plant | None = None
     """Simulator of the user's own."""
+    control: Control | None = None
+    """Plant and cost of a control problem; its records are then scenarios."""
     responses: tuple[FrequencyRecord, ...] = ()
     """Measured frequency responses of the system."""
     response_files: tuple[Path, ...] = ()

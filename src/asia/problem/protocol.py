@@ -76,9 +76,9 @@ class TestRule:
 class ProtocolRule:
     """Rule for V and the test metric, frozen and hashed before the first experiment."""
 
-    kind: Literal["simulation", "windows"] = "simulation"
-    """`simulation` of whole blocks, or `windows` of `horizon` samples, each started from its own
-    past window."""
+    kind: Literal["simulation", "windows", "control"] = "simulation"
+    """`simulation` of whole blocks, `windows` of `horizon` samples, each started from its own past
+    window, or `control` in the scenarios of [control]."""
     folds: FoldRule = FoldRule()
     past_inputs: int = 10
     """Input samples that a model sees before it simulates."""
@@ -96,6 +96,8 @@ class ProtocolRule:
     residuals: ShownResidual = "train"
     """Samples whose residuals agents see: of the training records, or of the held-out ones too, to
     which a model can then be fitted by hand."""
+    tolerance: tuple[float, ...] | None = None
+    """Size of an error of each output that V counts as 1; None for its standard deviation."""
 
     @property
     def past(self) -> int:

@@ -86,7 +86,7 @@ class TestTable:
 
 @dataclass(frozen=True)
 class ProtocolTable:
-    kind: Literal["simulation", "windows"] = "simulation"
+    kind: Literal["simulation", "windows", "control"] = "simulation"
     folds: FoldsTable = FoldsTable()
     past_inputs: _PastSamples = ProtocolRule.past_inputs
     past_outputs: _PastSamples = ProtocolRule.past_outputs
@@ -120,7 +120,7 @@ def check_protocol(table: ProtocolTable, groups: GroupsTable, outputs: Sequence[
             'protocol.kind = "windows" needs protocol.horizon, the samples simulated in each '
             "window: add one, such as horizon = 50"
         )
-    if table.kind == "simulation" and table.horizon is not None:
+    if table.kind != "windows" and table.horizon is not None:
         raise UserError(
             'protocol.horizon belongs to kind = "windows": set that, or leave the horizon out to '
             "simulate whole blocks"
@@ -281,7 +281,7 @@ def protocol_table(rule: ProtocolRule) -> dict[str, Any]:
     test = rule.test
     ladder = rule.ladder
     return {
-        **{key: value for key, value in asdict(rule).items() if key != "ladder"},
+        **{k: value for k, value in asdict(rule).items() if k not in ("ladder", "tolerance")},
         "feedback": None if ladder is None else "ladder",
         "ladder_step": ladder,
         # Left out where it says nothing new, as in locks written before there was a choice.

@@ -16,6 +16,7 @@ from asia.data.preprocess import Preprocess, without_numbers
 from asia.data.sources.source import DataTable, FileName
 from asia.data.trajectory import Signal
 from asia.problem.budget import Budget
+from asia.problem.control import ControlTable
 from asia.problem.feedback import Loop
 from asia.problem.physics import Physics
 from asia.problem.plant import PlantTable
@@ -51,6 +52,7 @@ class ProblemTables:
     budget: Budget = field(default_factory=Budget)
     physics: Physics | None = None
     plant: PlantTable | None = None
+    control: ControlTable | None = None
     preprocess: Annotated[Preprocess, BeforeValidator(without_numbers)] = field(
         default_factory=Preprocess
     )
@@ -84,6 +86,8 @@ class DigestTable:
     baseline: str | None = None
     physics: str | None = None
     plant: str | None = None
+    control: str | None = None
+    models: tuple[str, ...] = ()
     symmetry: str | None = None
     frequency: tuple[str, ...] | None = None
     protocol: str

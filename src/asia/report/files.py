@@ -226,7 +226,8 @@ def pictures(run: Run, problem: Problem) -> Iterator[Picture]:
         yield "simulation", lambda: draw_simulation(run, problem, best, folds)
         if problem.protocol.kind == "windows":
             yield "horizon", lambda: draw_horizon(run, problem, best, folds)
-        yield "residuals", lambda: draw_residuals(run, problem, best, folds)
+        if problem.protocol.kind != "control":
+            yield "residuals", lambda: draw_residuals(run, problem, best, folds)
     if ablated is not None:
         yield "ablation", lambda: draw_ablation(ablated, view.started.run, view.v_name)
     if opened is None or not isinstance(opened.ensemble, TestedModel):

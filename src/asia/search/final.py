@@ -7,12 +7,13 @@ from collections.abc import Collection, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from statistics import median
+from typing import Any
 
 import numpy as np
 
 from asia._diagnostic import diagnostic
 from asia.agents.library.recipe import MODELS, read_recipe
-from asia.agents.library.record_facts import relation
+from asia.agents.library.record_facts import integrating, relation
 from asia.candidate import ParameterEstimates
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason
@@ -438,6 +439,8 @@ def refit_winner(
     failed: list[str] = []
 
     def stacked(refused: Collection[int] = ()) -> Stack | None:
+        if problem.control is not None:  # A mean of responses is no response.
+            return None
         with diagnostic("stack", failed):
             return make_stack(evaluator, view, store, metric, refused)
         return None
@@ -484,6 +487,8 @@ def refit_winner(
         stack=stack,
         estimates=estimates,
     )
+    if problem.control is not None:
+        return replace(refitted, failed_checks=tuple(failed), **_chosen_controller(refitted))
     chosen = choose_model(FinalEvidence.of(best, refitted))
     refused: set[int] = set()
     while refitted.stack is not None and (
@@ -498,13 +503,26 @@ def refit_winner(
         chosen = choose_model(FinalEvidence.of(best, refitted))
     refitted = replace(refitted, use=chosen.model, reason=chosen.reason)
     with diagnostic("stress simulation", failed):
-        room = StressRoom(evaluator, store, view)
+        room = StressRoom(evaluator, store, view, integrating(problem_facts(problem)))
         without = replace(FinalEvidence.of(best, refitted), stack=None)
         second = choose_model(without).model
         refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)
     with diagnostic("feedback on the inputs", failed):
         refitted = replace(refitted, feedback=undeclared_feedback(problem))
     return replace(refitted, failed_checks=tuple(failed))
+
+
+def _chosen_controller(refitted: Refitted) -> dict[str, Any]:
+    """Controller to use: that of all training scenarios, or, where there is none, the first fold's.
+
+    K controllers in one loop would be another controller, so none is a mean of others.
+    """
+    if refitted.model is not None:
+        return {"use": "refit", "reason": "It was designed for all training scenarios."}
+    return {
+        "use": "ensemble",
+        "reason": f"There is no design for all scenarios: {refitted.detail}.",
+    }
 
 
 def undeclared_feedback(problem: Problem) -> Feedback | None:

@@ -14,7 +14,7 @@ from asia.agents.registry import recorded_agents
 from asia.agents.view import Agent, AgentStoppedError, AgentView, Attached, DivergedError
 from asia.errors import InternalError, UserError
 from asia.judge.evaluation.evaluator import Evaluator
-from asia.judge.evaluation.references import LINEAR, score_references
+from asia.judge.evaluation.references import first_source, score_references
 from asia.judge.sandbox.types import Isolation
 from asia.judge.scoring.outcome import Failure, Outcome, Score
 from asia.ledger.artifacts import Store, without_artifacts
@@ -134,7 +134,7 @@ def replay_run(
         notes.append(f"isolation {level.value} here, {started.isolation} then")
     here = environment(started.agent, *(leg.agent for leg in started.legs))
     notes += environment_changes(started.environment, here)
-    evaluator = make_evaluator(problem, run.view, isolation=level)
+    evaluator = make_evaluator(problem, run.view, isolation=level, controllers=True)
     replaying = _Replaying(run, problem, evaluator, agents, tolerance, on_item)
     replaying.run_all()
     answered = sum(200 <= e.status < 300 for e in run.view.exchanges)
@@ -218,7 +218,7 @@ class _Replaying:
         agent = self._agent(before)
         detail = ""
         if event.phase == "baseline":
-            if as_bytes(self.problem.baseline or LINEAR) != source:
+            if as_bytes(first_source(self.problem)) != source:
                 detail = "the baseline differs"
         elif agent is None:
             return item

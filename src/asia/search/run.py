@@ -11,7 +11,7 @@ import secrets
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Final, get_args
 
@@ -21,10 +21,11 @@ from asia.agents.relay import check_relay_budget, relay_budget
 from asia.agents.view import Agent
 from asia.candidate import check_source, installed_libraries
 from asia.errors import CandidateError, SandboxError, UserError
+from asia.judge.evaluation.control import closed_loop, prepare_control
 from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.plant_check import check_plant
-from asia.judge.evaluation.references import LINEAR
+from asia.judge.evaluation.references import first_source
 from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import derive_seed
 from asia.judge.evaluation.workers import WorkerRunner
@@ -42,6 +43,7 @@ from asia.ledger.run import ERROR, keep_error
 from asia.ledger.verification import check_lock
 from asia.ledger.view import SearchView
 from asia.problem.folds import Fold, fold_names, make_folds
+from asia.problem.load import with_models
 from asia.problem.lock import lock_differences, lock_text, protocol_digest
 from asia.problem.problem import Problem, kept_places, record_places
 from asia.problem.protocol import EarlyStopping
@@ -127,6 +129,8 @@ def check_hidden_from_agent(shown: Iterable[Path], problem: Problem) -> None:
 
 
 LOCK = "problem.lock.toml"
+# Agents that know no controllers.
+_MODELS_ONLY = ("random", "random-paper", "bayes", "leading", "workspace")
 
 
 @dataclass(frozen=True)
@@ -189,6 +193,12 @@ def prepare(
             sequential folds.
     """
     rule, budget = problem.protocol, problem.budget
+    for one in (agent_name, *(leg.agent for leg in legs)):
+        if problem.control is not None and one in _MODELS_ONLY:
+            raise UserError(
+                f"agent {one} proposes models, and '{problem.name}' asks for a controller: use "
+                "expert, llm, mcp or an agent of your own"
+            )
     check_ways(rule, parallel, strict=isolation_strict, stop_folds=stop_folds)
     check_baseline(problem)
     # The file's schema checks a budget that was read; this one may come from anywhere.
@@ -207,7 +217,9 @@ def prepare(
     resumes = (directory / "ledger.jsonl").is_file() and (directory / LOCK).is_file()
     if not resumes:
         check_plant(problem, found.level)
+        problem = prepare_control(problem, found.level)
     else:
+        problem = with_models(problem, directory)
         # The budget may grow. A run from before there were retests goes on by its ledger's rule.
         different = [
             one
@@ -274,17 +286,19 @@ def search(
     check_steps_ahead(prepared.started.parallel, agent)
     with Chain(directory / "ledger.jsonl") as chain:
         if not chain.lines:
+            for model in problem.control.models if problem.control else ():
+                Store(directory / "artifacts").put(model)
             write_whole(directory / LOCK, prepared.lock.encode())
             chain.append(prepared.started)
         view = chain.view
         check_lock(directory, view.started)
         check_same_search(view, prepared.started)
         level = Isolation(prepared.started.isolation)
-        evaluator = make_evaluator(problem, view, executor, isolation=level)
+        evaluator = make_evaluator(problem, view, executor, isolation=level, controllers=True)
         evaluator.workers.on_loss = RunningLosses(directory)
         loop = Loop(
             problem=problem,
-            baseline=problem.baseline or LINEAR,
+            baseline=first_source(problem),
             agent=agent,
             evaluator=evaluator,
             chain=chain,
@@ -337,20 +351,30 @@ def make_evaluator(
     folds: Sequence[Fold] | None = None,
     without: Collection[SuspicionKind] = (),
     isolation: Isolation | None = None,
+    *,
+    controllers: bool = False,
 ) -> Evaluator:
     """Make the evaluator of a run.
 
     Args:
+        controllers: whether the caller can use a run whose candidates are controllers.
         folds: folds in place of those of the problem.
         without: as in `EvaluatorOptions`.
         isolation: level of the candidates; None for the strongest of this machine. The level that
             the ledger names has no effect, because the run may come from somebody else.
 
     Raises:
-        UserError: this machine does not have the level.
+        UserError: this machine does not have the level, or the candidates are controllers.
     """
     rule = problem.protocol
+    if problem.control is not None and not controllers:
+        raise UserError(
+            f"run '{view.started.run}' searched for a controller, and this needs a model: use a "
+            "run that identified the plant"
+        )
     runs_on = executor or LocalExecutor()
+    if problem.control is not None and remote_executor_of(executor) is not None:
+        raise UserError("controllers are simulated on this machine: use --executor local")
     context = search_context(problem, derive_seed(view.started.seed, "search"))
     chosen = make_folds(problem.train, rule) if folds is None else tuple(folds)
     workers = WorkerRunner(
@@ -359,6 +383,7 @@ def make_evaluator(
         SequentialExecutor(runs_on) if view.started.isolation_strict else runs_on,
         standby=len(chosen),
     )
+    workers.closed_loop = closed_loop(problem, partial(workers.open_for, fitting=True, plant=True))
     data = EvaluationData(chosen, problem.train, context, rule)
     options = EvaluatorOptions(view.started.salt, without, view.started.lock_digest)
     return Evaluator(data, workers, options)
@@ -367,6 +392,8 @@ def make_evaluator(
 def with_early_stopping(problem: Problem, setting: str) -> Problem:
     """The problem with this setting instead of its file's. Raises UserError for another word, or
     one that the protocol's feedback rules out."""
+    if problem.control is not None and setting != "inner":
+        raise UserError('controllers are designed without scores: keep --early-stopping "inner"')
     for known in get_args(EarlyStopping):
         if setting == known:
             rule = replace(problem.protocol, early_stopping=known)

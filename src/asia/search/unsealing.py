@@ -11,7 +11,7 @@ import numpy as np
 
 from asia._diagnostic import diagnostic
 from asia.data.trajectory import Array, Trajectory, data_digest
-from asia.errors import CandidateError, UserError
+from asia.errors import CandidateError, Reason, UserError
 from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import mean_simulation
 from asia.judge.sandbox.levels import LEVELS
@@ -109,7 +109,7 @@ def unseal(
         before = _openers(directory, digest)
         if view.unsealing is None:
             chain.append(Unsealing(best.number, digest, before, consented))
-        evaluator = make_evaluator(problem, view, isolation=level)
+        evaluator = make_evaluator(problem, view, isolation=level, controllers=True)
         event = _score(directory, view, best, evaluator, problem, open_test(problem, keys))
         chain.append(event)
         write_exports(directory, chain.view)
@@ -158,11 +158,20 @@ def _score(
     bands: TestBands | None = None
     failed: list[str] = []
     with scorer.evaluator.workers.ready_workers():
-        each = {use: final_members(view, use) for use in get_args(Use) if has_model(view, use)}
+        each = {
+            use: final_members(view, use)
+            for use in get_args(Use)
+            if has_model(view, use) and (problem.control is None or use == "refit")
+        }
         scorer.simulate([member for members in each.values() for member in members])
         scores = {use: scorer.score(members) for use, members in each.items()}
-        with diagnostic("output bands", failed):
-            bands = scorer.bands(view)
+        if problem.control is not None:
+            scores["ensemble"] = Failure(
+                Reason.CONTRACT, "the mean of several closed loops is no closed loop"
+            )
+        else:
+            with diagnostic("output bands", failed):
+                bands = scorer.bands(view)
     return Unsealed(
         experiment=best.number,
         test_digest=digest,

@@ -12,8 +12,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from statistics import median
 
+from asia.agents.control import propose_controller
 from asia.agents.expert.allocation import CLOSE, Allocation
 from asia.agents.expert.diagnosis import (
+    DYNAMICS,
     answers,
     beats_nothing,
     diagnoses,
@@ -86,6 +88,8 @@ class ExpertAgent:
         Raises:
             AgentStoppedError: where the noise floor is reached
         """
+        if view.facts.control is not None:
+            return propose_controller(view)
         wishes, answers = read_notes(view.notes)
         unwanted = avoided(wishes)
         remarks, proposal = list(answers), None
@@ -181,7 +185,7 @@ def untried(view: AgentView) -> Iterator[Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
     used, lost = {t.family for t in view.proposed}, beats_nothing(view)
     static = any(name == "amplitude" for name, _ in diagnoses(view))
-    static = static and places(view.facts) != frozenset({"dynamics"})
+    static = static and set(places(view.facts)) != {DYNAMICS}
     maps = dict(leading_maps(view))
     for row in families(view.facts):
         if row.name in used:

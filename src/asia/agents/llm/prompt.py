@@ -16,6 +16,12 @@ from asia._text import one_line
 from asia.agents.library.recipe import MODELS
 from asia.agents.library.registry import families
 from asia.agents.library.space import Span
+from asia.agents.llm.control import (
+    CONTROL_EXAMPLE,
+    control_contract,
+    control_role,
+    task_lines,
+)
 from asia.agents.view import AgentView, Facts, Running, Trial
 from asia.candidate import VALIDATION_SCORES, installed_libraries
 from asia.data.frequency import FrequencyRecord
@@ -151,6 +157,8 @@ def problem_text(facts: Facts) -> str:
 
 def briefing(facts: Facts) -> str:
     """Describe task, problem, contract and library for an agent."""
+    if facts.control is not None and facts.identification is not None:
+        return _control_briefing(facts, facts.identification)
     contract = _CONTRACT.format(
         nu=len(facts.inputs),
         ny=len(facts.outputs),
@@ -179,6 +187,24 @@ def briefing(facts: Facts) -> str:
         "Strategies suggested": bounded(facts.strategies, _TEXT),
     }
     parts = [_ROLE.format(metric=metric_label(facts.metric))]
+    parts += [f"# {title}\n{text}" for title, text in sections.items() if text]
+    return "\n\n".join(parts)
+
+
+def _control_briefing(facts: Facts, plant: Facts) -> str:
+    """The same for a controller of a plant."""
+    sections = {
+        "Description": bounded(facts.description, _TEXT),
+        "Signals of the plant": "\n".join(signal_lines(plant)),
+        "Task": task_lines(facts),
+        "Equations": "" if plant.physics is None else "\n".join(equations(plant.physics)),
+        "Open-loop records": "\n".join(_records(plant)),
+        "Contract": control_contract(facts),
+        "A small candidate": fenced(CONTROL_EXAMPLE, _SOURCE),
+        "Notes from the literature": bounded(facts.notes, _TEXT),
+        "Strategies suggested": bounded(facts.strategies, _TEXT),
+    }
+    parts = [control_role(facts)]
     parts += [f"# {title}\n{text}" for title, text in sections.items() if text]
     return "\n\n".join(parts)
 
@@ -387,8 +413,7 @@ def search_text(view: AgentView, task: Task, hide_baseline: bool = False) -> str
     if best is not None:
         lines = [
             trial_line(best),
-            *_training(best),
-            _MEANING,
+            *(() if view.facts.control else (*_training(best), _MEANING)),
             *best.evidence[:_EVIDENCE],
             source(best),
         ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +27,7 @@ def check(
     """
     from asia.analysis.data_verdict import judge_data
     from asia.interfaces.workspace.workspace import is_workspace
+    from asia.judge.evaluation.control import control_lines
     from asia.judge.evaluation.plant_check import check_plant
     from asia.problem.check import check_problem
     from asia.problem.load import load_problem
@@ -37,6 +39,11 @@ def check(
     check_baseline(loaded)
     make_folds(loaded.train, loaded.protocol)
     in_workspace = is_workspace(Path(problem))
+    if loaded.control is not None:
+        for line in control_lines(loaded, level_here()):
+            say(line)
+        # The rest is about the records from which models are identified.
+        loaded = replace(loaded.control.base, name=loaded.name, description=loaded.description)
     report = check_problem(loaded, seal(loaded), in_workspace=in_workspace)
     simulator = check_plant(loaded, level_here()) if loaded.plant else []
     # A verdict needs a linear model.

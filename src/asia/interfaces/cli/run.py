@@ -435,11 +435,13 @@ class TextDisplay:
         )
         sealed = f"sealed sha256:{start.test_digest[:8]}" if start.test_digest else "none"
         at_once = f"{start.parallel} parallel experiments  " if start.parallel > 1 else ""
-        folds = problem.protocol.folds.count
+        folds, metric = problem.protocol.folds.count, find_metric(problem.protocol.metric)
+        judged = metric.summary
+        if problem.control is not None:
+            judged = f"{metric.label} of the closed loop, in tolerances"
         self._print(
             f"agent {start.agent}  seed {start.seed}  {at_once}{folds} folds  "
-            f"{view.v_name} = {find_metric(problem.protocol.metric).summary}  "
-            f"test {sealed}"
+            f"{view.v_name} = {judged}  test {sealed}"
         )
         if start.early_stopping == "validation":
             self._print(f"note    {NOT_LEAK_FREE}")
@@ -513,7 +515,7 @@ class TextDisplay:
         for line in (*verdict_lines(view), *use_lines(view)):
             word, _, words = line.partition(" ")
             self._print(f"{word:<9}{words.strip()}")
-        if view.refitted is not None:
+        if view.refitted is not None and self.problem.control is None:
             self._print("models   asia.simulate(run, ...) uses the model of the line `use`")
         run = directory.name if directory.parent == DEFAULT_RUNS else str(directory)
         show, validate, report, unseal = (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asia._text import one_line, say
-from asia.errors import InternalError, UserError
+from asia.errors import InternalError, Reason, UserError
 from asia.interfaces.cli.options import Keys, RunName, RunOptions, YesProcess
 from asia.interfaces.cli.output import print_alarms, use_lines, validation_words
 from asia.judge.scoring.outcome import Failure
@@ -184,7 +184,9 @@ def _print_result(record: Unsealed, view: SearchView, *, by_record: bool) -> Non
         if model is None:
             continue
         if isinstance(model, Failure):
-            say(f"{title:<28} no score: {model.advice}")
+            # What breaks the contract says more itself.
+            own = model.detail if model.reason is Reason.CONTRACT else ""
+            say(f"{title:<28} no score: {own or model.advice}")
             continue
         for score in model.scores:
             values = zip(record.channels, score.per_channel, strict=True)

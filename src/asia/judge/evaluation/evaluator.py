@@ -90,7 +90,10 @@ class EvaluationData:
 
     @cached_property
     def scale(self) -> Array:
-        """Standard deviation (ny,) of the measured outputs of all records."""
+        """Standard deviation (ny,) of the measured outputs of all records, or the tolerance that
+        the protocol has instead."""
+        if self.rule.tolerance is not None:
+            return np.array(self.rule.tolerance)
         return spread_of(np.concatenate([record.measured_y for record in self.records]))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,16 +78,18 @@ def fold_result(
     held_out: tuple[SignedResidual, ...] = ()
     steps: tuple[StepErrors, ...] = ()
     checks: tuple[TrainingCheck, ...] | None = None
-    with diagnostic("residual analysis", failed):
-        evidence = diagnose(inputs, whole_y, fitted.train_y_hat, fold.scale, train.value)
-    with diagnostic("signed residuals", failed):
-        signed = signed_residuals(inputs, whole_y, fitted.train_y_hat, fold.scale, ranges)
-    with diagnostic("held-out residuals", failed):
-        held_out = _held_out_residuals(fold, fitted, rule, ranges)
-    with diagnostic("errors by step", failed):
-        steps = _step_errors(fold, fitted.y_hat, rule)
-    with diagnostic("training checks", failed):
-        checks = training_checks(inside, fitted.train_y_hat, fold.scale, context)
+    # The errors of a closed loop are no residuals of a model.
+    if rule.kind != "control":
+        with diagnostic("residual analysis", failed):
+            evidence = diagnose(inputs, whole_y, fitted.train_y_hat, fold.scale, train.value)
+        with diagnostic("signed residuals", failed):
+            signed = signed_residuals(inputs, whole_y, fitted.train_y_hat, fold.scale, ranges)
+        with diagnostic("held-out residuals", failed):
+            held_out = _held_out_residuals(fold, fitted, rule, ranges)
+        with diagnostic("errors by step", failed):
+            steps = _step_errors(fold, fitted.y_hat, rule)
+        with diagnostic("training checks", failed):
+            checks = training_checks(inside, fitted.train_y_hat, fold.scale, context)
     findings = FoldFindings(
         errors=_errors(y, fitted.y_hat, fold.scale, rule),
         train_errors=_errors(train_y, fitted.train_y_hat, fold.scale, rule),
@@ -143,7 +145,12 @@ def _step_errors(fold: Fold, y_hat: Sequence[Array], rule: ProtocolRule) -> tupl
 def search_context(problem: Problem, seed: int) -> Context:
     """Return the context of a search with this derived seed, without the fields that differ by
     fold."""
-    rule = problem.protocol
+    rule, control = problem.protocol, problem.control
+    if control is not None:
+        # The plant of a control problem, as for its identification.
+        context = search_context(replace(control.base, plant=None), seed)
+        past = ProtocolRule.past_inputs
+        return replace(context, n_past_u=past, n_past_y=past, control=control.task())
     return Context(
         inputs=problem.preprocess.signals(problem.inputs),
         outputs=problem.preprocess.signals(problem.outputs),

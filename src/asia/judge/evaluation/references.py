@@ -16,8 +16,86 @@ from asia.judge.evaluation.evaluator import Evaluator
 from asia.judge.evaluation.results import Evaluation, score_outputs
 from asia.judge.scoring.outcome import Outcome, Score
 from asia.problem.folds import Block, Fold
+from asia.problem.problem import Problem
 
 Rates = tuple[int | None, ...]
+
+CONTROLLERS = {
+    "inputs held": '''"""Inputs held at their start."""
+
+import numpy as np
+
+
+class Controller:
+    def __init__(self, u):
+        self.u = u
+
+    def step(self, r, y):
+        return self.u
+
+
+def design(models, context):
+    return Controller(np.array([a.start for a in context.control.actuators]))
+''',
+    "relay-tuned PID": '''"""PID loops tuned with a relay on the identified model."""
+
+from asia.models import controllers
+
+
+def design(models, context):
+    return controllers.relay(models, context)
+''',
+    "PID of asia control": '''"""PID loops by the optimisation of `asia control`, one by one."""
+
+import numpy as np
+
+from asia.analysis.control import Specification, Transfer, sampled
+from asia.analysis.control import design as optimised
+from asia.errors import UserError
+from asia.lowering.linear import continuous, reduced
+from asia.models import controllers
+
+
+def transfer(model):
+    order = model.order
+    while True:
+        try:
+            same, dead = continuous(reduced(model, order).model)
+            break
+        except UserError:
+            order -= 1
+            if not order:
+                raise
+    numerators, den = same.numerator()
+    num = numerators[0][0]
+    num = np.where(np.abs(num) > 1e-9 * np.abs(num).max(), num, 0.0)
+    return Transfer(np.trim_zeros(num, "f"), den, (dead + 0.5) * model.sampling_time)
+
+
+def tuned(models, pair):
+    plants = [transfer(model) for model in models]
+    wanted = Specification(2.0, 45.0, None, plants[0].own_settling, 10.0, 1e-3)
+    made = optimised(plants, wanted, effort=30)
+    return sampled(
+        made.controller, models[0].sampling_time, u0=pair.u0, y0=pair.y0,
+        limits=(pair.low, pair.high), rate=pair.rate,
+    )
+
+
+def design(models, context):
+    return controllers.paired(models, context, tuned)
+''',
+}
+"""Reference controllers by name."""
+CONTROLLER = '''"""PID loops, optimised in simulation with the identified models."""
+
+from asia.models import controllers
+
+
+def design(models, context):
+    return controllers.pid(models, context)
+'''
+"""First candidate of a control problem that brings none."""
 
 
 def find_rates(fold: Fold, horizon: int) -> Rates:
@@ -97,6 +175,9 @@ def score_references(
     Args:
         truth: one (T, ny) array a training record
     """
+    if evaluator.data.context.control is not None:
+        yield from control_references(evaluator, known)
+        return
     folds, horizon = evaluator.data.folds, evaluator.data.horizon
     past = len(folds[0].held_out[0].case.past_y)
     simulations: dict[str, Callable[[Fold, Block], Array]] = {
@@ -130,6 +211,19 @@ def score_references(
         yield Reference(
             TRUTH, score(lambda _, block: truth[block.record][block.start : block.stop])
         )
+
+
+def first_source(problem: Problem) -> str:
+    """Source of the first experiment of a search."""
+    return problem.baseline or (LINEAR if problem.control is None else CONTROLLER)
+
+
+def control_references(evaluator: Evaluator, known: Set[str]) -> Iterator[Reference]:
+    """Inputs held at their start, PID loops tuned with a relay, and those of `asia control`."""
+    for name, source in CONTROLLERS.items():
+        if name not in known:
+            found = evaluator.evaluate(source)
+            yield Reference(name, found.outcome, found.failed_checks, source)
 
 
 def best_linear(evaluator: Evaluator) -> Reference:

@@ -18,6 +18,7 @@ from asia.judge.executors import Executor, SequentialExecutor, local_cores, remo
 from asia.judge.sandbox.availability import open_worker
 from asia.judge.sandbox.standby import StandbyWorkers
 from asia.judge.sandbox.types import Isolation, Limits, WorkerKilledError
+from asia.judge.sandbox.worker.closed_loop import ClosedLoop
 from asia.judge.sandbox.worker.worker import Worker
 from asia.problem.budget import Budget
 
@@ -49,6 +50,8 @@ class WorkerRunner:
         self.stopwatch = ActivityTimer()
         # Processes that the kernel does not let die, by pid: they keep their core and memory.
         self.left_behind: list[int] = []
+        self.closed_loop: ClosedLoop | None = None
+        """Loop in which candidates are simulated; None where they are models."""
         self.on_loss: OnLoss | None = None
         """Called from any thread while folds are fitted on this machine."""
         self.limits = Limits(budget.fit_seconds, budget.fit_seconds, budget.memory_mb)
@@ -180,10 +183,14 @@ class WorkerRunner:
             worker.abort()
 
     @contextmanager
-    def open_for(self, source: str, *, fitting: bool) -> Generator[Worker]:
+    def open_for(self, source: str, *, fitting: bool, plant: bool = False) -> Generator[Worker]:
         """Open a worker for a candidate, to fit it or to load its models: a standby one where one
         fits, which waits again afterwards where the candidate calls the library alone. `abort` and
-        the cancel flag end it."""
+        the cancel flag end it.
+
+        Args:
+            plant: whether it is for the plant of the closed loop
+        """
         if len(self.left_behind) >= _MOST_LEFT_BEHIND:
             pids = ", ".join(str(pid) for pid in self.left_behind)
             raise UserError(
@@ -205,6 +212,7 @@ class WorkerRunner:
                 try:
                     if self._interrupted:
                         raise SandboxError("the search was interrupted")
+                    worker.closed_loop = None if plant else self.closed_loop
                     with cancel.on_cancel(worker.abort):
                         yield worker
                     worker.count_compiling()

@@ -530,6 +530,7 @@ class Overlay:
         skip: samples at the start that do not count.
         band: lower and upper edges (H, ny) of the output bands.
         others: further simulations (H, ny).
+        below: label and values (H,) of a curve in place of the errors.
     """
 
     title: Html
@@ -541,6 +542,7 @@ class Overlay:
     skip: int = 0
     band: tuple[Array, Array] | None = None
     others: tuple[Array, ...] = ()
+    below: tuple[str, Array] | None = None
 
     def cut(self, first: int, last: int) -> Overlay:
         """Return the part between two samples, counted from its start and clipped to it; at least
@@ -556,6 +558,7 @@ class Overlay:
             skip=max(0, min(self.skip, end) - begin),
             band=None if self.band is None else (self.band[0][begin:end], self.band[1][begin:end]),
             others=tuple(one[begin:end] for one in self.others),
+            below=None if self.below is None else (self.below[0], self.below[1][begin:end]),
         )
 
 
@@ -590,6 +593,10 @@ def draw_overlay(problem: Problem, overlay: Overlay, limit: float | None = None)
     errors = [y - one for one in (y_hat, *others)]
     most = limit or error_limit(overlay)
     strip = Scale(-most, most, _STRIP, 0)
+    what = Html("error")
+    if overlay.below is not None:
+        what, errors = said(overlay.below[0]), [overlay.below[1]]
+        strip = Scale(*_limits(overlay.below[1]), _STRIP, 0)
     band = around = None
     if overlay.band is not None:
         edges = [edge[:, overlay.channel] for edge in overlay.band]
@@ -618,13 +625,13 @@ def draw_overlay(problem: Problem, overlay: Overlay, limit: float | None = None)
             role="img",
             aria_label=f"{overlay.alt}: measured and simulated {signal.name}",
         ),
-        tag("div", "error", class_="axis"),
+        tag("div", what, class_="axis"),
         _plot(
             strip,
             around,
             [
                 _line(name if others else "error", one, strip)
-                for name, one in zip(names, errors, strict=True)
+                for name, one in zip(names, errors, strict=False)
             ],
             3,
             class_="plot strip",

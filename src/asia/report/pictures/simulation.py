@@ -98,6 +98,7 @@ def draw_overlay(
     sampling_time: float,
     title: str,
     *,
+    measured: str = "measured",
     simulated: str = "simulated",
     other: str = "",
     band: str = "",
@@ -109,6 +110,7 @@ def draw_overlay(
         panels: the panels.
         sampling_time: in s.
         title: title of the picture.
+        measured: name of what is to be reproduced.
         simulated: name of the simulation.
         other: name of the second simulation.
         band: name of the output bands.
@@ -138,7 +140,7 @@ def draw_overlay(
     every = [segment for panel in panels for segment in panel.segments]
     axes = figure.axes[0]
     handles: list[Artist] = [
-        *axes.plot([], [], color=FAINT, lw=2.6, label="measured"),
+        *axes.plot([], [], color=FAINT, lw=2.6, label=measured),
         *axes.plot([], [], color=BLUE, lw=1.1, label=simulated),
     ]
     if any(s.other is not None for s in every):
@@ -232,7 +234,10 @@ def draw_simulation(
         content, kind = "held-out folds", "records"
         notes += shown((min(len(problem.train), _MOST_SEGMENTS), len(problem.train), "records"))
     title = f"{_experiment(experiment)}: {content}, {run.view.v_name} = {number(score.value)}"
-    return draw_overlay(panels, problem.sampling_time, title + notes, kind=kind)
+    names: dict[str, str] = {}
+    if problem.control is not None:
+        kind, names = "scenarios", {"measured": "target", "simulated": "response"}
+    return draw_overlay(panels, problem.sampling_time, title + notes, kind=kind, **names)
 
 
 _MOST_SEGMENTS = 4

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from asia._text import nearest
-from asia.data.sources.simulated import Simulation, bouc_wen, two_tanks
+from asia.data.sources.simulated import Simulation, bouc_wen, open_loop, two_tanks
 from asia.data.sources.source import Channels, DataTable, Source, SourceData, Subset
 from asia.data.trajectory import Trajectory
 from asia.errors import UserError
@@ -25,6 +25,10 @@ class SimulatedSystem:
 SYSTEMS: Mapping[str, SimulatedSystem] = {
     "two_tanks": SimulatedSystem(two_tanks.SAMPLING_TIME, two_tanks.two_tanks_records),
     "bouc_wen": SimulatedSystem(bouc_wen.SAMPLING_TIME, bouc_wen.bouc_wen_records),
+    "quadruple_tank": SimulatedSystem(
+        open_loop.QUADRUPLE_TANK_TIME, open_loop.quadruple_tank_records
+    ),
+    "cstr": SimulatedSystem(open_loop.CSTR_TIME, open_loop.cstr_records),
 }
 """The systems by name."""
 

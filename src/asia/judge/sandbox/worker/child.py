@@ -262,16 +262,24 @@ class _Session:
                     place = place.base
             trajectories.append(Trajectory(u, y, sampling_time, name, missing, reference))
         module = _execute(source)
-        fit = getattr(module, "fit", None)
+        name, first = ("fit", "trajectories") if known["control"] is None else ("design", "models")
+        fit: Any = getattr(module, name, None)
         if not callable(fit):
-            raise _RefusedError("the source defines no function fit(trajectories, context)")
+            raise _RefusedError(f"the source defines no function {name}({first}, context)")
         points = _TrainingCurve(self._show_loss)
         validation_score = self._validation_score if scored else None
         context = Context(**known, log=points.log, validation_score=validation_score)
-        trajectories, context, restored = standardised(trajectories, context)
-        self._reply(wire.ReplyKind.STARTED)
-        self._fitting = True
-        self._model = _as_model(restored(fit(trajectories, context)))
+        if context.control is None:
+            trajectories, context, restored = standardised(trajectories, context)
+            self._reply(wire.ReplyKind.STARTED)
+            self._fitting = True
+            self._model = _as_model(restored(fit(trajectories, context)))
+        else:
+            from asia.models.controllers import controlled
+
+            self._reply(wire.ReplyKind.STARTED)
+            self._fitting = True
+            self._model = controlled(fit, trajectories, context)
         self._fitting = False
         self._fitted_to = trajectories, context
         for stream in (sys.stdout, sys.stderr):

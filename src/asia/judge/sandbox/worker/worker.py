@@ -27,6 +27,7 @@ from asia.judge.sandbox.types import (
     ScoreRefusedError,
     WorkerKilledError,
 )
+from asia.judge.sandbox.worker.closed_loop import BeginPlant, ClosedLoop
 from asia.judge.sandbox.worker.figures import (
     ESTIMATES_BYTES,
     PARAMETERS_BYTES,
@@ -122,6 +123,10 @@ class Worker:
         self.printed = ""
         """Text that the candidate printed until its fit ended or failed; later output is dropped,
         because it could contain cases."""
+        self.closed_loop: ClosedLoop | None = None
+        """Loop in which its controllers are simulated; None for models."""
+        self._plant = contextlib.ExitStack()
+        self._begin_plant: BeginPlant | None = None
         self.left_behind: int | None = None
         """Process id of a worker that the kernel does not end."""
         self._process = process
@@ -227,6 +232,8 @@ class Worker:
         deadline = self._begin_cases()
         stepwise = self.has_steps
         with self._clock.activity(Activity.SIMULATE):
+            if self.closed_loop is not None:
+                return _finite(self._in_closed_loop(self.closed_loop, u, deadline))
             if stepwise:
                 return _finite(self._streamed(past_u, past_y, u, deadline))
             whole = partial(self._whole, deadline=deadline)
@@ -240,7 +247,54 @@ class Worker:
         """As `simulate_known`, with NaN or infinity where the model diverges."""
         deadline = self._begin_cases()
         with self._clock.activity(Activity.SIMULATE):
+            if self.closed_loop is not None:
+                return self._in_closed_loop(self.closed_loop, u, deadline)
             return self._whole(past_u, past_y, u, deadline)
+
+    def _in_closed_loop(self, loop: ClosedLoop, u: Array, deadline: float) -> Array:
+        """Simulate scenarios (B, H, n) with the controller in this worker; responses (B, H, m)."""
+        found: list[Array] = []
+        if self._begin_plant is None:
+            self._begin_plant = self._plant.enter_context(loop.plant())
+        try:
+            for outside in u:
+                with self.stream(loop.seen, loop.driven, deadline) as ask:
+                    found.append(loop.simulate(ask, self._begin_plant, outside))
+        except CandidateError:
+            self._close_plant()
+            raise
+        return np.stack(found)
+
+    def _close_plant(self) -> None:
+        self._begin_plant = None
+        self._plant.close()
+
+    @contextlib.contextmanager
+    def stream(
+        self, nu: int, ny: int, deadline: float | None = None
+    ) -> Generator[Callable[[Array], Array]]:
+        """Stream of one case without a past: a function from an input sample (nu,) to the output
+        (ny,) of the model. Numbers may be infinite or NaN."""
+        deadline = self._begin_cases() if deadline is None else deadline
+        late, shape = Reason.SIMULATE_TIMEOUT, (1, ny)
+        past = np.zeros((1, 0, nu)), np.zeros((1, 0, ny))
+        self._send("stream", (*past, ny), deadline, late)
+        frame = bytearray(FRAME_HEAD.size + nu * 8)
+
+        def ask(sample: Array) -> Array:
+            answer = np.empty(ny, "<f8")
+            frame[FRAME_HEAD.size :] = np.ascontiguousarray(sample, "<f8").data.cast("B")
+            with self._channel_errors(late):
+                token, room = secrets.token_bytes(TOKEN_BYTES), answer.view(np.uint8).data
+                head = self._channel.exchange(frame, token, room, deadline)
+                self._check_head(head, deadline, (ReplyKind.OK,), shape)
+                if head.length != len(room):
+                    raise self._failure(Reason.WRONG_LENGTH, f"expected shape {shape}")
+            return answer
+
+        yield ask
+        with self._channel_errors(late):
+            self._channel.send_frame(frame, deadline, goes_on=False)
 
     def _begin_cases(self) -> float:
         self._need_model()
@@ -425,6 +479,7 @@ class Worker:
         if not self._closed:
             with self._ending:
                 self._closed = True
+            self._close_plant()
             if isinstance(self._pids, ResourceWatch):
                 self._pids.close()
             with self._clock.activity(Activity.START):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from asia.report.page.sections import evidence, experiments, integrity, verdict
+from asia.report.page.sections import closed_loop, evidence, experiments, integrity, verdict
 from asia.report.page.subject import Section
 
 SECTIONS: Final[tuple[Section, ...]] = (
@@ -19,6 +19,7 @@ SECTIONS: Final[tuple[Section, ...]] = (
     evidence.CONTROL,
     evidence.CERTIFICATE,
     verdict.ACCURACY,
+    closed_loop.SECTION,
     evidence.VALIDATION,
     evidence.CONFIRMATION,
     verdict.TESTED,

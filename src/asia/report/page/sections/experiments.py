@@ -292,6 +292,8 @@ def _write_progress(subject: Subject) -> Html | None:
         value = subject.number(r, "outcome.value", "error") if scored else "no score"
         references.append([said(r.name), value])
     text = "V: simulation error on held-out data, divided by the standard deviation of the output."
+    if subject.problem is not None and subject.problem.control is not None:
+        text = "V: error of the closed loop in held-out scenarios, divided by the tolerance."
     return join(
         (
             tag("p", text),

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 
 from asia._text import one_line
+from asia.judge.evaluation.references import CONTROLLERS
 from asia.judge.evaluation.results import SUSPICIOUS_RATIO, consistency
 from asia.judge.scoring.checks.check import Verdict
 from asia.judge.scoring.checks.validation_data import listed
@@ -113,6 +114,10 @@ def _write(subject: Subject) -> Html | None:
     if subject.run.state == "running" and not view.finished:
         return None
     text, kind = stamp(subject)
+    control = subject.problem is not None and subject.problem.control is not None
+    use = "" if named is None else _USES[named.model]
+    if control and named is not None and named.model == "refit":
+        use = "the one designed for all training scenarios"
     if best is None or named is None:
         count = subject.over("proposed", "experiment", "count", "count")
         lines = [join(("None of the candidates has a score. They were ", count, " in all."))]
@@ -122,7 +127,7 @@ def _write(subject: Subject) -> Html | None:
             _found(subject, best),
             _error(subject, best),
             _test(subject),
-            join(("Model to use: ", tag("b", _USES[named.model]), ".")),
+            join(("Controller to use: " if control else "Model to use: ", tag("b", use), ".")),
             _trust(subject, kind),
         ]
     if not view.complete and view.unsealed is None:
@@ -151,6 +156,9 @@ def _found(subject: Subject, best: Experiment) -> Html:
 def _error(subject: Subject, best: Experiment) -> Html:
     result, score = result_of(best), best.score
     assert score is not None
+    if subject.problem is not None and subject.problem.control is not None:
+        cost = tag("b", subject.v(best))
+        return join(("In held-out scenarios its errors are ", cost, " tolerances."))
     share = tag("b", subject.number(result, "outcome.value", "share"))
     start = ("On held-out data its error is ", share, " of the output's standard deviation")
     reference = subject.reference("linear model")
@@ -202,6 +210,8 @@ def _trust(subject: Subject, kind: str) -> Html:
         text += " Refitting the winner gave the same result."
     if view.validated:
         return join((text, " No validation check failed or is in doubt."))
+    if subject.problem is not None and subject.problem.control is not None:
+        return join((text.replace("validation data", "held-out scenarios"),))
     command = tag("code", f"asia validate {view.started.run}")
     return join((text, " Its residuals and behaviour were not checked: run ", command, "."))
 
@@ -214,6 +224,7 @@ def _tiles(subject: Subject, best: Experiment) -> Html:
         ("V, linear model", "linear model"),
         ("V, noise floor", "simulated truth"),
         ("V, training mean", "training mean"),
+        *((f"V, {name}", name) for name in CONTROLLERS),
     ):
         reference = subject.reference(name)
         if reference is not None:
@@ -241,7 +252,7 @@ SECTION = Section("verdict", "Verdict", _write)
 def _write_handover(subject: Subject) -> Html | None:
     view = subject.view
     named, refitted = model_to_use(view), view.refitted
-    if named is None:
+    if named is None or (subject.problem is not None and subject.problem.control is not None):
         return None
     parts = [facts((("use", tag("b", named.model)), ("because", said(named.reason, 600))))]
     if refitted is not None:
@@ -455,7 +466,7 @@ TESTED = Section("test", "The sealed test", _write_tested)
 
 def _write_accuracy(subject: Subject) -> Html | None:
     best, problem = subject.view.best, subject.problem
-    if best is None:
+    if best is None or (problem is not None and problem.control is not None):
         return None
     text = (
         "Each fold of the cross-validation held out a part of the training records. Its model "
