@@ -666,11 +666,11 @@ def invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
     gain = system.gain * scaling.y_std[:, None] / scaling.u_std
     found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
     found = found if len(found) <= 20 else {}
-    poles: ComplexArray = np.linalg.eigvals(system.a).astype(np.complex128)
+    poles = np.asarray(np.linalg.eigvals(system.a), np.complex128)
     sizes = np.abs(poles)
-    rates: ComplexArray = np.log(poles[(poles.imag >= 0) & (sizes > 0) & (sizes < 1)])
+    rates: list[complex] = np.log(poles[(poles.imag >= 0) & (sizes > 0) & (sizes < 1)]).tolist()
     real = pairs = 0
-    for rate in rates[np.argsort(-rates.real, kind="stable")][:6]:
+    for rate in sorted(rates, key=lambda one: -one.real)[:6]:
         if rate.imag == 0:
             real += 1
             found[f"time constant {real} [samples]"] = float(-1.0 / rate.real)

@@ -50,15 +50,6 @@ class LinearSystem:
         except np.linalg.LinAlgError:
             return np.full(self.d.shape, np.inf)
 
-    @property
-    def time_constants(self) -> Array:
-        """Time constants of the decaying modes in samples, the slowest first; a complex pair has
-        one."""
-        poles = np.linalg.eigvals(self.a)
-        sizes = np.abs(poles[poles.imag >= 0])
-        decaying = sizes[(sizes > 0) & (sizes < 1)]
-        return np.sort(-1.0 / np.log(decaying))[::-1]
-
     def transformed(self, t: Array) -> LinearSystem:
         """Transform the states to T x."""
         inverse = np.linalg.inv(t)

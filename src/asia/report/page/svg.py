@@ -380,7 +380,7 @@ def draw_loss(points: Sequence[tuple[float, float]]) -> Html:
 # Evaluations over time.
 
 
-_BAR = 16
+_ROW = 16
 _LONGEST_GAP = 0.1
 """Share of the time of all evaluations; longer gaps between them are cut to it."""
 
@@ -436,19 +436,19 @@ def draw_timeline(spans: Sequence[Span], alt: str, size: Size) -> Html:
         lanes.append(lane)
     unit = time_unit(max(free) or 1.0)
     across = Scale(0.0, max(free) / unit.seconds or 1.0, 28, size.width - 12)
-    bottom = 6.0 + _BAR * len(free)
+    bottom = 6.0 + _ROW * len(free)
     drawn: list[Html] = []
     for value in across.ticks(8):
         drawn.append(
             tag("path", d=f"M{rounded(across.at(value))} 4V{rounded(bottom)}", class_="grid")
         )
         drawn.append(_label(across.at(value), bottom + 15, written(value)))
-    drawn += [_label(20, 6 + _BAR * (k + 0.75), f"{k + 1}", "end") for k in range(len(free))]
+    drawn += [_label(20, 6 + _ROW * (k + 0.75), f"{k + 1}", "end") for k in range(len(free))]
     drawn.append(_label((across.start + across.end) / 2, bottom + 32, f"time [{unit.name}]"))
     for one, lane in zip(moved, lanes, strict=True):
         left, right = (across.at(at / unit.seconds) for at in (one.begin, one.end))
         bar = tag(
-            "rect", x=rounded(left), y=rounded(8 + _BAR * lane), rx="2", height=f"{_BAR - 4}",
+            "rect", x=rounded(left), y=rounded(8 + _ROW * lane), rx="2", height=f"{_ROW - 4}",
             width=rounded(max(right - left, 1.0)), class_=f"bar {one.kind}",
         )  # fmt: skip
         text = f"#{one.number:02d}, {duration(one.end - one.begin)}: {one_line(one.title, 80)}"
