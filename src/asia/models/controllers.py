@@ -638,7 +638,7 @@ def with_residual(
     count = 4 * nr * hidden + hidden * nu
     theta = searched(
         base.plants, make, [(-2.0, 2.0)] * count, context, generations=generations,
-        population=max(population, count), first=np.zeros(count),
+        population=population, near=0.1,
     )  # fmt: skip
     named = {**base.named, "residual weights": float(count)}
     return LawController(make(theta[None]), named, base.plants)
