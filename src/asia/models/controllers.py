@@ -98,8 +98,9 @@ class ControllerModel:
 
     def parameters(self) -> Mapping[str, float]:
         """Parameters that the controller offers."""
-        offered: Any = getattr(self.controller, "parameters", None)
-        return offered() if callable(offered) else {}
+        offered = getattr(self.controller, "parameters", None)
+        found: Any = offered() if callable(offered) else {}
+        return found
 
 
 def controlled(

@@ -308,7 +308,7 @@ def searched(
     """
     from scipy.optimize import differential_evolution
 
-    begin: Array | None = None
+    begin: Any = "sobol"
     if near is not None:
         random = np.random.default_rng(context.seed)
         begin = near * random.standard_normal((max(population, 5), len(bounds)))
@@ -320,10 +320,10 @@ def searched(
         list(bounds),
         maxiter=generations,
         popsize=max(population // len(bounds), 1),
-        tol=1e-3 if begin is None else 0.0,
+        tol=1e-3 if near is None else 0.0,
         rng=np.random.default_rng(context.seed),
         polish=False,
-        init="sobol" if begin is None else begin,
+        init=begin,
         vectorized=True,
         updating="deferred",
         callback=lambda intermediate_result: context.log(
