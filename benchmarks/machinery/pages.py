@@ -39,8 +39,11 @@ def main() -> None:
         ("run", page, ""),
         ("experiments", page, "experiments"),
         ("trade-offs", page, "tradeoff"),
+        ("timeline", page, "timeline"),
+        ("simulations", f"{page}/simulations", ""),
         ("experiment", f"{page}/experiments/3", ""),
         ("overlay", f"/compare?e={given.run}/2&e={given.run}/4&e={given.run}/8", "overlays"),
+        ("settings", f"/compare?e={given.run}/2&e={given.run}/4&e={given.run}/8", "settings"),
         ("linear", f"{page}/linear", ""),
         *([("search", real, "progress")] if given.real else []),
     ]
@@ -56,7 +59,11 @@ def main() -> None:
                     executable_path=given.browser, args=["--no-sandbox"]
                 )
                 for end in SIZES:
-                    kept = ("run", "experiments") if end else [name for name, *_ in pictures]
+                    kept = (
+                        ("run", "experiments", "simulations")
+                        if end
+                        else [name for name, *_ in pictures]
+                    )
                     chosen = [one for one in pictures if one[0] in kept]
                     take(browser, address, chosen, given.out, end)
         finally:
@@ -77,8 +84,14 @@ def take(
         waiting = page.locator("section:not([hidden]) [data-part]:empty")
         expect(waiting).to_have_count(0, timeout=60_000)
         file = out / f"view-{name}{end}.png"
-        if section in ("progress", "overlays", "tradeoff"):
+        # The bar of sections would lie over the top of a long section.
+        page.evaluate(
+            "for (const nav of document.querySelectorAll('nav')) nav.style.position = 'static'"
+        )
+        if section in ("progress", "overlays", "settings", "timeline", "tradeoff"):
+            page.set_viewport_size({"width": size["width"], "height": 2000})
             page.locator(f"#{section}").screenshot(path=file)
+            page.set_viewport_size(size)  # pyright: ignore
         else:
             if section:
                 page.evaluate(f"document.querySelector('#{section}').scrollIntoView()")

@@ -51,9 +51,9 @@ class Facts:
         ladder: the share of V by which a new best must be better to be reported, None where
             every V is reported
         symmetry: changes of the signals that leave the system's laws as they are
-        terms: computes terms that a linear model lacks, with the place ("in the dynamics", "at the
-            output") and the share of its residual that each explains, the largest first; () where
-            nothing is found
+        terms: computes terms that a linear model lacks, with the place ("at the input", "in the
+            dynamics", "at the output") and the share of its residual that each explains, the
+            largest first; () where nothing is found
         linear: settings of the best linear model, () for those of the baseline
         loop: feedback loop in which the records were taken
         plant: simulator of the user's own
@@ -126,6 +126,7 @@ class Trial:
             residual that each explains, the largest first; with `evidence`
         agent: the proposing agent, "" where the asked agent proposed all
         lowest: with retests, whether its own fit was the best so far
+        order: states that the fits report, median over the folds; None where they report none
     """
 
     number: int
@@ -147,6 +148,7 @@ class Trial:
     diagnoses: tuple[tuple[str, float], ...] = ()
     agent: str = ""
     lowest: bool = False
+    order: int | None = None
 
     @property
     def improved(self) -> bool:

@@ -215,9 +215,9 @@ def usability(view: SearchView) -> Usability | None:
     if any("stress simulation" in line for line in failed):
         doubts.append("The stress simulation failed, so nothing is known of other inputs.")
     if test is not None and test.outcome != "bounded":
-        advice = "Record each input with steps of its own." if test.outcome == "diverges" else (
-            "Is the plant an integrator? If not, record each input with steps of its own."
-        )  # fmt: skip
+        advice = "Record more levels, each input with steps of its own."
+        if test.outcome != "diverges":
+            advice = f"Is the plant an integrator? If not: {advice[:1].lower()}{advice[1:]}"
         (wrong if test.outcome == "diverges" else doubts).append(f"{stress_text(test)} {advice}")
     for validation in view.validated:
         for check in validation.checks:

@@ -1,8 +1,9 @@
 """Text of a ledger for people: events, experiments, their evidence, identified parameters."""
 
+import math
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from statistics import fmean
 from typing import Any
 
@@ -64,9 +65,25 @@ _ENDED: dict[HandOverReason, str] = {
 }
 
 
-def error_value(value: float) -> str:
-    """Four decimals; powers of ten where a simulation ran away."""
-    return f"{value:.4f}" if value < 1e4 else f"{value:.2e}"
+def error_value(value: float, decimals: int = 4) -> str:
+    """Four decimals, or as many as asked for; powers of ten where a simulation ran away."""
+    return f"{value:.{decimals}f}" if value < 1e4 else f"{value:.2e}"
+
+
+MOST_DECIMALS = 7
+
+
+def error_decimals(values: Iterable[float], thresholds: Iterable[float | None] = ()) -> int:
+    """Return the least number of decimals, from 4 on, with which different errors read differently;
+    at most one more than the least threshold of significance has, else `MOST_DECIMALS`."""
+    known = [one for one in thresholds if one]
+    most = MOST_DECIMALS if not known else math.floor(1 - math.log10(min(known)))
+    most = min(max(most, 4), MOST_DECIMALS)
+    different = set(values)
+    for decimals in range(4, most):
+        if len({error_value(value, decimals) for value in different}) == len(different):
+            return decimals
+    return most
 
 
 def error_line(error: str, most: int = 300) -> str:
@@ -207,13 +224,16 @@ def decision_text(e: Experiment, view: SearchView) -> str:
     change = e.score.value / best.score.value - 1.0
     if change >= 1.0:
         return f"V {change + 1.0:.3g} times that of #{best.number:02d}"
-    text = f"V {abs(change):.1%} {'below' if change < 0 else 'above'} #{best.number:02d}"
+    if change == 0.0:
+        return f"V equal to that of #{best.number:02d}"
+    percent = f"{100 * abs(change):.{'1f' if abs(change) >= 1e-3 else '2g'}}"
+    text = f"V {percent} % {'below' if change < 0 else 'above'} #{best.number:02d}"
     if e.result.threshold and e.kept:
         means = " over seeds" if len(e.seed_values) > 1 else ""
         text += f",{means} by more than the threshold {e.result.threshold:.2g}"
     elif e.result.threshold and e.result.status == "inconclusive":
         text += f", within the threshold {e.result.threshold:.2g}"
-    return text.replace("%", " %")
+    return text
 
 
 # Identified parameters.

@@ -98,8 +98,8 @@ class ControllerModel:
 
     def parameters(self) -> Mapping[str, float]:
         """Parameters that the controller offers."""
-        offered = getattr(self.controller, "parameters", None)
-        found: Any = offered() if callable(offered) else {}
+        offered: Any = getattr(self.controller, "parameters", None)
+        found: Mapping[str, float] = offered() if callable(offered) else {}
         return found
 
 

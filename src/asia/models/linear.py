@@ -166,7 +166,7 @@ class FittedLinear:
         return (x @ s.a.T + v @ s.b.T, line), self.scaling.physical(y)
 
     def parameters(self) -> dict[str, float]:
-        """Static gains in physical units; order, delay and slowest time constants in samples."""
+        """Static gains in physical units, order, delay and slowest modes, times in samples."""
         chosen = {"order [states]": float(self.system.order), "delay [samples]": float(self.delay)}
         return invariants(self.system, self.scaling) | chosen
 
@@ -240,7 +240,7 @@ class LinearStateSpace(TrainableModel[Config, FittedLinear | FittedLevels]):
         return dict(named[:_MOST_PARAMETERS])
 
     def estimates(self, trajectories: Sequence[Trajectory], context: Context) -> ParameterEstimates:
-        """Gains and time constants with their standard errors, given the records of the fit.
+        """Gains and modes with their standard errors, given the records of the fit.
 
         Raises:
             UserError: before training.

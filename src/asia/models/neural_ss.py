@@ -32,6 +32,7 @@ from asia.models._state_space.model import (
     encoded_at_rest,
     fit_by_adam,
     fit_encoded,
+    in_modes,
     starts_of,
     symmetric,
 )
@@ -52,7 +53,9 @@ class Config:
     """States; None takes the order of the best linear model, but at least 2."""
     nonlinearity: Nonlinearity = "state"
     """Place of the static functions: in the "state" equation and the output, at the "input", at
-    the "output", or at "both" ends. "none" leaves them out."""
+    the "output", or at "both" ends. "none" leaves them out. "modal" has in the state equation and
+    the output every mode of the linear model times powers of its own amplitude, so that its
+    frequency and its damping depend on the amplitude."""
     channels: int | None = None
     """Signals through which f and g act, with nonlinearity "state"; None: on all states and
     outputs directly."""
@@ -63,8 +66,8 @@ class Config:
     hidden: int = 8
     """Units of that layer."""
     degree: int = 3
-    """Greatest degree of the polynomials; with "scheduling" 2 makes the matrices affine in the
-    scheduling signals, 3 quadratic."""
+    """Greatest degree of the polynomials, and of a mode times powers of its amplitude; with
+    "scheduling" 2 makes the matrices affine in the scheduling signals, 3 quadratic."""
     ridge: float = 1e-5
     """Weight, against the mean squared error in z-scores, of the squared distance of the nonlinear
     weights from their start."""
@@ -107,6 +110,8 @@ class Config:
         check_at_least(0, self, "friction", "play", "integrators", "transport")
         still = self.transport is None or not self.symmetry
         demand(self, "symmetry", still, "False with transport")
+        swings = self.order is None or self.order > self.integrators
+        demand(self, "order", swings, "more than the integrators")
         placed = self.channels is None or self.nonlinearity == "state"
         demand(self, "channels", placed, "None without nonlinearity state")
         plain = self.nonlinearity in ("state", "none") and self.channels is None
@@ -194,10 +199,13 @@ def _train_records(
     if data.turns is not None:
         used = data.with_transformed(used)
         found = symmetric(found, used, data.copies, Refinement(integrators=c.integrators))
+    pairs = 0
+    if c.nonlinearity == "modal":
+        found, pairs = in_modes(found, used, c.integrators)
     structure = StateSpaceStructure(
         found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
         c.channels, friction=c.friction, play=c.play, integrators=c.integrators,
-        scheduling=_scheduling(c, context),
+        scheduling=_scheduling(c, context), pairs=pairs,
     )  # fmt: skip
     if isinstance(method, LevenbergMarquardt):
         from asia.models._state_space.training import LmOptions, fit_members

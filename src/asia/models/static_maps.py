@@ -48,9 +48,9 @@ _SLOPES = (0.02, 20.0)
 _LEVELS = (0.02, 0.08, 0.16, 0.25, 0.35)
 # Alternations of functions and poles, and of signs and linear model.
 _ROUNDS, _SIGN_ROUNDS, _PAST_ROUNDS = 3, 12, 6
-# Time constants, as shares of the longest record, of the low-pass filters whose signs start the
-# search for the signs of an output.
-_FILTERS = (0.002, 0.01, 0.05)
+# Low-pass filters whose signs start the search for the signs of an output: their number, and the
+# greatest time constant as a share of the longest record.
+_FILTERS, _SLOWEST = 6, 0.25
 _MOST_ORDER = 4
 
 
@@ -108,7 +108,7 @@ class Signs:
     offset: Array
     """Output (n,) for zero inputs."""
     free: Array
-    """Projection (n, n) on the responses to initial states."""
+    """Part (n, n) of the outputs that initial states of the usual size explain."""
     guesses: Array
     """First signs (G, n), besides those of the response from rest."""
 
@@ -125,7 +125,8 @@ class Signs:
                 signed = xp.where(z < 0, -size, size)
                 z = driven + (signed - driven) @ self.free
             signed = xp.where(z < 0, -size, size)
-            left = ((signed - z) ** 2).sum(axis=1)[:, None]
+            # Squared error with that of the initial state, in its usual size.
+            left = ((signed - driven) * (signed - z)).sum(axis=1)[:, None]
             if best is None or error is None:
                 best, error = signed, left
             else:
@@ -385,11 +386,11 @@ def _signed(
     inputs = np.concatenate([r.u for r in trajectories])
     spread = np.where(inputs.std(axis=0) > 0, inputs.std(axis=0), 1.0)
     longest = max(map(len, trajectories))
-    best: tuple[float, list[Array], LinearFit, Scaling] | None = None
+    best: tuple[float, list[Array], LinearFit, Scaling, Array] | None = None
     drives = [*np.eye(context.nu), np.ones(context.nu)][: 1 if context.nu == 1 else None]
     for weights in drives:
-        for share in _FILTERS:
-            pole = np.exp(-1.0 / max(1.0, share * longest))
+        for constant in np.geomspace(1.0, max(1.0, _SLOWEST * longest), _FILTERS):
+            pole = np.exp(-1.0 / constant)
             signs: list[Array] = []
             for r in trajectories:
                 v = (r.u - inputs.mean(axis=0)) / spread @ weights
@@ -400,16 +401,18 @@ def _signed(
                 scaling = Scaling.of(records)
                 z = scaled(records, scaling)
                 found = fit(z, _MOST_ORDER, Refinement(iterations=6))
-                simulated = [
-                    scaling.physical(found.system.simulate(x0[None], r.u[None])[1][0])
+                runs = [
+                    found.system.simulate(x0[None], r.u[None])
                     for r, x0 in zip(z, found.x0, strict=True)
                 ]
+                simulated = [scaling.physical(y[0]) for _, y in runs]
                 error = sum(
                     float(((abs(s) - a) ** 2 * r.measured).sum())
                     for s, a, r in zip(simulated, sizes, trajectories, strict=True)
                 )
                 if np.isfinite(error) and (best is None or error < best[0]):
-                    best = error, signs, found, scaling
+                    states = np.concatenate([x[0] for x, _ in runs])
+                    best = error, signs, found, scaling, states
                 after = [np.where(s < 0, -1.0, 1.0) for s in simulated]
                 if all((a == b).all() for a, b in zip(after, signs, strict=True)):
                     break
@@ -419,8 +422,12 @@ def _signed(
             "static maps: no linear model follows the size of the outputs, so their signs cannot "
             "be estimated; leave output_map out"
         )
-    _, signs, found, scaling = best
-    maps = FittedMaps(config, signs=_past_signs(found, scaling, context))
+    error, signs, found, scaling, states = best
+    # Weight of the initial state: variance of the error, over that of the states.
+    power = states.T @ states / len(states)
+    power += 1e-6 * np.trace(power) / len(power) * np.eye(len(power))
+    weight = error / len(states) / context.ny * np.linalg.inv(power)
+    maps = FittedMaps(config, signs=_past_signs(found, scaling, context, weight))
     return maps, _with_outputs(trajectories, signs, sizes)
 
 
@@ -433,8 +440,12 @@ def _with_outputs(
     ]
 
 
-def _past_signs(found: LinearFit, scaling: Scaling, context: Context) -> Signs:
-    """Response of past outputs to the past inputs from rest, in physical units."""
+def _past_signs(found: LinearFit, scaling: Scaling, context: Context, weight: Array) -> Signs:
+    """Response of past outputs to the past inputs from rest, in physical units.
+
+    Args:
+        weight: (order, order), of the squares of initial states against those of outputs
+    """
     s, lags = found.system, max(context.n_past_u, context.n_past_y)
     pulses = [s.d]
     power = s.b
@@ -462,6 +473,6 @@ def _past_signs(found: LinearFit, scaling: Scaling, context: Context) -> Signs:
     guesses = np.repeat(np.where(ahead, 1.0, -1.0), context.ny, axis=1)
     return Signs(
         matrix, offset - means @ matrix,
-        (observed @ np.linalg.pinv(observed, rcond=1e-6)).T,
+        observed @ np.linalg.solve(observed.T @ observed + weight, observed.T),
         np.concatenate([guesses, -guesses[1:-1]]),
     )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from functools import lru_cache
+from statistics import median_high
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.references import LINEAR_REFERENCE, MEAN_REFERENCE
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
-from asia.ledger.evidence import RunSettings, evidence_of
+from asia.ledger.evidence import RunSettings, evidence_of, findings_of
 from asia.ledger.text import evidence_lines
 from asia.ledger.view import Experiment, SearchView, published
 from asia.problem.problem import Problem
@@ -112,7 +113,7 @@ def agent_view(
     for e in view.finished:
         trial = known.trial(e)
         if view.started.ladder is not None:
-            trial = replace(trial, curves=())  # numbers that a candidate chooses
+            trial = replace(trial, curves=(), order=None)  # numbers that a candidate chooses
         if e.number in shown:
             bounded = view.started.ladder is not None
             found = evidence_of(e, view, store, settings, bounded=bounded)
@@ -200,4 +201,11 @@ def _trial(e: Experiment, store: Store) -> Trial:
         error=failure.detail if failure else "",
         agent=p.agent,
         lowest=r.lowest,
+        order=_order(e, store),
     )
+
+
+def _order(e: Experiment, store: Store) -> int | None:
+    tables = (dict(found.parameters) for found in findings_of(store, e, bounded=False))
+    known = [table["order [states]"] for table in tables if "order [states]" in table]
+    return round(median_high(known)) if known else None

@@ -13,7 +13,7 @@ import numpy as np
 
 from asia._diagnostic import diagnostic
 from asia.agents.library.recipe import MODELS, read_recipe
-from asia.agents.library.record_facts import relation
+from asia.agents.library.record_facts import integrating, relation
 from asia.candidate import ParameterEstimates
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason
@@ -503,7 +503,7 @@ def refit_winner(
         chosen = choose_model(FinalEvidence.of(best, refitted))
     refitted = replace(refitted, use=chosen.model, reason=chosen.reason)
     with diagnostic("stress simulation", failed):
-        room = StressRoom(evaluator, store, view)
+        room = StressRoom(evaluator, store, view, integrating(problem_facts(problem)))
         without = replace(FinalEvidence.of(best, refitted), stack=None)
         second = choose_model(without).model
         refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)

@@ -6,7 +6,8 @@ input from another record or time, all moved in time and level, or all stretched
 never leave their training ranges. The initial states are perturbed. A model is bounded if its
 outputs stay within `LIMIT` half ranges of the middle of their training range, or do not go much
 further than those of the best linear model on the same inputs. An integrator drifts: it goes
-further, but no faster than the measured outputs moved. Anything else diverges.
+further, but no faster than the measured outputs moved, or their speed changed: two integrators in a
+row. Anything else diverges.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ _RECOMBINED, _MOVED, _SCALES = 4, 2, (0.5, 1.5)
 _PERTURBATION = 0.1
 # Other experiments whose models are tried in place of the winner's, and their largest V.
 _OTHERS, _NEAR = 3, 1.5
+# Parts of a record over which a change of speed is measured, so that noise hardly counts.
+_BENDS = 50
 
 
 def stress_cases(
@@ -82,10 +85,20 @@ def stress_cases(
     return tuple(blocks)
 
 
+def largest_bend(y: Array) -> float:
+    """Largest second difference of y (T,) a squared sample, over a fiftieth of the record."""
+    wide = max(1, len(y) // _BENDS)
+    bend = y[2 * wide :] - 2.0 * y[wide:-wide] + y[: -2 * wide]
+    return float(np.abs(bend).max(initial=0.0)) / wide**2
+
+
 class StressRoom:
     """Stress simulations of the models of one search."""
 
-    def __init__(self, evaluator: Evaluator, store: Store, view: SearchView) -> None:
+    def __init__(
+        self, evaluator: Evaluator, store: Store, view: SearchView, integrating: Sequence[int] = ()
+    ) -> None:
+        """Make the cases. integrating: numbers of the outputs that integrate the inputs."""
         self._evaluator, self._store, self._view = evaluator, store, view
         data = evaluator.data
         self._blocks = stress_cases(data.records, data.rule)
@@ -93,8 +106,14 @@ class StressRoom:
         low, high = np.nanmin(measured, axis=0), np.nanmax(measured, axis=0)
         self._middle, self._half = (low + high) / 2.0, np.maximum(high - low, 1e-300) / 2.0
         # Way at the largest measured speed: a controller may have kept an integrator slow.
+        length = len(self._blocks[0].y)
         steps = [np.abs(np.diff(record.y, axis=0)).max(axis=0) for record in data.records]
-        self._drift = np.max(steps, axis=0) * len(self._blocks[0].y) / self._half
+        drift = np.max(steps, axis=0) * length
+        # The speed of an output that integrates may integrate as well.
+        for k in integrating:
+            bends = [largest_bend(record.y[:, k]) for record in data.records]
+            drift[k] = max(drift[k], max(bends) * length**2 / 2.0)
+        self._drift = drift / self._half
         self._linear: Array | None = None
 
     def test(

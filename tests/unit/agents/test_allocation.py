@@ -9,6 +9,7 @@ from asia.agents import Facts, Proposal, Trial
 from asia.agents.expert import agent
 from asia.agents.expert.agent import ExpertAgent
 from asia.agents.expert.allocation import Allocation
+from asia.agents.library.cards.linear import BEST_LINEAR
 from asia.agents.library.registry import families, family
 
 from .searches import by_luck, recipe_of, search, simulation, trial, view, windows
@@ -164,3 +165,12 @@ def test_the_rule_is_relaxed_when_only_two_families_apply(monkeypatch: pytest.Mo
     assert len(names) == 10
     assert set(names) == {"nl_lfr", "esn"}
     assert names.count("nl_lfr") > 2
+
+
+def test_the_settings_of_the_best_linear_model_are_no_refinement() -> None:
+    known = simulation(physics=False)
+    first = baseline(known)
+    again = replace(first, number=2, family="linear", title=f"linear state-space: {BEST_LINEAR}")
+    other = replace(again, title="linear state-space: saturated inputs")
+    assert not Allocation.of(view(known, (first, again), "explore")).objection("linear")
+    assert Allocation.of(view(known, (first, other), "explore")).objection("linear")

@@ -114,8 +114,11 @@ def with_diagnosis(trials: tuple[Trial, ...], *diagnoses: tuple[str, float]) -> 
     return tuple(replace(t, diagnoses=diagnoses) if t.family == "linear" else t for t in trials)
 
 
-def test_the_strongest_open_diagnosis_is_answered_next() -> None:
-    known = simulation(physics=False)
+@pytest.mark.parametrize("placed", [True, False])
+def test_the_strongest_open_diagnosis_is_answered_next(placed: bool) -> None:
+    """Without a likely place one static function that does not help is enough."""
+    terms = (("|u|", "at the input", 0.6),) if placed else ()
+    known = replace(simulation(physics=False), terms=lambda: terms)
     trials = best_linear(known)
     usual = following(known, trials)
     assert "input_map" not in usual.source
@@ -126,33 +129,30 @@ def test_the_strongest_open_diagnosis_is_answered_next() -> None:
         made.append(proposal.title)
         found = (*found, trial(proposal, len(found) + 1, 0.35))
     assert made[0] == "linear state-space: saturated inputs"
-    assert made[1] == "linear state-space: rising function of the inputs"
+    second = "rising function of the inputs" if placed else "slow disturbance in the noise"
+    assert made[1] == f"linear state-space: {second}"
     drift = with_diagnosis(trials, ("amplitude", 0.2), ("time", 0.5))
     assert following(known, drift).title == "linear state-space: slow disturbance in the noise"
 
 
 @pytest.mark.parametrize(
-    ("term", "where", "expected"),
+    ("term", "where"),
     [
-        ("sign(u)", "in the dynamics", {"input"}),
-        ("|y|", "at the output", {"output"}),
-        ("u * x2", "in the dynamics", {"dynamics"}),
+        ("sign(u)", "at the input"),
+        ("|y|", "at the output"),
+        ("u * x2", "in the dynamics"),
     ],
 )
-def test_the_place_of_a_missing_term_chooses_the_answers(
-    term: str, where: str, expected: set[str]
-) -> None:
-    plain = simulation(physics=False)
-    name = plain.inputs[0].name
-    terms = (term.replace("u", name), where, 0.6), ("y^3", "in the dynamics", 0.2)
-    known = replace(plain, terms=lambda: terms)
-    assert places(known) == expected
+def test_the_place_of_a_missing_term_chooses_the_answers(term: str, where: str) -> None:
+    terms = (term, where, 0.6), ("y^3", "in the dynamics", 0.2)
+    known = replace(simulation(physics=False), terms=lambda: terms)
+    assert places(known) == {where: 0.6}
     found = answers(view(known, with_diagnosis(best_linear(known), ("amplitude", 0.44)), "refine"))
-    assert ("saturated inputs" in found) == (expected == {"input"})
-    assert ("bent sensor" in found) == (expected == {"output"})
-    assert ("smooth correction of {state}, an input" in found) == (expected == {"dynamics"})
+    assert ("saturated inputs" in found) == (where == "at the input")
+    assert ("bent sensor" in found) == (where == "at the output")
+    assert ("smooth correction of {state}, an input" in found) == (where == "in the dynamics")
     weak = replace(known, terms=lambda: [(t, w, 0.1 * s) for t, w, s in terms])
-    assert places(weak) == set()
+    assert not places(weak)
 
 
 def test_the_settings_of_a_clearly_better_linear_model_come_first() -> None:
@@ -353,6 +353,18 @@ def test_a_repeated_title_says_which_settings_change() -> None:
         recipe = recipe_of(best).configured(order=3)
         at = Situation(shown, best, recipe, row, 0, 1)
         assert title_of(at, more, more.change(at)) == expected
+
+
+def test_one_state_more_is_more_than_the_fit_chose() -> None:
+    known = simulation(physics=False)
+    first, *_ = best_linear(known)
+    row = family("neural_ss")
+    assert row is not None
+    seen = view(known, (replace(first, order=4),), "refine")
+    more = next(m for m in all_moves() if m.name == "one state more")
+    for own, expected in ((None, 5), (2, 3)):
+        at = Situation(seen, replace(first, order=own), row.trial(known), row, 0, 1)
+        assert more.change(at).get("order") == expected
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
+
+from asia.agents.library.registry import family
 from asia.agents.library.traits import traits
 from asia.agents.view import Effort
+from asia.data.trajectory import Trajectory
 from asia.problem import Physics
 from asia.problem.load import load_problem
 from asia.problem.protocol import FoldRule, Group, ProtocolRule
@@ -42,3 +46,19 @@ def test_traits_name_the_kind_of_problem() -> None:
     assert traits(one) == {"physics", "short"}
     both = replace(one, outputs=(one.outputs[0], replace(one.outputs[0], name="v")))
     assert traits(both) == {"physics", "measured", "several", "short"}
+
+
+def test_a_lightly_damped_mode_is_a_trait() -> None:
+    known, rng = simulation(physics=False), np.random.default_rng(1)
+    for damping, expected in ((0.02, True), (0.4, False)):
+        pole = np.exp(0.6 * complex(-damping, (1 - damping**2) ** 0.5))
+        u, y = rng.normal(size=600), np.zeros(600)
+        for k in range(2, 600):
+            y[k] = 2 * pole.real * y[k - 1] - abs(pole) ** 2 * y[k - 2] + u[k - 1]
+        y += 0.01 * y.std() * rng.normal(size=600)
+        record = Trajectory(u[:, None], y[:, None], 1.0, "r")
+        facts = replace(known, records=(record,))
+        assert ("resonant" in traits(facts)) == expected
+        row = family("neural_ss")
+        assert row is not None
+        assert (row.trial(facts).get("nonlinearity") == "modal") == expected

@@ -74,9 +74,10 @@ def levels_model() -> Any:
     return linear.LinearStateSpace(linear.Config(), None, found)
 
 
-def state_space_model(members: int, basis: Any) -> Any:
+def state_space_model(members: int, basis: Any, place: Any = "state") -> Any:
+    play = 1 if basis == "tanh" else 0
     structure = StateSpaceStructure(
-        3, NU, NY, "state", basis, 4, 2, None, friction=1, play=1 if basis == "tanh" else 0
+        3, NU, NY, place, basis, 4, 2, None, friction=1, play=play, pairs=1
     )
     found = []
     for _ in range(members):
@@ -150,6 +151,7 @@ MODELS: dict[str, Callable[[], Any]] = {
     "neural_ss": lambda: state_space_model(1, "tanh"),
     "neural_ss, median of 2": lambda: state_space_model(2, "tanh"),
     "neural_ss, polynomial, median of 3": lambda: state_space_model(3, "polynomial"),
+    "neural_ss, modes": lambda: state_space_model(1, "polynomial", "modal"),
     "neural_ss with transport": carried_model,
     "narx": polynomial_model,
     "gp_narx": process_model,

@@ -15,6 +15,7 @@ from statistics import median
 from asia.agents.control import propose_controller
 from asia.agents.expert.allocation import CLOSE, Allocation
 from asia.agents.expert.diagnosis import (
+    DYNAMICS,
     answers,
     beats_nothing,
     diagnoses,
@@ -184,7 +185,7 @@ def untried(view: AgentView) -> Iterator[Option]:
     """First configurations of families that nothing proposed has used, the most apt first."""
     used, lost = {t.family for t in view.proposed}, beats_nothing(view)
     static = any(name == "amplitude" for name, _ in diagnoses(view))
-    static = static and places(view.facts) != frozenset({"dynamics"})
+    static = static and set(places(view.facts)) != {DYNAMICS}
     maps = dict(leading_maps(view))
     for row in families(view.facts):
         if row.name in used:

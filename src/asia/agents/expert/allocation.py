@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
+from asia.agents.library.cards.linear import BEST_LINEAR
 from asia.agents.library.recipe import read_recipe
 from asia.agents.library.registry import family
 from asia.agents.view import AgentView, Trial
@@ -28,7 +29,7 @@ class Allocation:
     """Experiments and best V of each family so far."""
 
     tried: Counter[str]
-    """Experiments with each family, the baseline included."""
+    """Experiments with each family, the baseline included, the best linear model left out."""
     spent: Counter[str]
     """The same without the baseline."""
     best: dict[str, float]
@@ -47,8 +48,10 @@ class Allocation:
         for one in view.proposed:
             recipe = read_recipe(one.source)
             name = one.family if recipe is None else recipe.family
-            tried[name] += 1
-            spent[name] += one.family != "baseline"
+            # The reference told its V: it is no refinement.
+            new = not one.title.endswith(BEST_LINEAR)
+            tried[name] += new
+            spent[name] += new and one.family != "baseline"
             value = one.value if isinstance(one, Trial) else None
             gained = value is not None and value < (1.0 - _GAIN) * best.get(name, 1e300)
             idle[name] = 0 if gained else idle[name] + 1

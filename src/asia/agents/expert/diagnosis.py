@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from math import ceil, log
 from statistics import NormalDist
 
@@ -221,17 +220,17 @@ ANSWERS: dict[str, tuple[str, ...]] = {
     "closed loop": ("slow disturbance", "slow disturbance in the noise"),
 }
 """Names of the moves that answer a diagnosis."""
+DYNAMICS = "in the dynamics"
 # Places of a nonlinearity whose answers are left out where a score test finds it elsewhere.
 _PLACES: dict[str, str] = {
-    "saturated inputs": "input",
-    "rising function of the inputs": "input",
-    "dead zone of the inputs": "input",
-    "static function before the system": "input",
-    "static function at the input": "input",
-    "rising function of the outputs": "output",
-    "bent sensor": "output",
+    "saturated inputs": "at the input",
+    "rising function of the inputs": "at the input",
+    "dead zone of the inputs": "at the input",
+    "static function before the system": "at the input",
+    "static function at the input": "at the input",
+    "rising function of the outputs": "at the output",
+    "bent sensor": "at the output",
 }
-_FUNCTIONS = frozenset({"sign", "sqrt", "rate", "mean", "below", "above", "its", "quantile"})
 # Share of a linear model's residual from which a term counts, and its share of the largest one.
 _LEAST_TERM, _LIKELY = 0.15, 0.7
 # Share of the residual below which a diagnosis waits for the usual weights, and the weights of an
@@ -239,6 +238,8 @@ _LEAST_TERM, _LIKELY = 0.15, 0.7
 _LEAST_SHARE = 0.1
 _ANSWER = (0.85, 1.0)
 _NEXT = 0.97
+# V with static functions, over the least V without any, up to which other families start with them.
+_LEADING = 0.6
 
 
 def diagnoses(view: AgentView) -> tuple[tuple[str, float], ...]:
@@ -255,17 +256,14 @@ def diagnoses(view: AgentView) -> tuple[tuple[str, float], ...]:
     return tuple(sorted(large, key=lambda item: -item[1]))
 
 
-def places(facts: Facts) -> frozenset[str]:
-    """Likely places of what a linear model lacks, by a score test of many terms: "input", "output"
-    or "dynamics"; empty where no term explains much."""
-    inputs, best = {s.name for s in facts.inputs}, dict[str, float]()
-    for term, where, share in facts.terms():
-        signals = set(re.findall(r"[A-Za-z_]\w*", term)) - _FUNCTIONS
-        place = "input" if signals <= inputs else "dynamics"
-        place = "output" if where == "at the output" else place
+def places(facts: Facts) -> dict[str, float]:
+    """Likely places of what a linear model lacks, by a score test of many terms, with the largest
+    share of its residual that one explains; empty where no term explains much."""
+    best = dict[str, float]()
+    for _, place, share in facts.terms():
         best[place] = max(share, best.get(place, 0.0))
     limit = max(_LEAST_TERM, _LIKELY * max(best.values(), default=0.0))
-    return frozenset(place for place, share in best.items() if share >= limit)
+    return {place: share for place, share in best.items() if share >= limit}
 
 
 def answers(view: AgentView) -> dict[str, float]:
@@ -281,7 +279,10 @@ def answers(view: AgentView) -> dict[str, float]:
         left = [move for move in ANSWERS[name] if move not in made]
         if name == "amplitude":
             likely = places(view.facts)
-            left = [m for m in left if not likely or _PLACES.get(m, "dynamics") in likely]
+            left = [m for m in left if not likely or _PLACES.get(m, DYNAMICS) in likely]
+            left.sort(key=lambda m: -likely.get(_PLACES.get(m, DYNAMICS), 0.0))
+            # Without a likely place one answer that did not help is enough.
+            left = left if likely or len(left) == len(ANSWERS[name]) else []
         if left:
             low, high = _ANSWER
             weight = low + (high - low) * min(1.0, share)
@@ -290,15 +291,15 @@ def answers(view: AgentView) -> dict[str, float]:
 
 
 def leading_maps(view: AgentView) -> Arguments:
-    """Static functions of the best trial, where its V is at most half of every V without any: those
-    that gain less may make up for what a richer family has."""
+    """Static functions of the best trial, where its V is at most 0.6 times every V without any:
+    those that gain less may make up for what a richer family has."""
     best = view.best
     recipe = read_recipe(best.source) if best is not None else None
     if best is None or best.value is None or recipe is None or not recipe.maps:
         return ()
     known = ((t.value, read_recipe(t.source)) for t in view.ranked)
     plain = [value for value, r in known if value is not None and (r is None or not r.maps)]
-    return recipe.maps if best.value <= 0.5 * min(plain, default=1e300) else ()
+    return recipe.maps if best.value <= _LEADING * min(plain, default=1e300) else ()
 
 
 # Stop criterion: the noise floor is reached.

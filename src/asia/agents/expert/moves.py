@@ -149,7 +149,10 @@ def _calmer(at: Situation) -> Recipe:
 
 
 def _order(at: Situation) -> int:
-    return round(at.recipe.number("order", 2))
+    """Return the states of the model: where the fit chooses, those that it reports, or else those
+    of the first trial that reports any."""
+    chosen = [t.order for t in (at.trial, *at.view.trials) if t.order is not None]
+    return round(at.recipe.number("order", chosen[0] if chosen else 2))
 
 
 GENERAL_MOVES: tuple[Move, ...] = (
@@ -208,7 +211,12 @@ def _map_move(name: str, setting: str, kind: str, weight: float, hypothesis: str
     """
     return Move(
         name=name,
-        weight=lambda c: weight * (c.recipe.get(setting) != kind),
+        # Of the functions in place of another one only the rising one is more general.
+        weight=lambda c: (
+            weight
+            * (c.recipe.get(setting) != kind)
+            * (kind == "monotone" or c.recipe.get(setting) is None)
+        ),
         change=lambda c: c.recipe.mapped(**{setting: kind}),
         hypothesis=hypothesis,
         expected="A far lower V; the residual no longer depends on the amplitude.",

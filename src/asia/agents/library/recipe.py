@@ -84,9 +84,14 @@ class Recipe:
         settings = frozenset(self.config), frozenset(self.options), frozenset(self.maps)
         return self.package, self.family, self.method, *settings
 
+    @property
+    def settings(self) -> dict[str, Value]:
+        """Settings of the model, of the method and of the static functions."""
+        return dict((*self.config, *self.options, *self.maps))
+
     def get(self, name: str, default: Value = None) -> Value:
         """A setting of the model, of the method or of the static functions."""
-        return dict((*self.config, *self.options, *self.maps)).get(name, default)
+        return self.settings.get(name, default)
 
     def number(self, name: str, default: float) -> float:
         """A numeric setting; `default` when it is absent or not a number."""

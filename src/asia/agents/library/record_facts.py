@@ -105,6 +105,26 @@ def integrating(records: tuple[Trajectory, ...]) -> tuple[int, ...]:
     return tuple(found)
 
 
+# Lightly damped modes of a one-step model: lags, largest damping ratio, least samples a period.
+# Noise alone makes modes near the Nyquist frequency.
+_MODE_LAGS, _LIGHT, _LEAST_PERIOD = 8, 0.1, 3.0
+
+
+@_cached
+def resonant(records: tuple[Trajectory, ...]) -> bool:
+    """Return whether an output has a lightly damped mode."""
+    signals = [(r.u, r.y) for r in records if len(r) > 4 * _MODE_LAGS]
+    if sum(len(u) for u, _ in signals) < _LEAST_SAMPLES * _MODE_LAGS:
+        return False
+    for output in range(records[0].y.shape[1]):
+        poles = _one_step_poles(signals, output, _MODE_LAGS, 0)
+        logs = np.log(poles[np.imag(poles) > 0])
+        slow = np.imag(logs) <= 2 * np.pi / _LEAST_PERIOD
+        if (slow & (abs(np.real(logs)) < _LIGHT * abs(logs))).any():
+            return True
+    return False
+
+
 # Several excitation levels and periodic records.
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Literal
 
-from asia.agents.library.record_facts import integrating
+from asia.agents.library.record_facts import integrating, resonant
 from asia.agents.view import Facts
 from asia.problem.symmetry import of_signals
 
 Trait = Literal[
     "physics", "parameters", "windows", "measured", "short", "long", "several", "symmetric",
-    "integrating", "plant", "scheduling", "irregular",
+    "integrating", "resonant", "plant", "scheduling", "irregular",
 ]  # fmt: skip
 
 
@@ -20,8 +20,9 @@ def traits(facts: Facts) -> frozenset[Trait]:
     equations, the past window is one output sample; short, long: at most 2000 or at least 20 000
     samples to fit; several: more than one output; symmetric: a symmetry of inputs and outputs alone
     is declared; integrating: an output drifts with the sum of the inputs, and whole records are
-    simulated; plant: a simulator of the user's own is given;
-    scheduling: an input is a scheduling signal; irregular: an input holds the time step."""
+    simulated; resonant: an output has a lightly damped mode, and whole records are simulated;
+    plant: a simulator of the user's own is given; scheduling: an input is a scheduling signal;
+    irregular: an input holds the time step."""
     physics = facts.physics
     inputs, outputs = [s.name for s in facts.inputs], [s.name for s in facts.outputs]
     if physics is None:
@@ -41,6 +42,7 @@ def traits(facts: Facts) -> frozenset[Trait]:
         "long": facts.fit_samples >= 20_000,
         "several": len(outputs) > 1,
         "integrating": facts.horizon is None and bool(integrating(facts)),
+        "resonant": facts.horizon is None and resonant(facts),
         "symmetric": bool(of_signals(facts.symmetry, inputs, outputs)),
     }
     return frozenset(name for name, holds in found.items() if holds)

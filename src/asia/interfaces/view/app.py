@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import secrets
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from http.cookies import CookieError, SimpleCookie
 from importlib import resources
 from pathlib import Path
@@ -35,8 +35,10 @@ from asia.interfaces.view.comparison import (
     comparison_part,
 )
 from asia.interfaces.view.followed import RunFolder, Snapshot
+from asia.interfaces.view.gallery import gallery_page
 from asia.interfaces.view.pages import (
     FIRST,
+    GALLERY,
     Chosen,
     digest_of,
     experiment_page,
@@ -87,6 +89,7 @@ def make_app(
         Route("/runs/{run}/experiments/{number:int}", pages.experiment),
         Route("/runs/{run}/experiments/{number:int}/part", pages.experiment_part),
         Route("/runs/{run}/experiments/{number:int}/overlays/{index:int}", pages.overlay),
+        Route(f"/runs/{{run}}/{GALLERY}", pages.gallery),
         Route("/runs/{run}/{key}", pages.tab),
         Route("/runs/{run}/{what}", pages.steer, methods=["POST"]),
     ]
@@ -132,6 +135,14 @@ class _Pages:
         return HTMLResponse(
             tab_page(self._snapshot(request), request.path_params["key"], self.token)
         )
+
+    def gallery(self, request: Request) -> Response:
+        snapshot, after = self._snapshot(request, with_records=True), _number(request, "after")
+        # Unlike the list, the lowest V first unless the address says otherwise.
+        chosen = _chosen(request)
+        if "order" not in request.query_params:
+            chosen = replace(chosen, order="v")
+        return HTMLResponse(gallery_page(snapshot, self.token, chosen, after))
 
     def experiment(self, request: Request) -> Response:
         snapshot = self._snapshot(request, with_records=True)

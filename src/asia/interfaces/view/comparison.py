@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from urllib.parse import urlencode
 
+from asia.agents.library.recipe import read_recipe
 from asia.errors import UserError
 from asia.interfaces.view.followed import Snapshot
 from asia.interfaces.view.pages import run_address, section, state_mark, whole_page, zoomable
@@ -14,10 +15,10 @@ from asia.ledger.events import TestedModel
 from asia.ledger.run import model_to_use, tested_model
 from asia.ledger.view import Experiment
 from asia.problem.problem import Problem
-from asia.report.page.html import Html, join, said, table, tag
+from asia.report.page.html import Html, fixed, join, region, said, table, tag
 from asia.report.page.sections.experiments import COSTS, cost_of, status_of, tag_labels
 from asia.report.page.sections.verdict import held_out_overlays, stamp
-from asia.report.page.subject import Subject, result_of
+from asia.report.page.subject import Subject, result_of, v_form
 from asia.report.page.svg import (
     NARROW,
     WIDE,
@@ -115,6 +116,7 @@ def comparison_part(compared: Sequence[Compared]) -> Html:
         section("figures", "Runs", warning, _runs_table(subjects)),
         section("curves", "Best so far", curves),
         section("chosen", "Experiments", _experiments_table(compared)),
+        section("settings", "Settings", _settings(compared)),
         section("overlays", "Measured and simulated", _overlays(compared)),
     )
     return join(parts)
@@ -188,6 +190,7 @@ def compared_overlay(
 
 def _experiments_table(compared: Sequence[Compared]) -> Html | None:
     rows: list[list[str | None]] = []
+    form = v_form([e for one in compared for e in one.experiments])
     for one in compared:
         for e in one.experiments:
             subject = one.subject
@@ -202,7 +205,7 @@ def _experiments_table(compared: Sequence[Compared]) -> Html | None:
             rows.append([
                 join((said(one.name), " ", tag("a", title, href=address), " ", labels)),
                 tag("span", status, class_=f"status {status}"),
-                subject.v(e) if e.score else "no score",
+                subject.v(e, form) if e.score else "no score",
                 join(folds, ", "),
                 *(None if cost is None else cost[1] for cost in costs),
             ])  # fmt: skip
@@ -210,6 +213,56 @@ def _experiments_table(compared: Sequence[Compared]) -> Html | None:
     known = [k for k in range(len(head)) if k < 4 or any(row[k] for row in rows)]
     head, rows = [head[k] for k in known], [[row[k] for k in known] for row in rows]
     return table(head, rows, "Chosen experiments") if rows else None
+
+
+def _settings(compared: Sequence[Compared]) -> Html | None:
+    """Table of the settings of the chosen experiments, with a switch that leaves out those that are
+    the same in all; None for a single experiment."""
+    head: list[Html] = []
+    columns: list[dict[str, str]] = []
+    for one in compared:
+        for e in one.experiments:
+            label = join((said(one.name), " ")) if len(compared) > 1 else None
+            address = f"{run_address(one.name)}/experiments/{e.number}"
+            head.append(join((label, tag("a", one.subject.name(e), href=address))))
+            columns.append(_settings_of(one, e))
+    if len(columns) < 2:
+        return None
+    rows: list[Html] = []
+    names = list(dict.fromkeys(name for column in columns for name in column))
+    common = 0
+    for name in names:
+        values = [column.get(name, "") for column in columns]
+        is_same = len(set(values)) == 1
+        common += is_same
+        cells = [tag("td", said(value, 200)) for value in values]
+        title = tag("th", said(name), scope="row")
+        rows.append(tag("tr", title, *cells, class_="same" if is_same else None))
+    box = tag("input", type="checkbox", id="differing", checked=True)
+    switch = tag("p", tag("label", box, "differences only"), fixed(f" ({common} are the same)"))
+    if common == len(names):
+        switch = join((switch, tag("p", "All settings are the same.")))
+    inner = tag(
+        "table",
+        tag("caption", "Settings; empty: the default of the library"),
+        tag("thead", tag("tr", *(tag("th", one, scope="col") for one in ("setting", *head)))),
+        tag("tbody", *rows),
+    )
+    listed = region("div", inner, class_="scroll both differences", label="Settings")
+    return join((switch, listed))
+
+
+def _settings_of(one: Compared, e: Experiment) -> dict[str, str]:
+    """Family, training method and settings of an experiment, by their names."""
+    store = one.subject.run.store
+    recipe = read_recipe(store.text(e.proposed.source)) if store.kept else None
+    if recipe is None:
+        return {"family": e.proposed.family, "training method": "own code"}
+    settings = {
+        name: ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        for name, value in recipe.settings.items()
+    }
+    return {"family": recipe.family, "training method": recipe.method, **settings}
 
 
 def _chooser(compared: Sequence[Compared]) -> Html:

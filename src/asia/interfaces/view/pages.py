@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import hashlib
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -13,15 +14,14 @@ from typing import Any, Final, Literal
 from urllib.parse import quote, urlencode
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asia._text import one_line
-from asia.agents.library.recipe import read_recipe
+from asia.agents.library.recipe import Recipe, read_recipe
 from asia.agents.registry import reads_notes
-from asia.data.trajectory import Array
+from asia.analysis.importance import LEAST_EXPERIMENTS, settings_importance
 from asia.errors import UserError
 from asia.interfaces.view.followed import ListedRun, RunFolder, Snapshot
-from asia.ledger.events import Evaluated
+from asia.ledger.events import Evaluated, Proposed
 from asia.ledger.evidence import evidence_of, settings_of_run
 from asia.ledger.run import alarms
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
@@ -37,7 +37,16 @@ from asia.report.page.sections.experiments import (
 )
 from asia.report.page.sections.verdict import held_out_overlays
 from asia.report.page.subject import Detail, Subject
-from asia.report.page.svg import draw_loss, draw_overlay, overlay_legend
+from asia.report.page.svg import (
+    NARROW,
+    WIDE,
+    Span,
+    draw_loss,
+    draw_overlay,
+    draw_timeline,
+    legend,
+    overlay_legend,
+)
 
 # Frame of all pages: head, link back, state of the connection.
 
@@ -450,18 +459,16 @@ def experiment_rows(
 _OWN: Final = ("progress", "experiments")
 TABS: Final = ("linear", "control", "certificate")
 """Keys of the sections that have a page of their own, where the run has them."""
-IMPORTANCE: Final = ("importance", "Settings")
-"""Key and title of a section that the report does not have."""
+GALLERY: Final = "simulations"
+"""Key of the page with the simulations of all experiments."""
 
 
-def tabs(snapshot: Snapshot, here: str = "") -> Html | None:
-    """Links to the pages of a run; None where it has one page."""
-    found = {"": "Search"}
+def tabs(snapshot: Snapshot, here: str = "") -> Html:
+    """Links to the pages of a run."""
+    found = {"": "Search", GALLERY: "Simulations"}
     for one in SECTIONS:
         if one.key in TABS and one.write(snapshot.subject) is not None:
             found[one.key] = one.title
-    if len(found) == 1:
-        return None
     address = run_address(snapshot.run.name)
     links = [
         tag("a", title, href=f"{address}/{key}".rstrip("/"),
@@ -496,7 +503,8 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
     )
     own = [one for key in _OWN for one in SECTIONS if one.key == key]
     others = [(one.key, one.title) for one in SECTIONS if one.key not in (*_OWN, *TABS)]
-    others.insert([key for key, _ in others].index("tradeoff") + 1, IMPORTANCE)
+    place = [key for key, _ in others].index("tradeoff") + 1
+    others[place:place] = [(key, title) for key, (title, _) in _LIVE.items()]
     named = [*((one.key, one.title) for one in own), *others]
     links = [tag("li", tag("a", title, href=f"#{key}")) for key, title in named]
     curve = tag(
@@ -504,23 +512,6 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         progress_part(subject),
         id="curve",
         data_curve=f"{run_address(name)}/curve",
-    )
-    selects = [
-        tag("label", label, " ", tag("select", *_options(values, now), name=key))
-        for label, key, values, now in (
-            ("Show", "kind", KINDS, chosen.kind),
-            ("in order:", "order", ORDERS, chosen.order),
-        )
-    ]
-    where = "searches titles, rationale, tags, notes, sources and printed output"
-    words = tag("input", name="words", type="search", value=chosen.words, title=where)
-    choose = tag(
-        "form",
-        *selects,
-        tag("label", "with the words ", words),
-        id="choose",
-        class_="choose",
-        role="search",
     )
     listed = tag(
         "div",
@@ -553,7 +544,7 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         ),
         tag("nav", tag("ul", *links), aria_label="Sections"),
         section("progress", "Progress of the search", curve),
-        section("experiments", "Experiments", choose, listed, tag("p", overlay)),
+        section("experiments", "Experiments", choice_form(chosen), listed, tag("p", overlay)),
         *later,
     )
     holder = tag(
@@ -564,6 +555,28 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         data_run=run_address(name),
     )
     return whole_page(name, (("Searches", "/"),), (holder,), token)
+
+
+def choice_form(chosen: Chosen, *buttons: Html) -> Html:
+    """Form that chooses and sorts experiments."""
+    selects = [
+        tag("label", label, " ", tag("select", *_options(values, now), name=key))
+        for label, key, values, now in (
+            ("Show", "kind", KINDS, chosen.kind),
+            ("in order:", "order", ORDERS, chosen.order),
+        )
+    ]
+    where = "searches titles, rationale, tags, notes, sources and printed output"
+    words = tag("input", name="words", type="search", value=chosen.words, title=where)
+    return tag(
+        "form",
+        *selects,
+        tag("label", "with the words ", words),
+        *buttons,
+        id="choose",
+        class_="choose",
+        role="search",
+    )
 
 
 def _options(values: Mapping[str, str], now: str) -> list[Html]:
@@ -672,77 +685,46 @@ def section_part(snapshot: Snapshot, key: str) -> Html | None:
     section.
     """
     others = (*_OWN, *TABS)
-    if key == IMPORTANCE[0]:
-        return importance_part(snapshot)
+    if key in _LIVE:
+        return _LIVE[key][1](snapshot)
     found = next((one for one in SECTIONS if one.key == key and key not in others), None)
     inner = None if found is None else found.write(snapshot.subject)
     return None if inner is None else to_pages(inner, snapshot.run.name)
 
 
-# Settings that go with a low V: a one-way analysis of variance for each setting of a family.
-
-
-_LEAST_EXPERIMENTS = 12
-_PERMUTATIONS = 999
-_MOST_LEVELS = 3
-
-
-def share_of_variance(groups: NDArray[Any], values: Array, seed: int = 0) -> tuple[float, float]:
-    """Share of the variance of values (n,) between their groups (n,), corrected for the number of
-    groups, and the probability of as large a share by chance (permutation test)."""
-
-    def between(numbers: Array) -> float:
-        parts = [numbers[groups == group] for group in known]
-        return sum(len(part) * (part.mean() - numbers.mean()) ** 2 for part in parts)
-
-    known = np.unique(groups)
-    total = ((values - values.mean()) ** 2).sum()
-    n, k = len(values), len(known)
-    if k < 2 or k >= n or not total > 0:
-        return 0.0, 1.0
-    rng, observed = np.random.default_rng(seed), between(values)
-    chance = [between(rng.permutation(values)) for _ in range(_PERMUTATIONS)]
-    p = (1 + sum(one >= observed * (1 - 1e-12) for one in chance)) / (1 + _PERMUTATIONS)
-    return max(0.0, 1 - (1 - observed / total) * (n - 1) / (n - k)), p
+# Settings that go with a low V.
 
 
 def importance_part(snapshot: Snapshot) -> Html | None:
-    """Write the share of the variance of log V that each setting of a family explains; None where
-    no family has enough experiments."""
+    """Write the share of the variance of log V that each setting of a family explains; what is
+    missing where no family has enough experiments. None without a candidate of the library."""
     run = snapshot.run
-    families: dict[str, list[tuple[dict[str, object], float]]] = {}
+    tried: list[tuple[Recipe, float]] = []
     for e in run.view.finished if run.store.kept else ():
         recipe = read_recipe(run.store.text(e.proposed.source))
         if recipe is not None and e.score is not None and 0 < e.score.value < np.inf:
-            settings: dict[str, object] = dict((*recipe.config, *recipe.options, *recipe.maps))
-            families.setdefault(recipe.family, []).append((settings, np.log(e.score.value)))
-    rows: list[tuple[str, str, int, int, float, float]] = []
-    for family, tried in sorted(families.items()):
-        if len(tried) < _LEAST_EXPERIMENTS:
-            continue
-        values = np.array([value for _, value in tried])
-        for name in dict.fromkeys(key for settings, _ in tried for key in settings):
-            levels = [settings.get(name, "default") for settings, _ in tried]
-            known = {repr(level) for level in levels}
-            groups = np.unique([repr(level) for level in levels], return_inverse=True)[1]
-            if len(known) > _MOST_LEVELS:
-                if not all(isinstance(level, int | float) for level in levels):
-                    continue
-                # Many numbers: equally large groups in their order.
-                order = np.searchsorted(np.sort(levels), levels)  # pyright: ignore
-                groups = order * _MOST_LEVELS // len(order)
-            if len(known) > 1:
-                found = share_of_variance(groups, values)
-                rows.append((family, name, len(known), len(tried), *found))
-    if not rows:
+            tried.append((recipe, e.score.value))
+    if not tried:
         return None
-    # Holm's correction for the number of settings.
-    rows.sort(key=lambda row: row[-1])
-    p = np.maximum.accumulate([row[-1] * (len(rows) - k) for k, row in enumerate(rows)])
+    counts = Counter(recipe.family for recipe, _ in tried)
+    few = [(name, n) for name, n in counts.most_common() if n < LEAST_EXPERIMENTS]
+    missing = None
+    if few:
+        each = ", ".join(f"{name} {LEAST_EXPERIMENTS - n} more" for name, n in few)
+        missing = tag(
+            "p",
+            f"The analysis needs {LEAST_EXPERIMENTS} experiments of one family with a score. "
+            f"Missing: {each}.",
+        )
+    rows = settings_importance(tried)
+    if not rows:
+        same = None if len(few) == len(counts) else tag("p", "No setting was varied.")
+        return join((same, missing))
     cells = [
-        [said(f"{family} {name}"), *(fixed(text) for text in (
-            f"{levels}", f"{count}", f"{100 * share:.0f} %", f"{min(chance, 1):.2g}"))]
-        for (family, name, levels, count, share, _), chance in zip(rows, p.tolist(), strict=True)
+        [said(f"{one.family} {one.setting}"), *(fixed(text) for text in (
+            f"{one.values}", f"{one.experiments}", f"{100 * one.share:.0f} %",
+            f"{min(one.probability, 1):.2g}"))]
+        for one in rows
     ]  # fmt: skip
     text = (
         "Share of the variance of log V between experiments of one family with different values of "
@@ -751,7 +733,52 @@ def importance_part(snapshot: Snapshot) -> Html | None:
         "it changed together share their effect."
     )
     head = ["setting", "values", "experiments", "share of the variance", "p"]
-    return join((tag("p", text), table(head, cells, "Settings of the families")))
+    return join((tag("p", text), table(head, cells, "Settings of the families"), missing))
+
+
+# Times of the evaluations.
+
+
+def timeline_part(snapshot: Snapshot) -> Html | None:
+    """Draw when each experiment was evaluated, those at the same time one above the other; None
+    before the first one."""
+    subject, lines = snapshot.subject, snapshot.run.lines
+    times: dict[int, list[float]] = {}
+    for line in lines:
+        if isinstance(line.event, Proposed | Evaluated):
+            at = datetime.fromisoformat(line.time).timestamp()
+            times.setdefault(line.event.experiment, []).append(at)
+    now = max([time for pair in times.values() for time in pair], default=0.0)
+    spans = [
+        Span(e.number, e.proposed.title, _kind(e) if e.result else "running", *_ends(found, now))
+        for e in subject.view.experiments
+        if (found := times.get(e.number))
+    ]
+    if not spans:
+        return None
+    alt = "Time of the evaluation of each experiment, from its proposal to its result."
+    drawings = [
+        tag("div", draw_timeline(spans, alt, size), class_=name)
+        for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
+    ]
+    text = (
+        "Each bar reaches from the proposal of an experiment to its result. Evaluations at the "
+        "same time have rows of their own. Gaps are the agent and the decisions of the search. "
+        "Longer pauses, such as those before a search was resumed, are cut out."
+    )
+    keys = [("kept bar", "new best"), ("other bar", "no new best"), ("failed bar", "no score")]
+    return join((tag("p", text), tag("figure", *drawings, legend(keys))))
+
+
+def _ends(times: Sequence[float], now: float) -> tuple[float, float]:
+    return times[0], times[-1] if len(times) > 1 else now
+
+
+_LIVE: Final = {
+    "importance": ("Settings", importance_part),
+    "timeline": ("Timeline", timeline_part),
+}
+"""Titles and writers of the sections that the report does not have, by their keys."""
 
 
 def progress_part(subject: Subject) -> Html:

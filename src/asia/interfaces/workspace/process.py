@@ -179,7 +179,10 @@ def start_process(module: Sequence[str], directory: Path, log: Path) -> None:
             last = text[-1].removeprefix("asia: ") if text else f"exit code {code}"
             raise UserError(f"the search did not start: {last[:300]}")
         if time.monotonic() > end:
-            raise UserError(f"the search did not start in {_START_SECONDS:g} s; see {log}")
+            raise UserError(
+                f"the search did not start in {_START_SECONDS:g} s. Its process goes on: repeat "
+                f"the command in a minute. Its log is {log}"
+            )
         time.sleep(0.05)
 
 

@@ -267,11 +267,15 @@ def tables(
     if names:
         heads = "".join(f"{_name(one):>14}" for one in folds)
         yield f"{'parameters':<{wide + 2}}{heads}   spread"
+    orders = {one.get("order [states]") for one in found}
     for name in names:
-        # A fold whose model has other modes lacks some names.
+        # A fold whose model has other modes lacks some names. Between models of different orders
+        # the modes of one number are not the same.
         values = [one[name] for one in found if name in one]
         size = float(np.mean(np.abs(values)))
-        spread = f"{np.ptp(values) / size:9.0%}" if size > 0 and len(values) > 1 else "        -"
+        is_mode = name.startswith(("time constant ", "frequency ", "damping "))
+        known = size > 0 and len(values) > 1 and not (is_mode and len(orders) > 1)
+        spread = f"{np.ptp(values) / size:9.0%}" if known else "        -"
         texts = (f"{one[name]:14.6g}" if name in one else f"{'-':>14}" for one in found)
         yield f"  {name:<{wide}}" + "".join(texts) + spread
 

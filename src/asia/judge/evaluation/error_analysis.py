@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -292,6 +292,9 @@ def _spectrum(errors: Sequence[Array], sampling_time: float) -> tuple[Array, Arr
 # Missing terms, ranked by a score test.
 
 
+Place = Literal["at the input", "in the dynamics", "at the output"]
+
+
 @dataclass(frozen=True)
 class MissingTerm:
     """A term and what it would explain of the residual of one output."""
@@ -299,8 +302,8 @@ class MissingTerm:
     output: int
     term: str
     """Such as `position^3` or `sign(rate(position))`."""
-    where: str
-    """`in the dynamics` or `at the output`."""
+    where: Place
+    """A force with a function of inputs alone is `at the input`."""
     share: float
     """Share of the squared residual that it explains beyond linear terms, mean over the folds. A
     linear term counts beyond a constant, an earlier input beyond the input itself."""
@@ -378,21 +381,26 @@ def missing_terms(
         the terms that explain more than chance in at least half of the folds, the nonlinear ones
         of each output first, the largest share first
     """
-    found: dict[tuple[int, str, str, bool], list[tuple[float, bool]]] = {}
+    found: dict[tuple[int, str, Place, bool], list[tuple[float, bool]]] = {}
     for model, own, simulated in zip(models, blocks, y_hat, strict=True):
         responses = _responses(model, own, simulated, inputs, outputs, states)
         for k in range(len(outputs)):
             e = list(responses.residual[:, :, k])
             linear = {n: c[:, :, k] for n, c in responses.linear.items()}
             every, constant = np.concatenate([*linear.values()], axis=2), linear.pop("constant")
-            jobs = [(n, "in the dynamics", c, constant) for n, c in linear.items()]
+
+            def force(name: str, own: _Responses = responses) -> Place:
+                return "at the input" if name in own.of_inputs else "in the dynamics"
+
+            jobs: list[tuple[str, Place, Array, Array]] = [
+                (n, force(n), c, constant) for n, c in linear.items()
+            ]
             for n, c in responses.dynamic.items():
                 late, _, delay = n.partition(", ")
                 base = np.concatenate([constant, linear[late]], axis=2) if delay else every
-                jobs.append((n, "in the dynamics", c[:, :, k], base))
-            jobs += [
-                (n, "at the output", c[:, :, k, None], every) for n, c in responses.static.items()
-            ]
+                jobs.append((n, force(n), c[:, :, k], base))
+            for n, c in responses.static.items():
+                jobs.append((n, "at the output", c[:, :, k, None], every))
             for name, where, columns, base in jobs:
                 one = explained(e, list(base), list(columns))
                 sure = one.chance * len(jobs) < _CHANCE and one.share > 0
@@ -441,6 +449,8 @@ class _Responses:
     """Term in the dynamics -> (B, H, ny, directions)."""
     static: dict[str, Array]
     """Term at the output -> (B, H, ny)."""
+    of_inputs: frozenset[str]
+    """Signals and terms in the dynamics that are functions of inputs alone."""
 
 
 def _responses(
@@ -482,7 +492,9 @@ def _responses(
         if len(kept) < _MOST_SIGNALS and moves and not any(same):
             kept[name] = s
     early = np.concatenate([of.early_u, of.u], axis=1)
-    terms = _terms(kept, {n: early[:, :, k] for k, n in enumerate(inputs) if n in kept})
+    own = {n: kept[n] for n in inputs if n in kept}
+    late = {n: early[:, :, k] for k, n in enumerate(inputs) if n in kept}
+    terms, of_inputs = _terms(kept, late), frozenset([*own, *_terms(own, late)])
     measured = {n: s for n, s in kept.items() if n in outputs}
     # A drift acts at the output; so does a sensor.
     time = np.broadcast_to(np.arange(y.shape[1], dtype=np.float64), y.shape[:2])
@@ -495,7 +507,7 @@ def _responses(
             n: _lagged(v)[:, :, None].repeat(len(outputs), 2) for n, v in (linear | terms).items()
         }
         base = {n: every[n] for n in linear}
-        return _Responses(of.y - y, base, {n: every[n] for n in terms}, at_output)
+        return _Responses(of.y - y, base, {n: every[n] for n in terms}, at_output, of_inputs)
     every = _forced(model, of, started, linear | terms)
     starts = np.stack([np.pad(b, ((0, 0), (0, len(started.size) - b.shape[1])))
                        for b in (_kept(slopes)[0] for slopes in started.slopes)])  # fmt: skip
@@ -512,6 +524,7 @@ def _responses(
         {n: beyond(every[n]) for n in linear if n in every},
         {n: beyond(every[n]) for n in terms if n in every},
         {n: beyond(v) for n, v in at_output.items()},
+        of_inputs,
     )
 
 

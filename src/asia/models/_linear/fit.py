@@ -661,12 +661,24 @@ def _errors(system: LinearSystem, record: ScaledRecord, x0: Array) -> Array:
 
 
 def invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
-    """Static gains in physical units and slowest time constants in samples, by name."""
+    """Static gains in physical units and the slowest decaying modes, by name: the time constant of
+    a real mode in samples, frequency and damping ratio of an oscillating one."""
     gain = system.gain * scaling.y_std[:, None] / scaling.u_std
     found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
     found = found if len(found) <= 20 else {}
-    slowest = system.time_constants[:6]
-    return found | {f"time constant {k} [samples]": float(t) for k, t in enumerate(slowest, 1)}
+    poles: ComplexArray = np.linalg.eigvals(system.a).astype(np.complex128)
+    sizes = np.abs(poles)
+    rates = np.log(poles[(poles.imag >= 0) & (sizes > 0) & (sizes < 1)])
+    real = pairs = 0
+    for rate in rates[np.argsort(-rates.real, kind="stable")][:6]:
+        if rate.imag == 0:
+            real += 1
+            found[f"time constant {real} [samples]"] = float(-1.0 / rate.real)
+        else:
+            pairs += 1
+            found[f"frequency {pairs} [1/sample]"] = float(abs(rate) / (2 * np.pi))
+            found[f"damping {pairs}"] = float(-rate.real / abs(rate))
+    return found
 
 
 # Input offset at which a system with free integrators is at rest.

@@ -371,6 +371,9 @@ def fit_encoded(
 # Stiffness of the elements of a start, by turns, for motions of unit size, and width of a play.
 _STIFFNESS = (30.0, 2.0, 0.5)
 _WIDTH = 0.5
+_PARTS = (np.real, np.imag)
+# Condition number of the mode shapes from which on they are not used.
+_ILL_CONDITIONED = 1e8
 # Samples for the size of the signals that elements act on.
 _SIZED = 4000
 
@@ -383,6 +386,34 @@ def symmetric(
     x0 = np.zeros((len(records), found.system.order))
     x0[::copies] = found.x0
     return refine(records, replace(found, x0=x0), refinement)
+
+
+def in_modes(found: LinearFit, records: ScaledData, integrators: int) -> tuple[LinearFit, int]:
+    """Give each mode of the linear model states of its own, of unit size on the records, before
+    those that integrate.
+
+    Returns:
+        The same system in these states, and the number of complex pairs, which come first.
+    """
+    s, x0 = found.system, found.x0
+    poles, vectors = np.linalg.eig(s.a[: s.order - integrators, : s.order - integrators])
+    columns = [part(vectors[:, k]) for k in np.flatnonzero(np.imag(poles) > 0) for part in _PARTS]
+    many = len(columns)
+    columns += [np.real(vectors[:, k]) for k in np.flatnonzero(np.imag(poles) == 0)]
+    basis = np.stack(columns, axis=1)
+    if np.linalg.cond(basis) > _ILL_CONDITIONED:
+        # Poles that coincide: the states as they are.
+        basis, many = np.eye(len(basis)), 0
+    states = np.concatenate([
+        s.simulate(one[None], r.u[None])[0][0] for one, r in zip(x0, records, strict=True)
+    ])  # fmt: skip
+    into = np.eye(s.order)
+    into[: len(columns), : len(columns)] = np.linalg.inv(basis)
+    sizes = np.sqrt(((states @ into.T) ** 2).mean(axis=0))
+    sizes[:many] = np.repeat(np.hypot(sizes[0:many:2], sizes[1:many:2]), 2)
+    sizes[len(columns) :] = 1.0
+    into /= np.maximum(sizes, 1e-9)[:, None]
+    return replace(found, system=s.transformed(into), x0=x0 @ into.T), many // 2
 
 
 def with_elements(structure: StateSpaceStructure, found: LinearFit) -> LinearFit:

@@ -65,12 +65,14 @@ def lost(p: Coefficients, x: AnyArray, v: AnyArray, behind: AnyArray) -> tuple[A
 # zero, so that the model starts as the linear one. Elements of friction and of play have states of
 # their own after x.
 
-Nonlinearity = Literal["state", "input", "output", "both", "none"]
+Nonlinearity = Literal["state", "modal", "input", "output", "both", "none"]
 Basis = Literal["tanh", "polynomial", "scheduling"]
 
 # Limit on the unit-size signals of monomials, so that a simulation that leaves the training range
 # grows linearly at most.
 _RANGE = 4.0
+# Limit that the amplitude of a mode of unit size approaches in its effect on stiffness and damping.
+_AMPLITUDE = 2.0
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ class StateSpaceStructure:
     """Number of last states whose pole is held at 1 and which f and g do not read."""
     scheduling: tuple[int, ...] = ()
     """Scheduling inputs of the basis "scheduling": its monomials have at most one other signal."""
+    pairs: int = 0  # Number of complex pairs among the modes of the start, with "modal"
 
     @property
     def size(self) -> int:
@@ -105,7 +108,7 @@ class StateSpaceStructure:
     @property
     def starts_vary(self) -> bool:
         """Starting points differ: polynomials all start at zero."""
-        drawn = self.nonlinearity != "none" and self.basis == "tanh"
+        drawn = self.nonlinearity not in ("none", "modal") and self.basis == "tanh"
         return drawn or self.channels is not None or self.size > self.order
 
     def input(self, p: Coefficients, u: Any) -> Any:
@@ -151,9 +154,28 @@ class StateSpaceStructure:
     def _change(self, p: Coefficients, x: Any, v: Any) -> Any:
         x = x[..., : self.order - self.integrators] if self.integrators else x
         both = namespace(x, v).concatenate([x, v], axis=-1)
+        if self.nonlinearity == "modal":
+            return self._by_amplitude(x) @ p["f"]["w2"]
         if self.channels is None:
             return self._net(p["f"], both)
         return self._net(p["f"], both @ p["read"]) @ p["act"]
+
+    def _by_amplitude(self, x: Any) -> Any:
+        """Each mode times the powers of its amplitude from 1 to degree - 1: stiffness and damping
+        that depend on the amplitude, and hardly change beyond the training range."""
+        terms: list[Any] = []
+        for mode in self._modes:
+            square = (x[..., mode] ** 2).sum(axis=-1, keepdims=True) + 1e-12
+            size = namespace(x).sqrt(square / (1.0 + square / _AMPLITUDE**2))
+            terms += [size**power * x[..., mode] for power in range(1, self.degree)]
+        return namespace(x).concatenate(terms, axis=-1)
+
+    @property
+    def _modes(self) -> list[slice]:
+        """States of each mode: complex pairs first."""
+        pairs = 2 * self.pairs
+        modes = [slice(i, i + 2) for i in range(0, pairs, 2)]
+        return modes + [slice(i, i + 1) for i in range(pairs, self.order - self.integrators)]
 
     def output(self, p: Coefficients, w: Any) -> Any:
         """Output y after the static function r, from w (..., ny)."""
@@ -189,6 +211,8 @@ class StateSpaceStructure:
         n, nu, ny = self.order, self.nu, self.ny
         if self.nonlinearity == "state":
             self._add_state_function(p, rng, n + ny)
+        if self.nonlinearity == "modal":
+            p["f"] = {"w2": np.zeros(((self.degree - 1) * (n - self.integrators), n + ny))}
         if self.nonlinearity in ("input", "both"):
             p["s"] = self._function(rng, nu, nu)
         if self.nonlinearity in ("output", "both"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from html import escape
 from typing import Any, Final
 
@@ -12,7 +13,7 @@ from asia._text import one_line, printable
 from asia._timer import duration
 from asia.errors import InternalError
 from asia.ledger.evidence import FOLD_QUANTILE, interval_ends, jackknife_error
-from asia.ledger.text import error_value
+from asia.ledger.text import MOST_DECIMALS, error_value
 from asia.problem.physics import (
     Binary,
     Call,
@@ -227,6 +228,7 @@ ONE: Final = "one"
 
 FORMS: Final[dict[str, Callable[[Any], str]]] = {
     "error": error_value,
+    **{f"error{k}": partial(error_value, decimals=k) for k in range(5, MOST_DECIMALS + 1)},
     "sig2": lambda v: f"{v:.2g}",
     "sig3": lambda v: f"{v:.3g}",
     "sig4": lambda v: f"{v:.4g}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,7 @@ from asia.errors import InternalError, UserError
 from asia.judge.scoring.outcome import Score
 from asia.ledger.events import Evaluated, Event
 from asia.ledger.run import Run
+from asia.ledger.text import error_decimals
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Fold, make_folds
 from asia.problem.problem import Problem
@@ -158,9 +159,14 @@ class Subject:
         values = [value for event in events for value in follow(event, path)]
         return write_number(values, f"{kind}:{path}", rule, form)
 
-    def v(self, experiment: Experiment) -> Html:
-        """V of an experiment that has a score."""
-        return self.number(result_of(experiment), "outcome.value", "error")
+    @cached_property
+    def _v_form(self) -> str:
+        return v_form(self.view.finished)
+
+    def v(self, experiment: Experiment, form: str = "") -> Html:
+        """V of an experiment that has a score, with as many decimals as its search needs. form: of
+        a comparison with other searches."""
+        return self.number(result_of(experiment), "outcome.value", form or self._v_form)
 
     def name(self, experiment: Experiment) -> Html:
         """`#07`."""
@@ -172,6 +178,13 @@ class Subject:
             if reference.name == name and isinstance(reference.outcome, Score):
                 return reference, reference.outcome.value
         return None
+
+
+def v_form(experiments: Iterable[Experiment]) -> str:
+    """Form of `html.FORMS` in which the V of these experiments read differently."""
+    scored = [(e.score.value, result_of(e).threshold) for e in experiments if e.score is not None]
+    decimals = error_decimals(*zip(*scored, strict=True)) if scored else 4
+    return "error" if decimals == 4 else f"error{decimals}"
 
 
 def result_of(experiment: Experiment) -> Evaluated:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from asia._text import one_line
+from asia._timer import duration
 from asia.data.trajectory import Array
 from asia.ledger.evidence import DrawnCheck
 from asia.ledger.text import error_value
@@ -374,6 +377,85 @@ def draw_loss(points: Sequence[tuple[float, float]]) -> Html:
     return tag("svg", line, viewBox="0 0 140 34", class_="loss", aria_hidden="true")
 
 
+# Evaluations over time.
+
+
+_BAR = 16
+_LONGEST_GAP = 0.1
+"""Share of the time of all evaluations; longer gaps between them are cut to it."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """Evaluation of an experiment from begin to end, in seconds; kind: class of its bar."""
+
+    number: int
+    title: str
+    kind: str
+    begin: float
+    end: float
+
+
+def without_pauses(spans: Sequence[Span]) -> list[Span]:
+    """Return the spans in the order of their begin, on a time axis from 0 on whose long gaps are
+    cut."""
+    ordered = sorted(spans, key=lambda one: (one.begin, one.number))
+    edges: list[tuple[float, float]] = []
+    for one in ordered:
+        if edges and one.begin <= edges[-1][1]:
+            edges[-1] = edges[-1][0], max(edges[-1][1], one.end)
+        else:
+            edges.append((one.begin, one.end))
+    most = _LONGEST_GAP * sum(end - begin for begin, end in edges)
+    cut, shifts = edges[0][0], [edges[0][0]]
+    for (_, end), (begin, _) in pairwise(edges):
+        cut += max(0.0, begin - end - most)
+        shifts.append(cut)
+    starts = [begin for begin, _ in edges]
+    moved: list[Span] = []
+    for one in ordered:
+        shift = shifts[bisect_right(starts, one.begin) - 1]
+        moved.append(replace(one, begin=one.begin - shift, end=one.end - shift))
+    return moved
+
+
+def draw_timeline(spans: Sequence[Span], alt: str, size: Size) -> Html:
+    """Draw a bar for each evaluation, those at the same time in rows of their own.
+
+    Args:
+        spans: the evaluations, at least one
+        alt: the picture in words
+        size: for a wide or a narrow screen; its height follows from the number of rows
+    """
+    moved = without_pauses(spans)
+    free: list[float] = []
+    lanes: list[int] = []
+    for one in moved:
+        lane = next((k for k, end in enumerate(free) if end <= one.begin), len(free))
+        free[lane : lane + 1] = [one.end]
+        lanes.append(lane)
+    unit = time_unit(max(free) or 1.0)
+    across = Scale(0.0, max(free) / unit.seconds or 1.0, 28, size.width - 12)
+    bottom = 6.0 + _BAR * len(free)
+    drawn: list[Html] = []
+    for value in across.ticks(8):
+        drawn.append(
+            tag("path", d=f"M{rounded(across.at(value))} 4V{rounded(bottom)}", class_="grid")
+        )
+        drawn.append(_label(across.at(value), bottom + 15, written(value)))
+    drawn += [_label(20, 6 + _BAR * (k + 0.75), f"{k + 1}", "end") for k in range(len(free))]
+    drawn.append(_label((across.start + across.end) / 2, bottom + 32, f"time [{unit.name}]"))
+    for one, lane in zip(moved, lanes, strict=True):
+        left, right = (across.at(at / unit.seconds) for at in (one.begin, one.end))
+        bar = tag(
+            "rect", x=rounded(left), y=rounded(8 + _BAR * lane), rx="2", height=f"{_BAR - 4}",
+            width=rounded(max(right - left, 1.0)), class_=f"bar {one.kind}",
+        )  # fmt: skip
+        text = f"#{one.number:02d}, {duration(one.end - one.begin)}: {one_line(one.title, 80)}"
+        drawn.append(tag("g", tag("title", text), bar))
+    return _progress_svg(drawn, alt, replace(size, height=bottom + 38))
+
+
 # Curves over one axis. The curves scale with the page, so that their labels are HTML.
 
 
@@ -486,8 +568,19 @@ def overlay_legend(*, banded: bool = False) -> Html:
     return legend([*entries, *([("outputs", "output bands")] if banded else [])])
 
 
-def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
-    """Measured against simulated output, with a strip of errors below."""
+def error_limit(overlay: Overlay) -> float:
+    """Largest error that a strip of the overlay's simulations shows: of several, one that is far
+    off does not hide the others."""
+    y, *simulated = (
+        side[:, overlay.channel] for side in (overlay.measured, overlay.simulated, *overlay.others)
+    )
+    sizes = sorted(float(np.nanmax(np.abs(y - one), initial=0.0)) for one in simulated)
+    return min(sizes[-1], 5 * sizes[0]) or sizes[-1] or 1.0
+
+
+def draw_overlay(problem: Problem, overlay: Overlay, limit: float | None = None) -> Html:
+    """Measured against simulated output, with a strip of errors below. limit: end of the strip's
+    axis; default: `error_limit`."""
     signal = problem.outputs[overlay.channel]
     y, y_hat, *others = (
         side[:, overlay.channel] for side in (overlay.measured, overlay.simulated, *overlay.others)
@@ -498,9 +591,7 @@ def draw_overlay(problem: Problem, overlay: Overlay) -> Html:
     low, high = _limits(y, y_hat, *others)
     upper = Scale(low, high, _HEIGHT, 0)
     errors = [y - one for one in (y_hat, *others)]
-    # Of several, one that is far off does not hide the others.
-    sizes = sorted(float(np.nanmax(np.abs(error), initial=0.0)) for error in errors)
-    most = min(sizes[-1], 5 * sizes[0]) or sizes[-1] or 1.0
+    most = limit or error_limit(overlay)
     strip = Scale(-most, most, _STRIP, 0)
     what = Html("error")
     if overlay.below is not None:

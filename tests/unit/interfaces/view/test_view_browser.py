@@ -31,6 +31,7 @@ SIZES = {"wide": {"width": 1280, "height": 900}, "phone": {"width": 390, "height
 PAGES = (
     "/",
     "/runs/made",
+    "/runs/made/simulations",
     "/runs/made/experiments/2",
     "/compare?run=other&e=made/1&e=made/2",
     "/runs/made/linear",
@@ -220,6 +221,20 @@ def test_a_search_is_steered_with_the_keyboard_alone(server: Server, watched: Wa
         page.get_by_role("button", name="Stop after").click()
         expect(page.locator(".steering [role=status]").last).to_contain_text("stops after")
     assert (server.runs / "made" / "control" / "stop").exists()
+
+
+def test_settings_that_are_the_same_are_shown_with_the_keyboard(
+    server: Server, watched: Watched
+) -> None:
+    page = watched.page
+    page.goto(server.at("/compare?e=made/1&e=made/2"))
+    same = page.locator("#settings tr.same")
+    expect(same).to_have_count(2)
+    expect(same.first).to_be_hidden()
+    page.get_by_label("differences only").focus()
+    page.keyboard.press("Space")
+    expect(same.first).to_be_visible()
+    assert watched.complaints == []
 
 
 def test_overlays_zoom_by_keyboard_and_pointer(server: Server, watched: Watched) -> None:

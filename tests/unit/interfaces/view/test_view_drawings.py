@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -10,11 +12,14 @@ from asia.report.page.svg import (
     WIDE,
     BestSoFar,
     Point,
+    Span,
     Traded,
     draw_best,
     draw_progress,
+    draw_timeline,
     draw_tradeoff,
     front_of,
+    without_pauses,
 )
 
 
@@ -72,3 +77,20 @@ def test_nothing_has_less_of_both_than_a_point_of_the_front() -> None:
     assert few.count("<title>") == len(front) + 1
     assert few.count("h10l-5 -9z") == 1
     assert "&lt;far&gt;" in few
+
+
+def test_pauses_are_cut_and_order_and_lengths_stay() -> None:
+    spans = [
+        Span(1, "one", "kept", 100.0, 110.0),
+        Span(2, "two", "other", 105.0, 125.0),
+        Span(3, "three", "other", 100_000.0, 100_005.0),
+    ]
+    moved = without_pauses(spans)
+    assert [(one.number, one.begin, one.end) for one in moved] == [
+        (1, 0.0, 10.0),
+        (2, 5.0, 25.0),
+        (3, 28.0, 33.0),
+    ]
+    drawn = draw_timeline(spans, "alt", WIDE)
+    rows = re.findall(r'<rect [^>]*y="(\d+)"', drawn)
+    assert rows == ["8", "24", "8"]

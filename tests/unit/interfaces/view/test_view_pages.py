@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,9 +14,10 @@ from starlette.testclient import TestClient
 
 from asia.agents.library.recipe import Recipe
 from asia.agents.registry import reads_notes
+from asia.analysis.importance import share_of_variance
 from asia.errors import Reason, UserError
 from asia.interfaces.view.followed import FollowedRun, RunFolder
-from asia.interfaces.view.pages import importance_part, share_of_variance, steering_panel
+from asia.interfaces.view.pages import importance_part, steering_panel
 from asia.judge.scoring.outcome import Failure
 from asia.ledger.artifacts import Store
 from asia.ledger.chain import Chain
@@ -215,14 +217,14 @@ def test_any_number_of_runs_and_experiments_is_compared(
 def test_linear_model_and_control_have_pages_where_the_run_has_them(
     client: TestClient, runs: Path
 ) -> None:
-    assert 'class="tabs"' not in client.get("/runs/made").text
     assert client.get("/runs/made/linear").status_code == 404
     write_linear(runs / "made")
     for address, here in (("/runs/made", "Search"), ("/runs/made/linear", "Linear models"),
                           ("/runs/made/control", "Control")):  # fmt: skip
         page = client.get(address).text
-        assert re.findall(r'href="(/runs/made[a-z/]*)"[^>]*>([A-Z][a-z ]+)</a>', page)[:3] == [
+        assert re.findall(r'href="(/runs/made[a-z/]*)"[^>]*>([A-Z][a-z ]+)</a>', page)[:4] == [
             ("/runs/made", "Search"),
+            ("/runs/made/simulations", "Simulations"),
             ("/runs/made/linear", "Linear models"),
             ("/runs/made/control", "Control"),
         ]
@@ -399,25 +401,90 @@ def test_a_setting_that_decides_v_has_the_share_and_the_other_has_none() -> None
     assert share_of_variance(np.zeros(5), rng.standard_normal(5)) == (0.0, 1.0)
 
 
+def make_recipes(
+    directory: Path, problem: Problem, recipes: Sequence[tuple[Recipe, float]]
+) -> Path:
+    """A run whose candidates are recipes, each with its V."""
+    make_run(directory, problem, ())
+    store = Store(directory / "artifacts")
+    with Chain(directory / "ledger.jsonl") as chain:
+        for number, (recipe, value) in enumerate(recipes, 1):
+            source = recipe.source("")
+            append_experiment(chain, store, problem, number, "arx", value, 1.0, (), source)
+    return directory
+
+
 def test_importance_of_settings_needs_experiments_of_one_family(
     runs: Path, problem: Problem
 ) -> None:
-    directory = make_run(runs / "settings", problem, ())
-    store = Store(directory / "artifacts")
-    with Chain(directory / "ledger.jsonl") as chain:
-        for number in range(1, 13):
-            few = number % 2
-            recipe = Recipe("arx", (("na", 2 if few else 8), ("nb", number)), "LeastSquares", ())
-            outcome = 0.1 * number if few else 0.01 * number
-            title = f"arx {number}"
-            source = recipe.source("")
-            append_experiment(chain, store, problem, number, title, outcome, 1.0, (), source)
+    recipes: list[tuple[Recipe, float]] = []
+    for number in range(1, 13):
+        few = number % 2
+        recipe = Recipe("arx", (("na", 2 if few else 8), ("nb", number)), "LeastSquares", ())
+        recipes.append((recipe, 0.1 * number if few else 0.01 * number))
+    directory = make_recipes(runs / "settings", problem, recipes)
     snapshot = FollowedRun(directory).snapshot()
     text = " ".join(re.sub("<[^>]+>", " ", importance_part(snapshot) or "").split())
     assert re.search(r"arx na 2 12 \d+ % 0\.0\d+", text), text
     assert re.search(r"arx nb 12 12 \d+ % 0\.[1-9]", text), text
     made = FollowedRun(runs / "made").snapshot()
     assert importance_part(made) is None
+
+
+def test_too_few_experiments_for_the_importance_of_settings_are_counted(
+    runs: Path, problem: Problem
+) -> None:
+    recipe = Recipe("arx", (("na", 2),), "LeastSquares", ())
+    make_recipes(runs / "few", problem, [(recipe, 0.1)])
+    part = importance_part(FollowedRun(runs / "few").snapshot())
+    assert "Missing: arx 11 more." in (part or "")
+
+
+def test_settings_that_differ_are_compared(
+    client: TestClient, runs: Path, problem: Problem
+) -> None:
+    recipes = [Recipe("arx", (("na", na), ("nb", 4)), "LeastSquares", ()) for na in (2, 8)]
+    make_recipes(runs / "other", problem, [(recipes[0], 0.1), (recipes[1], 0.08)])
+    page = client.get("/compare?e=other/1&e=other/2&e=made/1").text
+    start = r'<tr(?: class="same")?><th scope="row">'
+    row = start + r'<span class="said">(\w[\w ]*)</span></th>(.*?)</tr>'
+    found = {name: re.findall(r'"said">([^<]*)<', cells) for name, cells in re.findall(row, page)}
+    assert found["na"] == ["2", "8", ""]
+    assert found["training method"] == ["LeastSquares", "LeastSquares", "own code"]
+    page = client.get("/compare?e=other/1&e=other/2").text
+    assert re.findall(r'<tr class="same"><th scope="row"><span class="said">([\w ]+)<', page) == [
+        "family", "training method", "nb",
+    ]  # fmt: skip
+    assert 'id="settings"' not in client.get("/compare?e=other/1").text
+
+
+def test_values_that_differ_a_little_read_differently(
+    client: TestClient, runs: Path, problem: Problem
+) -> None:
+    make_run(runs / "near", problem, (("one", 0.12341), ("two", 0.12343), ("three", 0.2)))
+    rows = client.get("/runs/near/rows").text
+    assert re.findall(r">(0\.\d+)</data>", rows) == ["0.20000", "0.12343", "0.12341"]
+    assert audit(rows, runs / "near", len(open_run(runs / "near").lines)) > 0
+    page = client.get("/compare?e=near/1&e=near/2").text
+    assert {"0.12343", "0.12341"} <= set(re.findall(r">(0\.\d+)</data>", page))
+
+
+def test_the_gallery_has_the_simulation_of_each_scored_experiment(client: TestClient) -> None:
+    page = client.get("/runs/made/simulations").text
+    titles = r'<figcaption><a href="/runs/made/experiments/(\d)"'
+    assert re.findall(titles, page) == ["2", "4", "1"]
+    assert "1 to 3 of 3" in page
+    later = client.get("/runs/made/simulations?order=oldest&after=1").text
+    assert (re.findall(titles, later), "‹ previous" in later) == (["2", "4"], True)
+    none = client.get("/runs/made/simulations?kind=failed").text
+    assert "No chosen experiment has a score." in none
+
+
+def test_the_timeline_has_a_bar_for_each_experiment(client: TestClient) -> None:
+    part = client.get("/runs/made/sections/timeline").text
+    wide = part[: part.index('class="narrow"')]
+    assert re.findall(r"<title>#(\d\d), ", wide) == ["01", "02", "03", "04"]
+    assert re.findall(r'class="bar (\w+)"', wide) == ["kept", "kept", "failed", "other"]
 
 
 def test_costs_of_commands_are_axes_of_the_trade_off_picture(

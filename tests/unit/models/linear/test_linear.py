@@ -54,6 +54,15 @@ def test_gain_time_constants_and_delay_are_named_in_physical_units() -> None:
     assert found["gain y1/u1"] == pytest.approx((10.0 + 2.0) * 3.0 / 2.0)
     assert found["time constant 1 [samples]"] == pytest.approx(-1 / np.log(0.9))
     assert found["delay [samples]"] == 4.0
+    # An oscillation at 0.05 cycles a sample that decays in 100 samples.
+    turn = 2 * np.pi * 0.05
+    pair = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    lightly = LinearSystem(np.exp(-0.01) * np.array(pair), *system.matrices[1:])
+    oscillating = replace(model.fitted, system=lightly)
+    found = linear.LinearStateSpace(linear.Config(), oscillating).parameters()
+    assert found["frequency 1 [1/sample]"] == pytest.approx(0.05, rel=1e-3)
+    assert found["damping 1"] == pytest.approx(0.01 / turn, rel=1e-3)
+    assert not any(name.startswith("time constant") for name in found)
     one, zero = np.ones((1, 1)), np.zeros((1, 1))
     integrator = LinearSystem(one, one, one, zero, np.zeros(1))
     assert not np.isfinite(integrator.gain).any()

@@ -50,13 +50,35 @@ def test_a_few_channels_suffice_for_a_function_of_one_signal() -> None:
     assert data.ratio(fitted(config, data, LevenbergMarquardt(60, starts=2))) < 1.0
 
 
-def test_no_iterations_leave_the_linear_model() -> None:
+@pytest.mark.parametrize("place", ["state", "modal"])
+def test_no_iterations_leave_the_linear_model(place: Any) -> None:
     data = case(wiener, lengths=(150, 90))
     line = linear.train(
         linear.build(linear.Config(order=2), data.context), data.training, data.context
     )
-    model = fitted(neural_ss.Config(order=2, encoder=0), data, LevenbergMarquardt(0))
+    config = neural_ss.Config(order=2, nonlinearity=place, encoder=0)
+    model = fitted(config, data, LevenbergMarquardt(0))
     np.testing.assert_allclose(data.simulated(model), data.simulated(line), rtol=1e-6)
+
+
+def softening(u: np.ndarray) -> np.ndarray:
+    """A lightly damped mode whose frequency falls with its amplitude."""
+    x, y = np.zeros((2, u.shape[1])), np.zeros_like(u)
+    for k in range(len(u)):
+        y[k] = x[0]
+        angle = 0.6 / (1.0 + 0.001 * (x**2).sum(axis=0))
+        turned = np.cos(angle) * x[0] - np.sin(angle) * x[1]
+        x = 0.97 * np.stack([turned + u[k], np.sin(angle) * x[0] + np.cos(angle) * x[1]])
+    return y
+
+
+@pytest.mark.slow
+def test_a_mode_whose_frequency_depends_on_its_amplitude() -> None:
+    data = case(softening, lengths=(600,))
+    method = LevenbergMarquardt(60)
+    line = fitted(neural_ss.Config(order=2, nonlinearity="none"), data, method)
+    model = fitted(neural_ss.Config(order=2, nonlinearity="modal", pieces=True), data, method)
+    assert data.ratio(model) < 0.2 * data.ratio(line)
 
 
 @pytest.mark.long

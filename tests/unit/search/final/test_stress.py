@@ -18,7 +18,7 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.load import load_problem
 from asia.problem.protocol import ProtocolRule
 from asia.search.run import prepare, search
-from asia.search.stress import HORIZONS, StressRoom, bounded_model, stress_cases
+from asia.search.stress import HORIZONS, StressRoom, bounded_model, largest_bend, stress_cases
 from tests.unit.interfaces.cli.conftest import command_line
 from tests.unit.search.toy import Scripted, arx
 
@@ -157,6 +157,14 @@ def test_a_search_without_a_bounded_candidate_says_not_usable(tmp_path: Path) ->
     line = next(line for line in shown.out.splitlines() if line.startswith("verdict"))
     assert line.startswith("verdict not usable: On training inputs in other combinations the")
     assert "times as far from the middle of its training range" in line
+
+
+def test_the_largest_change_of_speed_hardly_counts_noise() -> None:
+    k, rng = np.arange(1000.0), np.random.default_rng(0)
+    force = np.where(k < 500, 2e-3, -1e-3)
+    y = np.cumsum(np.cumsum(force)) + 0.02 * rng.normal(size=1000)
+    assert largest_bend(y) == pytest.approx(2e-3, rel=0.5)
+    assert np.abs(np.diff(y, 2)).max() > 0.1
 
 
 @pytest.mark.slow

@@ -20,6 +20,8 @@ from asia.agents.view import Facts
 
 # Share of the error for which another state is taken.
 _FINER = 0.005
+BEST_LINEAR = "settings of the best linear model"
+"""Name of the move to the linear model that every search scores as a reference."""
 # Share by which V of the best linear model is below that of the baseline, to be tried at once.
 _CLEAR = 0.03
 
@@ -176,7 +178,7 @@ CARD = Card((
         expected="A lower V on every fold.",
     ),
     Move(
-        name="settings of the best linear model",
+        name=BEST_LINEAR,
         families=("linear",),
         weight=_reference_weight,
         change=lambda c: _linear(c.facts),

@@ -15,17 +15,19 @@ from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe, Value
 from asia.agents.library.record_facts import Cause, switching, transport
 from asia.agents.library.space import OneOf, Parameter, Space, Span
+from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured, curved, overfit
 from asia.agents.view import Facts
 
 
 def _start(facts: Facts) -> Recipe:
     past: Arguments = (("past_fit", True),) if facts.horizon is None else ()
-    functions: Arguments = (("hidden", 8),)
+    functions: Arguments = (("nonlinearity", "state"), ("hidden", 8))
     if _scheduled(facts):
-        functions = ("basis", "scheduling"), ("degree", 2)
+        functions = ("nonlinearity", "state"), ("basis", "scheduling"), ("degree", 2)
+    elif "resonant" in traits(facts):
+        functions = ("nonlinearity", "modal"), ("pieces", True)
     config: Arguments = (
-        ("nonlinearity", "state"),
         *functions,
         ("ridge", 1e-5),
         ("delay", None),
@@ -42,7 +44,7 @@ def _scheduled(facts: Facts) -> bool:
 def _space(facts: Facts) -> Space:
     carried = transport(facts)
     places: tuple[Parameter, ...] = (
-        OneOf("nonlinearity", ("state", "input", "output", "both", "none")),
+        OneOf("nonlinearity", ("state", "modal", "input", "output", "both", "none")),
         OneOf("channels", (None, 1, 2), needs="nonlinearity", being="state"),
         OneOf("basis", ("tanh", "polynomial")),
         OneOf("degree", (2, 3), needs="basis", being="polynomial"),
@@ -239,7 +241,13 @@ CARD = Card(
             label="neural state-space",
             use="a linear model with small static nonlinearities, for short records",
             base=6,
-            points=(("short", 1), ("long", -2), ("windows", -2), ("scheduling", 3)),
+            points=(
+                ("short", 1),
+                ("long", -2),
+                ("windows", -2),
+                ("scheduling", 3),
+                ("resonant", 1),
+            ),
             start=_start,
             space=_space,
             small=(("hidden", 3), ("iterations", 3), ("starts", 1)),
@@ -287,6 +295,15 @@ CARD = Card(
             hypothesis="A polynomial of the states is linear in its weights: given the states, its "
             "fit has one minimum, where a layer of units has many.",
             expected="Lower training error and V, if the nonlinearity is smooth.",
+        ),
+        Move(
+            name="functions of all states",
+            weight=lambda c: 0.7 * (c.recipe.get("nonlinearity") == "modal"),
+            change=lambda c: c.recipe.configured(nonlinearity="state", hidden=8),
+            hypothesis="The modes act on each other, or the nonlinearity lies elsewhere: a layer "
+            "of units reads all states and inputs.",
+            expected="A lower training error and V, if frequency and damping of each mode depend "
+            "on more than its own amplitude.",
         ),
         Move(
             name="median of several fits",

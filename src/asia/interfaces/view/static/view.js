@@ -151,7 +151,9 @@ function news(data, isLedger) {
 
 const refresh = atMost(1000, async () => {
   const place = one("[data-refresh]");
-  place.replaceChildren(elements(await ask(place.dataset.refresh)));
+  const fresh = await ask(place.dataset.refresh).then(elements);
+  for (const box of all("input[type=checkbox][id]", fresh)) box.checked = one(`#${box.id}`)?.checked ?? box.checked;
+  place.replaceChildren(fresh);
 });
 
 // Checked boxes and the focus survive.
