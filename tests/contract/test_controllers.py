@@ -1,5 +1,6 @@
 """Contract of a controller, and what a candidate cannot do in closed loop."""
 
+import os
 from functools import partial
 from pathlib import Path
 
@@ -146,50 +147,55 @@ def design(models, context):
     return Controller(known)
 '''
 _FUTURE = """\
-        for one in gc.get_objects():
-            if isinstance(one, np.ndarray) and one.ndim and len(one) == 60:
-                flat = one.reshape(60, -1)
-                if not any(np.isin(flat[:, 0], k).all() for k in self.known):
-                    return True
-        frame = sys._getframe()
-        while frame is not None:
-            for name, value in frame.f_locals.items():
-                if name in ("outside", "targets", "plant"):
-                    return True
-            frame = frame.f_back"""
+        held = [f.f_locals for f in frames(sys._getframe())]
+        held += [o for o in gc.get_objects() if isinstance(o, (dict, list, tuple))]
+        for one in held:
+            for value in list(one.values() if isinstance(one, dict) else one):
+                if isinstance(value, np.ndarray) and value.ndim and len(value) == 60:
+                    first = value.reshape(60, -1)[:, 0]
+                    if not any(np.isin(first, k).all() for k in self.known):
+                        return True"""
+_FRAMES = """
+
+def frames(frame):
+    while frame is not None:
+        yield frame
+        frame = frame.f_back
+"""
 _PLANT_FILE = """\
         for place in ({place!r}, os.path.dirname({place!r})):
             try:
-                if os.path.isdir(place):
-                    os.listdir(place)
-                else:
-                    open(place).read()
+                os.listdir(place) if os.path.isdir(place) else open(place).read()
                 return True
             except OSError:
                 pass
         if "plant" in sys.modules:
-            return True
-        for one in gc.get_objects():
-            if isinstance(one, (str, bytes)) and (b"gain" in one if isinstance(one, bytes)
-                                                  else "params[" in one):
-                return True"""
+            return True"""
 
 
-@pytest.mark.parametrize("what", ["the future", "the plant"])
+@pytest.mark.parametrize(
+    ("what", "finds"),
+    [("the future", False), ("a planted scenario", True), ("the plant", False), ("a file", True)],
+)
 def test_a_controller_finds_neither_future_nor_plant(
-    problem: Problem, evaluator: Evaluator, what: str
+    problem: Problem, evaluator: Evaluator, what: str, finds: bool
 ) -> None:
+    """The same search finds what is there: an array of a scenario's length, and an open file."""
     if probe().level is Isolation.PROCESS:
         pytest.skip("files are open at level process")
     assert problem.control is not None
     place = problem.control.plant.source.rpartition(":")[0]
     assert Path(place).is_file()
-    look = _FUTURE if what == "the future" else _PLANT_FILE.format(place=place)
-    found = evaluator.evaluate(_LOOKING.format(what=what, look=look))
+    look = _PLANT_FILE.format(place=place if what == "the plant" else os.__file__)
+    look = _FUTURE if what in ("the future", "a planted scenario") else look
+    source = _LOOKING.format(what=what, look=look) + _FRAMES
+    if what == "a planted scenario":
+        source += "\nPLANTED = [np.arange(60.0)]\n"
+    found = evaluator.evaluate(source)
     assert isinstance(found.outcome, Score), found.outcome
     for result in found.folds:
         for y_hat in result.y_hat:
-            assert not y_hat[:, 1].any()
+            assert bool(y_hat[:, 1].any()) == finds
 
 
 def test_a_controller_cannot_carry_state_between_scenarios(evaluator: Evaluator) -> None:

@@ -17,7 +17,7 @@ import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -98,9 +98,8 @@ class ControllerModel:
 
     def parameters(self) -> Mapping[str, float]:
         """Parameters that the controller offers."""
-        offered: Any = getattr(self.controller, "parameters", None)
-        found: Any = offered() if callable(offered) else {}
-        return found
+        offered = getattr(self.controller, "parameters", None)
+        return cast("Mapping[str, float]", offered()) if callable(offered) else {}
 
 
 def controlled(
@@ -639,7 +638,7 @@ def with_residual(
     count = 4 * nr * hidden + hidden * nu
     theta = searched(
         base.plants, make, [(-2.0, 2.0)] * count, context, generations=generations,
-        population=max(population, count), first=np.zeros(count),
+        population=population, near=0.1,
     )  # fmt: skip
     named = {**base.named, "residual weights": float(count)}
     return LawController(make(theta[None]), named, base.plants)

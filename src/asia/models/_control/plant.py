@@ -297,12 +297,22 @@ def searched(
     *,
     generations: int,
     population: int,
-    first: Array | None = None,
+    near: float | None = None,
 ) -> Array:
     """Parameters (n,) of the law that costs least in simulation, by differential evolution (Storn
-    and Price, J. Global Optim. 11, 1997)."""
+    and Price, J. Global Optim. 11, 1997).
+
+    Args:
+        near: standard deviation of the first population around 0, which is its first member; None
+            for one that fills the bounds.
+    """
     from scipy.optimize import differential_evolution
 
+    begin: Any = "sobol"
+    if near is not None:
+        random = np.random.default_rng(context.seed)
+        begin = near * random.standard_normal((max(population, 5), len(bounds)))
+        begin[0] = 0.0
     middle = np.array([0.5 * (low + high) for low, high in bounds])
     costs = simulated_cost(plants, make(middle[None]), context)
     found = differential_evolution(
@@ -310,11 +320,10 @@ def searched(
         list(bounds),
         maxiter=generations,
         popsize=max(population // len(bounds), 1),
-        tol=1e-3,
+        tol=1e-3 if near is None else 0.0,
         rng=np.random.default_rng(context.seed),
         polish=False,
-        init="sobol",
-        x0=first,
+        init=begin,
         vectorized=True,
         updating="deferred",
         callback=lambda intermediate_result: context.log(

@@ -263,9 +263,9 @@ class _Session:
             trajectories.append(Trajectory(u, y, sampling_time, name, missing, reference))
         module = _execute(source)
         name, first = ("fit", "trajectories") if known["control"] is None else ("design", "models")
-        fit: Any = getattr(module, name, None)
-        if not callable(fit):
+        if not callable(getattr(module, name, None)):
             raise _RefusedError(f"the source defines no function {name}({first}, context)")
+        fit: Any = getattr(module, name)
         points = _TrainingCurve(self._show_loss)
         validation_score = self._validation_score if scored else None
         context = Context(**known, log=points.log, validation_score=validation_score)
