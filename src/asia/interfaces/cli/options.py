@@ -412,8 +412,8 @@ ProblemName = Annotated[
         metavar="PROBLEM",
         help="Built-in name (two_tanks_sim, bouc_wen, cascaded_tanks, ced, emps, f16, "
         "fine_steering_mirror, nanodrone, parallel_wiener_hammerstein, silverbox, "
-        "wiener_hammerstein), or a directory with "
-        "problem.toml.",
+        "wiener_hammerstein; controllers: two_tanks_control, quadruple_tank_control, "
+        "cstr_control), or a directory with problem.toml.",
     ),
 ]
 GuardRecords = Annotated[
