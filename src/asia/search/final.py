@@ -301,7 +301,8 @@ def choose_model(evidence: FinalEvidence) -> ModelToUse:
         if is_worthy(check):
             if ensemble is None or len(check.fold_errors) < 3:
                 # With two folds a fold model has seen half of the data only.
-                text = "It fits the training records at least as well as the ensemble"
+                close = "nearly" if (kept.error or 0.0) > (ensemble or np.inf) else "at least"
+                text = f"It fits the training records {close} as well as the ensemble"
                 return ModelToUse("refit", f"{text} (error {errors}).")
             if (kept.error or 0.0) <= BETTER * ensemble + NEGLIGIBLE:
                 text = "It fits the training records better than the ensemble"

@@ -40,6 +40,8 @@ BEHIND = 0.5
 UNTRIED = 0.3
 # The same while nothing beats the mean.
 UNTRIED_LOST = 0.6
+# Families of what the user gave: equations and a simulator come before all else.
+GIVEN = {"greybox": 2.0, "simulator": 2.0}
 NEAR = 0.25
 NEAR_EQUATIONS = 0.6
 PROMISING = 0.75
@@ -190,7 +192,7 @@ def untried(view: AgentView) -> Iterator[Option]:
     for row in families(view.facts):
         if row.name in used:
             continue
-        weight = UNTRIED_LOST if lost else UNTRIED
+        weight = GIVEN.get(row.name, UNTRIED_LOST if lost else UNTRIED)
         if static and row.name == "block_oriented" and not maps:
             weight *= STATIC
         apt = row.aptness(view.facts) > 0
