@@ -213,9 +213,13 @@ def score_references(
         )
 
 
+BASELINE = LINEAR
+"""First experiment of a search for a model."""
+
+
 def first_source(problem: Problem) -> str:
     """Source of the first experiment of a search."""
-    return problem.baseline or (LINEAR if problem.control is None else CONTROLLER)
+    return problem.baseline or (BASELINE if problem.control is None else CONTROLLER)
 
 
 def control_references(evaluator: Evaluator, known: Set[str]) -> Iterator[Reference]:

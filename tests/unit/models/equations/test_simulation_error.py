@@ -104,9 +104,9 @@ def test_costs_and_normal_equations(config: greybox.Config, horizon: int | None)
             size = np.linalg.norm(by, axis=0) + 1e-12
             assert found.cost[row] == pytest.approx(value @ value, rel=1e-9)
             gram = (by.T @ by - found.gram[row]) / size / size[:, None]
-            assert np.abs(gram).max() < 1e-6
+            assert np.abs(gram).max() < 1e-4
             pull = (by.T @ value - found.gradient[row]) / size / np.linalg.norm(value)
-            assert np.abs(pull).max() < 1e-6
+            assert np.abs(pull).max() < 1e-4
             other = e(points[row, 1])
             assert error.cost(points)[row, 1] == pytest.approx(float(other @ other), rel=1e-9)
 

@@ -21,7 +21,7 @@ REFUSAL = Told("I cannot help with that.")
 @pytest.fixture
 def server(problem: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeServer]:
     monkeypatch.setattr(agent, "CHECK_PROBLEM", str(problem))
-    monkeypatch.setattr("asia.judge.evaluation.references.LINEAR", arx(1))
+    monkeypatch.setattr("asia.judge.evaluation.references.BASELINE", arx(1))
     monkeypatch.delenv("OPENAI_API_KEY", raising=False)
     monkeypatch.delenv("OPENAI_BASE_URL", raising=False)
     with fake_llm([]) as server:
