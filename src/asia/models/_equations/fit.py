@@ -152,8 +152,9 @@ class _Fits:
         """Fit from the starting points, or from theta `begin`; `active` (size,) is 1 where a
         coordinate is free."""
         error = SimulationError(
-            self.structure, self.segments, starts, active, self.simulate, self.weighting
-        )
+            self.structure, self.segments, starts, active, self.simulate, self.weighting,
+            forward=True,
+        )  # fmt: skip
         begin = error.theta0 if begin is None else begin
 
         def watch(_: Array, cost: Array) -> None:

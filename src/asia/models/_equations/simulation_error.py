@@ -46,11 +46,15 @@ class SimulationError:
         active: Array,
         simulate: CompiledSimulator,
         whiten: ErrorWeighting | None = None,
+        *,
+        forward: bool = False,
     ) -> None:
         """`active` (size,) is 1 where a coordinate is fitted; `whiten` is the weighting of
-        generalised least squares, in units of `y_scale`, None for least squares."""
+        generalised least squares, in units of `y_scale`, None for least squares. `forward` takes
+        forward differences for the normal equations, at half the cost."""
         self._structure, self._segments, self._starts = structure, segments, starts
         self._active, self._simulate, self._whiten = active, simulate, whiten
+        self._central = not forward
         samples = segments.counts.sum() * structure.ny
         self._weight = (segments.counts / np.sqrt(samples))[..., None]
         ridge = structure.config.ridge
@@ -109,17 +113,18 @@ class SimulationError:
         return found
 
     def _normal_equations(self, theta: Array, chosen: Indices) -> NormalEquations:
-        """Normal equations of some rows, by forward differences. A segment's errors depend on its
-        own initial state only, so those of all segments are moved together."""
+        """Normal equations of some rows, by differences. A segment's errors depend on its own
+        initial state only, so those of all segments are moved together."""
         size, nx, count = self._structure.layout.size, self._structure.nx, theta.shape[1]
         fitted = np.flatnonzero(self._active)
         cost, gram, gradient = (
             np.zeros((len(theta), *shape)) for shape in ((), (count, count), (count,))
         )
-        z, shift = self._parts(self._around(theta, fitted))
+        central = self._central
+        z, shift = self._parts(self._around(theta, fitted, central=central))
         with np.errstate(all="ignore"):
             for part in self._simulate.pieces():
-                e, jacobian = self._derivatives(chosen, z, shift, part)
+                e, jacobian = self._derivatives(chosen, z, shift, part, central=central)
                 transposed = jacobian.swapaxes(2, 3)
                 own, pull = transposed @ jacobian, (transposed @ e[..., None])[..., 0]
                 cost += np.einsum("rsm,rsm->r", e, e)
@@ -163,7 +168,7 @@ class SimulationError:
         cost, gradient = np.zeros(1), np.zeros((1, theta.shape[1]))
         held, known = np.zeros((2, 1, theta.shape[1], theta.shape[1]))
         self._add_ridges(theta[:1], cost, held, gradient)
-        z, _ = self._parts(self._around(theta[:1], fitted))
+        z, _ = self._parts(self._around(theta[:1], fitted, central=self._central))
         self._add_knowledge(z, fitted, cost, known, gradient)
         known[:, layout.learned, layout.learned] += held[:, layout.learned, layout.learned]
         for part in (layout.parameters, layout.limits, layout.spill, layout.learned):
@@ -172,7 +177,7 @@ class SimulationError:
         return held[0][chosen], known[0][chosen], float(self._prior_weight**2)
 
     def _derivatives(
-        self, chosen: Indices, z: Array, shift: Array, part: slice, *, central: bool = False
+        self, chosen: Indices, z: Array, shift: Array, part: slice, *, central: bool
     ) -> tuple[Array, Array]:
         """Errors (R, S, M) of M values a segment, and their derivatives (R, S, M, K), at points as
         from `_around`."""
@@ -180,7 +185,7 @@ class SimulationError:
         found = found.reshape(*found.shape[:3], -1)
         return found[:, 0], _slopes(found.transpose(0, 2, 3, 1), central=central)
 
-    def _around(self, theta: Array, fitted: Indices, *, central: bool = False) -> Array:
+    def _around(self, theta: Array, fitted: Indices, *, central: bool) -> Array:
         """Points theta (R, n), then every unknown moved up, and if central then down: (R, K, n)."""
         size, nx = self._structure.layout.size, self._structure.nx
         moves = np.eye(size + nx)[fitted]
@@ -214,7 +219,8 @@ class SimulationError:
         if not len(self._structure.priors):
             return
         found = self._deviations(z)
-        e, jacobian = found[..., 0], _slopes(found)[..., : len(fitted)].transpose(1, 0, 2)
+        slopes = _slopes(found, central=self._central)[..., : len(fitted)]
+        e, jacobian = found[..., 0], slopes.transpose(1, 0, 2)
         transposed = jacobian.swapaxes(1, 2)
         cost += (e**2).sum(axis=0)
         gram[:, fitted[:, None], fitted] += transposed @ jacobian
@@ -264,7 +270,7 @@ class SimulationError:
         return weights * effect, weights * slope
 
 
-def _slopes(values: Array, *, central: bool = False) -> Array:
+def _slopes(values: Array, *, central: bool) -> Array:
     """Derivatives (..., P) of values (..., K) at the K points of `SimulationError._around`."""
     if central:
         up, down = np.split(values[..., 1:], 2, axis=-1)
