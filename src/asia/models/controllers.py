@@ -26,7 +26,7 @@ from asia.data.trajectory import Array, Trajectory
 from asia.lowering.linear import LinearModel
 from asia.models._arrays import AnyArray, namespace
 from asia.models._control.plant import (
-    Applied,
+    InputLimits,
     Law,
     PlantModel,
     first_row,
@@ -189,7 +189,7 @@ class _PidLaw:
 
     theta: Array
     basis: _Basis
-    limits: Applied
+    limits: InputLimits
     controlled: list[int]
     half: Array
     """Half of the range of each set point."""
@@ -264,7 +264,7 @@ def _pid_maker(plants: Sequence[PlantModel], context: Context) -> Callable[[Arra
     task = task_of(context)
     half = np.array([max(0.5 * (high - low), 1e-9) for low, high in task.ranges])
     return partial(
-        _PidLaw, basis=_basis(plants, context), limits=Applied.of(context),
+        _PidLaw, basis=_basis(plants, context), limits=InputLimits.of(context),
         controlled=list(task.controlled), half=half,
     )  # fmt: skip
 
@@ -275,7 +275,7 @@ def relay(models: Sequence[StepModel], context: Context) -> LawController:
     plants = plant_models(models, context)
     make = _pid_maker(plants, context)
     basis, task = make(np.zeros((1, 0))).basis, task_of(context)
-    span = Applied.of(context).high - Applied.of(context).low
+    span = InputLimits.of(context).high - InputLimits.of(context).low
     theta: list[float] = []
     for place, column, gain in zip(task.controlled, basis.inputs, basis.gain, strict=True):
         size = 0.1 * float(span[column])
@@ -355,7 +355,7 @@ def paired(
     tune: Callable[[Sequence[LinearModel], Pair], Any],
 ) -> PairedController:
     """Pair outputs and inputs, and tune each loop for the linear models at the operating point."""
-    plants, task, limits = plant_models(models, context), task_of(context), Applied.of(context)
+    plants, task, limits = plant_models(models, context), task_of(context), InputLimits.of(context)
     basis = _basis(plants, context)
     linear = [basis.linear, *(one.linear_at(basis.u) for one in plants[1:])]
     loops: list[Any] = []
@@ -392,7 +392,7 @@ class _FeedbackLaw:
     linear: LinearModel
     target: Array
     """Rest (n + nu, nr) by the deviation of r - d."""
-    limits: Applied
+    limits: InputLimits
     controlled: list[int]
     r: Array
 
@@ -438,7 +438,7 @@ def _feedback_maker(
     from scipy.linalg import solve_discrete_are
 
     task, basis = task_of(context), _basis(plants, context)
-    of, places, limits = basis.linear, list(task.controlled), Applied.of(context)
+    of, places, limits = basis.linear, list(task.controlled), InputLimits.of(context)
     n, nu, ny = of.order, len(of.u0), len(of.y0)
     tolerance = np.array(task.tolerance)
     whole = np.block([[of.a - np.eye(n), of.b], [of.c[places], np.zeros((len(places), nu))]])
@@ -583,7 +583,7 @@ class _ResidualLaw:
     theta: Array
     """Weights (rows, n) of one hidden layer."""
     hidden: int
-    limits: Applied
+    limits: InputLimits
     controlled: list[int]
     center: Array
     half: Array
@@ -625,7 +625,7 @@ def with_residual(
 ) -> LawController:  # fmt: skip
     """A controller plus a learned residual: a small network of errors and outputs adds at most a
     tenth of the input range per neuron. Zero weights, the controller itself, are the start."""
-    task, limits = task_of(context), Applied.of(context)
+    task, limits = task_of(context), InputLimits.of(context)
     nr, nu = len(task.setpoints), len(limits.low)
     ranges = np.array(task.ranges)
 

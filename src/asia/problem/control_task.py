@@ -1,4 +1,5 @@
-"""What the author of a controller may know about a control problem. Light: workers load it."""
+"""Task of a controller: what a candidate receives of a control problem. Workers load this module,
+so it imports little."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ candidate.py defines design(models, context), which returns a controller with st
 - The plant clips u to its limits and rates, whatever step returns; NaN fails the candidate.
 - models: identified models, that of all records first; each has initial(past_u, past_y, u), a
   state, and step(state, u), which returns the next state and the outputs (B, {ny}); past windows of
-  {past} samples, B cases at once, in NumPy and JAX.
+  {past_u} inputs and {past_y} outputs, B cases at once, in NumPy and JAX.
 - context has inputs, outputs, sampling_time, physics, seed, log(step, loss) and control: setpoints,
   controlled (places among the outputs), actuators (min, max, start, rate in 1/s), tolerance, noise,
   ranges of the set points, records (open loop, u and y) and scenarios (for training: u holds the
@@ -74,8 +74,8 @@ def control_contract(facts: Facts) -> str:
     assert task is not None
     assert plant is not None
     return _CONTRACT.format(
-        nr=len(task.setpoints), ny=len(plant.outputs), nu=len(plant.inputs), past=10,
-        seconds=facts.budget.fit_seconds,
+        nr=len(task.setpoints), ny=len(plant.outputs), nu=len(plant.inputs),
+        past_u=plant.past_inputs, past_y=plant.past_outputs, seconds=facts.budget.fit_seconds,
     )  # fmt: skip
 
 

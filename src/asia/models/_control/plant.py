@@ -51,7 +51,7 @@ class Law(Protocol):
 
 
 @dataclass(frozen=True)
-class Applied:
+class InputLimits:
     """Limits of all inputs as arrays (nu,)."""
 
     low: Array
@@ -61,7 +61,7 @@ class Applied:
     start: Array
 
     @classmethod
-    def of(cls, context: Context) -> Applied:
+    def of(cls, context: Context) -> InputLimits:
         """Return the limits of a context."""
         each = task_of(context).actuators
         return cls(
@@ -98,7 +98,7 @@ class PlantModel:
     @cached_property
     def rest(self) -> tuple[Any, Array]:
         """State (1, ...) and outputs (ny,) at rest with the inputs at their start."""
-        state, y = self.settle(Applied.of(self.context).start[None])
+        state, y = self.settle(InputLimits.of(self.context).start[None])
         return first_row(state), y[0]
 
     @cached_property
@@ -138,7 +138,7 @@ class PlantModel:
     def inputs_at(self, r: Array) -> Array:
         """Constant inputs (nu,) within their limits that hold the controlled outputs nearest to
         r (nr,), by Newton's method."""
-        limits, places = Applied.of(self.context), list(task_of(self.context).controlled)
+        limits, places = InputLimits.of(self.context), list(task_of(self.context).controlled)
         span = limits.high - limits.low
         change = _CHANGE * span
         u, scale = limits.start.copy(), np.array(task_of(self.context).tolerance)[: len(places)]
@@ -165,7 +165,7 @@ class PlantModel:
         Pappa, J. Guidance 8, 1985). The input of a sample acts on the output of the next one."""
         import jax
 
-        limits = Applied.of(self.context)
+        limits = InputLimits.of(self.context)
         change, nu = _CHANGE * (limits.high - limits.low), len(u)
         rows = np.concatenate([u + np.diag(change), u - np.diag(change), u[None]])
         state, y0 = self.settle(np.repeat(u[None], len(rows), axis=0))
@@ -235,7 +235,7 @@ def simulated_cost(
     import jax
     import jax.numpy as jnp
 
-    task, limits = task_of(context), Applied.of(context)
+    task, limits = task_of(context), InputLimits.of(context)
     nr, ny, nu = len(task.setpoints), len(context.outputs), len(limits.low)
     tolerance, places, scenarios = np.array(task.tolerance), list(task.controlled), task.scenarios
     length, count = min(map(len, scenarios)), len(scenarios)

@@ -93,6 +93,30 @@ def test_a_row_is_minimised_as_it_is_alone() -> None:
     np.testing.assert_array_equal(result.history, np.concatenate([one.history for one in alone]))
 
 
+def test_rows_far_behind_the_best_are_given_up() -> None:
+    starts, method = np.array([[1.1, 1.2], [-1.2, 1.0]]), LevenbergMarquardt(iterations=100)
+    asked: list[int] = []
+
+    def costs(points: Any) -> Any:
+        asked.append(int((points[1] != points[1, :1]).any()))
+        return np.array([[np.sum(rosenbrock(point) ** 2) for point in row] for row in points])
+
+    def linearise(thetas: Any) -> NormalEquations:
+        pairs = [(rosenbrock(theta), by_steps(rosenbrock)(theta)) for theta in thetas]
+        rows = [(e @ e, j.T @ j, j.T @ e) for e, j in pairs]
+        return NormalEquations(*(np.stack(part) for part in zip(*rows, strict=True)))
+
+    free = minimise(costs, linearise, starts, method)
+    assert free.cost[1] < 1e-6
+    asked.clear()
+    raced = minimise(costs, linearise, starts, method, race=((3, 2.0),))
+    assert raced.cost[1] > 0.01
+    assert raced.history[1, 3] == raced.cost[1]
+    assert asked[:3] == [1, 1, 1]
+    assert not any(asked[3:])
+    np.testing.assert_array_equal(raced.theta[0], free.theta[0])
+
+
 def test_cost_never_rises_and_history_ends_at_the_cost() -> None:
     result = solved(rosenbrock, [[-3.0, 5.0]], LevenbergMarquardt(iterations=30))
     assert (np.diff(result.history) <= 0).all()
