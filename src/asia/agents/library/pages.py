@@ -104,9 +104,9 @@ def families_page(facts: Facts) -> str:
     recipes = [row.trial(facts) for row in rows]
     lines = _wrapped(
         "Families of `asia.models` that suit this problem. Their order is a guess: none was fitted "
-        "yet. A candidate may use one, change it, or be a model of its own. s: expected seconds of one fold's fit on an "
-        "ordinary core, with few and many iterations. `asia models NAME` prints all about one "
-        "family."
+        "yet. A candidate may use one, change it, or be a model of its own. s: expected seconds of "
+        "one fold's fit on an ordinary core, with few and many iterations. `asia models NAME` "
+        "prints all about one family."
     )
     lines += ["", "| family | what it is for | trained by | s |", "|---|---|---|---|"]
     for row, recipe in zip(rows, recipes, strict=True):
