@@ -32,7 +32,7 @@ from asia.models._noise.model import (
     settled,
 )
 
-# Iterations, and the ratio to the least cost beyond which a start is then given up. In 42 fits to
+# Iterations, and the ratio to the least cost beyond which a start is then given up. In 55 fits to
 # the halves of the cascaded tanks the start that won was never beyond 3.1, 1.2 and 1.1.
 _RACE = ((10, 5.0), (15, 3.0), (20, 1.5))
 # Starts whose trial points are simulated together: more cost as much each, and few are left soon.
