@@ -51,6 +51,9 @@ class PlantTable:
     """Initial states, estimated for each record; with [control] drawn for each scenario."""
 
 
+_PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Plant(PlantTable):
     """Simulator with the content of its file. Its code runs in the sandbox alone."""
@@ -65,8 +68,10 @@ class Plant(PlantTable):
 
     @property
     def is_built_in(self) -> bool:
-        """Whether it comes with ASIA."""
-        return Path(__file__).parents[1] / "problems" in Path(self.source).parents
+        """Whether it comes with ASIA, so that it needs no sandbox."""
+        # Resolved, so that no path leads through the folder of the problems and out of it again.
+        file = Path(self.source.rpartition(":")[0] or self.source).resolve()
+        return _PROBLEMS in file.parents and file.read_bytes() == self.code
 
     @property
     def function(self) -> str:

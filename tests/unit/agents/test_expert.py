@@ -18,6 +18,7 @@ from asia.agents.library.record_facts import Switching, noise_of_periods, platea
 from asia.agents.library.registry import families, family
 from asia.agents.library.trial_evidence import overfit
 from asia.data import Trajectory
+from asia.problem.plant import Plant, Unknown
 from tests.unit.agents.records.test_relation import closed_loop, facts, lagged
 from tests.unit.agents.searches import (
     CLEAN,
@@ -178,6 +179,24 @@ def test_the_settings_of_a_clearly_better_linear_model_come_first() -> None:
     moves = [m for m in all_moves() if m.name in stuck and m.applies(at)]
     assert {m.name for m in moves} == set(stuck)
     assert all(m.weight(at) == 0 for m in moves)
+
+
+@pytest.mark.parametrize("given", ["greybox", "simulator"])
+def test_what_the_user_gave_is_tried_before_any_other_model(given: str) -> None:
+    known = simulation(physics=given == "greybox")
+    if given == "simulator":
+        plant = Plant(source="p.py:step", parameters={"k": Unknown(min=0.1, max=1.0)}, code=b"")
+        known = replace(known, plant=plant)
+    settings = ("order", None), ("delay", 0), ("periodic", False), ("regularised", "equation")
+    known = replace(known, linear=settings)
+    usual = family("linear")
+    assert usual is not None
+    baseline = Proposal(usual.trial(known).source(""), "baseline", "baseline", "", "")
+    # Evidence for a static function, and a much better linear model.
+    first = replace(trial(baseline, 1, 0.3), diagnoses=(("amplitude", 0.15),))
+    proposal = AGENT().propose(replace(view(known, (first,), "explore"), linear=0.2))
+    assert proposal is not None
+    assert proposal.family == given
 
 
 def test_a_small_share_is_no_diagnosis() -> None:

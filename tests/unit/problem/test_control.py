@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import asia
 from asia.errors import UserError
 from asia.problem.folds import make_folds
 from asia.problem.load import load_lock, load_problem
@@ -31,6 +32,21 @@ def test_scenarios_are_records_from_outside_signals_to_targets(tmp_path: Path) -
         held = {block.case.name for block in fold.held_out}
         assert held.isdisjoint(r.name for r in fold.train)
         assert fold.scale.tolist() == [0.2, pytest.approx(0.3)]
+
+
+def test_only_the_plants_of_asia_run_without_a_sandbox(tmp_path: Path) -> None:
+    found = load_problem("two_tanks_control").control
+    assert found is not None
+    assert found.plant.is_built_in
+    write_control_problem(tmp_path)
+    folder = Path(asia.__file__).parent / "problems"
+    # A path through the folder of the built-in problems, and out of it again.
+    way = folder / ("../" * len(folder.parts)) / tmp_path.relative_to("/") / "plant.py"
+    assert way.is_file()
+    text = PROBLEM.replace('"plant.py:step"', f'"{way}:step"')
+    found = load_problem(write_control_problem(tmp_path, text)).control
+    assert found is not None
+    assert not found.plant.is_built_in
 
 
 def test_the_sealed_scenarios_are_others(tmp_path: Path) -> None:

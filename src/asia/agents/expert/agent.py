@@ -40,8 +40,8 @@ BEHIND = 0.5
 UNTRIED = 0.3
 # The same while nothing beats the mean.
 UNTRIED_LOST = 0.6
-# Families of what the user gave: equations and a simulator come before all else.
-GIVEN = {"greybox": 2.0, "simulator": 2.0}
+# Families of what the user gave, equations and a simulator; above the weight of any move.
+GIVEN, GIVEN_WEIGHT = frozenset({"greybox", "simulator"}), 2.0
 NEAR = 0.25
 NEAR_EQUATIONS = 0.6
 PROMISING = 0.75
@@ -192,7 +192,9 @@ def untried(view: AgentView) -> Iterator[Option]:
     for row in families(view.facts):
         if row.name in used:
             continue
-        weight = GIVEN.get(row.name, UNTRIED_LOST if lost else UNTRIED)
+        weight = UNTRIED_LOST if lost else UNTRIED
+        if row.name in GIVEN:
+            weight = GIVEN_WEIGHT
         if static and row.name == "block_oriented" and not maps:
             weight *= STATIC
         apt = row.aptness(view.facts) > 0
