@@ -149,8 +149,7 @@ def search_context(problem: Problem, seed: int) -> Context:
     if control is not None:
         # The plant of a control problem, as for its identification.
         context = search_context(replace(control.base, plant=None), seed)
-        past = ProtocolRule.past_inputs
-        return replace(context, n_past_u=past, n_past_y=past, control=control.task())
+        return replace(context, control=control.task())
     return Context(
         inputs=problem.preprocess.signals(problem.inputs),
         outputs=problem.preprocess.signals(problem.outputs),
