@@ -290,11 +290,14 @@ class Stack:
 
 @dataclass(frozen=True)
 class Feedback:
-    """Inputs that follow earlier outputs in the training records, without a [loop]."""
+    """Inputs that follow earlier outputs in the training records, and a winner that was fitted as
+    if they did not."""
 
     inputs: tuple[str, ...]
     pole: float | None
     """Largest modulus of the poles of a linear one-step model, where it is unstable."""
+    declared: Annotated[bool, _omitted(False)] = False
+    """[loop] names the feedback."""
 
 
 @dataclass(frozen=True)

@@ -203,7 +203,13 @@ def usability(view: SearchView) -> Usability | None:
         many = len(loop.inputs) > 1
         who = f"Input{'s' * many} {', '.join(loop.inputs)} follow{'s' * (not many)} earlier outputs"
         help = "Name the measured reference in [loop]."
-        if loop.pole is not None:
+        if loop.declared:
+            doubts.append(
+                "The records come from a closed loop, and this model was fitted as if they did "
+                "not: its gains may be biased, which V on such records does not show. Compare "
+                'linear with loop = "direct", or set inputs = "explained" in [loop].'
+            )
+        elif loop.pole is not None:
             wrong.append(
                 f"{who}, and the plant between them is unstable (largest pole {loop.pole:.3g}): a "
                 f"controller holds it, and this model describes both. {help}"

@@ -301,7 +301,9 @@ def train(
     refinement, c = Refinement.of(method), model.config
     if c.loop is not None:
         refuse_noise(method or LevenbergMarquardt(), f"linear, loop={c.loop!r}")
-        choices = Choices(c.order, c.max_order, c.delay, c.max_delay)
+        # The controller answers in the same sample: a predictor takes that for the plant.
+        delay = None if c.loop == "direct" and c.delay == 0 else c.delay
+        choices = Choices(c.order, c.max_order, delay, c.max_delay)
         parts = fit_in_loop(trajectories, context, c.loop, choices, refinement, scaling)
         return replace(model, fitted=FittedLinear(*parts))
     if c.levels:

@@ -509,7 +509,9 @@ def refit_winner(
         second = choose_model(without).model
         refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)
     with diagnostic("feedback on the inputs", failed):
-        refitted = replace(refitted, feedback=undeclared_feedback(problem))
+        refitted = replace(
+            refitted, feedback=unheeded_feedback(problem, store.text(best.proposed.source))
+        )
     return replace(refitted, failed_checks=tuple(failed))
 
 
@@ -526,10 +528,17 @@ def _chosen_controller(refitted: Refitted) -> dict[str, Any]:
     }
 
 
-def undeclared_feedback(problem: Problem) -> Feedback | None:
-    """Feedback on the training records that [loop] does not name; None where none is found."""
+def unheeded_feedback(problem: Problem, source: str) -> Feedback | None:
+    """Feedback on the training records that the winner's fit does not take into account: [loop]
+    does not name it, or the winner uses no method for it; None where none is found."""
+    if problem.loop is not None:
+        recipe = read_recipe(source)
+        known = recipe is None or recipe.get("loop") is not None
+        if known or problem.loop.inputs == "explained":
+            return None
+        return Feedback(tuple(s.name for s in problem.inputs), None, declared=True)
     names = dict.fromkeys(given.name for given, _ in feedback_pairs(problem))
-    if not names or problem.loop is not None:
+    if not names:
         return None
     found = relation(problem_facts(problem))
     return Feedback(tuple(names), found.pole if found.unstable else None)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from asia.agents.expert.agent import ExpertAgent
+from asia.data import Signal
 from asia.errors import UserError
 from asia.judge.evaluation.references import LINEAR
 from asia.ledger.run import Usability, usability
+from asia.problem.feedback import Loop
 from asia.problem.load import load_problem
+from asia.search.final import unheeded_feedback
 from asia.search.run import prepare, search
 from tests.unit.search.toy import write_problem
 
@@ -84,6 +88,19 @@ def test_the_verdict_names_the_cause(
     found = judged(tmp_path, *records(np.random.default_rng(seed)))
     assert found.kind == kind
     assert any(cause in reason for reason in found.reasons), found.reasons
+
+
+def test_a_winner_that_ignores_a_declared_loop_is_doubtful(tmp_path: Path) -> None:
+    plain = load_problem(write_problem(tmp_path / "case", experiments=1, test=False))
+    problem = replace(plain, loop=Loop(reference=(Signal("r"),)))
+    found = unheeded_feedback(problem, LINEAR)
+    assert found is not None
+    assert found.declared
+    aware = LINEAR.replace("periodic=True", 'loop="direct"')
+    assert aware != LINEAR
+    assert unheeded_feedback(problem, aware) is None
+    explained = replace(problem, loop=Loop(reference=(Signal("r"),), inputs="explained"))
+    assert unheeded_feedback(explained, LINEAR) is None
 
 
 def test_an_output_that_never_moves_is_refused(tmp_path: Path) -> None:

@@ -59,9 +59,12 @@ def plant_error(model: linear.LinearStateSpace, pole: float) -> float:
 def fitted(
     record: Trajectory, loop: LoopMethod | None, context: Context = CONTEXT
 ) -> linear.LinearStateSpace:
-    # A predictor cannot tell a plant without delay from a controller that answers at once.
-    config = linear.Config(loop=loop, delay=1 if loop == "direct" else 0)
-    return linear.train(linear.build(config, context), [record], context)
+    model = linear.train(linear.build(linear.Config(loop=loop), context), [record], context)
+    if loop == "direct":
+        # A predictor cannot tell a plant without delay from a controller that answers at once.
+        assert model.fitted is not None
+        assert model.fitted.delay >= 1
+    return model
 
 
 @pytest.mark.slow
