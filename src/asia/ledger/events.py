@@ -298,6 +298,8 @@ class Feedback:
     """Largest modulus of the poles of a linear one-step model, where it is unstable."""
     declared: Annotated[bool, _omitted(False)] = False
     """[loop] names the feedback."""
+    sound: Annotated[int | None, _omitted(None)] = None
+    """Experiment of least V whose fit takes the loop into account."""
 
 
 @dataclass(frozen=True)

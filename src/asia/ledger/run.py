@@ -207,7 +207,8 @@ def usability(view: SearchView) -> Usability | None:
             doubts.append(
                 "The records come from a closed loop, and this model was fitted as if they did "
                 "not: its gains may be biased, which V on such records does not show. Compare "
-                'linear with loop = "direct", or set inputs = "explained" in [loop].'
+                + (f"#{loop.sound:02d}, " if loop.sound is not None else "")
+                + 'linear with loop = "direct", or set inputs = "explained" in [loop].'
             )
         elif loop.pole is not None:
             wrong.append(

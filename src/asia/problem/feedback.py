@@ -98,6 +98,14 @@ class Loop:
     """"explained" replaces the inputs of the training records by the part that the reference
     explains, which is free of noise: the two-stage method for every family, and for V."""
 
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Settings `loop` of the family `linear` that apply, a known controller first; none where
+        the feedback of noise is already out of the inputs."""
+        if self.inputs == "explained":
+            return ()
+        return (*(("controller",) if self.controller else ()), "direct", "two_stage")
+
     def resolved(self, inputs: int, outputs: int, sampling_time: float) -> Loop:
         """The loop with a controller of numbers.
 
@@ -206,8 +214,8 @@ def loop_lines(loop: Loop, records: Sequence[Trajectory], *, whole: bool) -> lis
         "inputs, feedback of noise and disturbances the rest",
         f"loop: take linear with loop='{method}': {reason}",
         "loop: V simulates from the measured input, and noise that the controller feeds back "
-        "favours biased plants. inputs = 'explained' in [loop] removes this for plants that are "
-        "stable by themselves",
+        "favours biased plants: a search tries only linear models by this method, and given "
+        "equations. For a stable plant inputs = 'explained' in [loop] opens all families",
     ]
     if whole:
         lines.append(

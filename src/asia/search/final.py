@@ -439,9 +439,14 @@ def refit_winner(
     assert best.result is not None
     failed: list[str] = []
 
+    # Experiments whose fits ignore a declared loop are no members beside a winner that does not.
+    sound = _sound_in_loop(problem, view, store)
+    biased = {e.number for e in view.finished} - sound if best.number in sound else set[int]()
+
     def stacked(refused: Collection[int] = ()) -> Stack | None:
         if problem.control is not None:  # A mean of responses is no response.
             return None
+        refused = biased.union(refused)
         with diagnostic("stack", failed):
             return make_stack(evaluator, view, store, metric, refused)
         return None
@@ -509,9 +514,12 @@ def refit_winner(
         second = choose_model(without).model
         refitted = bounded_model(room, view, best, refitted, chosen, second, is_sound)
     with diagnostic("feedback on the inputs", failed):
-        refitted = replace(
-            refitted, feedback=unheeded_feedback(problem, store.text(best.proposed.source))
-        )
+        found = unheeded_feedback(problem, store.text(best.proposed.source))
+        if found is not None and found.declared:
+            scored = {e.number: e.score.value for e in view.finished if e.score is not None}
+            other = min(sound & scored.keys(), key=scored.__getitem__, default=None)
+            found = replace(found, sound=other)
+        refitted = replace(refitted, feedback=found)
     return replace(refitted, failed_checks=tuple(failed))
 
 
@@ -532,9 +540,7 @@ def unheeded_feedback(problem: Problem, source: str) -> Feedback | None:
     """Feedback on the training records that the winner's fit does not take into account: [loop]
     does not name it, or the winner uses no method for it; None where none is found."""
     if problem.loop is not None:
-        recipe = read_recipe(source)
-        known = recipe is None or recipe.get("loop") is not None
-        if known or problem.loop.inputs == "explained":
+        if _is_sound_in_loop(problem, source):
             return None
         return Feedback(tuple(s.name for s in problem.inputs), None, declared=True)
     names = dict.fromkeys(given.name for given, _ in feedback_pairs(problem))
@@ -542,6 +548,25 @@ def unheeded_feedback(problem: Problem, source: str) -> Feedback | None:
         return None
     found = relation(problem_facts(problem))
     return Feedback(tuple(names), found.pole if found.unstable else None)
+
+
+def _sound_in_loop(problem: Problem, view: SearchView, store: Store) -> set[int]:
+    """Numbers of the finished experiments whose fits take a declared loop into account; all
+    without a loop."""
+    finished = view.finished
+    if problem.loop is None:
+        return {e.number for e in finished}
+    return {
+        e.number for e in finished if _is_sound_in_loop(problem, store.text(e.proposed.source))
+    }
+
+
+def _is_sound_in_loop(problem: Problem, source: str) -> bool:
+    """Whether the fit uses a method for the declared loop. Sources that are not of the library are
+    not judged; static functions are fitted in open loop."""
+    recipe = read_recipe(source)
+    explained = problem.loop is None or not problem.loop.methods
+    return explained or recipe is None or bool(recipe.get("loop") and not recipe.maps)
 
 
 def _kept_estimates(store: Store, checked: CheckedRefit, source: str) -> str | None:

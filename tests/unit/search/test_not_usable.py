@@ -9,15 +9,19 @@ import numpy as np
 import pytest
 
 from asia.agents.expert.agent import ExpertAgent
+from asia.candidate import Context
 from asia.data import Signal
 from asia.errors import UserError
+from asia.export.linear import linearize
 from asia.judge.evaluation.references import LINEAR
-from asia.ledger.run import Usability, usability
+from asia.ledger.run import Usability, open_run, usability
+from asia.models import linear
 from asia.problem.feedback import Loop
 from asia.problem.load import load_problem
 from asia.search.final import unheeded_feedback
 from asia.search.run import prepare, search
-from tests.unit.search.toy import write_problem
+from tests.unit.models.linear.test_closed_loop import record as in_loop
+from tests.unit.search.toy import Scripted, write_problem
 
 SAMPLES = 1000
 
@@ -101,6 +105,50 @@ def test_a_winner_that_ignores_a_declared_loop_is_doubtful(tmp_path: Path) -> No
     assert unheeded_feedback(problem, aware) is None
     explained = replace(problem, loop=Loop(reference=(Signal("r"),), inputs="explained"))
     assert unheeded_feedback(explained, LINEAR) is None
+
+
+def loop_problem(directory: Path) -> Path:
+    """Records of a plant with a static gain of 1, in a declared loop."""
+    record = in_loop(0.8, 0, samples=900)
+    assert record.reference is not None
+    problem = write_problem(directory / "case", experiments=4, test=False)
+    table = np.hstack([record.u, record.y, record.reference])
+    np.savetxt(problem / "train.csv", table, delimiter=",", header="u,y,r", comments="")
+    (problem / "baseline.py").unlink()
+    with (problem / "problem.toml").open("a") as file:
+        file.write('\n[loop]\nreference = "r"\n')
+    return problem
+
+
+@pytest.mark.slow
+def test_a_short_search_with_a_declared_loop_finds_the_gain(tmp_path: Path) -> None:
+    problem = load_problem(loop_problem(tmp_path))
+    ready = prepare(problem, ExpertAgent.name, seed=0, runs=tmp_path / "runs")
+    view = search(ready, ExpertAgent(), lambda event, view: None, lambda view: None)
+    (point,) = linearize(ready.directory).points
+    assert point.model.gain[0, 0] == pytest.approx(1.0, rel=0.1)
+    context = Context(problem.inputs, problem.outputs, 1.0, 10, 10)
+    config = linear.Config(order=None, delay=None)
+    biased = linear.train(linear.build(config, context), list(problem.train), context)
+    assert biased.parameters()["gain y1/u1"] < 0.8
+    assert view.refitted is not None
+    assert view.refitted.feedback is None
+    store = open_run(ready.directory).store
+    assert all("loop=" in store.text(e.proposed.source) for e in view.experiments)
+
+
+@pytest.mark.slow
+def test_the_verdict_on_a_biased_winner_names_an_experiment_without_bias(tmp_path: Path) -> None:
+    agent = Scripted((LINEAR,))
+    problem = load_problem(loop_problem(tmp_path))
+    ready = prepare(problem, agent.name, seed=0, runs=tmp_path / "runs")
+    view = search(ready, agent, lambda event, view: None, lambda view: None)
+    assert view.best is not None
+    assert view.best.number == 2  # The biased model has the lower V.
+    found = usability(view)
+    assert found is not None
+    assert found.kind == "doubtful"
+    assert any('Compare #01, linear with loop = "direct"' in reason for reason in found.reasons)
 
 
 def test_an_output_that_never_moves_is_refused(tmp_path: Path) -> None:

@@ -272,6 +272,9 @@ def _moved(at: Situation, move: Move) -> Proposal | None:
     counted = recipe.maps or any(map(recipe.get, _COUNTED_IN_SAMPLES))
     if "irregular" in traits(at.facts) and counted:
         return None
+    # Static functions are fitted in open loop, whatever the family's method.
+    if "feedback" in traits(at.facts) and recipe.maps:
+        return None
     if not is_new(at.view, at.row, recipe):
         return None
     # None leaves an order or a delay to the fit, and is the default of other settings.

@@ -120,6 +120,9 @@ class Family:
     """Methods, besides the gradient methods, that can stop by the score on the held-out part."""
     irregular: bool = False
     """Whether it can use records that are not sampled regularly."""
+    feedback: bool = False
+    """Whether it has methods for records from a closed loop. Others fit biased gains to them, which
+    V does not show."""
     package: str = MODELS
     """The package that candidates import it from."""
 
@@ -161,7 +164,9 @@ class Family:
         """Return whether the family can be used on the problem at all."""
         found = traits(facts)
         sampled = self.irregular or "irregular" not in found
-        return self.needs <= found and not self.unfit & found and sampled
+        # Equations of the user's own are tried all the same.
+        unbiased = self.feedback or "feedback" not in found or self.kind == "equations"
+        return self.needs <= found and not self.unfit & found and sampled and unbiased
 
     def aptness(self, facts: Facts) -> float:
         """The base and the points of the problem's traits."""

@@ -11,6 +11,7 @@ from asia.problem.symmetry import of_signals
 Trait = Literal[
     "physics", "parameters", "windows", "measured", "short", "long", "several", "symmetric",
     "integrating", "resonant", "plant", "scheduling", "irregular",
+    "feedback",
 ]  # fmt: skip
 
 
@@ -22,7 +23,8 @@ def traits(facts: Facts) -> frozenset[Trait]:
     is declared; integrating: an output drifts with the sum of the inputs, and whole records are
     simulated; resonant: an output has a lightly damped mode, and whole records are simulated;
     plant: a simulator of the user's own is given; scheduling: an input is a scheduling signal;
-    irregular: an input holds the time step."""
+    irregular: an input holds the time step; feedback:
+    [loop] names a closed loop, whose noise is still in the inputs."""
     physics = facts.physics
     inputs, outputs = [s.name for s in facts.inputs], [s.name for s in facts.outputs]
     if physics is None:
@@ -36,6 +38,7 @@ def traits(facts: Facts) -> frozenset[Trait]:
         "plant": facts.plant is not None,
         "scheduling": any(s.role == "scheduling" for s in facts.inputs),
         "irregular": any(s.role == "time_step" for s in facts.inputs),
+        "feedback": facts.loop is not None and bool(facts.loop.methods),
         "windows": facts.horizon is not None,
         "measured": measured,
         "short": facts.fit_samples <= 2_000,

@@ -222,6 +222,12 @@ def _judgement(facts: Facts) -> Iterator[str]:
         yield "Held-out blocks are simulated as a whole, in open loop."
     else:
         yield f"Held-out records are cut into windows of {facts.horizon} samples, each simulated."
+    if facts.loop is not None and facts.loop.methods:
+        yield (
+            "The records come from a closed loop: the inputs hold the noise of past outputs. A fit "
+            "in open loop has biased gains, and may have the lower V. Use "
+            f"linear.Config(loop={facts.loop.methods[0]!r}), or a predictor with a noise model."
+        )
     yield (
         f"Before each come {facts.past_inputs} past input and {facts.past_outputs} past output "
         "samples."

@@ -219,7 +219,14 @@ BASELINE = LINEAR
 
 def first_source(problem: Problem) -> str:
     """Source of the first experiment of a search."""
+    if problem.baseline is None and problem.loop is not None and problem.loop.methods:
+        return in_loop(problem.loop.methods[0])
     return problem.baseline or (BASELINE if problem.control is None else CONTROLLER)
+
+
+def in_loop(method: str) -> str:
+    """Source of the best linear model by a method for records from a closed loop."""
+    return LINEAR.replace("periodic=True", f'loop="{method}"')
 
 
 def control_references(evaluator: Evaluator, known: Set[str]) -> Iterator[Reference]:
@@ -236,7 +243,15 @@ def best_linear(evaluator: Evaluator) -> Reference:
     Tried are the least simulation error with order and delay chosen in each fold, the same with the
     median choice in all folds where these differ, the least prediction error, which is less easily
     misled by drift and slow noise, and regularised impulse responses and difference equations.
+    With a declared loop it is the first method for it that gives a model: others may have a lower V
+    with biased gains.
     """
+    loop = evaluator.data.context.loop
+    for method in loop.methods if loop is not None else ():
+        source = in_loop(method)
+        found = evaluator.evaluate(source)
+        if isinstance(found.outcome, Score) or method == "two_stage":
+            return Reference(LINEAR_REFERENCE, found.outcome, found.failed_checks, source)
 
     def scored(**changes: str) -> tuple[Evaluation, str]:
         source = LINEAR

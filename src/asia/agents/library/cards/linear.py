@@ -28,8 +28,10 @@ _CLEAR = 0.03
 
 def _linear(facts: Facts) -> Recipe:
     if _loop_methods(facts):
-        # The best linear model of a fold treats the records as open loop: another order may fit.
+        # A reference that treats the records as open loop is no start: another order may fit.
         config = (("order", None), ("delay", None), ("loop", _loop_methods(facts)[0]))
+        if facts.linear and "loop" in dict(facts.linear):
+            config = facts.linear
         return Recipe("linear", config, LM, (("iterations", 30),))
     # Each fold chooses for itself, unless another choice gave the better reference.
     known: Arguments = facts.linear or (("order", None), ("delay", None), ("periodic", True))
@@ -72,10 +74,7 @@ def _by_lines(at: Situation) -> bool:
 
 def _loop_methods(facts: Facts) -> tuple[str, ...]:
     """Return the closed-loop methods that the problem allows, a known controller first."""
-    if facts.loop is None or facts.loop.inputs == "explained":
-        return ()
-    known = facts.loop.controller is not None
-    return ("controller", "direct", "two_stage") if known else ("direct", "two_stage")
+    return () if facts.loop is None else facts.loop.methods
 
 
 def _next_loop_method(at: Situation) -> Recipe:
@@ -86,10 +85,11 @@ def _next_loop_method(at: Situation) -> Recipe:
 
 
 def _loop_weight(at: Situation) -> float:
-    """Near certain for the first method: every other linear fit is biased by feedback."""
+    """Near certain where a linear fit is biased by feedback, or a method failed. V does not choose
+    among methods that work: bias may lower it."""
     if not _loop_methods(at.facts):
         return 0.0
-    return 0.5 if at.recipe.get("loop") else 0.95
+    return 0.95 * (not at.recipe.get("loop") or at.trial.value is None)
 
 
 def _space(facts: Facts) -> Space:
@@ -126,6 +126,7 @@ CARD = Card((
         space=_space,
         small=(("order", 1), ("iterations", 3)),
         timing=Timing(start=0.2, unit=2e-06),
+        feedback=True,
     ),
     Family(
         name="arx",
@@ -165,7 +166,7 @@ CARD = Card((
         change=_next_loop_method,
         hypothesis="The controller carries noise into the input. The methods for closed loops "
         "differ in what they need: a noise model, the reference, or the controller.",
-        expected="A similar V where the first method was sound; another plant where it was not.",
+        expected="Gains without bias; V may rise, because it is computed from the same inputs.",
     ),
     Move(
         name="coefficients of a higher degree in the scheduling signal",
