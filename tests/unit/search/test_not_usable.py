@@ -121,7 +121,10 @@ def loop_problem(directory: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_short_search_with_a_declared_loop_finds_the_gain(tmp_path: Path) -> None:
+def test_a_short_search_with_a_declared_loop_finds_the_gain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("asia.judge.evaluation.references.LINEAR", LINEAR)
     problem = load_problem(loop_problem(tmp_path))
     ready = prepare(problem, ExpertAgent.name, seed=0, runs=tmp_path / "runs")
     view = search(ready, ExpertAgent(), lambda event, view: None, lambda view: None)
@@ -138,7 +141,10 @@ def test_a_short_search_with_a_declared_loop_finds_the_gain(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_the_verdict_on_a_biased_winner_names_an_experiment_without_bias(tmp_path: Path) -> None:
+def test_the_verdict_on_a_biased_winner_names_an_experiment_without_bias(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("asia.judge.evaluation.references.LINEAR", LINEAR)
     agent = Scripted((LINEAR,))
     problem = load_problem(loop_problem(tmp_path))
     ready = prepare(problem, agent.name, seed=0, runs=tmp_path / "runs")
