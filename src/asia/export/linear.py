@@ -19,6 +19,7 @@ from asia.lowering.evaluation import evaluate
 from asia.lowering.linear import (
     LinearModel,
     OperatingPoint,
+    fold_band,
     joined,
     linearised,
     operating_points,
@@ -56,38 +57,36 @@ class LinearPoint:
     def gain_band(self) -> tuple[Array, Array] | None:
         """90 % band of the static gain, ends (ny, nu), by the fold models; None without them."""
         folds = [one.gain for one in self.folds]
-        return _band(self.model.gain, folds) if len(folds) > 1 else None
+        return fold_band(self.model.gain, folds) if len(folds) > 1 else None
 
     @property
     def mode_bands(self) -> list[tuple[Array, Array] | None]:
         """90 % band of frequency [Hz] and damping ratio of each mode of the model, ends (2,), by
-        the nearest modes of the fold models; None where fewer than two of them have one."""
+        the nearest modes of the fold models; None where fewer than two of them have one. That of
+        the frequency is computed on a logarithmic scale and ends at half the sampling frequency;
+        that of the damping ends at -1 and 1."""
         from scipy.optimize import linear_sum_assignment
 
-        own = self.model.modes()
+        own, step = self.model.modes(), self.model.sampling_time
         matched: list[list[Array]] = [[] for _ in own]
         for fold in self.folds:
-            modes = fold.modes()
+            modes = [mode for mode in fold.modes() if mode[1] > 0.0]
             distance = np.array([[abs(a[0] - b[0]) for b in modes] for a in own])
             if distance.size:
                 for i, j in zip(*linear_sum_assignment(distance), strict=True):
-                    matched[i].append(np.array(modes[j][1:3]))
-        return [
-            _band(np.array(mode[1:3]), others) if len(others) > 1 else None
-            for mode, others in zip(own, matched, strict=True)
-        ]
-
-
-def _band(value: Array, folds: Sequence[Array]) -> tuple[Array, Array]:
-    """90 % band: jackknife error times Student's t, whose degrees of freedom are few; all fold
-    models lie inside."""
-    from scipy.special import stdtrit
-
-    apart = np.sum([(one - value) ** 2 for one in folds], axis=0)
-    rest = len(folds) - 1
-    wide = float(stdtrit(rest, 0.95)) * np.sqrt(rest / len(folds) * apart)
-    every = np.stack([value - wide, value + wide, *folds])
-    return every.min(axis=0), every.max(axis=0)
+                    matched[i].append(np.array([np.log(modes[j][1]), modes[j][2]]))
+        found: list[tuple[Array, Array] | None] = []
+        for (_, frequency, damping, _), others in zip(own, matched, strict=True):
+            if len(others) < 2 or not frequency > 0.0:
+                found.append(None)
+                continue
+            ends = fold_band(np.array([np.log(frequency), damping]), others)
+            most = max(frequency, 0.5 / step)
+            low, high = (
+                np.array([min(np.exp(min(f, 700.0)), most), np.clip(z, -1.0, 1.0)]) for f, z in ends
+            )
+            found.append((low, high))
+        return found
 
 
 @dataclass(frozen=True)

@@ -522,6 +522,11 @@ class IdentifiedParameter:
     alone."""
 
     @property
+    def is_count(self) -> bool:
+        """Whether it counts states or samples, so that it has a range but no standard error."""
+        return self.fitted.name.partition(" [")[0] in ("order", "delay")
+
+    @property
     def interval(self) -> tuple[float, float] | None:
         """The 95 % interval to quote: the widest of those by noise, by the folds, and by a missing
         effect; None where it is open."""

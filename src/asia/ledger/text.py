@@ -295,10 +295,18 @@ def _parameter_row(one: IdentifiedParameter) -> tuple[str, ...]:
         f"{fitted.value:.5g}",
         fitted.unit,
         "" if fitted.standard_error is None else f"{fitted.standard_error:.2g}",
-        "" if one.fold_error is None else f"{one.fold_error:.2g}",
+        fold_text(one),
         "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}",
         "" if ends is None else one.decided_by,
     )
+
+
+def fold_text(one: IdentifiedParameter) -> str:
+    """Standard error by the folds; of an order or a delay the whole numbers of the fold models."""
+    if one.folds and one.is_count:
+        low, high = min(one.folds), max(one.folds)
+        return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+    return "" if one.fold_error is None else f"{one.fold_error:.2g}"
 
 
 def interval_lines(found: IdentifiedModel) -> Iterator[str]:

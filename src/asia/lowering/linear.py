@@ -475,6 +475,28 @@ def settling_samples(model: LinearModel, most: int = 5_000) -> int:
     return int(min(max(wanted, 20.0), most)) + int(model.delay.max(initial=0))
 
 
+def fold_band(value: Array, folds: Sequence[Array]) -> tuple[Array, Array]:
+    """90 % band of a value by those of fold models: jackknife error times Student's t, whose degrees
+    of freedom are few; all fold models lie inside."""
+    from scipy.special import stdtrit
+
+    apart = np.sum([(one - value) ** 2 for one in folds], axis=0)
+    rest = len(folds) - 1
+    wide = float(stdtrit(rest, 0.95)) * np.sqrt(rest / len(folds) * apart)
+    every = np.stack([value - wide, value + wide, *folds])
+    return every.min(axis=0), every.max(axis=0)
+
+
+def largest_gain(model: LinearModel) -> float:
+    """Largest singular value of the frequency response; infinite with an integrator."""
+    if is_integrating(model):
+        return math.inf
+    peaks = [f for _, f, z, _ in model.modes() if np.isfinite(f) and abs(z) < 1]
+    peaks = [f for f in peaks if f < 0.5 / model.sampling_time]
+    at = np.concatenate([[0.0], corner_frequencies(model), peaks])
+    return float(np.linalg.svd(model.response(at), compute_uv=False).max(initial=0.0))
+
+
 def is_integrating(model: LinearModel) -> bool:
     """Whether a pole lies at 1."""
     return bool((np.abs(model.poles - 1.0) < _INTEGRATOR).any())

@@ -10,7 +10,7 @@ from asia.ledger.chain import write_whole
 from asia.ledger.events import TestedModel, Unsealed
 from asia.ledger.evidence import IdentifiedModel, identified
 from asia.ledger.run import metric_of, model_to_use, open_run, tested_model
-from asia.ledger.text import error_value, parameter_remarks
+from asia.ledger.text import error_value, fold_text, parameter_remarks
 from asia.ledger.view import SearchView
 from asia.problem.metrics import find_metric, metric_label
 from asia.report.simulated import final_models
@@ -233,7 +233,7 @@ def _parameters_table(view: SearchView, found: IdentifiedModel) -> str:
             f"{one.value:.5g}",
             latex(one.unit),
             "--" if one.standard_error is None else f"{one.standard_error:.2g}",
-            "--" if row.fold_error is None else f"{row.fold_error:.2g}",
+            fold_text(row) or "--",
             "--" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}",
             "--" if ends is None else row.decided_by,
             latex("; ".join(parameter_remarks(found, row))),

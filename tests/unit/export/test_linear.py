@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from asia.errors import UserError
 from asia.export.linear import LinearPoint
+from asia.interfaces.cli.linear import _pole_lines
 from asia.lowering.derivatives import derivatives
 from asia.lowering.linear import (
     LinearModel,
@@ -21,6 +22,7 @@ from asia.lowering.linear import (
     ProcessModel,
     continuous,
     joined,
+    largest_gain,
     linearised,
     minimal,
     operating_points,
@@ -149,9 +151,38 @@ def test_bands_hold_all_fold_models_and_need_two_of_the_same_order() -> None:
     frequencies = [one.modes()[0][1] for one in found.folds]
     assert band[0][0] <= min(frequencies)
     assert band[1][0] >= max(frequencies)
+    # Fold models far apart: the band of the frequency stays between 0 and half the sampling rate.
+    wide = LinearPoint("u=1", point, True, lag(0.9, 2.0), (lag(0.2, 1.0), lag(0.99, 3.0)))
+    (band,) = wide.mode_bands
+    assert band is not None
+    assert 0.0 < band[0][0] < band[1][0] <= 0.5
+    # A fold without such a mode counts as one that has none.
+    late = LinearPoint("u=1", point, True, lag(0.9, 2.0), (lag(0.88, 1.9), lag(-0.2, 2.1)))
+    assert late.mode_bands == [None]
     alone = LinearPoint("u=1", point, True, lag(0.9, 2.0), (lag(0.88, 1.9),))
     assert alone.gain_band is None
     assert alone.mode_bands == [None]
+
+
+def test_poles_without_dynamics_in_the_sampled_model_are_named() -> None:
+    poles = np.diag([0.9, 1e-6, 0.0, 0.01])
+    lines = list(_pole_lines(LinearModel(
+        poles, np.ones((4, 1)), np.ones((1, 4)), np.zeros((1, 1)), 0.5, np.zeros(1), np.zeros(1)
+    ), [None] * 4))  # fmt: skip
+    assert len(lines) == 3
+    assert "above 1 Hz, half the sampling frequency" in lines[1]
+    assert "0, 2 times" in lines[2]
+    assert "memory of 2 samples" in lines[2]
+
+
+def test_the_largest_gain_is_found_at_a_resonance() -> None:
+    z = 0.99 * np.exp(0.3j)
+    a = np.array([[2 * z.real, -abs(z) ** 2], [1.0, 0.0]])
+    model = LinearModel(
+        a, np.eye(2, 1), np.array([[1.0, 0.0]]), np.zeros((1, 1)), 1.0, np.zeros(1), np.zeros(1)
+    )
+    fine = np.abs(model.response(np.linspace(0.0, 0.5, 200_001))).max()
+    assert largest_gain(model) == pytest.approx(fine, rel=1e-3)
 
 
 def test_an_integrator_has_no_operating_point_but_at_zero_flow() -> None:
@@ -200,6 +231,11 @@ def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
     assert shown.code == 0, shown.err
     assert "at u=2: pump_voltage 2 V; tank2_level" in shown.out
     assert "(not at rest)" in shown.out
+    assert "V/V, " in shown.out
+    assert "% of its largest value" in shown.out
+    lines = shown.out.splitlines()
+    first = next(k for k, line in enumerate(lines) if line.startswith("continuous order"))
+    assert lines[first + 1].startswith("  pole      -")
     (folder,) = tmp_path.glob("*/linear")
     found = json.loads((folder / "linear.json").read_text("utf-8"))
     first = found["points"][0]

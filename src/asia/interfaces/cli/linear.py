@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as jsonlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,6 +19,9 @@ from asia.interfaces.cli.options import RunOptions
 # Greatest number of inputs for which process models are fitted to records.
 _MOST_INPUTS = 3
 _MOST_CURVES, _MOST_SAMPLES = 6, 5_000
+# Size of a discrete pole below which it holds past samples, within the error of a multiple
+# eigenvalue, and has no time constant.
+_NO_DYNAMICS = 1e-3
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -227,11 +230,8 @@ def _of_file(path: Path, out: Path | None, options: RunOptions) -> None:
     facts: dict[str, Any] = {
         "file": str(path), "order": model.order, "sampling_time": step, "delay": found.delay,
         "delay_band": found.delay_band, "A": model.a, "B": model.b, "C": model.c,
-        "D": model.d, "gain": model.gain, "error": found.error, "held_out_error": found.held_out,
-        "orders": found.tried, "text": lines,
-        "poles": [{"real": p.real, "imag": p.imag, "frequency_hz": f, "damping": z, "time_s": t}
-                  for p, f, z, t in model.modes()],
-        "zeros": [{"real": z.real, "imag": z.imag} for z in model.zeros],
+        "D": model.d, "error": found.error, "held_out_error": found.held_out,
+        "orders": found.tried, "text": lines, **_dynamics(model),
     }  # fmt: skip
     folder = out or Path("linear")
     folder.mkdir(parents=True, exist_ok=True)
@@ -284,7 +284,13 @@ def _facts(
     run: LinearRun, point: LinearPoint, reduce: str | None, *, to_tf: bool, rate: bool
 ) -> dict[str, Any]:
     """Everything that is printed of a point, and the matrices."""
-    from asia.lowering.linear import continuous, is_integrating, process_model, reduced
+    from asia.lowering.linear import (
+        continuous,
+        is_integrating,
+        largest_gain,
+        process_model,
+        reduced,
+    )
     from asia.lowering.linear import settling_samples as settling
 
     model, folds = point.model, point.folds
@@ -292,10 +298,7 @@ def _facts(
         "at": point.name, "u": model.u0, "y": model.y0, "at_rest": point.rests,
         "order": model.order, "sampling_time": model.sampling_time,
         "A": model.a, "B": model.b, "C": model.c, "D": model.d,
-        "poles": [{"real": p.real, "imag": p.imag, "frequency_hz": f, "damping": z, "time_s": t}
-                  for p, f, z, t in model.modes()],
-        "zeros": [{"real": z.real, "imag": z.imag} for z in model.zeros],
-        "gain": model.gain, "delay_samples": model.delay,
+        **_dynamics(model), "delay_samples": model.delay,
         "gain_band": point.gain_band, "mode_bands": point.mode_bands,
         "fold_gains": [one.gain for one in folds],
         "fold_poles": [[{"real": p.real, "imag": p.imag} for p in one.poles] for one in folds],
@@ -307,8 +310,11 @@ def _facts(
         inputs = max(run.records, key=len).u
         full, less = model.simulate(inputs), small.model.simulate(inputs)
         spread = np.maximum(full.std(axis=0), 1e-300)
+        size = largest_gain(model)
         found["reduced"] = {
             "order": small.model.order, "bound": small.bound,
+            "relative_bound": small.bound / size if np.isfinite(size) and size > 0 else None,
+            **_dynamics(small.model),
             "singular_values": small.singular_values,
             "difference_on_record": float(np.sqrt((((full - less) / spread) ** 2).mean())),
             "A": small.model.a, "B": small.model.b, "C": small.model.c, "D": small.model.d,
@@ -327,10 +333,20 @@ def _facts(
         try:
             same, dead = continuous(model)
             found["continuous"] = {"A": same.a, "B": same.b, "C": same.c, "D": same.d,
-                                   "dead_time_samples": dead}  # fmt: skip
+                                   **_dynamics(same), "dead_time_samples": dead}  # fmt: skip
         except UserError as error:
             found["continuous"] = {"none": str(error)}
     return found
+
+
+def _dynamics(model: LinearModel) -> dict[str, Any]:
+    """Poles, zeros and static gain."""
+    return {
+        "poles": [{"real": p.real, "imag": p.imag, "frequency_hz": f, "damping": z, "time_s": t}
+                  for p, f, z, t in model.modes()],
+        "zeros": [{"real": z.real, "imag": z.imag} for z in model.zeros],
+        "gain": model.gain,
+    }  # fmt: skip
 
 
 def _fitted(run: LinearRun) -> list[ProcessFit | None]:
@@ -391,7 +407,7 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
         yield f"zeros     {', '.join(shown)}"
     for i, out in enumerate(run.outputs):
         for j, into in enumerate(run.inputs):
-            unit = f" {out.unit or '1'}/{into.unit or '1'}" if out.unit or into.unit else ""
+            unit = _gain_unit(out, into)
             ends = point.gain_band
             band = "" if ends is None else f" ({ends[0][i, j]:.4g} to {ends[1][i, j]:.4g})"
             dead = int(model.delay[i, j])
@@ -410,21 +426,51 @@ def _lines(run: LinearRun, point: LinearPoint, facts: dict[str, Any]) -> Iterato
                 yield f"H(z)      {out.name} by {into.name}: {ratio}"
     if "reduced" in facts:
         one = facts["reduced"]
+        alone = len(run.inputs) == len(run.outputs) == 1
+        unit = _gain_unit(run.outputs[0], run.inputs[0]) if alone else " (largest singular value)"
+        share = one["relative_bound"]
+        part = "" if share is None else f", {100 * share:.2g} % of its largest value"
         yield (
             f"reduced   to {_counted(one['order'], 'state')}: the frequency response differs by at "
-            f"most {one['bound']:.3g}; on the longest training record the outputs differ by "
-            f"{one['difference_on_record']:.2g} standard deviations"
+            f"most {one['bound']:.3g}{unit}{part}; on the longest training record the outputs "
+            f"differ by {one['difference_on_record']:.2g} standard deviations"
         )
+        yield from _model_lines(run, model, one, step)
     if "none" in facts.get("continuous", ()):
         yield f"note      {facts['continuous']['none']}"
     elif "continuous" in facts:
-        yield "continuous-time matrices are in linear.json"
+        one = facts["continuous"]
+        dead = one["dead_time_samples"]
+        late = f" after a dead time of {dead * step:g} s" if dead else ""
+        yield f"continuous order {len(one['A'])}{late}; the matrices are in linear.json"
+        yield from _model_lines(run, model, one, 0.0)
+
+
+def _model_lines(
+    run: LinearRun, model: LinearModel, facts: dict[str, Any], step: float
+) -> Iterator[str]:
+    """Yield poles and gains of a model that was made from another, indented."""
+    matrices = {name.lower(): facts[name] for name in "ABCD"}
+    made = replace(model, **matrices, sampling_time=step)
+    yield from (f"  {line}" for line in _pole_lines(made, [None] * len(made.modes())))
+    for i, out in enumerate(run.outputs):
+        for j, into in enumerate(run.inputs):
+            gain = f"{made.gain[i, j]:.5g}{_gain_unit(out, into)}"
+            yield f"  gain      {out.name} by {into.name}: {gain}"
+
+
+def _gain_unit(out: Signal, into: Signal) -> str:
+    return f" {out.unit or '1'}/{into.unit or '1'}" if out.unit or into.unit else ""
 
 
 def _pole_lines(model: LinearModel, bands: Sequence[tuple[Array, Array] | None]) -> Iterator[str]:
     """Yield a line for each mode, with the bands of frequency and damping where they are known."""
     edge = 1.0 if model.sampling_time else 0.0
+    nyquist = 0.5 / model.sampling_time if model.sampling_time else np.inf
+    memory = int((np.abs(model.poles) < _NO_DYNAMICS).sum()) if model.sampling_time else 0
     for (pole, frequency, damping, time), mode in zip(model.modes(), bands, strict=True):
+        if memory and abs(pole) < _NO_DYNAMICS:
+            continue
         text = f"{pole.real:.6g}" + (f" +- {pole.imag:.6g}i" if pole.imag > 1e-12 else "")
         if np.isnan(frequency):
             yield f"pole      {text:<24} no continuous counterpart"
@@ -439,10 +485,16 @@ def _pole_lines(model: LinearModel, bands: Sequence[tuple[Array, Array] | None])
             sure = ["", ""]
             if mode is not None:
                 sure = [f" ({low:.4g} to {high:.4g})" for low, high in zip(*mode, strict=True)]
+            rate = f"{frequency:.4g} Hz{sure[0]}"
+            if frequency > nyquist:
+                rate = f"above {nyquist:.4g} Hz, half the sampling frequency"
             yield (
-                f"pole      {text:<24} {frequency:.4g} Hz{sure[0]}, damping {damping:.3g}"
+                f"pole      {text:<24} {rate}, damping {damping:.3g}"
                 f"{sure[1] if pole.imag > 1e-12 else ''}, {kind}"
             )
+    if memory:
+        text = "0" if memory == 1 else f"0, {memory} times"
+        yield f"pole      {text:<24} memory of {_counted(memory, 'sample')}, such as a dead time"
 
 
 def _counted(count: int, noun: str) -> str:

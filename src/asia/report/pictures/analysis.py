@@ -5,13 +5,19 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from asia.data.trajectory import Array, Signal
-from asia.lowering.linear import LinearModel, corner_frequencies, settling_samples
+from asia.lowering.linear import (
+    LinearModel,
+    corner_frequencies,
+    fold_band,
+    settling_samples,
+)
 from asia.report.drawing.style import (
     BLUE,
     GREEN,
@@ -38,11 +44,15 @@ def draw_linear(
     outputs: Sequence[Signal],
 ) -> Figure:
     """A row for each pair of output and input (four at most): gain, phase and step response of
-    every operating point, with bands between the fold models; poles and zeros below."""
+    every operating point, with 90 % bands by the fold models; poles and zeros, whole and those of
+    the slow modes. For one pair a square of gain, step response, phase, poles and zeros."""
     pairs = [(i, j) for i in range(len(outputs)) for j in range(len(inputs))][:_MOST_PAIRS]
-    rows = len(pairs) + 1
-    figure = Figure(figsize=(1.35 * picture_width(), 1.0 + 2.0 * rows), layout="constrained")
-    axes = figure.subplots(rows, 3, squeeze=False)
+    rows, alone = len(pairs) + 1, len(pairs) == 1
+    size = (1.35 * picture_width(), 0.6 + 2.3 * rows)
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(rows, 2 if alone else 3, squeeze=False)
+    panels = [(axes[0][0], axes[1][0], axes[0][1])] if alone else [tuple(row) for row in axes[:-1]]
+    planes = [axes[1][1]] if alone else [axes[-1][0], axes[-1][1]]
     samples = max(settling_samples(model) for _, model, _ in points)
     low = min(float(corner_frequencies(model)[0]) for _, model, _ in points)
     for colour, (name, model, folds) in zip(_COLOURS, points, strict=False):
@@ -53,7 +63,7 @@ def draw_linear(
         other_steps = [one.step_response(samples) for one in folds]
         t = model.sampling_time * np.arange(samples)
         for row, (i, j) in enumerate(pairs):
-            gain, phase, step = axes[row]
+            gain, phase, step = panels[row]
 
             def curve(values: Any, i: int = i, j: int = j) -> Array:
                 return values[:, i, j]
@@ -64,23 +74,27 @@ def draw_linear(
             gain.loglog(frequencies, np.abs(curve(response)), color=colour, label=plain(name))
             phase.semilogx(frequencies, angle(curve(response)), color=colour)
             step.step(t, curve(steps), color=colour, where="post")
-            if others:
-                sizes = np.array([np.abs(curve(one)) for one in others])
-                turns = np.array([angle(curve(one)) for one in others])
-                ways = np.array([curve(one) for one in other_steps])
-                for axis, x, band in ((gain, frequencies, sizes), (phase, frequencies, turns),
-                                      (step, t, ways)):  # fmt: skip
-                    axis.fill_between(
-                        x, band.min(axis=0), band.max(axis=0), color=colour, alpha=0.25, lw=0
-                    )
-        plane = axes[-1][0]
-        for one, alpha in ((model, 1.0), *((fold, 0.3) for fold in folds)):
-            plane.plot(one.poles.real, one.poles.imag, "x", color=colour, alpha=alpha)
-            plane.plot(
-                one.zeros.real, one.zeros.imag, "o", color=colour, alpha=alpha, fillstyle="none"
-            )
+            if len(others) > 1:
+
+                def level(values: Any) -> Array:
+                    return np.log(np.maximum(np.abs(curve(values)), 1e-300))
+
+                sizes = fold_band(level(response), [level(one) for one in others])
+                turns = fold_band(angle(curve(response)), [angle(curve(one)) for one in others])
+                ways = fold_band(curve(steps), [curve(one) for one in other_steps])
+                low_size, high_size = np.exp(np.clip(sizes, -690.0, 690.0))
+                shade = {"color": colour, "alpha": 0.25, "lw": 0}
+                gain.fill_between(frequencies, low_size, high_size, **shade)
+                phase.fill_between(frequencies, *turns, **shade)
+                step.fill_between(t, *ways, step="post", **shade)
+        for plane in planes:
+            for one, alpha in ((model, 1.0), *((fold, 0.3) for fold in folds)):
+                plane.plot(one.poles.real, one.poles.imag, "x", color=colour, alpha=alpha)
+                plane.plot(
+                    one.zeros.real, one.zeros.imag, "o", color=colour, alpha=alpha, fillstyle="none"
+                )
     for row, (i, j) in enumerate(pairs):
-        gain, phase, step = axes[row]
+        gain, phase, step = panels[row]
         out, into = outputs[i], inputs[j]
         unit = f" [{out.unit or '1'}/{into.unit or '1'}]" if out.unit or into.unit else ""
         gain.set_title(plain(f"{out.name} by {into.name}: gain{unit}"))
@@ -89,21 +103,47 @@ def draw_linear(
         gain.set_xlabel("frequency [Hz]")
         phase.set_xlabel("frequency [Hz]")
         step.set_xlabel("time [s]")
-        for axis in axes[row]:
+        for axis in panels[row]:
             quiet_grid(axis)
+            _limit_to_lines(axis)
         _label_decades(gain.yaxis)
         for axis in (gain, phase):
             _label_decades(axis.xaxis)
-    plane = axes[-1][0]
-    turn = np.linspace(0, 2 * np.pi, 200)
-    plane.plot(np.cos(turn), np.sin(turn), color=QUIET, lw=0.7)
-    plane.set_aspect("equal", adjustable="datalim")
-    plane.set_title("poles (x) and zeros (o)")
-    quiet_grid(plane)
-    for axis in axes[-1][1:]:
-        axis.set_axis_off()
-    figure_legend(figure, axes[0][0].get_lines(), 3)
+    turn = np.linspace(0, 2 * np.pi, 800)
+    for plane in planes:
+        plane.plot(np.cos(turn), np.sin(turn), color=QUIET, lw=0.7)
+        plane.set_title("poles (x) and zeros (o)")
+        quiet_grid(plane)
+    planes[0].set_aspect("equal", adjustable="datalim")
+    lines = panels[0][0].get_lines()
+    if alone:
+        figure_legend(figure, lines, 3)
+        return figure
+    slow = np.concatenate([model.poles for _, model, _ in points])
+    slow = slow[np.abs(slow) > 0.5]
+    reach = 1.3 * float(np.abs(slow - 1.0).max(initial=0.02))
+    planes[1].set_xlim(1.0 - reach, 1.0 + 0.3 * reach)
+    planes[1].set_ylim(-0.65 * reach, 0.65 * reach)
+    planes[1].set_title("slow poles, beside 1")
+    axes[-1][2].set_axis_off()
+    axes[-1][2].legend(lines, [str(one.get_label()) for one in lines], loc="center", frameon=False)
     return figure
+
+
+def _limit_to_lines(axis: Axes) -> None:
+    """Show the lines whole, and of bands at most half as much again on each side."""
+    y = np.concatenate([np.asarray(line.get_ydata(), np.float64) for line in axis.get_lines()])
+    logarithmic = axis.get_yscale() == "log"
+    y = y[np.isfinite(y) & ((y > 0) if logarithmic else True)]
+    if not y.size:
+        return
+    ends = np.array([y.min(), y.max()])
+    ends = np.log(ends) if logarithmic else ends
+    reach = 0.5 * max(float(ends[1] - ends[0]), 1e-6 * float(np.abs(ends).max()))
+    ends = ends + np.array([-reach, reach])
+    ends = np.exp(ends) if logarithmic else ends
+    low, high = axis.get_ylim()
+    axis.set_ylim(max(low, float(ends[0])), min(high, float(ends[1])))
 
 
 def _label_decades(axis: Axis) -> None:

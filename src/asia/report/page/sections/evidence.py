@@ -250,7 +250,7 @@ def _parameter(run: Run, found: IdentifiedModel, number: int) -> list[str | None
     error = by_folds = None
     if fitted.standard_error is not None:
         error = _number(run, f"{at}.standard_error", fitted.standard_error, "sig2")
-    if one.fold_error is not None:
+    if one.fold_error is not None and not one.is_count:
         by_folds = _of_folds(run, one, [f"{at}.value"], [fitted.value], "jackknife", "sig2")
     return [
         said(fitted.name),
