@@ -344,6 +344,7 @@ class _Validation:
         return (
             *self._registered_checks(found),
             *_run_check("held-out error", lambda: self._check_overfit(found)),
+            *_run_check("training records", self._training_records),
             *_run_check(
                 "steps ahead",
                 lambda: self._check_windows(pairs) if windows else self._check_starts(),
@@ -383,6 +384,23 @@ class _Validation:
         named = identified(self.run)
         apart = () if named is None else named.disagreeing
         return (check_overfit(train, held, found, apart),)
+
+    def _training_records(self) -> tuple[Check, ...]:
+        """Show which checks do not pass on the training records of a fold, which agents see and
+        `asia show` prints; () where all pass."""
+        errors = findings_of(self.run.store, self.best, bounded=False)
+        failed = [
+            f"{', '.join(one.name for one in fold.checks)} (fold {number})"
+            for number, fold in enumerate(errors, 1)
+            if fold.checks
+        ]
+        if not failed:
+            return ()
+        sentence = (
+            f"on the training records of single folds some checks do not pass: {'; '.join(failed)}. "
+            "The verdicts of this report are those on the held-out parts"
+        )
+        return (Check("training records", Verdict.SHOWN, sentence),)
 
     def _check_bands(
         self, basis: BandBasis, blocks: Sequence[Block], y_hat: Sequence[Array]

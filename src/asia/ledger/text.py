@@ -239,6 +239,7 @@ def decision_text(e: Experiment, view: SearchView) -> str:
 # Identified parameters.
 
 _MOST_PAIRS = 5
+_NOT_IDENTIFIABLE = "not identifiable from these records"
 
 
 def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Iterator[str]:
@@ -267,6 +268,11 @@ def identified_lines(found: IdentifiedModel, *, equations: bool = True) -> Itera
             reached = f" ({end:g})" if "end of its range" in remark else ""
             alike.setdefault(remark, []).append(f"{fitted.name}{reached}")
     yield from (f"  {remark}: {', '.join(names)}" for remark, names in alike.items())
+    if any(remark == _NOT_IDENTIFIABLE for remark in alike):
+        yield (
+            "  other values of these simulate the records nearly as well: the verdict is on the "
+            "simulation, not on them"
+        )
     yield from (f"  {line}" for line in interval_lines(found))
     for first, second, rho in found.entangled[:_MOST_PAIRS]:
         yield (
@@ -281,7 +287,7 @@ def parameter_remarks(found: IdentifiedModel, one: IdentifiedParameter) -> Itera
     """Why to distrust the value of a parameter."""
     fitted, ends = one.fitted, one.interval
     if not (fitted.identifiable or found.reason):
-        yield "not identifiable from these records"
+        yield _NOT_IDENTIFIABLE
     elif ends is not None and ends[1] - ends[0] > abs(fitted.value):
         yield "interval wider than the value"
     if fitted.at_bound:
@@ -322,7 +328,7 @@ def interval_lines(found: IdentifiedModel) -> Iterator[str]:
         )
     if any(one.fitted.misfit_error > 0 for one in found.parameters):
         wider = any(one.decided_by == "missing effect" for one in found.parameters)
-        yield "the residuals are correlated with the input: an effect is missing, " + (
+        yield "the training residuals follow the sensitivities: an effect is missing, " + (
             "and the intervals include the bias that it may cause"
             if wider
             else "but the bias that it may cause is smaller than the intervals"
@@ -476,7 +482,10 @@ def _check_lines(evidence: ExperimentEvidence) -> Iterator[str]:
             "frequency response pass on the training records"
         )
     if found:
-        yield "checks that do not pass on the training records:"
+        yield (
+            "checks that do not pass on the training records of a fold (asia validate judges the "
+            "held-out parts):"
+        )
     worst = {
         name: max((one for _, one in ones), key=lambda one: one.weight)
         for name, ones in found.items()

@@ -139,10 +139,13 @@ def validate(
     records = found.record or "the held-out parts of the training records"
     if not found.recorded:
         say("the search is not finished: its ledger does not keep this report", file=sys.stderr)
-    say(
-        f"checked: {found.model} of experiment {found.experiment}, on {records}; the sealed test "
-        "was not used"
-    )
+    what = f"{found.model} of experiment {found.experiment}, on {records}"
+    if found.record is None:
+        what = (
+            f"fold models of experiment {found.experiment} on {records}, small steps and long runs "
+            f"of the {found.model}"
+        )
+    say(f"checked: {what}; the sealed test was not used")
     say(found.summary)
 
 
