@@ -397,8 +397,8 @@ class _Validation:
         if not failed:
             return ()
         sentence = (
-            f"on the training records of single folds some checks do not pass: {'; '.join(failed)}. "
-            "The verdicts of this report are those on the held-out parts"
+            "on the training records of single folds some checks do not pass: "
+            f"{'; '.join(failed)}. The verdicts of this report are those on the held-out parts"
         )
         return (Check("training records", Verdict.SHOWN, sentence),)
 

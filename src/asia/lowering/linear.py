@@ -476,8 +476,8 @@ def settling_samples(model: LinearModel, most: int = 5_000) -> int:
 
 
 def fold_band(value: Array, folds: Sequence[Array]) -> tuple[Array, Array]:
-    """90 % band of a value by those of fold models: jackknife error times Student's t, whose degrees
-    of freedom are few; all fold models lie inside."""
+    """90 % band of a value by those of fold models: jackknife error times Student's t, whose
+    degrees of freedom are few; all fold models lie inside."""
     from scipy.special import stdtrit
 
     apart = np.sum([(one - value) ** 2 for one in folds], axis=0)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes.util
+import io
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -52,6 +53,8 @@ _DRAWS = 8
 # its past window.
 _WINDOWS, _AHEAD = 20, 50
 _MOST_INITIAL_STEPS = 12
+# Lines that a failed simulation printed last, and characters of them, for its message.
+_PRINTED_LINES, _PRINTED = 3, 300
 # Singular values below this share of the largest belong to the null space: differences have errors.
 _NULL = 1e-4
 
@@ -200,11 +203,14 @@ class Simulator:
         parameters = self._named(self.plant.parameters, z)
         initial = self._named(self.plant.initial, start)
         shown = ", ".join(f"{k}={v:.4g}" for k, v in (parameters | initial).items())
+        printed = io.StringIO()
         try:
-            y = np.array(call(u.copy(), parameters, initial), dtype=np.float64)
+            with contextlib.redirect_stdout(printed):
+                y = np.array(call(u.copy(), parameters, initial), dtype=np.float64)
         except Exception as error:
             raise SimulatorError(
                 f"[plant] {self.plant.label} failed at {shown}: {type(error).__name__}: {error}"
+                f"{_last_lines(printed)}"
             ) from error
         y = y[:, None] if y.ndim == 1 else y
         expected = (len(u), len(self.outputs))
@@ -212,12 +218,13 @@ class Simulator:
             raise SimulatorError(
                 f"[plant] {self.plant.label} returned an array of shape {y.shape}, expected "
                 f"{expected}: a row for each input sample, a column for each output"
+                f"{_last_lines(printed)}"
             )
         wrong = np.flatnonzero(~np.isfinite(y).all(axis=1))
         if len(wrong):
             raise SimulatorError(
                 f"[plant] {self.plant.label} returned NaN or infinity at sample {wrong[0] + 1} "
-                f"with {shown}"
+                f"with {shown}{_last_lines(printed)}"
             )
         return y
 
@@ -255,6 +262,12 @@ class Simulator:
         if self.fitted is None:
             raise ValueError("simulator: the model is not trained; call simulator.train first")
         return self.fitted
+
+
+def _last_lines(printed: io.StringIO) -> str:
+    """What a simulator printed last, on one line; "" where it printed nothing."""
+    text = " | ".join(printed.getvalue().strip().splitlines()[-_PRINTED_LINES:])
+    return f"; it printed: {text[-_PRINTED:]}" if text else ""
 
 
 @lru_cache(4)

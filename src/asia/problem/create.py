@@ -16,6 +16,8 @@ from functools import partial
 from math import ceil
 from pathlib import Path
 
+import numpy as np
+
 from asia._files import read_file, sync_folder
 from asia.data.intake.conversion import Intake, take_in
 from asia.data.intake.sheet import Wanted
@@ -50,7 +52,7 @@ class RecordRows:
 
     record: Trajectory
     names: Sequence[str]
-    """Names of inputs and outputs."""
+    """Names of inputs and outputs, and of the references where these are written too."""
     progress: Callable[[str], None] = field(default=lambda text: None, compare=False)
     """Callback for the progress of a long write, in words."""
 
@@ -60,7 +62,9 @@ class RecordRows:
         header = io.StringIO()
         csv.writer(header, lineterminator="\n").writerow(self.names)
         yield header.getvalue()
-        u, y = self.record.u, self.record.measured_y
+        u, y, r = self.record.u, self.record.measured_y, self.record.reference
+        if r is not None and len(self.names) > u.shape[1] + y.shape[1]:
+            y = np.hstack([y, r])
         for first in range(0, len(u), _BLOCK):
             part = slice(first, first + _BLOCK)
             if first:
@@ -178,6 +182,8 @@ class _Records:
     """Whether the files can stay where they are, because they need no change."""
     units: Mapping[str, str]
     notes: tuple[str, ...]
+    references: tuple[str, ...] = ()
+    """References of the training records."""
 
 
 def _read_records(
@@ -187,6 +193,7 @@ def _read_records(
     sampling_time: float | None,
     least: tuple[int, int],
     test_experiments: Sequence[str],
+    references: Sequence[str] = (),
     *,
     split: bool,
 ) -> _Records:
@@ -195,6 +202,7 @@ def _read_records(
     Args:
         least: least samples of a segment of a training record and of a test record
         test_experiments: experiments in the training files that are the test
+        references: further columns of the training files
         split: whether the last part of each record becomes the test
 
     Raises:
@@ -206,7 +214,14 @@ def _read_records(
             what = "both train and test" if both else f"one list {count} times"
             raise UserError(f"{path} is named in {what}: name every record once")
     use = "split" if split else "train"
-    found = take_in(train, wanted, use, sampling_time, least[0], without=test_experiments)
+    every = replace(wanted, inputs=(*wanted.inputs, *references))
+    found = take_in(train, every, use, sampling_time, least[0], without=test_experiments)
+    if references:
+        nu = len(found.inputs) - len(references)
+        kept = tuple(replace(t, u=t.u[:, :nu], reference=t.u[:, nu:]) for t in found.records)
+        found, references = (
+            replace(found, inputs=found.inputs[:nu], records=kept), found.inputs[nu:],
+        )  # fmt: skip
     step = found.records[0].sampling_time
     tests: list[Intake] = []
     if test:
@@ -238,6 +253,7 @@ def _read_records(
         plain=is_text and is_whole and not (notes or units or is_special),
         units=units,
         notes=notes,
+        references=tuple(references),
     )
 
 
@@ -307,6 +323,14 @@ metric = "rmse"                     # or {metrics}
 experiments = 15
 fit_seconds = 120                   # per fold
 
+{loop}
+# [plant]                           # your own simulator, to calibrate; outputs y (samples, outputs)
+# source = "plant.py:simulate"      # def simulate(u, params, x0, dt): return y; or "model.fmu"
+# [plant.parameters]
+# k = {{ min = 0.01, max = 1.0 }}
+# [plant.initial]                   # optional: initial states, estimated for each record
+# h = {{ min = 0.0, max = 10.0 }}
+
 # [physics]                         # equations you trust, to be fitted and augmented
 # states = ["x"]
 # [physics.parameters]
@@ -314,6 +338,25 @@ fit_seconds = 120                   # per fold
 # [physics.dynamics]                # d/dt
 # x = "-a*x"
 """
+
+
+_LOOP = """\
+# [loop]                            # {remark}
+# reference = {names}{pad}# the measured reference: no input
+# enters = "controller"             # u = C (r - y); "plant": u = r - C y
+# inputs = "measured"               # "explained": for stable plants, opens all families
+# Add the controller if you know it, in descending powers of z, or as "module:function":
+#     controller = {{ numerator = [..], denominator = [..] }}
+"""
+
+
+def _loop_example(references: Sequence[str]) -> str:
+    """[loop] as a comment, with the columns that look like references."""
+    names = toml_value(references[0] if len(references) == 1 else list(references) or "r")
+    remark = "for records from a closed loop"
+    if references:
+        remark = "a closed loop, to judge by its columns: if so, remove these #"
+    return _LOOP.format(remark=remark, names=names, pad=" " * max(1, 22 - len(names)))
 
 
 @dataclass(frozen=True)
@@ -351,6 +394,7 @@ def init_problem(
     keys: Path | None = None,
     wanted: Wanted | None = None,
     preparation: Preparation | None = None,
+    references: Sequence[str] = (),
 ) -> NewProblem:
     """Write problem.toml, with comments, and description.md.
 
@@ -363,6 +407,7 @@ def init_problem(
         test_experiments: experiments in the training files that become the test
         wanted: options for reading the files, except the inputs and outputs
         preparation: settings for `[preprocess]`
+        references: columns of the training files to keep, and to name in a comment on `[loop]`
         seal: move the test files into an encrypted store in the directory; they are removed
             last, after the store was read back
         keys: folder of the key, None for that of the user
@@ -401,6 +446,7 @@ def init_problem(
         sampling_time,
         (least, rule.past + 1),
         test_experiments,
+        references,
         split=share is not None,
     )
     for t in taken.train if share is not None else ():
@@ -413,8 +459,10 @@ def init_problem(
     inputs, outputs = taken.inputs, taken.outputs
     columns = Columns(inputs, outputs, taken.sampling_time)
 
-    def copies(records: Sequence[Trajectory], ending: str = "") -> dict[str, RecordRows]:
-        names = (*inputs, *outputs)
+    def copies(
+        records: Sequence[Trajectory], ending: str = "", more: Sequence[str] = ()
+    ) -> dict[str, RecordRows]:
+        names = (*inputs, *outputs, *more)
         return {f"{t.name}{ending}.csv": RecordRows(t, names, wanted.progress) for t in records}
 
     # The files: the user's own or clean copies, and what goes into the store.
@@ -433,7 +481,8 @@ def init_problem(
             records = tuple(t[:n] for t, n in zip(taken.train, kept, strict=True))
             tests = tuple(t[n:] for t, n in zip(taken.train, kept, strict=True))
             endings = ("_train", "_sealed")
-        train_copies, test_copies = copies(records, endings[0]), copies(tests, endings[1])
+        train_copies = copies(records, endings[0], taken.references)
+        test_copies = copies(tests, endings[1])
         train_files, test_files = list(train_copies), list(test_copies)
         files |= train_copies
         if share is not None or (seal and has_test):
@@ -489,6 +538,7 @@ def init_problem(
         inputs=signals[0],
         outputs=signals[1],
         data="\n".join(data),
+        loop=_loop_example(taken.references),
         folds=rule.folds.count,
         past_inputs=rule.past_inputs,
         past_outputs=rule.past_outputs,

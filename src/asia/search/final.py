@@ -556,9 +556,7 @@ def _sound_in_loop(problem: Problem, view: SearchView, store: Store) -> set[int]
     finished = view.finished
     if problem.loop is None:
         return {e.number for e in finished}
-    return {
-        e.number for e in finished if _is_sound_in_loop(problem, store.text(e.proposed.source))
-    }
+    return {e.number for e in finished if _is_sound_in_loop(problem, store.text(e.proposed.source))}
 
 
 def _is_sound_in_loop(problem: Problem, source: str) -> bool:

@@ -177,7 +177,7 @@ def test_poles_without_dynamics_in_the_sampled_model_are_named() -> None:
 
 def test_the_largest_gain_is_found_at_a_resonance() -> None:
     z = 0.99 * np.exp(0.3j)
-    a = np.array([[2 * z.real, -abs(z) ** 2], [1.0, 0.0]])
+    a = np.array([[2 * z.real, -(abs(z) ** 2)], [1.0, 0.0]])
     model = LinearModel(
         a, np.eye(2, 1), np.array([[1.0, 0.0]]), np.zeros((1, 1)), 1.0, np.zeros(1), np.zeros(1)
     )

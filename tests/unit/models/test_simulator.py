@@ -170,6 +170,11 @@ def test_a_function_of_other_arguments_is_refused_unexecuted(tmp_path: Path) -> 
     ("body", "message"),
     [
         ("return params['mass'] * u", "failed at tau=5, gain=0, start=0: KeyError: 'mass'"),
+        ("print('level', 7)\n    return u[1:]", "it printed: level 7"),
+        (
+            "print('a\\nb')\n    return 1 / 0",
+            r"ZeroDivisionError: division by zero; it printed: a | b",
+        ),
         ("return u[1:]", r"an array of shape \(319, 1\), expected \(320, 1\)"),
         ("return u / (u * 0)", "returned NaN or infinity at sample 1"),
         ("import random\n    return u * random.random()", "other outputs for the same arguments"),

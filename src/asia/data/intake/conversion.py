@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -533,6 +533,7 @@ def _many(count: int, what: str) -> str:
 
 _INPUT = re.compile(r"(u|in|input)[ _.]?\d*")
 _OUTPUT = re.compile(r"(y|out|output)[ _.]?\d*")
+_REFERENCE = re.compile(r"(r|ref|reference|set[ _]?point|sp)[ _.]?\d*")
 
 
 @dataclass(frozen=True)
@@ -562,11 +563,23 @@ class FileColumns:
         return found or self._usable[-1:]
 
     @property
+    def references(self) -> tuple[str, ...]:
+        """Likely references of a control loop by their names, which are no inputs of the plant."""
+        return references_among(self.names)
+
+    @property
     def _usable(self) -> tuple[str, ...]:
-        return tuple(n for n in self.names if n not in self.unusable)
+        left = tuple(n for n in self.names if n not in self.unusable)
+        signals = tuple(n for n in left if n not in self.references)
+        return signals if len(signals) > 1 else left
 
     def _named(self, pattern: re.Pattern[str]) -> tuple[str, ...]:
         return tuple(n for n in self._usable if pattern.fullmatch(n.casefold()))
+
+
+def references_among(names: Iterable[str]) -> tuple[str, ...]:
+    """Names that a measured reference usually has, such as r, ref, setpoint or sp."""
+    return tuple(n for n in names if _REFERENCE.fullmatch(n.casefold()))
 
 
 def survey(path: Path, wanted: Wanted) -> FileColumns:

@@ -37,6 +37,8 @@ class InitAnswers:
     """None: not decided."""
     test_experiments: list[str] = field(default_factory=list[str])
     """Experiments in the training files that are the test."""
+    references: list[str] = field(default_factory=list[str])
+    """Columns that look like references of a control loop."""
 
     @property
     def has_test(self) -> bool:
@@ -70,6 +72,8 @@ def completed(given: InitAnswers, wanted: Wanted, *, yes: bool) -> InitAnswers:
                 f"{missing} is missing: name the columns, or accept the detected ones with --yes"
             )
         answers = _with_columns(answers, wanted, asks=asks)
+    else:
+        answers = _with_references(answers)
     if not answers.has_test and answers.seal is None:
         seal = True if yes else None
         if asks:
@@ -151,7 +155,24 @@ def _with_columns(answers: InitAnswers, wanted: Wanted, *, asks: bool) -> InitAn
             if 0 < step < inf:
                 break
             say("expected a number above 0")
-    return replace(answers, inputs=inputs, outputs=outputs, sampling_time=step)
+    done = replace(answers, inputs=inputs, outputs=outputs, sampling_time=step)
+    return _with_references(done)
+
+
+def _with_references(answers: InitAnswers) -> InitAnswers:
+    """Find columns that look like references and are in every training file."""
+    from asia.data.intake.conversion import references_among
+    from asia.data.intake.formats import file_format
+
+    named = {*answers.inputs, *answers.outputs}
+    known: list[str] | None = None
+    for path in answers.train:
+        try:
+            columns = references_among(file_format(path).columns(path))
+        except UserError:  # The reader of the records says what is wrong.
+            return answers
+        known = [n for n in columns if n not in named and (known is None or n in known)]
+    return replace(answers, references=known or [])
 
 
 def split_at_commas(names: Sequence[str]) -> list[str]:
@@ -238,10 +259,21 @@ def init(
     problem.toml also takes equations, a simulator of your own, closed-loop records and frequency
     responses.
 
-    Tables and keys to add: `[physics]` (equations), `[plant]` (Python function or FMU to
-    calibrate), `[loop]` (reference and controller of records from a closed loop), `[data]
-    frequency` (measured frequency responses), `role` of an input (scheduling signal, irregular time
-    steps). The page docs/problem.md describes them.
+    Tables and keys to add; problem.toml has examples as comments:
+
+    - `[loop]`, records from a closed loop: `reference` (its column, no input), `enters`
+      ("controller" or "plant"), `controller` (numerator and denominator in z, or
+      "module:function"), `inputs` ("measured", or "explained" for stable plants)
+    - `[plant]`, a simulator of your own: `source` ("plant.py:simulate" or "model.fmu"),
+      `[plant.parameters]` and `[plant.initial]` (min, max, unit). The function is
+      `simulate(u, params, x0, dt)`: u (samples, inputs), params and x0 by name, dt in s; it returns
+      the outputs (samples, outputs), or (samples,) for one
+    - `[physics]`, equations: `states`, `parameters` (min, max), `constants`, `definitions`,
+      `dynamics` (d/dt), `observation`, `bounds`, `priors`, `corrections`
+    - `[data] frequency`, files with measured frequency responses
+    - `role` of an input: "scheduling" (gain and poles follow it) or "time_step" (irregular samples)
+
+    docs/problem.md and docs/use/simulator.md, in a clone of ASIA, say more.
     """
     from asia.data.intake.sheet import Wanted
     from asia.data.store import key_folder
@@ -289,10 +321,17 @@ def init(
         keys=keys,
         wanted=wanted,
         preparation=Preparation(delay, decimate, detrend, scale),
+        references=answers.references,
     )
     for text in made.read:
         say(f"read     {text}")
     say(f"wrote    {made.path}")
+    if answers.references:
+        say(
+            f"note     {', '.join(answers.references)} looks like the reference of a closed loop, "
+            "so it is no input: if a controller moved the inputs, remove the # of [loop] in "
+            "problem.toml"
+        )
     if made.store is not None:
         sealed = "the test records" if answers.has_test else "the last 20 % of each record"
         say(f"sealed   {sealed}, encrypted, in {made.store}; the search will not see it")

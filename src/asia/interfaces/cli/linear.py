@@ -40,7 +40,8 @@ def linear(
         str | None,
         typer.Argument(
             metavar="[RUN | FILE]",
-            help="Run (default: the newest), or a file with a measured frequency response.",
+            help="Run (default: the newest), or a file with a measured frequency response, with "
+            "which only --out and --json apply.",
         ),
     ] = None,
     at: Annotated[

@@ -518,8 +518,8 @@ class TextDisplay:
         if view.refitted is not None and self.problem.control is None:
             self._print("models   asia.simulate(run, ...) uses the model of the line `use`")
         run = directory.name if directory.parent == DEFAULT_RUNS else str(directory)
-        show, validate, report, unseal = (
-            f"asia {command} {run}" for command in ("show", "validate", "report", "unseal")
+        show, validate, report, linear, unseal = (
+            f"asia {name} {run}" for name in ("show", "validate", "report", "linear", "unseal")
         )
         width = len(validate) + 4
         if best is None:
@@ -528,6 +528,8 @@ class TextDisplay:
         self._print(f"next     {show:<{width}}the best candidate: source, folds, evidence")
         self._print(f"         {validate:<{width}}may I use this model: checks of the residuals")
         self._print(f"         {report:<{width}}one HTML page about the search")
+        if self.problem.control is None:
+            self._print(f"         {linear:<{width}}order, poles, gain, Bode plot of the model")
         if view.started.test_digest and view.unsealed is None:
             self._print(f"         {unseal:<{width}}score it on the sealed test, once")
 

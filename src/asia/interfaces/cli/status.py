@@ -133,8 +133,9 @@ def _print_status(directory: Path, found: Brief) -> None:
         f"seed {start.seed}  isolation {start.isolation_words}"
     )
     say(
-        f"{state_words(found)}: {found.finished} of {view.budget} experiments in "
-        f"{duration(found.seconds)}, metric {metric_label(metric_of(directory))}"
+        f"{state_words(found)}: {found.finished} of {view.budget} experiments, evaluated in "
+        f"{duration(found.seconds)} (without references and refit), "
+        f"metric {metric_label(metric_of(directory))}"
     )
     for line in verdict_lines(view):
         say(line)

@@ -668,7 +668,9 @@ def invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
     found = found if len(found) <= 20 else {}
     poles = np.asarray(np.linalg.eigvals(system.a), np.complex128)
     sizes = np.abs(poles)
-    rates: list[complex] = np.log(poles[(poles.imag >= 0) & (sizes > 0) & (sizes < 1)]).tolist()
+    # A negative real pole has neither a time constant nor a frequency below half the sampling rate.
+    shown = ((poles.imag > 0) | ((poles.imag == 0) & (poles.real > 0))) & (sizes < 1)
+    rates: list[complex] = np.log(poles[shown]).tolist()
     real = pairs = 0
     for rate in sorted(rates, key=lambda one: -one.real)[:6]:
         if rate.imag == 0:

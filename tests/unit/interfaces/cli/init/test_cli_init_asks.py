@@ -125,6 +125,31 @@ def test_a_constant_channel_is_no_output(asia: Asia, monkeypatch: pytest.MonkeyP
     assert "'mode' is 7 in every sample: name another column" in done.out
 
 
+@pytest.mark.parametrize("given", [(), ("--inputs", "valve", "--outputs", "level")])
+def test_a_reference_is_no_input_and_is_kept_for_the_loop(
+    asia: Asia, given: tuple[str, ...]
+) -> None:
+    write("log.csv", "time,valve,SetPoint,level", 4)
+    rows = np.loadtxt("log.csv", delimiter=",", skiprows=1)
+    done = asia("init", "mill", "--train", "log.csv", "--yes", *given)
+    assert done.code == 0, done.err
+    assert "SetPoint looks like the reference of a closed loop" in done.out
+    path = Path("mill") / "problem.toml"
+    assert [s.name for s in load_problem("mill").inputs] == ["valve"]
+    text = path.read_text()
+    assert '# reference = "SetPoint"' in text
+    for line in ("[loop]", "reference =", "enters =", "inputs ="):
+        text = text.replace(f"# {line}", line)
+    path.write_text(text)
+    problem = load_problem("mill")
+    assert problem.loop is not None
+    assert problem.loop.controller is None
+    first = problem.train[0]
+    assert first.reference is not None
+    np.testing.assert_array_equal(first.reference[:, 0], rows[: len(first), 2])
+    np.testing.assert_array_equal(first.u[:, 0], rows[: len(first), 1])
+
+
 def test_yes_takes_what_is_found_and_says_it(asia: Asia) -> None:
     write("log.csv", "time,flow,temperature", 3)
     done = asia("init", "mill", "--train", "log.csv", "--yes")
