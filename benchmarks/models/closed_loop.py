@@ -1,6 +1,6 @@
 """Plants from closed-loop records: direct, two-stage and loop fits against open-loop treatment.
 
-    python benchmarks/models/closed_loop.py [--seeds 0 1 2 3 4] [--samples 1500]
+    python benchmarks/models/closed_loop.py [--seeds 0 1 2 3 4] [--samples 1500] [--search 4]
 
 Eight generated plants, one with an integrator and two unstable, each in a loop with an LQG
 controller. A binary reference moves the loop, and coloured noise on the output runs through the
@@ -10,22 +10,28 @@ the deviation of the true output, median over the seeds. "u3" means that the loo
 unstable for 3 seeds; an unstable loop counts as an infinite error. `controller` knows the
 controller of the records, the other methods do not. `explained` is an open-loop fit to the part of
 the input that the reference explains, as [loop] inputs = "explained" gives to every family.
+With --search N the columns are a search of N experiments with [loop], whose controller is unknown,
+and one without; plants that integrate or are unstable are scored on windows of 50 samples.
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
+import tempfile
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
+import asia
 from asia.candidate import Context
 from asia.data import Signal, Trajectory
 from asia.errors import UserError
+from asia.export.linear import linearize
 from asia.models import linear
 from asia.problem.feedback import Controller, Loop, explained_inputs
 
@@ -166,22 +172,52 @@ def fitted(plant: Plant, samples: int, seed: int, method: str) -> System:
     return found
 
 
+def searched(
+    plant: Plant, samples: int, seed: int, experiments: int, *, declared: bool
+) -> System:
+    """Matrices of the model that a search with or without [loop] names."""
+    measured, _ = record(plant, samples, seed)
+    assert measured.reference is not None
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        table = np.hstack([measured.u, measured.y, measured.reference])
+        np.savetxt(root / "loop.csv", table, delimiter=",", header="u,y,r", comments="")
+        windows = max(abs(p) for p in plant.poles) >= 1.0
+        (root / "problem.toml").write_text(
+            'name = "loop"\nsampling_time = 1.0\ninputs = ["u"]\noutputs = ["y"]\n'
+            '[data]\ntrain = ["loop.csv"]\n[protocol]\npast_inputs = 20\npast_outputs = 20\n'
+            + ('kind = "windows"\nhorizon = 50\n' if windows else "")
+            + ('[loop]\nreference = "r"\n' if declared else "")
+        )
+        run = asia.run(root, experiments=experiments, runs=root / "runs")
+        (point,) = linearize(run).points
+    return point.model.a, point.model.b, point.model.c, point.model.d
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     parser.add_argument("--samples", type=int, default=1500)
+    parser.add_argument("--search", type=int, default=0)
     parser.add_argument("--plants", nargs="+", default=[p.name for p in PLANTS])
     options = parser.parse_args()
-    print(f"| plant | {' | '.join(METHODS)} | seconds a fit |")
-    print("|---|" + "---|" * (len(METHODS) + 1))
+    methods = ("with [loop]", "without") if options.search else METHODS
+    print(f"| plant | {' | '.join(methods)} | seconds a fit |")
+    print("|---|" + "---|" * (len(methods) + 1))
     for plant in (p for p in PLANTS if p.name in options.plants):
         begin, cells = time.monotonic(), list[str]()
-        for method in METHODS:
+        for method in methods:
             errors: list[float] = []
             for seed in options.seeds:
                 try:
-                    found = fitted(plant, options.samples, seed, method)
+                    if options.search:
+                        found = searched(
+                            plant, options.samples, seed, options.search,
+                            declared=method == methods[0],
+                        )  # fmt: skip
+                    else:
+                        found = fitted(plant, options.samples, seed, method)
                 except UserError as error:
                     print(f"{plant.name}, {method}, seed {seed}: {error}")
                     errors.append(float("inf"))
@@ -189,7 +225,7 @@ def main() -> None:
                 errors.append(error_under(plant, found))
             bad = sum(np.isinf(errors))
             cells.append(f"{statistics.median(errors):.1f}" + (f" u{bad}" if bad else ""))
-        seconds = (time.monotonic() - begin) / (len(METHODS) * len(options.seeds))
+        seconds = (time.monotonic() - begin) / (len(methods) * len(options.seeds))
         print(f"| {plant.name} | {' | '.join(cells)} | {seconds:.1f} |", flush=True)
 
 
