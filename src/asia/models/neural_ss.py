@@ -43,6 +43,8 @@ from asia.models.methods import Adam
 # Limit on samples times squared parameters of one Levenberg-Marquardt iteration on windows, and on
 # the resulting number of windows.
 _WORK, _WINDOWS = 2e10, (24, 1000)
+# Factors of the ridge of modes, one after the other while one of them grows at a large amplitude.
+_STIFFER = (30.0, 1000.0)
 
 
 @dataclass(frozen=True)
@@ -214,6 +216,11 @@ def _train_records(
             _ridges(c), c.members, c.encoder, c.pieces, c.past_fit, seed=context.seed
         )
         best = fit_members(structure, found, used, data.scaling, context, method, options)
+        for ridge in _STIFFER:
+            if all(structure.decays(p) for p, _ in best.members):
+                break
+            options = replace(options, ridge={**options.ridge, "f": ridge * c.ridge})
+            best = fit_members(structure, found, used, data.scaling, context, method, options)
         each = best.members, delay, data.scaling, data.turns, best.starts
         return FittedStateSpace(structure, *each), best.cost
     rng = np.random.default_rng(context.seed)

@@ -170,6 +170,23 @@ class StateSpaceStructure:
             terms += [size**power * x[..., mode] for power in range(1, self.degree)]
         return namespace(x).concatenate(terms, axis=-1)
 
+    def decays(self, p: Coefficients) -> bool:
+        """Whether each mode decays where its amplitude is large, alone or with all others; True
+        where no function depends on amplitudes."""
+        if self.nonlinearity != "modal":
+            return True
+        modes, n = self._modes, self.order - self.integrators
+        a, w2 = np.asarray(p["a"]), np.asarray(p["f"]["w2"])
+        # The change of A by each mode at the limit of its amplitude.
+        changes, row = np.zeros((len(modes), *a.shape)), 0
+        for change, mode in zip(changes, modes, strict=True):
+            for power in range(1, self.degree):
+                width = mode.stop - mode.start
+                change[mode] += _AMPLITUDE**power * w2[row : row + width, : self.order]
+                row += width
+        large = a + np.stack([*changes, changes.sum(axis=0)])
+        return bool((np.abs(np.linalg.eigvals(large[:, :n, :n])) < 1.0).all())
+
     @property
     def _modes(self) -> list[slice]:
         """States of each mode: complex pairs first."""

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from asia.errors import UserError
 from asia.models import linear, neural_ss
@@ -79,6 +80,20 @@ def test_a_mode_whose_frequency_depends_on_its_amplitude() -> None:
     line = fitted(neural_ss.Config(order=2, nonlinearity="none"), data, method)
     model = fitted(neural_ss.Config(order=2, nonlinearity="modal", pieces=True), data, method)
     assert data.ratio(model) < 0.2 * data.ratio(line)
+
+
+def test_a_mode_that_grows_at_a_large_amplitude_is_told() -> None:
+    structure = StateSpaceStructure(3, 1, 1, "modal", "tanh", 8, 3, None, pairs=1)
+    mode, lag = 0.9 * np.array([[np.cos(0.5), np.sin(0.5)], [-np.sin(0.5), np.cos(0.5)]]), 0.8
+    w2 = np.zeros((6, 4))
+    p = {"a": block_diag(mode, lag), "f": {"w2": w2}}
+    assert structure.decays(p)
+    w2[:2, :2] = 0.1 * mode
+    assert not structure.decays(p)
+    w2[2:4, :2] = -0.05 * mode
+    assert structure.decays(p)
+    w2[4, 2] = 0.2
+    assert not structure.decays(p)
 
 
 @pytest.mark.long
