@@ -98,7 +98,7 @@ class StateSpaceStructure:
     """Number of last states whose pole is held at 1 and which f and g do not read."""
     scheduling: tuple[int, ...] = ()
     """Scheduling inputs of the basis "scheduling": its monomials have at most one other signal."""
-    pairs: int = 0  # Number of complex pairs among the modes of the start, with "modal"
+    pairs: int = 0  # Number of complex pairs, whose states come first, with "modal"
 
     @property
     def size(self) -> int:
@@ -170,29 +170,10 @@ class StateSpaceStructure:
             terms += [size**power * x[..., mode] for power in range(1, self.degree)]
         return namespace(x).concatenate(terms, axis=-1)
 
-    def decays(self, p: Coefficients) -> bool:
-        """Whether each mode decays where its amplitude is large, alone or with all others; True
-        where no function depends on amplitudes."""
-        if self.nonlinearity != "modal":
-            return True
-        modes, n = self._modes, self.order - self.integrators
-        a, w2 = np.asarray(p["a"]), np.asarray(p["f"]["w2"])
-        # The change of A by each mode at the limit of its amplitude.
-        changes, row = np.zeros((len(modes), *a.shape)), 0
-        for change, mode in zip(changes, modes, strict=True):
-            for power in range(1, self.degree):
-                width = mode.stop - mode.start
-                change[mode] += _AMPLITUDE**power * w2[row : row + width, : self.order]
-                row += width
-        large = a + np.stack([*changes, changes.sum(axis=0)])
-        return bool((np.abs(np.linalg.eigvals(large[:, :n, :n])) < 1.0).all())
-
     @property
     def _modes(self) -> list[slice]:
-        """States of each mode: complex pairs first."""
-        pairs = 2 * self.pairs
-        modes = [slice(i, i + 2) for i in range(0, pairs, 2)]
-        return modes + [slice(i, i + 1) for i in range(pairs, self.order - self.integrators)]
+        """The states of each complex pair."""
+        return [slice(i, i + 2) for i in range(0, 2 * self.pairs, 2)]
 
     def output(self, p: Coefficients, w: Any) -> Any:
         """Output y after the static function r, from w (..., ny)."""
@@ -229,7 +210,7 @@ class StateSpaceStructure:
         if self.nonlinearity == "state":
             self._add_state_function(p, rng, n + ny)
         if self.nonlinearity == "modal":
-            p["f"] = {"w2": np.zeros(((self.degree - 1) * (n - self.integrators), n + ny))}
+            p["f"] = {"w2": np.zeros(((self.degree - 1) * 2 * self.pairs, n + ny))}
         if self.nonlinearity in ("input", "both"):
             p["s"] = self._function(rng, nu, nu)
         if self.nonlinearity in ("output", "both"):
