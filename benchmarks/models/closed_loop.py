@@ -172,9 +172,7 @@ def fitted(plant: Plant, samples: int, seed: int, method: str) -> System:
     return found
 
 
-def searched(
-    plant: Plant, samples: int, seed: int, experiments: int, *, declared: bool
-) -> System:
+def searched(plant: Plant, samples: int, seed: int, experiments: int, *, declared: bool) -> System:
     """Matrices of the model that a search with or without [loop] names."""
     measured, _ = record(plant, samples, seed)
     assert measured.reference is not None

@@ -175,7 +175,12 @@ _PLANT_FILE = """\
 
 @pytest.mark.parametrize(
     ("what", "finds"),
-    [("the future", False), ("a planted scenario", True), ("the plant", False), ("a file", True)],
+    [
+        ("the future", False),
+        ("a planted scenario", True),
+        pytest.param("the plant", False, marks=pytest.mark.slow),
+        pytest.param("a file", True, marks=pytest.mark.slow),
+    ],
 )
 def test_a_controller_finds_neither_future_nor_plant(
     problem: Problem, evaluator: Evaluator, what: str, finds: bool

@@ -83,7 +83,13 @@ def one_of_each_kind() -> tuple[Attack, ...]:
     return tuple(attack for attack in ATTACKS if attack.number in firsts)
 
 
-@pytest.fixture(scope="module", params=["each kind", pytest.param("all", marks=pytest.mark.long)])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param("each kind", marks=pytest.mark.slow),
+        pytest.param("all", marks=pytest.mark.long),
+    ],
+)
 def report(request: pytest.FixtureRequest) -> RedTeamReport:
     """Attacks at the levels that work here, and with isolation off: all of both before a release,
     one attack of each kind at the strongest level otherwise."""

@@ -8,6 +8,8 @@ from graphlib import CycleError, TopologicalSorter
 from importlib.util import resolve_name
 from pathlib import Path
 
+import pytest
+
 import asia
 
 SOURCE = Path(asia.__file__).parent
@@ -68,6 +70,7 @@ def _executed(node: ast.AST) -> Iterator[ast.AST]:
             yield from _executed(child)
 
 
+@pytest.mark.slow
 def test_no_file_imports_itself_by_way_of_others() -> None:
     graph = import_graph(SOURCE)
     assert len(graph) > 200

@@ -262,13 +262,19 @@ def solve_or_fit(matrix: Array, right: Array) -> Array:
 
 def solve(matrix: AnyArray, right: AnyArray) -> AnyArray:
     """Solve matrix x = right for symmetric positive definite matrices (..., n, n) and right (...,
-    n).
+    n); in NumPy as `solve_or_fit` where one is singular.
 
     In JAX Cholesky's decomposition is written out, so that every export target can compute it.
     """
     if namespace(matrix) is np:
         wide = np.broadcast_to(right, matrix.shape[:-1])
-        return np.linalg.solve(matrix, wide[..., None])[..., 0]
+        try:
+            return np.linalg.solve(matrix, wide[..., None])[..., 0]
+        except np.linalg.LinAlgError:
+            found = np.empty(wide.shape)
+            for place in np.ndindex(wide.shape[:-1]):
+                found[place] = solve_or_fit(matrix[place], wide[place])
+            return found
     import jax.numpy as jnp
 
     n = right.shape[-1]

@@ -54,8 +54,8 @@ class Config:
     nonlinearity: Nonlinearity = "state"
     """Place of the static functions: in the "state" equation and the output, at the "input", at
     the "output", or at "both" ends. "none" leaves them out. "modal" has in the state equation and
-    the output every mode of the linear model times powers of its own amplitude, so that its
-    frequency and its damping depend on the amplitude."""
+    the output every oscillating mode of the linear model times powers of its own amplitude, so
+    that its frequency and its damping depend on the amplitude; "none" where no mode oscillates."""
     channels: int | None = None
     """Signals through which f and g act, with nonlinearity "state"; None: on all states and
     outputs directly."""
@@ -199,11 +199,12 @@ def _train_records(
     if data.turns is not None:
         used = data.with_transformed(used)
         found = symmetric(found, used, data.copies, Refinement(integrators=c.integrators))
-    pairs = 0
-    if c.nonlinearity == "modal":
+    pairs, place = 0, c.nonlinearity
+    if place == "modal":
         found, pairs = in_modes(found, used, c.integrators)
+        place = "modal" if pairs else "none"
     structure = StateSpaceStructure(
-        found.system.order, context.nu, context.ny, c.nonlinearity, c.basis, c.hidden, c.degree,
+        found.system.order, context.nu, context.ny, place, c.basis, c.hidden, c.degree,
         c.channels, friction=c.friction, play=c.play, integrators=c.integrators,
         scheduling=_scheduling(c, context), pairs=pairs,
     )  # fmt: skip

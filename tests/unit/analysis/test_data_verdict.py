@@ -42,7 +42,7 @@ def judged(u: np.ndarray, y: np.ndarray) -> DataVerdict:
     return judge_data(problem, check_problem(problem, SEAL))
 
 
-@pytest.mark.parametrize("delay", [1, 2, 5])
+@pytest.mark.parametrize("delay", [5, *(pytest.param(d, marks=pytest.mark.slow) for d in (1, 2))])
 def test_good_records_show_order_delay_and_time_constants(delay: int) -> None:
     u = spread_input(1500)
     found = judged(u, second_order(u, delay))
@@ -93,6 +93,7 @@ def test_records_spoilt_in_one_way_name_that_way_and_what_would_help() -> None:
         assert helps in found.experiment, found.lines()
 
 
+@pytest.mark.slow
 def test_one_experiment_gives_one_reason() -> None:
     y = np.arange(1500.0)[:, None]
     both = np.hstack([y, -y]) + 0.1 * np.random.default_rng(0).normal(size=(1500, 2))

@@ -36,7 +36,11 @@ def holds(found: ProcessFit, values: dict[str, float]) -> list[bool]:
         (ProcessModel(-1.5, (12.0, 4.0), 0.0, 0.6, False, 0.0), ProcessStructure(2)),
         (ProcessModel(1.0, (12.0, 4.0), -9.0, 2.2, False, 0.0), ProcessStructure(2, True)),
         (ProcessModel(0.04, (7.0,), 0.0, 5.5, True, 0.0), ProcessStructure(1, False, True)),
-        (ProcessModel(1.0, (15.0, 7.0, 2.5), 0.0, 0.0, False, 0.0), ProcessStructure(3)),
+        pytest.param(
+            ProcessModel(1.0, (15.0, 7.0, 2.5), 0.0, 0.0, False, 0.0),
+            ProcessStructure(3),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_the_intervals_hold_the_truth_and_noise_free_records_give_it_exactly(

@@ -76,6 +76,7 @@ def asia(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     return int(raised.value.code or 0)
 
 
+@pytest.mark.slow
 def test_every_step_fails_and_the_search_ends_well(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,13 +13,18 @@ from asia.candidate import Context
 from asia.data import Signal
 from asia.errors import UserError
 from asia.export.linear import linearize
+from asia.judge.evaluation.evaluator import EvaluationData, Evaluator, EvaluatorOptions
 from asia.judge.evaluation.references import LINEAR
+from asia.judge.evaluation.workers import WorkerRunner
+from asia.judge.executors import LocalExecutor
 from asia.ledger.run import Usability, open_run, usability
 from asia.models import linear
 from asia.problem.feedback import Loop
+from asia.problem.folds import make_folds
 from asia.problem.load import load_problem
+from asia.problem.problem import Problem
 from asia.search.final import unheeded_feedback
-from asia.search.run import prepare, search
+from asia.search.run import level_here, prepare, search, search_context
 from tests.unit.models.linear.test_closed_loop import record as in_loop
 from tests.unit.search.toy import Scripted, write_problem
 
@@ -63,12 +68,17 @@ def integrator(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return u, y
 
 
-def judged(directory: Path, u: np.ndarray, y: np.ndarray) -> Usability:
+def problem_of(directory: Path, u: np.ndarray, y: np.ndarray) -> Problem:
     problem = write_problem(directory / "case", experiments=1, test=False)
     table = np.stack([u, y], axis=1)
     np.savetxt(problem / "train.csv", table, delimiter=",", header="u,y", comments="")
     (problem / "baseline.py").write_text(LINEAR)
-    ready = prepare(load_problem(problem), ExpertAgent.name, seed=0, runs=directory / "runs")
+    return load_problem(problem)
+
+
+def judged(directory: Path, u: np.ndarray, y: np.ndarray) -> Usability:
+    problem = problem_of(directory, u, y)
+    ready = prepare(problem, ExpertAgent.name, seed=0, runs=directory / "runs")
     found = usability(search(ready, ExpertAgent(), lambda event, view: None, lambda view: None))
     assert found is not None
     return found
@@ -155,6 +165,22 @@ def test_the_verdict_on_a_biased_winner_names_an_experiment_without_bias(
     assert found is not None
     assert found.kind == "doubtful"
     assert any('Compare #01, linear with loop = "direct"' in reason for reason in found.reasons)
+
+
+@pytest.mark.slow
+def test_an_honest_linear_model_of_slow_states_is_scored_whatever_cases_are_drawn(
+    tmp_path: Path,
+) -> None:
+    """Its past window hardly shows one of two slow states, so that it continues along a ramp."""
+    problem = problem_of(tmp_path, *integrator(np.random.default_rng(6)))
+    rule, context = problem.protocol, search_context(problem, 0)
+    folds = make_folds(problem.train, rule)
+    data = EvaluationData(folds, problem.train, context, rule)
+    workers = WorkerRunner(level_here(), problem.budget, LocalExecutor())
+    found = Evaluator(data, workers).evaluate(LINEAR)
+    for salt in "abcdefghij":
+        drawn = Evaluator(data, workers, EvaluatorOptions(salt))
+        assert drawn.objection_to_answers(LINEAR, found.folds) is None
 
 
 def test_an_output_that_never_moves_is_refused(tmp_path: Path) -> None:

@@ -122,11 +122,13 @@ def test_same_seed_twice_is_bitwise_the_same(whole: Path, tmp_path: Path) -> Non
     assert outcomes(open_run(whole).view) == outcomes(again)
 
 
-@pytest.mark.slow
-def test_resume_from_every_record(whole: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "every", [pytest.param(3, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.long)]
+)
+def test_resume_from_every_record(whole: Path, tmp_path: Path, every: int) -> None:
     directory, undisturbed = whole, open_run(whole).view
     lines = (directory / "ledger.jsonl").read_bytes().splitlines(keepends=True)
-    for kept in range(5, len(lines)):
+    for kept in range(5, len(lines), every):
         torn = lines[kept][: len(lines[kept]) // 2]
         (directory / "ledger.jsonl").write_bytes(b"".join(lines[:kept]) + torn)
         again = go(tmp_path / "toy", tmp_path / "runs")

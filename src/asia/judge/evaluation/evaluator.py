@@ -14,7 +14,7 @@ import numpy as np
 
 from asia._heap import LARGE_RECORDS, give_back_large_arrays
 from asia._timer import Activity
-from asia.candidate import Context, check_source, executed_source
+from asia.candidate import Context, check_source, executed_source, library_only
 from asia.data.trajectory import Array, Trajectory, spread_of
 from asia.errors import CandidateError, Reason
 from asia.judge.evaluation.findings import fold_result
@@ -412,7 +412,12 @@ class Evaluator:
 
     def objection_to_answers(self, source: str, folds: Sequence[FoldResult]) -> Failure | None:
         """The part of `objection` for which nothing is fitted. RESTART depends on held-out outputs:
-        it is the reason only if no other relation fails in any fold."""
+        it is the reason only if no other relation fails in any fold. Code of the library draws no
+        simulation to the data after a block, and the past window shows so little of two slow states
+        that BLOCK_END would object to an honest model of them."""
+        without = {*self._options.without}
+        if library_only(source):
+            without.add(SuspicionKind.BLOCK_END)
 
         def objection(fold: Fold, result: FoldResult) -> Failure | None:
             place = fold.index + 1
@@ -420,7 +425,7 @@ class Evaluator:
             ask = partial(
                 suspicions, scale=fold.scale, horizon=self.data.horizon,
                 seed=self.models.check_seed(source, place), followed=followed,
-                without=self._options.without, rounding=0.0,
+                without=without, rounding=0.0,
             )  # fmt: skip
             try:
                 found = self.models.ask(source, result.model, fold.held_out, result.y_hat, ask)

@@ -98,7 +98,7 @@ class StateSpaceStructure:
     """Number of last states whose pole is held at 1 and which f and g do not read."""
     scheduling: tuple[int, ...] = ()
     """Scheduling inputs of the basis "scheduling": its monomials have at most one other signal."""
-    pairs: int = 0  # Number of complex pairs among the modes of the start, with "modal"
+    pairs: int = 0  # Number of complex pairs, whose states come first, with "modal"
 
     @property
     def size(self) -> int:
@@ -172,10 +172,8 @@ class StateSpaceStructure:
 
     @property
     def _modes(self) -> list[slice]:
-        """States of each mode: complex pairs first."""
-        pairs = 2 * self.pairs
-        modes = [slice(i, i + 2) for i in range(0, pairs, 2)]
-        return modes + [slice(i, i + 1) for i in range(pairs, self.order - self.integrators)]
+        """The states of each complex pair."""
+        return [slice(i, i + 2) for i in range(0, 2 * self.pairs, 2)]
 
     def output(self, p: Coefficients, w: Any) -> Any:
         """Output y after the static function r, from w (..., ny)."""
@@ -212,7 +210,7 @@ class StateSpaceStructure:
         if self.nonlinearity == "state":
             self._add_state_function(p, rng, n + ny)
         if self.nonlinearity == "modal":
-            p["f"] = {"w2": np.zeros(((self.degree - 1) * (n - self.integrators), n + ny))}
+            p["f"] = {"w2": np.zeros(((self.degree - 1) * 2 * self.pairs, n + ny))}
         if self.nonlinearity in ("input", "both"):
             p["s"] = self._function(rng, nu, nu)
         if self.nonlinearity in ("output", "both"):

@@ -14,7 +14,12 @@ from asia.models._linear.fit import LinearFit
 from asia.models._linear.system import LinearSystem
 from asia.models._numerics.encoder import Encoder
 from asia.models._numerics.scaling import Scaling
-from asia.models._numerics.training_records import ScaledData, spread
+from asia.models._numerics.training_records import (
+    ScaledData,
+    past_length,
+    past_windows_before,
+    spread,
+)
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.model import (
     PastFit,
@@ -23,6 +28,7 @@ from asia.models._state_space.model import (
     window_samples,
     with_elements,
 )
+from asia.models._state_space.programs import StateSamples
 from asia.models._state_space.structure import StateSpaceStructure
 
 # Fits that begin with short segments of the records, each with its own initial state.
@@ -38,6 +44,8 @@ from asia.models._state_space.structure import StateSpaceStructure
 _SMOOTH, _WITH_ELEMENTS = (20, 4, 3), (40, 8, 4)
 # Greatest number of segments.
 _MOST = 60
+# Factors of all ridges, one after the other while the error from past windows is above the limit.
+_STIFFER, _LOST = (1.0, 100.0, 1e4), 0.5
 # Iterations on segments, the ridge of their states, and that of the first guess of these.
 _ITERATIONS, _STATE_RIDGE, _GUESS_RIDGE = 25, 1e-6, 1e-3
 
@@ -163,6 +171,9 @@ class FittedMembers:
     starts: tuple[PastFit, ...]
     """Fits of the initial states to the past window; () where the map gives them."""
     cost: float  # Least cost
+    error: float
+    """Mean squared error of the best fit in z-scores, simulated from the states that past windows
+    give."""
 
 
 def fit_members(
@@ -175,12 +186,70 @@ def fit_members(
     options: LmOptions,
 ) -> FittedMembers:
     """Fit from `method.starts` starting points, one where all are the same. Each start simulates
-    as the linear model."""
+    as the linear model.
+
+    A fit with initial states of its own may use an unstable model, which is lost from any other
+    state. Fits are repeated with larger ridges while the best one is lost from the states that
+    past windows give."""
     rng = np.random.default_rng(options.seed)
     count = method.starts if structure.starts_vary else 1
     starts = starts_of(structure, found, records, count, scaling, rng)
-    ridge = {**options.ridge, "x0": found.error / sum(len(r) for r in records)}
     samples = of_records(records, with_elements(structure, found).x0)
+    tried: list[FittedMembers] = []
+    for stiffer in _STIFFER:
+        ridge = {name: stiffer * value for name, value in options.ridge.items()}
+        ridge["x0"] = found.error / sum(len(r) for r in records)
+        fits = _fits(structure, found, starts, samples, records, context, method, options, ridge)
+        members, how = list[tuple[dict[str, Any], Encoder]](), list[PastFit]()
+        for one in fits[: options.members]:
+            if options.past_fit and window_samples(context):
+                encoder, fitted = past_fit(structure, one, records, context, options.hidden)
+                how.append(fitted)
+            else:
+                encoder = state_encoder(structure, one, records, context, options.hidden)
+            members.append((one.params, encoder))
+        back = how[0].samples if how else 0
+        lost = _error(structure, *members[0], records, context, back)
+        tried.append(FittedMembers(tuple(members), tuple(how), fits[0].cost, lost))
+        if lost <= _LOST:
+            break
+    return min(tried, key=lambda one: one.error)
+
+
+def _error(
+    structure: StateSpaceStructure,
+    params: dict[str, Any],
+    encoder: Encoder,
+    records: ScaledData,
+    context: Context,
+    back: int,
+) -> float:
+    """Mean squared error in z-scores of simulations of whole records from the state that their
+    first past windows give, which is that `back` samples before the window's end."""
+    errors: list[Array] = []
+    for record in records:
+        begin = np.array([past_length(context)])
+        if len(record) > begin:
+            x = encoder(past_windows_before(record, begin, context))
+            with np.errstate(all="ignore"):
+                y = structure.simulate(params, x, record.u[None, begin[0] - back :])[1][0, back:]
+                errors.append(((y - record.y[begin[0] :]) ** 2)[record.counts[begin[0] :] > 0])
+    found = float(np.concatenate(errors).mean()) if errors else 0.0
+    return found if np.isfinite(found) else np.inf
+
+
+def _fits(
+    structure: StateSpaceStructure,
+    found: LinearFit,
+    starts: Sequence[dict[str, Any]],
+    samples: StateSamples,
+    records: ScaledData,
+    context: Context,
+    method: LevenbergMarquardt,
+    options: LmOptions,
+    ridge: dict[str, float],
+) -> list[StateFit]:
+    """Fits from each start, the lowest cost first."""
     log, time = context.log, context.sampling_time
     fits = list[StateFit]()
     if options.pieces:
@@ -192,13 +261,4 @@ def fit_members(
         # One start begins with whole records, since segments may mislead too.
         starts = starts[:1]
     fits += fit_states(structure, starts, samples, ridge, method, log, time)
-    fits.sort(key=lambda one: one.cost)
-    members, how = list[tuple[dict[str, Any], Encoder]](), list[PastFit]()
-    for one in fits[: options.members]:
-        if options.past_fit and window_samples(context):
-            encoder, fitted = past_fit(structure, one, records, context, options.hidden)
-            how.append(fitted)
-        else:
-            encoder = state_encoder(structure, one, records, context, options.hidden)
-        members.append((one.params, encoder))
-    return FittedMembers(tuple(members), tuple(how), fits[0].cost)
+    return sorted(fits, key=lambda one: one.cost)

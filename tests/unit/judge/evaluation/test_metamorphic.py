@@ -96,6 +96,7 @@ def test_a_table_of_answers_is_found_out(
     assert kinds(cheat(horizon), horizon) & {*kind.split()}
 
 
+@pytest.mark.slow
 def test_a_table_of_moments_is_found_out():
     assert "table" in kinds(nearest_moment)
 

@@ -21,6 +21,7 @@ from asia.models._least_squares import (
     Minimum,
     NormalEquations,
     minimise,
+    solve,
     traced_minimum,
 )
 
@@ -255,3 +256,11 @@ def test_the_traced_loop_is_the_same(schedule: DampingSchedule) -> None:
     expected = minimise(costs, linearise, start, method, schedule)
     assert expected.history[0, -1] < 0.2 * expected.history[0, 0]
     np.testing.assert_allclose(np.asarray(traced), expected.theta, rtol=1e-9, atol=1e-12)
+
+
+def test_a_singular_row_leaves_the_others_alone() -> None:
+    matrices = np.stack([np.diag([2.0, 4.0]), np.ones((2, 2)), np.full((2, 2), np.inf)])
+    with np.errstate(all="ignore"):
+        found = solve(matrices, np.array([[2.0, 4.0], [2.0, 2.0], [1.0, 1.0]]))
+    np.testing.assert_allclose(found[:2], 1.0)
+    assert np.isnan(found[2]).all()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -14,6 +16,9 @@ from asia.models import linear, neural_ss
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._state_space.structure import StateSpaceStructure
 from asia.models.methods import Adam
+from asia.problem.folds import make_folds, whole
+from asia.problem.load import load_problem
+from asia.search.run import search_context
 from tests.unit.models.systems.black_box import Case, case, filtered, late, two_by_two, wiener
 
 
@@ -79,6 +84,20 @@ def test_a_mode_whose_frequency_depends_on_its_amplitude() -> None:
     line = fitted(neural_ss.Config(order=2, nonlinearity="none"), data, method)
     model = fitted(neural_ss.Config(order=2, nonlinearity="modal", pieces=True), data, method)
     assert data.ratio(model) < 0.2 * data.ratio(line)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not os.environ.get("ASIA_DATA_DIR"), reason="needs the records of a robot arm")
+def test_no_model_is_kept_that_is_lost_from_the_states_of_past_windows() -> None:
+    """With initial states of their own these records are fitted well by unstable models."""
+    problem = load_problem(Path(os.environ["ASIA_DATA_DIR"], "zoo", "cd_arm"))
+    context, fold = search_context(problem, 0), make_folds(problem.train, problem.protocol)[0]
+    model = neural_ss.build(neural_ss.Config(delay=None, past_fit=True), context)
+    model = neural_ss.train(model, fold.train, context, LevenbergMarquardt(60, starts=2))
+    for block in whole(fold.train, problem.protocol):
+        case = block.case
+        y = model.simulate(case.past_u[None], case.past_y[None], case.u[None])[0]
+        assert (np.sqrt(((y - block.y) ** 2).mean(axis=0)) < 0.5 * block.y.std(axis=0)).all()
 
 
 @pytest.mark.long
