@@ -272,6 +272,20 @@ def test_the_cheaper_one_of_two_equal_moves_is_made_first(
     assert following(known, trials).family != first.family
 
 
+def test_after_linear_models_alone_the_most_apt_family_is_next_and_not_the_cheapest() -> None:
+    known = simulation(physics=False)
+    usual = family("linear")
+    assert usual is not None
+    baseline = Proposal(usual.trial(known).source(""), "baseline", "baseline", "", "")
+    linear = trial(baseline, 1, 0.2)
+    other = usual.trial(known).changed(order=3)
+    third = trial(Proposal(other.source(""), "linear", "third order", "", ""), 2, 0.19)
+    ladder = [row for row in families(known) if row.name != "linear"]
+    seconds = [row.seconds(known, row.trial(known)) for row in ladder]
+    assert seconds[0] > 10 * min(seconds)
+    assert following(known, (linear, third)).family == ladder[0].name
+
+
 def steps(recipe: Recipe) -> float:
     return recipe.number("steps", 0)
 

@@ -135,11 +135,11 @@ class ExpertAgent:
         recipes = (read_recipe(trial.source) for trial in view.trials)
         known = ((r, family(r.family)) for r in recipes if r is not None)
         seconds = [row.seconds(view.facts, recipe) for recipe, row in known if row is not None]
-        usual = max(sum(seconds) / len(seconds), 1e-3) if seconds else 1.0
+        usual = max(SLOW_SECONDS, sum(seconds) / len(seconds) if seconds else 0.0)
 
         def paced(options: list[Option]) -> list[Option]:
-            """Reduce the weights by the square root of the excess over the usual fit time;
-            experiments are limited too."""
+            """Reduce the weights by the square root of the excess over the usual fit time, where
+            fits are slow; experiments are limited too."""
             return [
                 replace(o, weight=o.weight * min(1.0, 2.0 * usual / (usual + o.seconds)) ** 0.5)
                 for o in options

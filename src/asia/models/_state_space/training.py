@@ -23,6 +23,7 @@ from asia.models._numerics.training_records import (
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.model import (
     PastFit,
+    fitted_state,
     past_fit,
     starts_of,
     window_samples,
@@ -208,8 +209,7 @@ def fit_members(
             else:
                 encoder = state_encoder(structure, one, records, context, options.hidden)
             members.append((one.params, encoder))
-        back = how[0].samples if how else 0
-        lost = _error(structure, *members[0], records, context, back)
+        lost = _error(structure, *members[0], how[0] if how else None, records, context)
         tried.append(FittedMembers(tuple(members), tuple(how), fits[0].cost, lost))
         if lost <= _LOST:
             break
@@ -220,20 +220,23 @@ def _error(
     structure: StateSpaceStructure,
     params: dict[str, Any],
     encoder: Encoder,
+    how: PastFit | None,
     records: ScaledData,
     context: Context,
-    back: int,
 ) -> float:
     """Mean squared error in z-scores of simulations of whole records from the state that their
-    first past windows give, which is that `back` samples before the window's end."""
-    errors: list[Array] = []
+    first past windows give."""
+    errors, begin = list[Array](), past_length(context)
     for record in records:
-        begin = np.array([past_length(context)])
         if len(record) > begin:
-            x = encoder(past_windows_before(record, begin, context))
+            x = encoder(past_windows_before(record, np.array([begin]), context))
+            if how is not None:
+                rows = slice(begin - how.samples, begin)
+                known = record.u[None, rows.start : begin + 1]
+                x = fitted_state(structure, params, how, x, known, record.y[None, rows])
             with np.errstate(all="ignore"):
-                y = structure.simulate(params, x, record.u[None, begin[0] - back :])[1][0, back:]
-                errors.append(((y - record.y[begin[0] :]) ** 2)[record.counts[begin[0] :] > 0])
+                y = structure.simulate(params, x, record.u[None, begin:])[1][0]
+                errors.append(((y - record.y[begin:]) ** 2)[record.counts[begin:] > 0])
     found = float(np.concatenate(errors).mean()) if errors else 0.0
     return found if np.isfinite(found) else np.inf
 
