@@ -277,7 +277,6 @@ def test_after_linear_models_alone_the_most_apt_family_is_next_and_not_the_cheap
     usual = family("linear")
     assert usual is not None
     baseline = Proposal(usual.trial(known).source(""), "baseline", "baseline", "", "")
-    linear = trial(baseline, 1, 0.2)
     trials = (trial(baseline, 1, 0.2),)
     second = following(known, trials)
     assert second.family == "linear"
