@@ -74,7 +74,13 @@ def record(name: str, dt: float) -> Trajectory:
         pytest.param(True, id="windows", marks=pytest.mark.long),
     ],
 )
-@pytest.mark.parametrize("name", FITTED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.long] if name == "stiff_equations" else [])
+        for name in FITTED
+    ],
+)
 def test_an_honest_candidate_is_scored_without_an_alarm(name: str, windows: bool) -> None:
     dt, most = FITTED[name]
     horizon = 40 if windows else None

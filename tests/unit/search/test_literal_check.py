@@ -90,7 +90,7 @@ def go(problem: Path, runs: Path, *sources: str) -> SearchView:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("guard", [True, False])
+@pytest.mark.parametrize("guard", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_a_record_in_letters_is_suspect_and_an_honest_model_is_kept(tmp_path: Path, guard: bool):
     problem = write_counted(tmp_path / "toy", guard=guard)
     view = go(problem, tmp_path / "runs", copy(letters(errors(problem))), arx(2))

@@ -66,7 +66,14 @@ class Searched:
     folder: Path
 
 
-@pytest.fixture(scope="module", params=["simulation", "windows", "standardised"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "simulation",
+        pytest.param("windows", marks=pytest.mark.long),
+        pytest.param("standardised", marks=pytest.mark.long),
+    ],
+)
 def searched(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Searched:
     folder = tmp_path_factory.mktemp(request.param)
     problem = write_problem(folder / "toy", experiments=2)

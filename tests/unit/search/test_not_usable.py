@@ -85,7 +85,7 @@ def judged(directory: Path, u: np.ndarray, y: np.ndarray) -> Usability:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.parametrize("seed", [pytest.param(5, marks=pytest.mark.long), 6])
 @pytest.mark.parametrize(
     ("records", "kind", "cause"),
     [

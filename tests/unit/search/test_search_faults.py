@@ -103,7 +103,7 @@ def untimed(table: str) -> list[list[str]]:
     return [row[:seconds] + row[seconds + 1 :] for row in rows]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_disk_that_fills_up_again_and_again_loses_nothing(problem: Path, tmp_path: Path) -> None:
     ready = prepare(load_problem(problem), AGENT.name, seed=0, runs=tmp_path / "runs")
     undisturbed = search(ready, AGENT, lambda event, view: None, lambda view: None)

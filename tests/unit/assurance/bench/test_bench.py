@@ -118,7 +118,6 @@ def test_every_search_is_a_run_of_its_own(compared: Compared) -> None:
         assert run.view.started.early_stopping == name.split("-")[-2]
 
 
-@pytest.mark.slow
 def test_the_two_settings_share_no_table(compared: Compared) -> None:
     inner, validation, test = compared.result.tables
     assert "inner" in inner.title

@@ -202,7 +202,7 @@ def test_a_cluster_is_an_executor_and_is_surveyed(cluster: Cluster) -> None:
     executor.close()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_killed_workers_change_nothing(cluster: Cluster) -> None:
     sources = tuple(SLOW.format(seconds=s) for s in (2.0, 1.9, 2.1, 1.8, 2.2))
     here = go(cluster.folder, None, 2, Ahead(sources))

@@ -86,7 +86,7 @@ def test_a_mode_whose_frequency_depends_on_its_amplitude() -> None:
     assert data.ratio(model) < 0.2 * data.ratio(line)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(not os.environ.get("ASIA_DATA_DIR"), reason="needs the records of a robot arm")
 def test_no_model_is_kept_that_is_lost_from_the_states_of_past_windows() -> None:
     """With initial states of their own these records are fitted well by unstable models."""
