@@ -173,14 +173,10 @@ _PLANT_FILE = """\
             return True"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "finds"),
-    [
-        ("the future", False),
-        ("a planted scenario", True),
-        pytest.param("the plant", False, marks=pytest.mark.slow),
-        pytest.param("a file", True, marks=pytest.mark.slow),
-    ],
+    [("the future", False), ("a planted scenario", True), ("the plant", False), ("a file", True)],
 )
 def test_a_controller_finds_neither_future_nor_plant(
     problem: Problem, evaluator: Evaluator, what: str, finds: bool

@@ -118,6 +118,7 @@ def test_every_search_is_a_run_of_its_own(compared: Compared) -> None:
         assert run.view.started.early_stopping == name.split("-")[-2]
 
 
+@pytest.mark.slow
 def test_the_two_settings_share_no_table(compared: Compared) -> None:
     inner, validation, test = compared.result.tables
     assert "inner" in inner.title
@@ -138,6 +139,7 @@ def test_the_two_settings_share_no_table(compared: Compared) -> None:
     assert all(table.markdown() in document for table in compared.result.tables)
 
 
+@pytest.mark.slow
 def test_rows_hold_the_ledgers_figures(compared: Compared) -> None:
     rows = {row.key: row for row in compared.result.comparisons[0].rows}
     assert set(rows) == {
@@ -152,6 +154,7 @@ def test_rows_hold_the_ledgers_figures(compared: Compared) -> None:
     assert (reached.control, reached.seeds) == ("random", (0,))
 
 
+@pytest.mark.slow
 def test_json_keys(compared: Compared) -> None:
     answer = json.loads(json.dumps(result_object(compared.result), allow_nan=False))
     assert set(answer) == {"comparisons", "declared", "test", "document", "pictures"}
@@ -167,6 +170,7 @@ def test_json_keys(compared: Compared) -> None:
     assert answer["declared"] == "bench-toy-expert-inner-s0"
 
 
+@pytest.mark.slow
 def test_pictures(compared: Compared) -> None:
     pngs = {p.name for p in compared.result.pictures if p.suffix == ".png"}
     assert pngs == {
