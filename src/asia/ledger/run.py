@@ -234,9 +234,12 @@ def usability(view: SearchView) -> Usability | None:
                 wrong.append(f"The check '{check.name}' {ends}{cause}.")
     if linear is not None and value > linear.value:
         doubts.append(f"It is worse than a linear model (V {value:.3g}, {linear.value:.3g}).")
-    elif linear is not None and value > NO_BETTER * linear.value and best.proposed.family not in (
-        "linear", "arx",
-    ):  # fmt: skip
+    elif (
+        linear is not None
+        and value > NO_BETTER * linear.value
+        and best.proposed.family not in ("linear", "arx")
+        and best.score.value != linear.value  # The baseline is that model.
+    ):
         doubts.append(f"It is hardly better than a linear model (V {linear.value:.3g}).")
     if max(values) > _FOLDS_APART * min(values):
         doubts.append(

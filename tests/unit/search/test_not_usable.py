@@ -146,6 +146,9 @@ def test_a_short_search_with_a_declared_loop_finds_the_gain(
     assert biased.parameters()["gain y1/u1"] < 0.8
     assert view.refitted is not None
     assert view.refitted.feedback is None
+    found = usability(view)
+    assert found is not None
+    assert not any("than a linear model" in reason for reason in found.reasons)
     store = open_run(ready.directory).store
     assert all("loop=" in store.text(e.proposed.source) for e in view.experiments)
 
