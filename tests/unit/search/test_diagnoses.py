@@ -17,6 +17,8 @@ from .toy import write_problem
 @pytest.mark.slow
 def test_a_saturated_drive_gets_a_saturation_next(tmp_path: Path) -> None:
     problem = write_problem(tmp_path / "drive", experiments=2, test=False)
+    settings = problem / "problem.toml"
+    settings.write_text(settings.read_text().replace("fit_seconds = 20", "fit_seconds = 120"))
     rng = np.random.default_rng(5)
     u = np.repeat(3.0 * rng.normal(size=60), 15)
     v, y = np.clip(u, -1.5, 2.0), np.zeros(len(u))
