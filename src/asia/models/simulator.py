@@ -265,7 +265,7 @@ class Simulator:
 
 
 def _last_lines(printed: io.StringIO) -> str:
-    """What a simulator printed last, on one line; "" where it printed nothing."""
+    """Join the last lines that a simulator printed; "" where it printed nothing."""
     text = " | ".join(printed.getvalue().strip().splitlines()[-_PRINTED_LINES:])
     return f"; it printed: {text[-_PRINTED:]}" if text else ""
 

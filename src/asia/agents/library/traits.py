@@ -10,8 +10,7 @@ from asia.problem.symmetry import of_signals
 
 Trait = Literal[
     "physics", "parameters", "windows", "measured", "short", "long", "several", "symmetric",
-    "integrating", "resonant", "plant", "scheduling", "irregular",
-    "feedback",
+    "integrating", "resonant", "plant", "scheduling", "irregular", "feedback",
 ]  # fmt: skip
 
 
@@ -23,8 +22,8 @@ def traits(facts: Facts) -> frozenset[Trait]:
     is declared; integrating: an output drifts with the sum of the inputs, and whole records are
     simulated; resonant: an output has a lightly damped mode, and whole records are simulated;
     plant: a simulator of the user's own is given; scheduling: an input is a scheduling signal;
-    irregular: an input holds the time step; feedback:
-    [loop] names a closed loop, whose noise is still in the inputs."""
+    irregular: an input holds the time step; feedback: [loop] names a closed loop, whose noise is
+    still in the inputs."""
     physics = facts.physics
     inputs, outputs = [s.name for s in facts.inputs], [s.name for s in facts.outputs]
     if physics is None:
