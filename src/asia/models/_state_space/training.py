@@ -29,7 +29,6 @@ from asia.models._state_space.model import (
     window_samples,
     with_elements,
 )
-from asia.models._state_space.programs import StateSamples
 from asia.models._state_space.structure import StateSpaceStructure
 
 # Fits that begin with short segments of the records, each with its own initial state.
@@ -196,11 +195,24 @@ def fit_members(
     count = method.starts if structure.starts_vary else 1
     starts = starts_of(structure, found, records, count, scaling, rng)
     samples = of_records(records, with_elements(structure, found).x0)
+    log, time = context.log, context.sampling_time
     tried: list[FittedMembers] = []
     for stiffer in _STIFFER:
         ridge = {name: stiffer * value for name, value in options.ridge.items()}
         ridge["x0"] = found.error / sum(len(r) for r in records)
-        fits = _fits(structure, found, starts, samples, records, context, method, options, ridge)
+        fits, whole = list[StateFit](), starts
+        if options.pieces:
+            before = fit_segments(
+                structure, found.system, starts, records, samples.x0, ridge, method, log, time
+            )
+            begin, x0 = [one.params for one in before], [one.x0 for one in before]
+            fits = fit_states(
+                structure, starts, samples, ridge, method, log, time, begin=begin, x0=x0
+            )
+            # One start begins with whole records, since segments may mislead too.
+            whole = starts[:1]
+        fits += fit_states(structure, whole, samples, ridge, method, log, time)
+        fits.sort(key=lambda one: one.cost)
         members, how = list[tuple[dict[str, Any], Encoder]](), list[PastFit]()
         for one in fits[: options.members]:
             if options.past_fit and window_samples(context):
@@ -209,14 +221,14 @@ def fit_members(
             else:
                 encoder = state_encoder(structure, one, records, context, options.hidden)
             members.append((one.params, encoder))
-        lost = _error(structure, *members[0], how[0] if how else None, records, context)
+        lost = past_window_error(structure, *members[0], how[0] if how else None, records, context)
         tried.append(FittedMembers(tuple(members), tuple(how), fits[0].cost, lost))
         if lost <= _LOST:
             break
     return min(tried, key=lambda one: one.error)
 
 
-def _error(
+def past_window_error(
     structure: StateSpaceStructure,
     params: dict[str, Any],
     encoder: Encoder,
@@ -239,29 +251,3 @@ def _error(
                 errors.append(((y - record.y[begin:]) ** 2)[record.counts[begin:] > 0])
     found = float(np.concatenate(errors).mean()) if errors else 0.0
     return found if np.isfinite(found) else np.inf
-
-
-def _fits(
-    structure: StateSpaceStructure,
-    found: LinearFit,
-    starts: Sequence[dict[str, Any]],
-    samples: StateSamples,
-    records: ScaledData,
-    context: Context,
-    method: LevenbergMarquardt,
-    options: LmOptions,
-    ridge: dict[str, float],
-) -> list[StateFit]:
-    """Fits from each start, the lowest cost first."""
-    log, time = context.log, context.sampling_time
-    fits = list[StateFit]()
-    if options.pieces:
-        before = fit_segments(
-            structure, found.system, starts, records, samples.x0, ridge, method, log, time
-        )
-        begin, x0 = [one.params for one in before], [one.x0 for one in before]
-        fits = fit_states(structure, starts, samples, ridge, method, log, time, begin=begin, x0=x0)
-        # One start begins with whole records, since segments may mislead too.
-        starts = starts[:1]
-    fits += fit_states(structure, starts, samples, ridge, method, log, time)
-    return sorted(fits, key=lambda one: one.cost)

@@ -11,10 +11,15 @@ import jax
 import numpy as np
 import pytest
 
+from asia.candidate import Context
+from asia.data import Signal
 from asia.errors import UserError
 from asia.models import linear, neural_ss
 from asia.models._least_squares import LevenbergMarquardt
+from asia.models._numerics.encoder import affine
+from asia.models._numerics.training_records import ScaledTrajectory
 from asia.models._state_space.structure import StateSpaceStructure
+from asia.models._state_space.training import past_window_error
 from asia.models.methods import Adam
 from asia.problem.folds import make_folds, whole
 from asia.problem.load import load_problem
@@ -84,6 +89,26 @@ def test_a_mode_whose_frequency_depends_on_its_amplitude() -> None:
     line = fitted(neural_ss.Config(order=2, nonlinearity="none"), data, method)
     model = fitted(neural_ss.Config(order=2, nonlinearity="modal", pieces=True), data, method)
     assert data.ratio(model) < 0.2 * data.ratio(line)
+
+
+@pytest.mark.parametrize(("pole", "lost"), [(0.9, False), (1.1, True)])
+def test_an_unstable_model_is_lost_from_the_state_of_the_past_window(
+    pole: float, lost: bool
+) -> None:
+    """From the right initial state it simulates the record exactly, whatever its pole."""
+    structure = StateSpaceStructure(1, 1, 1, "none", "tanh", 8, 3, None)
+    one, zero = np.ones((1, 1)), np.zeros(1)
+    p = {"a": pole * one, "b": 0.1 * one, "c": one, "d": 0 * one, "offset": zero}
+    u = np.random.default_rng(0).standard_normal((200, 1))
+    # The motion that stays bounded.
+    x0 = np.array([[-0.1 * sum(u[k, 0] * pole ** -(k + 1) for k in range(200)) * (pole > 1)]])
+    y = structure.simulate(p, x0, u[None])[1][0]
+    record = ScaledTrajectory(u, y, np.ones(200), u, np.ones(200))
+    context = Context((Signal("u"),), (Signal("y"),), 1.0, 2, 2)
+    # The state by the past outputs, slightly wrong.
+    encoder = affine(np.array([[0.0], [0.0], [0.0], [pole]]), np.array([0.01]))
+    error = past_window_error(structure, p, encoder, None, [record], context)
+    assert (error > 1.0) == lost
 
 
 @pytest.mark.long
