@@ -1,6 +1,7 @@
 """Fixtures and settings of all tests."""
 
 import os
+import shutil
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +10,9 @@ from zlib import crc32
 import pytest
 
 from asia.judge.evaluation.references import LINEAR
-from tests.compiled import compile_cheaply, kept
+from tests.compiled import compile_cheaply, kept, kept_by_workers
+from tests.once import made_once
+from tests.unit.search.toy import CRASH, arx, search_toy
 
 compile_cheaply()
 # A shell starts what runs in its background with interrupts ignored, and children inherit that: a
@@ -69,6 +72,22 @@ def own_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session")
+def finished_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the problem `toy` and a finished search in `runs`: the baseline, a better one, a
+    crash and a twin."""
+    return made_once(
+        tmp_path_factory, "finished", lambda root: search_toy(root, arx(2), CRASH, arx(2))
+    )
+
+
+@pytest.fixture
+def finished(finished_once: Path, tmp_path: Path) -> Path:
+    """Run directory of a copy of it in `tmp_path`, to change at will."""
+    shutil.copytree(finished_once, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "runs" / "toy-scripted-s0"
+
+
 @pytest.fixture
 def real_linear_reference(monkeypatch: pytest.MonkeyPatch) -> None:
     """For the tests whose subject it is."""
@@ -78,5 +97,6 @@ def real_linear_reference(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session", autouse=True)
 def compiled_once(pytestconfig: pytest.Config) -> Iterator[None]:
     """A program that an earlier test or an earlier run compiled is not compiled again."""
-    with kept(pytestconfig.rootpath / "build" / "compiled"):
+    build = pytestconfig.rootpath / "build"
+    with kept(build / "compiled"), kept_by_workers(build / "programs"):
         yield

@@ -35,6 +35,8 @@ FITTED = {
     "valve_table": (0.5, 0.3),
 }
 
+LONG = ("adaptive_solver", "stiff_equations")
+
 
 def record(name: str, dt: float) -> Trajectory:
     """A noisy record of the system that the candidate models, or of a leaking tank."""
@@ -76,10 +78,7 @@ def record(name: str, dt: float) -> Trajectory:
 )
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=[pytest.mark.long] if name == "stiff_equations" else [])
-        for name in FITTED
-    ],
+    [pytest.param(name, marks=[pytest.mark.long] if name in LONG else []) for name in FITTED],
 )
 def test_an_honest_candidate_is_scored_without_an_alarm(name: str, windows: bool) -> None:
     dt, most = FITTED[name]

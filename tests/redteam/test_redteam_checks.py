@@ -43,19 +43,27 @@ def test_an_attack_succeeds_without_the_checks_that_stop_it_and_not_with_them():
     assert "flagged: look-ahead" in words
 
 
+STANDARDISED = next(a for a in CHECKED if Principle.FOLD_STATISTICS in a.checks)
+
+
 @needs_level
-def test_held_out_outputs_cannot_be_inferred_where_each_fit_standardises_its_own_records():
-    attack = next(a for a in CHECKED if Principle.FOLD_STATISTICS in a.checks)
-    found = without_checks([ONE_LEVEL], [attack])
-    assert len(found) == 3
-    for one in found:
-        assert one.succeeded
-        assert one.value < 0.8 * one.honest
-        # With the principle it answers as the honest candidate does.
-        told = re.fullmatch(r".*V (\S+), honest (\S+)", one.checked.note)
-        assert told is not None
-        assert told[1] == told[2]
-        assert one.checked.verdict is AttackVerdict.NO_GAIN
+@pytest.mark.parametrize(
+    "variant",
+    [
+        pytest.param(name, marks=[pytest.mark.long] if number else [])
+        for number, name in enumerate(STANDARDISED.sources)
+    ],
+)
+def test_held_out_outputs_cannot_be_inferred_where_each_fit_standardises_its_own_records(variant):
+    attack = replace(STANDARDISED, sources={variant: STANDARDISED.sources[variant]})
+    (one,) = without_checks([ONE_LEVEL], [attack])
+    assert one.succeeded
+    assert one.value < 0.8 * one.honest
+    # With the principle it answers as the honest candidate does.
+    told = re.fullmatch(r".*V (\S+), honest (\S+)", one.checked.note)
+    assert told is not None
+    assert told[1] == told[2]
+    assert one.checked.verdict is AttackVerdict.NO_GAIN
 
 
 @pytest.mark.long

@@ -186,13 +186,16 @@ def split(model: LoweredModel, x: Array) -> list[Array]:
     return [p.reshape(s) for p, s in zip(np.split(x, ends), model.states, strict=True)]
 
 
-def settle(model: LoweredModel, x: Array, u: Array, samples: int = _SETTLING) -> Array:
-    """State (n,) after a constant input; ended early where it rests or is not finite."""
+def settle(
+    model: LoweredModel, x: Array, u: Array, samples: int = _SETTLING, change: float = 1e-13
+) -> Array:
+    """State (n,) after a constant input; ended early where it is not finite, and where a step
+    changes it by less than the share `change`."""
     for _ in range(samples):
         after = joined(evaluate(model.update, [*split(model, x), u]))
         if not np.isfinite(after).all():
             return x
-        if np.abs(after - x).max(initial=0.0) <= 1e-13 * (1.0 + np.abs(x).max(initial=0.0)):
+        if np.abs(after - x).max(initial=0.0) <= change * (1.0 + np.abs(x).max(initial=0.0)):
             return after
         x = after
     return x
@@ -213,12 +216,14 @@ def operating_points(
     """
     found: list[OperatingPoint] = []
     n, sloped = sum(math.prod(shape) for shape in model.states), jacobian(model.step)
-    for start in starts:
-        x, inputs = settle(model, start, u), np.array(u, np.float64)
+
+    def newton(x: Array) -> tuple[Array, Array]:
+        """State and inputs that solve the equations of rest, from a state on."""
+        inputs = np.array(u, np.float64)
         for _ in range(_NEWTON):
             outputs, *states, slopes = evaluate(sloped, [*split(model, x), inputs])
-            after = joined(states)
-            wrong, matrix = after - x, slopes[model.ny :] - np.eye(n, n + model.nu)
+            wrong = joined(states) - x
+            matrix = slopes[model.ny :] - np.eye(n, n + model.nu)
             if y is None:
                 matrix = matrix[:, :n]
             else:
@@ -231,6 +236,18 @@ def operating_points(
             inputs = inputs if y is None else inputs + move[n:]
             if np.abs(move).max(initial=0.0) <= 1e-12 * (1.0 + np.abs(x).max(initial=0.0)):
                 break
+        return x, inputs
+
+    for start in starts:
+        x, inputs = start, np.array(u, np.float64)
+        # Newton's method ends the settling, unless it leads away from where that goes.
+        for change in (1e-6, 1e-13):
+            settled = settle(model, start, u, change=change)
+            x, inputs = newton(settled)
+            size = 1.0 + np.abs(settled).max(initial=0.0)
+            if y is not None or np.abs(x - settled).max(initial=0.0) <= 0.01 * size:
+                break
+            start = settled
         outputs, *after = evaluate(model.step, [*split(model, x), inputs])
         rest = np.abs(joined(after) - x).max(initial=0.0) / (1.0 + np.abs(x).max(initial=0.0))
         off = 0.0 if y is None else float(np.abs(outputs - y).max() / (1.0 + np.abs(y).max()))

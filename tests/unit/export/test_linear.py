@@ -224,7 +224,8 @@ def test_joined_states_keep_their_order() -> None:
 
 @pytest.mark.slow
 def test_asia_linear_prints_the_linear_models_of_a_run(tmp_path: Path) -> None:
-    done = command_line("run", "two_tanks_sim", "--experiments", "2", "--runs", tmp_path)
+    words = "--experiments", 2, "--retests", 0, "--runs", tmp_path
+    done = command_line("run", "two_tanks_sim", *words)
     assert done.code == 0
     shown = command_line("linear", "--runs", tmp_path, "--at", "u=2", "--at", "start", "--to-tf",
                          "--reduce", "auto", "--continuous")  # fmt: skip

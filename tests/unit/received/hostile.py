@@ -99,7 +99,7 @@ def make_hostile_run(root: Path) -> HostileRun:
     home.mkdir()
     problem = write_problem(root / "toy")
     loaded = load_problem(problem)
-    budget = replace(loaded.budget, experiments=2, retests=0)
+    budget = replace(loaded.budget, experiments=2)
     agent = Scripted((hostile_source(marks, home),))
     ready = prepare(
         replace(loaded, budget=budget), agent.name, seed=0, runs=root / "runs", name="gift"

@@ -41,7 +41,7 @@ class Place:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("finished")
     loaded = load_problem(write_problem(root / "toy"))
-    loaded = replace(loaded, budget=replace(loaded.budget, experiments=1, retests=0))
+    loaded = replace(loaded, budget=replace(loaded.budget, experiments=1))
     agent = Scripted(())
     ready = prepare(loaded, agent.name, seed=0, runs=root / "runs", name="gift")
     search(ready, agent, lambda event, view: None, lambda view: None)

@@ -12,16 +12,14 @@ from asia.errors import CandidateError, InternalError, Reason, UserError
 from asia.interfaces.cli import main
 from asia.judge.evaluation import findings
 from asia.judge.scoring.checks.check import Verdict
-from asia.ledger.run import Run, error_of, open_run
-from asia.problem.load import load_problem
+from asia.ledger.run import error_of, open_run
 from asia.report import files
 from asia.report.files import write_report
 from asia.report.page.page import write_page
 from asia.report.page.sections import experiments
 from asia.search import final, loop
-from asia.search.run import prepare, search
 
-from .toy import Scripted, arx, write_problem
+from .toy import arx, search_toy
 
 VALIDATION = import_module("asia.analysis.validation")
 IN_A_FOLD = {
@@ -57,18 +55,6 @@ HEAD = "def simulate(self, past_u, past_y, u):\n"
 SHORT = f"{HEAD}        if u.shape[1] > 1000:\n            raise RuntimeError('too long')\n"
 
 
-def searched(folder: Path, source: str = "") -> Run:
-    problem = folder / "toy"
-    if not problem.is_dir():
-        write_problem(problem, experiments=2)
-        text = (problem / "problem.toml").read_text()
-        (problem / "problem.toml").write_text(text.replace("[budget]", "[budget]\nretests = 0"))
-    agent = Scripted((source or arx(2),))
-    ready = prepare(load_problem(problem), agent.name, seed=0, runs=folder / "runs")
-    search(ready, agent, lambda event, view: None, lambda view: None)
-    return open_run(ready.directory)
-
-
 def asia(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     monkeypatch.setattr("sys.argv", ["asia", *words])
     with pytest.raises(SystemExit) as raised:
@@ -84,7 +70,7 @@ def test_every_step_fails_and_the_search_ends_well(
         for function in names.values():
             monkeypatch.setattr(module, function, fail)
     monkeypatch.setattr(loop, "write_exports", fail)
-    run = searched(tmp_path)
+    run = open_run(search_toy(tmp_path, arx(2)))
     view = run.view
     assert view.complete
     assert view.best is not None
@@ -124,32 +110,29 @@ def test_every_step_fails_and_the_search_ends_well(
     assert "refit: check stack failed: ValueError" in page
 
 
-def test_a_failing_section_shows_its_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = searched(tmp_path)
+def test_a_failing_section_shows_its_line(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiments, "progress_figure", fail)
-    assert "check section" in write_page(run.directory).read_text()
+    assert "check section" in write_page(finished).read_text()
 
 
-@pytest.mark.parametrize("error", [RuntimeError("the metric is broken"), InternalError("a bug")])
 def test_a_score_that_raises_ends_the_search_and_status_says_so(
-    error: Exception,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def broken(*arguments: object, **options: object) -> None:
-        raise error
+    for error in (RuntimeError("the metric is broken"), InternalError("a bug")):
 
-    monkeypatch.setattr(findings, "score_fold", broken)
-    with pytest.raises(type(error), match=str(error)):
-        searched(tmp_path)
-    monkeypatch.undo()
-    assert asia(monkeypatch, "status", "--runs", str(tmp_path / "runs")) == 0
-    shown = capsys.readouterr().out
-    assert "interrupted: 0 of 2 experiments" in shown
-    name = "" if isinstance(error, InternalError) else "RuntimeError: "
-    assert f"error   {name}{error}" in shown
-    run = searched(tmp_path)
+        def broken(*arguments: object, error: Exception = error, **options: object) -> None:
+            raise error
+
+        with monkeypatch.context() as patch:
+            patch.setattr(findings, "score_fold", broken)
+            with pytest.raises(type(error), match=str(error)):
+                search_toy(tmp_path, arx(2))
+        assert asia(monkeypatch, "status", "--runs", str(tmp_path / "runs")) == 0
+        shown = capsys.readouterr().out
+        assert "interrupted: 0 of 2 experiments" in shown
+        name = "" if isinstance(error, InternalError) else "RuntimeError: "
+        assert f"error   {name}{error}" in shown
+    run = open_run(search_toy(tmp_path, arx(2)))
     assert run.view.complete
     assert error_of(run.directory) is None
 
@@ -169,8 +152,8 @@ def test_errors_raised_on_purpose_pass(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_model_that_fails_in_a_check_is_not_called_unstable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = searched(tmp_path, arx(2).replace(HEAD, SHORT))
-    checks = {c.name: c for c in validate(run.directory).checks}
+    directory = search_toy(tmp_path, arx(2).replace(HEAD, SHORT))
+    checks = {c.name: c for c in validate(directory).checks}
     assert checks["ten horizons"].verdict is Verdict.ABSENT
     assert checks["ten horizons"].sentence.startswith(
         "check ten horizons failed: the candidate raised an exception"
@@ -179,4 +162,4 @@ def test_a_model_that_fails_in_a_check_is_not_called_unstable(
 
     monkeypatch.setattr("asia.search.simulation.library_digest", lambda: "another")
     with pytest.raises(UserError, match="stored by another version of ASIA"):
-        validate(run.directory)
+        validate(directory)

@@ -205,6 +205,7 @@ def test_spoilt_candidates_tell_nothing(
     assert probing.exact(probing.bisect(leaking.ask, leaking.doubt)) < 0.85 * start
 
 
+@pytest.mark.slow
 def test_prompts_say_how_scores_are_told(
     laddered: tuple[SearchView, Path, list[AgentView]],
 ) -> None:

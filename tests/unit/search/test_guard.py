@@ -1,6 +1,7 @@
 """Guard records: seen by nothing in a search, looked at when it ends, and every look counted."""
 
 import pickle
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,16 +29,33 @@ AGENT = Scripted((arx(2), arx(3)))
 MARK = 7654.25
 
 
-@pytest.fixture
-def guarded(tmp_path: Path) -> Path:
+def guard(root: Path) -> Path:
     """The toy problem, with a guard record that holds a number like no other."""
-    problem = write_problem(tmp_path / "toy", experiments=2)
+    problem = write_problem(root / "toy", experiments=2)
     table = np.loadtxt(problem / "test.csv", delimiter=",", skiprows=1)
     table[-1] = MARK
     np.savetxt(problem / "unseen.csv", table, delimiter=",", header="u,y", comments="")
     name = problem / "problem.toml"
     name.write_text(name.read_text().replace("[data]\n", '[data]\nguard = ["unseen.csv"]\n'))
     return problem
+
+
+@pytest.fixture
+def guarded(tmp_path: Path) -> Path:
+    return guard(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SearchView]:
+    root = tmp_path_factory.mktemp("guarded")
+    return root, go(load_problem(guard(root)), root / "runs")
+
+
+@pytest.fixture
+def looked(once: tuple[Path, SearchView], tmp_path: Path) -> SearchView:
+    """A finished search, of which `tmp_path` has a copy beside its problem."""
+    shutil.copytree(once[0], tmp_path, dirs_exist_ok=True)
+    return once[1]
 
 
 def go(problem: Problem, runs: Path) -> SearchView:
@@ -51,10 +69,9 @@ def extended(problem: Path, experiments: int) -> Problem:
 
 
 @pytest.mark.slow
-def test_the_last_new_bests_are_looked_at_once(guarded: Path, tmp_path: Path) -> None:
-    view = go(load_problem(guarded), tmp_path / "runs")
-    assert view.complete
-    (look,) = view.looks
+def test_the_last_new_bests_are_looked_at_once(looked: SearchView, tmp_path: Path) -> None:
+    assert looked.complete
+    (look,) = looked.looks
     assert look.look == 1
     assert [s.experiment for s in look.scores] == [1, 2]
     values = [s.outcome.value for s in look.scores if isinstance(s.outcome, Score)]
@@ -62,14 +79,14 @@ def test_the_last_new_bests_are_looked_at_once(guarded: Path, tmp_path: Path) ->
     directory = tmp_path / "runs" / "toy-scripted-s0"
     verify(directory)
     size = (directory / "ledger.jsonl").stat().st_size
-    go(load_problem(guarded), tmp_path / "runs")
+    go(load_problem(tmp_path / "toy"), tmp_path / "runs")
     assert (directory / "ledger.jsonl").stat().st_size == size
 
 
 @pytest.mark.slow
-def test_a_second_look_is_counted(guarded: Path, tmp_path: Path) -> None:
-    go(load_problem(guarded), tmp_path / "runs")
-    view = go(extended(guarded, 3), tmp_path / "runs")
+@pytest.mark.usefixtures("looked")
+def test_a_second_look_is_counted(tmp_path: Path) -> None:
+    view = go(extended(tmp_path / "toy", 3), tmp_path / "runs")
     assert view.best is not None
     assert view.best.number == 3
     assert [look.look for look in view.looks] == [1, 2]
@@ -89,14 +106,13 @@ def test_a_search_that_ends_again_with_the_same_bests_learns_nothing(
 
 
 @pytest.mark.slow
-def test_a_look_that_was_cut_off_is_made_up_for(guarded: Path, tmp_path: Path) -> None:
-    first = go(load_problem(guarded), tmp_path / "runs")
+def test_a_look_that_was_cut_off_is_made_up_for(looked: SearchView, tmp_path: Path) -> None:
     ledger = tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl"
     lines = ledger.read_bytes().splitlines(keepends=True)
     assert b'"event":"guard"' in lines[-1]
     ledger.write_bytes(b"".join(lines[:-1]))
     assert not open_run(ledger.parent).view.complete
-    assert go(load_problem(guarded), tmp_path / "runs").looks == first.looks
+    assert go(load_problem(tmp_path / "toy"), tmp_path / "runs").looks == looked.looks
 
 
 @pytest.mark.slow
@@ -138,12 +154,12 @@ def test_nobody_gets_to_see_it(
 
 
 @pytest.mark.slow
-def test_a_guard_that_was_changed_is_not_looked_at(guarded: Path, tmp_path: Path) -> None:
-    go(load_problem(guarded), tmp_path / "runs")
-    text = (guarded / "unseen.csv").read_text().replace("7.654", "7.655")
-    (guarded / "unseen.csv").write_text(text)
+@pytest.mark.usefixtures("looked")
+def test_a_guard_that_was_changed_is_not_looked_at(tmp_path: Path) -> None:
+    unseen = tmp_path / "toy" / "unseen.csv"
+    unseen.write_text(unseen.read_text().replace("7.654", "7.655"))
     with pytest.raises(UserError, match="guard changed"):
-        go(extended(guarded, 3), tmp_path / "runs")
+        go(extended(tmp_path / "toy", 3), tmp_path / "runs")
 
 
 @pytest.mark.slow

@@ -26,6 +26,8 @@ from tests.unit.interfaces.cli.conftest import command_line
 
 from .toy import arx, write_problem
 
+pytestmark = pytest.mark.slow
+
 KEY = "sk-made-up-0123456789"
 CAP = 1_000_000
 EXPERIMENTS = 12
@@ -124,7 +126,6 @@ def test_the_search_ends_and_says_what_became_of_each(searched: Searched) -> Non
     verify(searched.run.directory)
 
 
-@pytest.mark.slow
 def test_it_spends_within_its_caps_and_every_attempt_is_recorded(searched: Searched) -> None:
     view = searched.run.view
     assert [e.status for e in view.exchanges if e.status != 200] == [503, 429]
@@ -221,7 +222,6 @@ def cut(searched: Searched, root: Path, experiment: int) -> tuple[Path, int]:
     return root, sum(isinstance(e, Exchanged) and e.status == 200 for e in events[place + 1 :])
 
 
-@pytest.mark.slow
 def test_a_resumed_search_pays_nothing_twice(searched: Searched, tmp_path: Path) -> None:
     runs, missing = cut(searched, tmp_path / "runs", 10)
     assert missing == 6
@@ -277,7 +277,6 @@ def test_a_replay_finds_what_was_changed(
     assert lines[-1].startswith(f"replayed {searched.run.name}: 4 of 14 agree bitwise")
 
 
-@pytest.mark.slow
 def test_from_scratch_says_how_far_apart(
     searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -85,7 +85,7 @@ def searched(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
         text = text.replace("[protocol]", '[protocol]\nkind = "windows"\nhorizon = 20')
     if request.param == "standardised":
         text += "[preprocess]\ndetrend = true\nscale = true\n"
-    (problem / "problem.toml").write_text(text.replace("[budget]", "[budget]\nretests = 0"))
+    (problem / "problem.toml").write_text(text)
     agent = Scripted((LINEAR,))
     ready = prepare(load_problem(problem), agent.name, seed=0, runs=folder / "runs")
     search(ready, agent, lambda event, view: None, lambda view: None)

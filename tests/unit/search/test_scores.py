@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-import asia
 from asia.errors import UserError
 from asia.judge.scoring.outcome import Score
 from asia.ledger.artifacts import Store
@@ -22,18 +21,13 @@ from asia.search.scores import ScoreCheck
 from asia.search.unsealing import unseal
 from tests.unit.interfaces.cli.conftest import command_line
 
-from .toy import CRASH, Scripted, arx, write_problem
-
 Forge = Callable[[Event, Store], Event]
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished run with a crash and a twin, beside its problem."""
-    root = tmp_path_factory.mktemp("scores")
-    agent = Scripted((arx(2), CRASH, arx(2)))
-    problem = write_problem(root / "toy")
-    return asia.run(problem, agent=agent, runs=root / "runs", experiments=4).directory
+def finished(finished_once: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = shutil.copytree(finished_once, tmp_path_factory.mktemp("scores") / "copy")
+    return root / "runs" / "toy-scripted-s0"
 
 
 @pytest.fixture(scope="module")

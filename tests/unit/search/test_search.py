@@ -27,7 +27,7 @@ from asia.search.unsealing import unseal
 
 from .toy import CRASH, NOISE, Scripted, arx, write_problem
 
-AGENT = Scripted((arx(2), CRASH, arx(3)))
+AGENT = Scripted((arx(2), CRASH, arx(2)))
 
 
 @pytest.fixture
@@ -51,15 +51,7 @@ def whole_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("asia.judge.evaluation.references.LINEAR", LINEAR)
-        go(write_problem(root / "toy"), root / "runs")
-    return root
-
-
-@pytest.fixture(scope="module")
-def short_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished search of 2 experiments beside its problem."""
-    root = tmp_path_factory.mktemp("short")
-    go(write_problem(root / "toy"), root / "runs", experiments=2)
+        go(write_problem(root / "toy", retests=2), root / "runs")
     return root
 
 
@@ -67,13 +59,6 @@ def short_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def whole(whole_once: Path, tmp_path: Path) -> Path:
     """The run directory of a copy in tmp_path, to change at will."""
     shutil.copytree(whole_once, tmp_path, dirs_exist_ok=True)
-    return tmp_path / "runs" / "toy-scripted-s0"
-
-
-@pytest.fixture
-def short(short_once: Path, tmp_path: Path) -> Path:
-    """As `whole`, with 2 experiments."""
-    shutil.copytree(short_once, tmp_path, dirs_exist_ok=True)
     return tmp_path / "runs" / "toy-scripted-s0"
 
 
@@ -87,9 +72,8 @@ def outcomes(view: SearchView) -> list[tuple[object, ...]]:
     ]
 
 
-def test_a_search_end_to_end(whole_once: Path) -> None:
-    directory = whole_once / "runs" / "toy-scripted-s0"
-    view = open_run(directory).view
+def test_a_search_end_to_end(finished: Path) -> None:
+    view = open_run(finished).view
     statuses = [e.result.status for e in view.finished if e.result]
     assert statuses[:3] == ["keep", "keep", "crash"]
     assert view.stopped is not None
@@ -111,9 +95,9 @@ def test_a_search_end_to_end(whole_once: Path) -> None:
     assert view.refitted.again is not None
     assert view.refitted.again.ratio == 1.0
     assert again_words(view) == ""
-    verify(directory)
-    assert (directory / "results.tsv").read_text().count("\n") == 5
-    assert open_run(directory).state == "finished"
+    verify(finished)
+    assert (finished / "results.tsv").read_text().count("\n") == 5
+    assert open_run(finished).state == "finished"
 
 
 @pytest.mark.slow
@@ -144,10 +128,10 @@ def test_resume_from_every_record(whole: Path, tmp_path: Path, every: int) -> No
 
 @pytest.mark.long
 def test_a_finished_search_returns_at_once_and_a_larger_budget_extends(
-    short: Path, whole_once: Path, tmp_path: Path
+    whole_once: Path, tmp_path: Path
 ) -> None:
-    problem, runs = tmp_path / "toy", tmp_path / "runs"
-    first = open_run(short).view
+    problem, runs = shutil.copytree(whole_once / "toy", tmp_path / "toy"), tmp_path / "runs"
+    first = go(problem, runs, experiments=2)
     assert go(problem, runs, experiments=2) == first
     more = go(problem, runs, experiments=4)
     assert [e.number for e in more.finished] == [1, 2, 3, 4]
@@ -156,13 +140,13 @@ def test_a_finished_search_returns_at_once_and_a_larger_budget_extends(
     assert outcomes(more) == outcomes(at_once)
 
 
-def test_other_settings_are_refused_and_nothing_is_touched(short: Path, tmp_path: Path) -> None:
-    problem, ledger = tmp_path / "toy", short / "ledger.jsonl"
+def test_other_settings_are_refused_and_nothing_is_touched(finished: Path, tmp_path: Path) -> None:
+    problem, ledger = tmp_path / "toy", finished / "ledger.jsonl"
     before = ledger.read_bytes()
     text = (problem / "problem.toml").read_text()
     (problem / "problem.toml").write_text(text.replace("past_inputs = 3", "past_inputs = 4"))
     with pytest.raises(UserError, match="past_inputs"):
-        go(problem, tmp_path / "runs", experiments=2)
+        go(problem, tmp_path / "runs")
     assert ledger.read_bytes() == before
 
 
@@ -260,18 +244,18 @@ def test_a_winner_that_runs_away_on_the_test_is_recorded(problem: Path, tmp_path
     verify(directory)
 
 
-def test_a_changed_lock_is_refused_by_resume_and_unseal(short: Path, tmp_path: Path) -> None:
-    problem, directory = tmp_path / "toy", short
+def test_a_changed_lock_is_refused_by_resume_and_unseal(finished: Path, tmp_path: Path) -> None:
+    problem, directory = tmp_path / "toy", finished
     lock = directory / "problem.lock.toml"
     text = lock.read_text()
     lock.write_text(text + "\n")
     with pytest.raises(UserError, match="changed after the search began"):
         unseal(directory, process_consent=True)
     with pytest.raises(UserError, match="changed after the search began"):
-        go(problem, tmp_path / "runs", experiments=2)
+        go(problem, tmp_path / "runs")
     lock.unlink()
     with pytest.raises(UserError, match="is missing"):
-        go(problem, tmp_path / "runs", experiments=2)
+        go(problem, tmp_path / "runs")
     with pytest.raises(UserError, match="is missing"):
         verify(directory)
 
@@ -321,7 +305,7 @@ def test_hours_must_be_positive(problem: Path, tmp_path: Path, hours: float) -> 
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.usefixtures("short")
+@pytest.mark.usefixtures("finished")
 def test_a_budget_cannot_shrink(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="can only grow"):
         go(tmp_path / "toy", tmp_path / "runs", experiments=1)
@@ -329,21 +313,21 @@ def test_a_budget_cannot_shrink(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_killed_refit_is_made_up_for_before_the_test_is_opened(
-    short: Path, tmp_path: Path
+    finished: Path, tmp_path: Path
 ) -> None:
-    problem, ledger = tmp_path / "toy", short / "ledger.jsonl"
+    problem, ledger = tmp_path / "toy", finished / "ledger.jsonl"
     lines = ledger.read_bytes().splitlines(keepends=True)
     ledger.write_bytes(b"".join(lines[:-1]))
     assert open_run(ledger.parent).state == "interrupted"
     with pytest.raises(UserError, match="not finished"):
         unseal(ledger.parent, process_consent=True)
-    go(problem, tmp_path / "runs", experiments=2)
+    go(problem, tmp_path / "runs")
     assert unseal(ledger.parent, process_consent=True).record.refit is not None
 
 
-def test_the_winner_simulates(short_once: Path) -> None:
-    directory = short_once / "runs" / "toy-scripted-s0"
-    table = np.loadtxt(short_once / "toy" / "train.csv", delimiter=",", skiprows=1)
+def test_the_winner_simulates(finished_once: Path) -> None:
+    directory = finished_once / "runs" / "toy-scripted-s0"
+    table = np.loadtxt(finished_once / "toy" / "train.csv", delimiter=",", skiprows=1)
     u, y = table[:, :1], table[:, 1:]
     for model in ("ensemble", "refit"):
         y_hat = simulate(directory, u[:3], y[:3], u[3:], model)
@@ -354,9 +338,9 @@ def test_the_winner_simulates(short_once: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["ensemble", "refit"])
-def test_the_winner_simulates_with_bands(short_once: Path, model: Use) -> None:
-    directory = short_once / "runs" / "toy-scripted-s0"
-    table = np.loadtxt(short_once / "toy" / "train.csv", delimiter=",", skiprows=1)
+def test_the_winner_simulates_with_bands(finished_once: Path, model: Use) -> None:
+    directory = finished_once / "runs" / "toy-scripted-s0"
+    table = np.loadtxt(finished_once / "toy" / "train.csv", delimiter=",", skiprows=1)
     u, y = table[:, :1], table[:, 1:]
     found = simulate(directory, u[:3], y[:3], u[3:], model, bands=0.9)
     assert np.array_equal(found.y_hat, simulate(directory, u[:3], y[:3], u[3:], model))

@@ -21,7 +21,7 @@ from asia.problem.load import load_problem
 from asia.search.run import prepare, search
 from tests.unit.ledger.conftest import finished_run
 
-from .toy import CRASH, Scripted, arx, write_problem
+from .toy import CRASH, Scripted, arx, search_toy, write_problem
 
 FULL = """
 import json, subprocess, sys
@@ -138,20 +138,17 @@ def test_a_read_only_directory_can_be_asked_and_not_searched(problem: Path, tmp_
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.slow
 def test_generated_files_that_a_kill_kept_from_being_written_are_made_up_for(
-    problem: Path, tmp_path: Path
+    finished: Path, tmp_path: Path
 ) -> None:
-    ready = prepare(load_problem(problem), AGENT.name, seed=0, runs=tmp_path / "runs")
-    search(ready, AGENT, lambda event, view: None, lambda view: None)
-    rows = (ready.directory / "results.tsv").read_text()
-    (ready.directory / "results.tsv").unlink()
-    (ready.directory / "search_journal.md").write_text("old")
-    half = ready.directory / "artifacts" / f".{'0' * 64}.1-1.new"
+    rows = (finished / "results.tsv").read_text()
+    (finished / "results.tsv").unlink()
+    (finished / "search_journal.md").write_text("old")
+    half = finished / "artifacts" / f".{'0' * 64}.1-1.new"
     half.write_bytes(b"half")
-    search(ready, AGENT, lambda event, view: None, lambda view: None)
-    assert (ready.directory / "results.tsv").read_text() == rows
-    assert "Experiment 4" in (ready.directory / "search_journal.md").read_text()
+    search_toy(tmp_path, arx(2), CRASH, arx(2))
+    assert (finished / "results.tsv").read_text() == rows
+    assert "Experiment 4" in (finished / "search_journal.md").read_text()
     assert not half.exists()
 
 

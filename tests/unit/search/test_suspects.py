@@ -1,5 +1,6 @@
 """Cheats that isolation cannot stop never become the incumbent."""
 
+import shutil
 import zlib
 from pathlib import Path
 
@@ -64,19 +65,36 @@ def problem(tmp_path: Path) -> Path:
     return write_problem(tmp_path / "toy", experiments=3)
 
 
-@pytest.mark.slow
-def test_a_table_of_answers_is_recorded_and_never_kept(problem: Path, tmp_path: Path) -> None:
+def cheated(root: Path) -> tuple[SearchView, Path]:
+    """A search with a cheat, an honest candidate and the same cheat in other words."""
+    problem = root / "toy"
+    if not problem.is_dir():
+        write_problem(problem)
     cheat = looking(problem)
-    view = go(problem, tmp_path / "runs", cheat, arx(2))
+    view = go(problem, root / "runs", cheat, arx(2), f'"""Honest."""\n# now really\n{cheat}')
+    return view, root / "runs" / "toy-scripted-s0"
+
+
+@pytest.fixture(scope="module")
+def once(tmp_path_factory: pytest.TempPathFactory) -> tuple[SearchView, Path]:
+    return cheated(tmp_path_factory.mktemp("cheated"))
+
+
+@pytest.mark.slow
+def test_a_table_of_answers_is_recorded_and_never_kept(once: tuple[SearchView, Path]) -> None:
+    view, directory = once
     failure = view.experiment(2).failure
     assert failure is not None
     assert failure.reason is Reason.SUSPECT
     assert "perturbation" in failure.detail
     assert "causal" in failure.advice
-    assert [e.result.status for e in view.finished if e.result] == ["keep", "invalid", "keep"]
+    results = [e.result for e in view.finished if e.result]
+    assert [r.status for r in results] == ["keep", "invalid", "keep", "invalid"]
     # What its training side shows is told as of any other.
-    assert [len(e.result.folds) for e in view.finished if e.result] == [2, 2, 2]
-    directory = tmp_path / "runs" / "toy-scripted-s0"
+    assert [len(r.folds) for r in results[:3]] == [2, 2, 2]
+    # In other words it is answered from the ledger.
+    assert results[3].duplicate_of == 2
+    assert results[3].outcome == failure
     verify(directory)
     assert "invalid" in (directory / "results.tsv").read_text()
     assert "the simulation jump" in (directory / "search_journal.md").read_text()
@@ -84,43 +102,31 @@ def test_a_table_of_answers_is_recorded_and_never_kept(problem: Path, tmp_path: 
 
 
 @pytest.mark.slow
-def test_killed_before_the_verdict_it_comes_to_the_same(problem: Path, tmp_path: Path) -> None:
-    cheat = looking(problem)
-    first = go(problem, tmp_path / "runs", cheat, arx(2))
-    ledger = tmp_path / "runs" / "toy-scripted-s0" / "ledger.jsonl"
+def test_killed_before_the_verdict_it_comes_to_the_same(
+    once: tuple[SearchView, Path], tmp_path: Path
+) -> None:
+    first, directory = once
+    shutil.copytree(directory.parents[1], tmp_path, dirs_exist_ok=True)
+    ledger = tmp_path / "runs" / directory.name / "ledger.jsonl"
     lines = ledger.read_bytes().splitlines(keepends=True)
-    (place,) = [i for i, line in enumerate(lines) if b'"reason":"suspect"' in line]
+    place = next(i for i, line in enumerate(lines) if b'"reason":"suspect"' in line)
     ledger.write_bytes(b"".join(lines[:place]))
-    again = go(problem, tmp_path / "runs", cheat, arx(2))
+    again, _ = cheated(tmp_path)
     assert [e.result.outcome for e in again.finished if e.result] == [
         e.result.outcome for e in first.finished if e.result
     ]
-    assert len(again.experiments) == 3
+    assert len(again.experiments) == 4
 
 
-@pytest.mark.slow
-def test_the_same_cheat_in_other_words_is_answered_from_the_ledger(
-    problem: Path, tmp_path: Path
-) -> None:
-    cheat = looking(problem)
-    view = go(problem, tmp_path / "runs", cheat, f'"""Honest."""\n# now really\n{cheat}')
-    result = view.experiment(3).result
-    assert result is not None
-    assert result.duplicate_of == 2
-    assert result.outcome == view.experiment(2).failure
-
-
-@pytest.mark.slow
 def test_a_record_in_the_source_starts_no_worker(
-    problem: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    finished_once: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    problem, directory = finished_once / "toy", finished_once / "runs" / "toy-scripted-s0"
     record = load_problem(problem).train[0]
     source = f"TABLE = {np.tile(record.y[:, 0], 8).tolist()}\n{arx(2)}"
-    go(problem, tmp_path / "runs")
     started: list[object] = []
     opener = workers_module.open_worker
     monkeypatch.setattr(workers_module, "open_worker", lambda *a: started.append(a) or opener(*a))
-    directory = tmp_path / "runs" / "toy-scripted-s0"
     judge = make_evaluator(load_problem(problem), open_run(directory).view)
     outcome = judge.evaluate(source).outcome
     assert getattr(outcome, "reason", None) is Reason.LITERAL_DATA

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,17 +33,37 @@ def keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "keys"
 
 
-@pytest.fixture
-def problem(tmp_path: Path, keys: Path) -> Path:
+def encrypted(root: Path) -> Path:
     """The toy, its test encrypted."""
-    toy = write_problem(tmp_path / "data")
+    toy = write_problem(root / "data")
     made = init_problem(
-        tmp_path / "toy", train=[toy / "train.csv"], test=[toy / "test.csv"], inputs=["u"],
+        root / "toy", train=[toy / "train.csv"], test=[toy / "test.csv"], inputs=["u"],
         outputs=["y"], sampling_time=0.5, seal=True,
     )  # fmt: skip
     assert made.removed == (toy / "test.csv",)
-    (tmp_path / "toy" / "baseline.py").write_text(arx(1))
-    return tmp_path / "toy"
+    (root / "toy" / "baseline.py").write_text(arx(1))
+    return root / "toy"
+
+
+@pytest.fixture
+def problem(tmp_path: Path, keys: Path) -> Path:
+    return encrypted(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def searched_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("encrypted")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ASIA_KEYS", str(root / "keys"))
+        go(encrypted(root))
+    return root
+
+
+@pytest.fixture
+def searched(searched_once: Path, tmp_path: Path, keys: Path) -> Path:
+    """Run directory of a copy of a finished search beside the problem and its key."""
+    shutil.copytree(searched_once, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "runs" / "toy-scripted-s0"
 
 
 def go(problem: Path, level: Isolation | None = None, experiments: int = 2) -> Path:
@@ -95,8 +116,8 @@ def test_the_digest_stands_before_experiment_1_and_the_key_is_not_needed(
 
 
 @pytest.mark.slow
-def test_a_run_that_does_not_verify_is_not_opened(problem: Path) -> None:
-    directory = go(problem)
+def test_a_run_that_does_not_verify_is_not_opened(searched: Path) -> None:
+    directory = searched
     view = open_run(directory).view
     assert view.best is not None
     assert view.best.result is not None
@@ -108,27 +129,31 @@ def test_a_run_that_does_not_verify_is_not_opened(problem: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_opening_is_on_record_before_its_result_and_ends_the_search(problem: Path) -> None:
-    directory = go(problem)
+def test_the_opening_is_on_record_before_its_result_and_ends_the_search(
+    searched: Path, tmp_path: Path
+) -> None:
+    directory = searched
     unseal(directory, process_consent=True)
     last = [line.event for line in read_lines(directory / "ledger.jsonl")][-2:]
     assert [type(event) for event in last] == [Unsealing, Unsealed]
     with pytest.raises(UserError, match="was unsealed"):
-        go(problem, experiments=3)
+        go(tmp_path / "toy", experiments=3)
     assert not unseal(directory).first_time
     assert len(list(read_lines(directory / "ledger.jsonl"))) == len(open_run(directory).lines)
     verify(directory)
 
 
 @pytest.mark.slow
-def test_a_kill_while_the_test_is_open_loses_nothing_and_opens_it_once(problem: Path) -> None:
-    directory = go(problem)
+def test_a_kill_while_the_test_is_open_loses_nothing_and_opens_it_once(
+    searched: Path, tmp_path: Path
+) -> None:
+    directory = searched
     result = unseal(directory, process_consent=True).record
     ledger = directory / "ledger.jsonl"
     lines = ledger.read_bytes().splitlines(keepends=True)
     ledger.write_bytes(b"".join(lines[:-1]))
     with pytest.raises(UserError, match="was unsealed"):
-        go(problem, experiments=3)
+        go(tmp_path / "toy", experiments=3)
     again = unseal(directory)
     assert again.record == result
     events = [line.event.event for line in read_lines(ledger)]
@@ -137,13 +162,12 @@ def test_a_kill_while_the_test_is_open_loses_nothing_and_opens_it_once(problem: 
 
 
 @pytest.mark.slow
-def test_no_test_value_lies_in_a_run_before_it_is_opened(problem: Path) -> None:
-    directory = go(problem)
+def test_no_test_value_lies_in_a_run_before_it_is_opened(searched: Path, tmp_path: Path) -> None:
     from asia.problem.seal import open_test
 
-    (record,) = open_test(load_problem(problem))
+    (record,) = open_test(load_problem(tmp_path / "toy"))
     shown = record.y[40:43].tobytes(), repr(float(record.y[40, 0])).encode()
-    for path in directory.rglob("*"):
+    for path in searched.rglob("*"):
         if path.is_file():
             data = path.read_bytes()
             assert not any(value in data for value in shown), path
@@ -166,10 +190,9 @@ def test_level_process_asks_for_consent_and_records_it(problem: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not STRONG, reason="this machine has level process only")
-def test_a_stronger_level_asks_for_none_and_records_none(problem: Path) -> None:
-    directory = go(problem)
-    assert unseal(directory, process_consent=True).first_time
-    unsealing = open_run(directory).view.unsealing
+def test_a_stronger_level_asks_for_none_and_records_none(searched: Path) -> None:
+    assert unseal(searched, process_consent=True).first_time
+    unsealing = open_run(searched).view.unsealing
     assert unsealing is not None
     assert not unsealing.process_consent
 

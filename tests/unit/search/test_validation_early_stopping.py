@@ -15,11 +15,10 @@ from asia.errors import UserError
 from asia.ledger.chain import read_lines
 from asia.ledger.events import Started, adapter
 from asia.ledger.exports import journal, results_table
-from asia.ledger.run import open_run
+from asia.ledger.run import Run, open_run
 from asia.ledger.verification import verify
 from asia.problem.load import load_problem
 from asia.search.run import prepare, with_early_stopping
-from asia.search.run import search as search_on
 
 from .toy import Scripted, arx, write_problem
 
@@ -67,12 +66,20 @@ def test_it_is_recorded_counted_and_marked(problem: Path, tmp_path: Path) -> Non
     assert text.count(" V = ") == 0
 
 
+@pytest.fixture(scope="module")
+def inner(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    root = tmp_path_factory.mktemp("inner")
+    return asia.run(
+        write_problem(root / "toy"), agent=AGENT, experiments=2, runs=root / "runs",
+        early_stopping="inner",
+    )  # fmt: skip
+
+
 @pytest.mark.slow
-def test_an_inner_search_keeps_its_name_and_its_words(problem: Path, tmp_path: Path) -> None:
-    run = asia.run(problem, agent=AGENT, experiments=2, runs=tmp_path, early_stopping="inner")
-    assert run.name == "toy-scripted-s0"
-    assert run.view.v_name == "V"
-    assert "alidation" not in journal(run.view) + results_table(run.view)
+def test_an_inner_search_keeps_its_name_and_its_words(inner: Run) -> None:
+    assert inner.name == "toy-scripted-s0"
+    assert inner.view.v_name == "V"
+    assert "alidation" not in journal(inner.view) + results_table(inner.view)
 
 
 @pytest.mark.long
@@ -89,21 +96,19 @@ def test_it_resumes_from_every_record(problem: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_one_run_holds_one_setting(problem: Path, tmp_path: Path) -> None:
-    first = load_problem(problem)
-    ready = prepare(first, AGENT.name, seed=0, runs=tmp_path / "runs", name="mine")
-    search_on(ready, AGENT, lambda event, view: None, lambda view: None)
+def test_one_run_holds_one_setting(inner: Run) -> None:
+    runs = inner.directory.parent
+    first = load_problem(runs.parent / "toy")
     other = with_early_stopping(first, "validation")
     with pytest.raises(UserError, match=r"protocol\.early_stopping was 'inner', is 'validation'"):
-        prepare(other, AGENT.name, seed=0, runs=tmp_path / "runs", name="mine")
+        prepare(other, AGENT.name, seed=0, runs=runs, name=inner.name)
     with pytest.raises(UserError, match="expected inner or validation"):
         with_early_stopping(first, "outer")
 
 
 @pytest.mark.slow
-def test_a_ledger_without_the_fields_is_of_an_inner_search(problem: Path, tmp_path: Path) -> None:
-    run = asia.run(problem, agent=AGENT, experiments=1, runs=tmp_path / "runs")
-    for line in read_lines(run.directory / "ledger.jsonl"):
+def test_a_ledger_without_the_fields_is_of_an_inner_search(inner: Run) -> None:
+    for line in read_lines(inner.directory / "ledger.jsonl"):
         body = adapter.dump_python(line.event, mode="json")
         body.pop("early_stopping", None)
         body.pop("validation_scores", None)
@@ -116,8 +121,15 @@ def test_a_ledger_without_the_fields_is_of_an_inner_search(problem: Path, tmp_pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level", ["process", "strongest"])
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    ("level", "how"),
+    [
+        ("process", signal.SIGINT),
+        ("strongest", signal.SIGKILL),
+        pytest.param("process", signal.SIGKILL, marks=pytest.mark.long),
+        pytest.param("strongest", signal.SIGINT, marks=pytest.mark.long),
+    ],
+)
 def test_both_workers_end_with_the_search(
     problem: Path, tmp_path: Path, level: str, how: signal.Signals
 ) -> None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from asia.agents import AgentView, Proposal
+from asia.problem.load import load_problem
+from asia.search.run import prepare, search
 
 ARX = """
 import numpy as np
@@ -76,7 +79,9 @@ class Scripted:
         return Proposal(self.sources[index], "scripted", f"number {index}", "scripted", "scripted")
 
 
-def write_problem(directory: Path, *, experiments: int = 4, test: bool = True) -> Path:
+def write_problem(
+    directory: Path, *, experiments: int = 4, test: bool = True, retests: int = 0
+) -> Path:
     """Second-order linear system with a little noise, as CSV files."""
     rng = np.random.default_rng(1)
     directory.mkdir(parents=True)
@@ -94,5 +99,18 @@ def write_problem(directory: Path, *, experiments: int = 4, test: bool = True) -
         f'[data]\ntrain = ["train.csv"]\n{sealed}\n'
         "[protocol]\npast_inputs = 3\npast_outputs = 3\n"
         f"[budget]\nexperiments = {experiments}\nfit_seconds = 20\n"
+        f"retests = {retests}\n"
     )
     return directory
+
+
+def search_toy(root: Path, *sources: str, **settings: Any) -> Path:
+    """Search the problem `toy` of a folder, which is made where it is missing, with the baseline
+    and these sources in its folder `runs`; return the run directory."""
+    problem = root / "toy"
+    if not problem.is_dir():
+        write_problem(problem, experiments=1 + len(sources))
+    agent = Scripted(sources)
+    ready = prepare(load_problem(problem), agent.name, seed=0, runs=root / "runs", **settings)
+    search(ready, agent, lambda event, view: None, lambda view: None)
+    return ready.directory

@@ -1,8 +1,6 @@
 import contextlib
-import fcntl
 import io
 import json
-import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -12,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from asia.interfaces.cli import main
+from tests.once import made_once
 from tests.unit.painting import painted, unpainted
 from tests.unit.search.toy import write_problem
 
@@ -80,19 +79,17 @@ def unpainted_pictures() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def searched_once(tmp_path_factory: pytest.TempPathFactory) -> Searched:
-    """One for all workers of a test run: the first that asks makes it, the others wait."""
-    mine = tmp_path_factory.getbasetemp()
-    root = (mine.parent if "PYTEST_XDIST_WORKER" in os.environ else mine) / "searched"
-    root.mkdir(exist_ok=True)
-    made = root / "printed.json"
-    with (root / "lock").open("wb") as one_at_a_time:
-        fcntl.flock(one_at_a_time, fcntl.LOCK_EX)
-        if not made.exists():
-            problem = write_problem(root / "toy")
-            words = ("--agent", "random", "--experiments", 1, "--runs", root / "runs", "--json")
-            with painted():
-                made.write_text(json.dumps(asdict(command_line("run", problem, *words))))
-    return Searched(Done(**json.loads(made.read_text())), root / "toy", root / "runs")
+
+    def make(root: Path) -> None:
+        problem = write_problem(root / "toy")
+        words = ("--agent", "random", "--experiments", 1, "--runs", root / "runs", "--json")
+        with painted():
+            done = command_line("run", problem, *words)
+        (root / "printed.json").write_text(json.dumps(asdict(done)))
+
+    root = made_once(tmp_path_factory, "searched", make)
+    printed = Done(**json.loads((root / "printed.json").read_text()))
+    return Searched(printed, root / "toy", root / "runs")
 
 
 @pytest.fixture

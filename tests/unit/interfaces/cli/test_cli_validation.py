@@ -9,6 +9,8 @@ from tests.unit.search.toy import arx, write_problem
 
 from .conftest import Asia, Searched, command_line
 
+pytestmark = pytest.mark.slow
+
 TOLD = arx(1).replace(
     "    return Model(weights)\n",
     "    if context.validation_score is not None:\n"
@@ -34,7 +36,6 @@ def words(problem: Path, runs: Path) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-@pytest.mark.slow
 def test_run_says_it_at_the_start_on_every_line_and_at_the_end(told: Searched) -> None:
     assert told.printed.code == 0, told.printed.err
     lines = told.printed.out.splitlines()
@@ -48,7 +49,6 @@ def test_run_says_it_at_the_start_on_every_line_and_at_the_end(told: Searched) -
     assert "not leak-free; 4 validation scores were given" in end
 
 
-@pytest.mark.slow
 def test_json_lines_say_it(told: Searched) -> None:
     again = command_line(*words(told.problem, told.runs), "--json")
     events = [json.loads(line) for line in again.out.splitlines()]

@@ -22,7 +22,7 @@ from tests.unit.search.toy import Scripted, arx, write_problem
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def searched(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A search in which #02 and #03, of second and third order, are far better than #01."""
     root = tmp_path_factory.mktemp("finished")
     problem = write_problem(root / "toy")
@@ -32,14 +32,14 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def proposed(finished: Path) -> dict[str, object]:
+def proposed(searched: Path) -> dict[str, object]:
     with painted():
         done = command_line(
-            "next", finished, "--duration", 30, "--limits", "u=-2..2", "--rate", "u=4", "--keep",
+            "next", searched, "--duration", 30, "--limits", "u=-2..2", "--rate", "u=4", "--keep",
             "y<4", "--keep", "y>-4", "--start", "u=0",
         )  # fmt: skip
     assert done.code == 0, done.err
-    return {"out": done.out, "folder": finished / "next"}
+    return {"out": done.out, "folder": searched / "next"}
 
 
 @pytest.mark.slow
@@ -82,8 +82,10 @@ def test_the_text_compares_with_records_of_equal_energy(proposed: dict[str, obje
         (("--duration", 30, "--limits", "u=5..6"), "give wider --limits"),
     ],
 )
-def test_wrong_options_are_named(finished: Path, words: tuple[object, ...], message: str) -> None:
-    done = command_line("next", finished, *words)
+def test_wrong_options_are_named(
+    finished_once: Path, words: tuple[object, ...], message: str
+) -> None:
+    done = command_line("next", finished_once / "runs" / "toy-scripted-s0", *words)
     assert done.code == 2
     assert message in done.err
 
@@ -108,8 +110,9 @@ def write_record(path: Path, gain: float = 1.0) -> Path:
     return path
 
 
-def test_leading_experiments_begin_with_the_best(finished: Path) -> None:
-    view = open_run(finished).view
+@pytest.mark.slow
+def test_leading_experiments_begin_with_the_best(searched: Path) -> None:
+    view = open_run(searched).view
     assert view.best is not None
     best, second = view.best.number, 5 - view.best.number
     # The baseline is of another family, so it comes before the second of the same one.
@@ -141,7 +144,7 @@ def test_the_copy_has_one_record_more_and_the_old_run_stays(finished: Path, tmp_
 
 @pytest.mark.slow
 def test_extend_begins_with_the_leading_candidate(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    searched: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.py").write_text(
@@ -149,13 +152,13 @@ def test_extend_begins_with_the_leading_candidate(
     )
     record = write_record(tmp_path / "new.csv")
     words = (
-        "extend", finished, record, "--agent", "own:Silent", "--experiments", 4, "--retests", 0,
+        "extend", searched, record, "--agent", "own:Silent", "--experiments", 4, "--retests", 0,
         "--out", tmp_path / "more", "--runs", tmp_path / "runs", "--name", "longer",
     )  # fmt: skip
     done = command_line(*words)
     assert done.code == 0, done.err
     assert re.search(r"before    the old model \(\w+ of #0[23]\) has V=0\.\d+ on new.csv", done.out)
-    old = open_run(finished).view
+    old = open_run(searched).view
     view = open_run(tmp_path / "runs" / "longer").view
     assert old.best is not None
     assert view.experiments[1].proposed.digest == old.best.proposed.digest

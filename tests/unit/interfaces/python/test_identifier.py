@@ -19,6 +19,8 @@ from asia.errors import UserError
 from asia.search.simulation import BandedSimulation
 from tests.unit.interfaces.cli.conftest import command_line
 
+pytestmark = pytest.mark.slow
+
 STEP = 0.5
 
 
@@ -55,7 +57,6 @@ def test_it_simulates_predicts_and_scores(fitted: asia.SystemIdentifier) -> None
     assert (banded.lower < banded.upper).all()
 
 
-@pytest.mark.slow
 def test_a_prediction_stands_at_its_sample_and_uses_nothing_later(
     fitted: asia.SystemIdentifier,
 ) -> None:
@@ -73,7 +74,6 @@ def test_a_prediction_stands_at_its_sample_and_uses_nothing_later(
     assert again[past + 6] == pytest.approx(found[past + 6], abs=1e-12)
 
 
-@pytest.mark.slow
 def test_the_same_records_and_settings_resume(fitted: asia.SystemIdentifier) -> None:
     again = asia.SystemIdentifier(**fitted.get_params())
     records = [a_record(1), a_record(2)]
@@ -126,7 +126,6 @@ def test_a_notebook_shows_value_model_and_picture(fitted: asia.SystemIdentifier)
     assert "def fit" in fitted.source_
 
 
-@pytest.mark.slow
 def test_the_model_is_exported(fitted: asia.SystemIdentifier, tmp_path: Path) -> None:
     (written,) = fitted.export("numpy", tmp_path)
     assert written.folder == tmp_path / "numpy"

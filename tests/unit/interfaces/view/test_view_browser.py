@@ -264,8 +264,15 @@ def test_overlays_zoom_by_keyboard_and_pointer(server: Server, watched: Watched)
     assert watched.complaints == []
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(
+    ("size", "scheme"),
+    [
+        ("wide", "light"),
+        ("phone", "dark"),
+        pytest.param("wide", "dark", marks=pytest.mark.long),
+        pytest.param("phone", "light", marks=pytest.mark.long),
+    ],
+)
 def test_pages_fit_the_screen_and_are_accessible(
     server: Server, browser: Browser, size: str, scheme: str
 ) -> None:

@@ -55,7 +55,7 @@ def go(root: Path, agent: Agent, parallel: int) -> tuple[SearchView, Path]:
     if not (root / "toy").is_dir():
         write_problem(root / "toy", experiments=8)
     problem = load_problem(root / "toy")
-    problem = replace(problem, budget=replace(problem.budget, retests=0, patience=99))
+    problem = replace(problem, budget=replace(problem.budget, patience=99))
     runs = root / f"runs{parallel}"
     ready = prepare(problem, agent.name, seed=0, runs=runs, parallel=parallel, legs=legs_of(agent))
     return search(ready, agent, lambda event, view: None, lambda view: None), ready.directory

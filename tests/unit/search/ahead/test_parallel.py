@@ -51,7 +51,6 @@ def problem(tmp_path: Path) -> Path:
 
 def prepared(problem: Path, runs: Path, parallel: int, **settings: bool) -> Prepared:
     loaded = load_problem(problem)
-    loaded = replace(loaded, budget=replace(loaded.budget, retests=0))
     return prepare(loaded, "scripted", seed=0, runs=runs, parallel=parallel, **settings)
 
 

@@ -84,7 +84,6 @@ def go(root: Path, *, stop_folds: bool, parallel: int = 1) -> tuple[SearchView, 
     if not (root / "toy").is_dir():
         write_problem(root / "toy", experiments=4)
     problem = load_problem(root / "toy")
-    problem = replace(problem, budget=replace(problem.budget, retests=0))
     runs = root / f"runs-{stop_folds}-{parallel}"
     ready = prepare(problem, "listed", seed=0, runs=runs, parallel=parallel, stop_folds=stop_folds)
     executor = make_executor("local:1")
@@ -134,7 +133,6 @@ def test_a_ledger_without_it_has_no_trace_of_it(tmp_path: Path) -> None:
 def test_a_run_goes_on_with_what_it_began_with(tmp_path: Path) -> None:
     _, directory = go(tmp_path, stop_folds=False)
     problem = load_problem(tmp_path / "toy")
-    problem = replace(problem, budget=replace(problem.budget, retests=0))
     again = prepare(problem, "listed", seed=0, runs=directory.parent, stop_folds=True)
     with pytest.raises(UserError, match="--stop-folds off, not on"):
         search(again, Listed(), lambda event, view: None, lambda view: None)
@@ -206,7 +204,6 @@ class Two:
 @pytest.mark.parametrize("parallel", [1, 2])
 def test_a_fold_that_runs_is_ended_and_said(parallel: int, tmp_path: Path) -> None:
     problem = load_problem(write_problem(tmp_path / "toy", experiments=3))
-    problem = replace(problem, budget=replace(problem.budget, retests=0))
     first = make_folds(problem.train, problem.protocol)[0].train[0].u[0, 0]
     agent = Two((arx(2), FAR_AND_LONG.replace("{first}", repr(float(first)))))
     ready = prepare(

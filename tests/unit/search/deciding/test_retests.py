@@ -163,7 +163,7 @@ def test_the_threshold_is_told_once_it_is_known() -> None:
 @pytest.mark.long
 def test_a_search_among_equals_keeps_the_baseline_and_replays(tmp_path: Path) -> None:
     """Candidates that differ in luck alone, in a real search: a lower V is not kept."""
-    problem = write_problem(tmp_path / "toy")
+    problem = write_problem(tmp_path / "toy", retests=2)
     (problem / "baseline.py").write_text(LUCKY.replace("{number}", "0"))
     agent = Scripted(tuple(LUCKY.replace("{number}", str(n)) for n in (1, 2, 3)))
     run = asia.run(problem, agent=agent, runs=tmp_path / "runs", experiments=4)
@@ -177,7 +177,7 @@ def test_a_search_among_equals_keeps_the_baseline_and_replays(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_deterministic_search_repeats_each_new_best_once(tmp_path: Path) -> None:
-    problem = write_problem(tmp_path / "toy")
+    problem = write_problem(tmp_path / "toy", retests=2)
     run = asia.run(problem, agent=Scripted((arx(2),)), runs=tmp_path / "runs", experiments=2)
     again = [e.result.retests for e in run.view.finished if e.result]
     assert [[r.same for r in retests] for retests in again] == [[True], [True]]

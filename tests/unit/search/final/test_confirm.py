@@ -166,11 +166,11 @@ def test_a_seed_that_fails_is_counted_and_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut", [1, 2])
-def test_an_unfinished_search_is_refused(run: Path, cut: int) -> None:
-    ledger = run / "ledger.jsonl"
+def test_an_unfinished_search_is_refused(finished: Path, cut: int) -> None:
+    ledger = finished / "ledger.jsonl"
     ledger.write_bytes(b"".join(ledger.read_bytes().splitlines(keepends=True)[:-cut]))
     with pytest.raises(UserError, match="not finished"):
-        confirm(run, quietly)
+        confirm(finished, quietly)
 
 
 @pytest.mark.slow
@@ -189,8 +189,8 @@ def test_ladder_feedback_and_a_search_without_scores_are_refused(tmp_path: Path,
         confirm(run, quietly)
 
 
-def test_the_last_event_is_the_confirmation(run: Path) -> None:
-    found, _ = confirm(run, quietly, top=1, seeds=1)
-    last = open_run(run).lines[-1].event
+def test_the_last_event_is_the_confirmation(finished: Path) -> None:
+    found, _ = confirm(finished, quietly, top=1, seeds=1)
+    last = open_run(finished).lines[-1].event
     assert isinstance(last, Confirmed)
     assert last == found

@@ -75,7 +75,7 @@ def write_twins(directory: Path, *, integrator: bool = False) -> Path:
     (directory / "problem.toml").write_text(
         'name = "twins"\nsampling_time = 0.5\ninputs = ["u1", "u2"]\noutputs = ["y"]\n'
         '[data]\ntrain = ["train.csv"]\n[protocol]\npast_inputs = 3\npast_outputs = 3\n'
-        "[budget]\nexperiments = 3\nfit_seconds = 20\n"
+        "[budget]\nexperiments = 3\nfit_seconds = 20\nretests = 0\n"
     )
     return directory
 

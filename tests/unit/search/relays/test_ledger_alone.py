@@ -6,26 +6,22 @@ from pathlib import Path
 
 import pytest
 
-import asia
 from asia.errors import UserError
-from asia.ledger.run import Run
+from asia.ledger.run import Run, open_run
 from asia.ledger.verification import verify
 from asia.search.replay import replay_run
 from tests.unit.interfaces.cli.conftest import command_line
-from tests.unit.search.toy import CRASH, Scripted, arx, write_problem
 
 RUNS = Path(os.environ.get("ASIA_DATA_DIR", "")) / "runs"
 NANODRONE = "nanodrone-workspace"
 
 
 @pytest.fixture(scope="module")
-def bare(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    root = tmp_path_factory.mktemp("bare")
-    problem = write_problem(root / "toy")
-    run = asia.run(problem, agent=Scripted((arx(2), CRASH)), runs=root / "runs", experiments=3)
-    shutil.rmtree(run.directory / "artifacts")
-    shutil.rmtree(problem)
-    return run
+def bare(finished_once: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    runs = shutil.copytree(finished_once / "runs", tmp_path_factory.mktemp("bare") / "runs")
+    (directory,) = runs.iterdir()
+    shutil.rmtree(directory / "artifacts")
+    return open_run(directory)
 
 
 @pytest.mark.slow

@@ -147,6 +147,7 @@ def test_each_agent_has_its_turn_and_the_ledger_says_so(searched: Searched) -> N
     verify(searched.run.directory)
 
 
+@pytest.mark.slow
 def test_the_estimator_uses_the_record_of_others_and_says_what_it_cannot(
     searched: Searched,
 ) -> None:
@@ -156,6 +157,7 @@ def test_the_estimator_uses_the_record_of_others_and_says_what_it_cannot(
     assert "#06" not in searched.run.view.experiment(7).proposed.hypothesis
 
 
+@pytest.mark.slow
 def test_results_name_the_agents(searched: Searched) -> None:
     table = (searched.run.directory / "results.tsv").read_text().splitlines()
     column = table[0].split("\t").index("agent")
@@ -186,6 +188,7 @@ def test_killed_at_a_hand_over_it_goes_on_as_it_would_have(
     assert handed_over(again) == handed_over(searched.run)
 
 
+@pytest.mark.slow
 def test_a_replay_asks_every_agent_again(searched: Searched) -> None:
     report = replay_run(searched.run.directory, lambda item: None)
     items = {item.name: item for item in report.items if not item.name.startswith("reference")}
@@ -198,6 +201,7 @@ def test_a_replay_asks_every_agent_again(searched: Searched) -> None:
     assert [agent and agent.name for agent in agents] == ["expert", "random", "bayes", "llm"]
 
 
+@pytest.mark.slow
 def test_a_larger_budget_goes_to_the_last_leg(searched: Searched, tmp_path: Path) -> None:
     shutil.copytree(searched.run.directory, tmp_path / searched.run.name)
     searched.server.answers.insert(0, said(arx(5), family="arx"))
@@ -288,6 +292,7 @@ def test_legs_that_do_not_fit_are_refused_before_anything_is_written(tmp_path: P
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 def test_another_relay_is_another_search(searched: Searched) -> None:
     other = RelayAgent(
         [make_runner(make_agent("expert"), 3), make_runner(make_agent("bayes"), None)]

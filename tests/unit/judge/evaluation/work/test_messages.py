@@ -200,7 +200,7 @@ def test_validation_early_stopping_stays_here(problem: Problem) -> None:
 
 @pytest.mark.long
 def test_a_search_names_machine_and_level_of_each_fold(problem: Problem, tmp_path: Path) -> None:
-    short = replace(problem, budget=replace(problem.budget, experiments=2, retests=0))
+    short = replace(problem, budget=replace(problem.budget, experiments=2))
     ready = prepare(short, "scripted", seed=0, runs=tmp_path)
     search(ready, Scripted((arx(2),)), lambda event, view: None, lambda view: None, Loopback())
     result = open_run(ready.directory).view.experiment(2).result
