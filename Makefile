@@ -10,6 +10,9 @@ RUNS ?= runs
 WORKERS ?= $(shell echo $$((2 * $$(getconf _NPROCESSORS_ONLN))))
 PYTEST := $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations 15
 
+# pytest keeps what it compiles of the tests: eight seconds for each worker.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test test-all test-long lint docs tutorial picture format clean
 
 .venv/ready: pyproject.toml

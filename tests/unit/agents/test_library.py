@@ -35,10 +35,14 @@ PROBLEMS = {
     "body": body(),
     "validation": replace(windows(), early_stopping="validation"),
 }
+SOME = [
+    pytest.param(known, id=name, marks=[] if name in ("physics", "body") else pytest.mark.long)
+    for name, known in PROBLEMS.items()
+]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
+@pytest.mark.parametrize("known", SOME)
 @pytest.mark.parametrize("row", all_families(), ids=lambda row: row.name)
 def test_recipes_of_a_row_are_accepted(row: Family, known: Facts) -> None:
     if not row.suits(known):
@@ -88,7 +92,7 @@ def test_a_row_varies_settings_that_exist(row: Family) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("known", PROBLEMS.values(), ids=PROBLEMS)
+@pytest.mark.parametrize("known", SOME)
 def test_proposals_of_the_expert_are_accepted(known: Facts) -> None:
     for done in search(ExpertAgent, known, 60):
         check_recipe(recipe_of(done))

@@ -51,11 +51,12 @@ def fitted(maps: static_maps.Config, training: list[Trajectory]) -> static_maps.
     ("maps", "f", "g", "gain"),
     [
         (static_maps.Config(input_map="saturation"), lambda u: np.clip(u, -6, 9), same, 20),
-        (
+        pytest.param(
             static_maps.Config(input_map="dead_zone"),
             lambda u: np.sign(u) * np.maximum(abs(u) - 5, 0),
             same,
             10,
+            marks=pytest.mark.long,
         ),
         pytest.param(
             static_maps.Config(input_map="odd"),
@@ -149,7 +150,9 @@ def test_another_family_is_fitted_to_the_mapped_records() -> None:
     assert 5 * errors[1] < errors[0]
 
 
-@pytest.mark.parametrize("name", ["linear", "greybox", "narx"])
+@pytest.mark.parametrize(
+    "name", ["linear", "greybox", pytest.param("narx", marks=pytest.mark.long)]
+)
 def test_a_mapped_recipe_conforms(name: str) -> None:
     """Equal after storage, in a fresh worker, and in a second fit."""
     row = next(row for row in all_families() if row.name == name)

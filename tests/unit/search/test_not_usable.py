@@ -89,7 +89,12 @@ def judged(directory: Path, u: np.ndarray, y: np.ndarray) -> Usability:
 @pytest.mark.parametrize(
     ("records", "kind", "cause"),
     [
-        (noise, "not usable", "no input and no squared input has a significant effect"),
+        pytest.param(
+            noise,
+            "not usable",
+            "no input and no squared input has a significant effect",
+            marks=pytest.mark.long,
+        ),
         (input_without_effect, "not usable", "no input and no squared input has a significant"),
         (unstable_plant, "not usable", "Input u follows earlier outputs, and the plant between"),
         (integrator, "doubtful", "Input u follows earlier outputs: in closed loop"),

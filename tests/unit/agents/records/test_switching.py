@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
@@ -21,12 +23,12 @@ from tests.unit.models.systems.friction import (
     yielding,
 )
 
-CASES: dict[str, tuple[Cause, Trajectory]] = {
-    "stick-slip": ("displacement", record(sliding, 2, 100)),
-    "velocity": ("velocity", record(sticking, 1, 100)),
-    "presliding": ("displacement", record(bristle, 3, 100)),
-    "Bouc-Wen": ("displacement", record(yielding, 3, 100)),
-    "play": ("input", backlash(100)),
+CASES: dict[str, tuple[Cause, Callable[[], Trajectory]]] = {
+    "stick-slip": ("displacement", cache(lambda: record(sliding, 2, 100))),
+    "velocity": ("velocity", cache(lambda: record(sticking, 1, 100))),
+    "presliding": ("displacement", cache(lambda: record(bristle, 3, 100))),
+    "Bouc-Wen": ("displacement", cache(lambda: record(yielding, 3, 100))),
+    "play": ("input", cache(lambda: backlash(100))),
 }
 
 
@@ -36,7 +38,7 @@ def of_records(*records: Trajectory):
 
 @pytest.mark.parametrize("case", CASES)
 def test_switching_is_detected_in_the_record(case: str) -> None:
-    cause, found = CASES[case][0], of_records(CASES[case][1])
+    cause, found = CASES[case][0], of_records(CASES[case][1]())
     assert found.found
     assert (found.cause, found.signal) == (cause, 0)
 
@@ -57,7 +59,7 @@ def test_records_too_short_to_tell_say_nothing() -> None:
 def test_the_expert_gives_a_black_box_the_element_that_the_record_asks_for(
     case: str, setting: str
 ) -> None:
-    known = replace(simulation(physics=False), records=(CASES[case][1],))
+    known = replace(simulation(physics=False), records=(CASES[case][1](),))
     trials: tuple[Trial, ...] = ()
     for number in range(1, 16):
         proposal = ExpertAgent().propose(view(known, trials, "explore"))

@@ -14,7 +14,11 @@ READ = (12, 2, 24, 27, 49, 57)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "number",
-    [*REFUSED, READ[0], *(pytest.param(one, marks=pytest.mark.long) for one in READ[1:])],
+    [
+        *REFUSED[:2],
+        READ[0],
+        *(pytest.param(one, marks=pytest.mark.long) for one in (*REFUSED[2:], *READ[1:])),
+    ],
 )
 def test_an_ugly_record_is_read_or_refused_in_a_sentence(tmp_path: Path, number: int) -> None:
     script: dict[str, Any] = runpy.run_path(str(SCRIPT))

@@ -47,7 +47,6 @@ def place(served: tuple[Place, str]) -> Place:
     return served[0]
 
 
-@pytest.mark.slow
 def test_a_submission_is_judged_and_found_by_its_ticket(served: tuple[Place, str]) -> None:
     place, ticket = served
     assert place.desk.submission(ticket) == Submission(ticket, "done", experiment=2)

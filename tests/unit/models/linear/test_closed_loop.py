@@ -59,7 +59,8 @@ def plant_error(model: linear.LinearStateSpace, pole: float) -> float:
 def fitted(
     record: Trajectory, loop: LoopMethod | None, context: Context = CONTEXT
 ) -> linear.LinearStateSpace:
-    model = linear.train(linear.build(linear.Config(loop=loop), context), [record], context)
+    config = linear.Config(loop=loop, order=2)
+    model = linear.train(linear.build(config, context), [record], context)
     if loop == "direct":
         # A predictor cannot tell a plant without delay from a controller that answers at once.
         assert model.fitted is not None
@@ -82,9 +83,9 @@ def test_feedback_of_noise_biases_the_open_loop_fit_only() -> None:
     [
         (1.0, "direct"),
         (1.0, "two_stage"),
-        (1.05, "controller"),
+        (1.05, "direct"),
+        pytest.param(1.05, "controller", marks=pytest.mark.long),
         pytest.param(1.0, "controller", marks=pytest.mark.long),
-        pytest.param(1.05, "direct", marks=pytest.mark.long),
         pytest.param(1.05, "two_stage", marks=pytest.mark.long),
     ],
 )
@@ -122,11 +123,11 @@ def test_a_reference_that_enters_at_the_plant() -> None:
 @pytest.mark.slow
 def test_a_delay_is_found_and_lies_in_the_loop() -> None:
     rng = np.random.default_rng(0)
-    r = np.repeat(rng.choice([-1.0, 1.0], 150), 10)
-    noise = 0.2 * rng.standard_normal(1500)
+    r = np.repeat(rng.choice([-1.0, 1.0], 80), 10)
+    noise = 0.2 * rng.standard_normal(800)
     control = 0.3
-    u, y, x = np.zeros(1500), np.zeros(1500), 0.0
-    for k in range(1500):
+    u, y, x = np.zeros(800), np.zeros(800), 0.0
+    for k in range(800):
         y[k] = x + noise[k]
         u[k] = control * (r[k] - y[k])
         x = 0.9 * x + 0.5 * (u[k - 3] if k >= 3 else 0.0)

@@ -38,8 +38,8 @@ def fitted(
     "options",
     [
         {"nonlinearity": "state"},
-        {"nonlinearity": "output"},
-        {"nonlinearity": "both", "hidden": 5},
+        pytest.param({"nonlinearity": "output"}, marks=pytest.mark.long),
+        pytest.param({"nonlinearity": "both", "hidden": 5}, marks=pytest.mark.long),
         {"nonlinearity": "output", "basis": "polynomial", "degree": 5},
     ],
 )

@@ -167,8 +167,15 @@ def test_results_name_the_agents(searched: Searched) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("after", [False, True])
-@pytest.mark.parametrize("leg", [2, 3, 4])
+@pytest.mark.parametrize(
+    ("leg", "after"),
+    [
+        (2, False),
+        (3, True),
+        (4, False),
+        *(pytest.param(*one, marks=pytest.mark.long) for one in ((2, True), (3, False), (4, True))),
+    ],
+)
 def test_killed_at_a_hand_over_it_goes_on_as_it_would_have(
     searched: Searched, tmp_path: Path, leg: int, after: bool
 ) -> None:
