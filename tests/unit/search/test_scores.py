@@ -21,13 +21,15 @@ from asia.search.scores import ScoreCheck
 from asia.search.unsealing import unseal
 from tests.unit.interfaces.cli.conftest import command_line
 
+from .toy import CRASH, arx, search_toy
+
 Forge = Callable[[Event, Store], Event]
 
 
 @pytest.fixture(scope="module")
-def finished(finished_once: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = shutil.copytree(finished_once, tmp_path_factory.mktemp("scores") / "copy")
-    return root / "runs" / "toy-scripted-s0"
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run with a crash and a twin, beside its problem, which a test changes."""
+    return search_toy(tmp_path_factory.mktemp("scores"), arx(2), CRASH, arx(2))
 
 
 @pytest.fixture(scope="module")
