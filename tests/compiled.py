@@ -9,10 +9,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import jax
-import pytest
-
-from asia.judge.sandbox import programs
-from tests.quick.kept_programs import FOLDER, keep_programs
 
 CHEAP = "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
 _WEEK = 7 * 24 * 3600.0
@@ -24,33 +20,13 @@ def compile_cheaply() -> None:
     os.environ["XLA_FLAGS"] = f"{CHEAP} {os.environ.get('XLA_FLAGS', '')}".strip()
 
 
-def _forget_old(folder: Path) -> None:
-    """Make a folder, or drop its programs of earlier weeks."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for program in folder.iterdir():
-        with suppress(FileNotFoundError):  # another process may have dropped it
-            if time.time() - program.stat().st_mtime > _WEEK:
-                program.unlink()
-
-
-@contextmanager
-def kept_by_workers(folder: Path) -> Iterator[None]:
-    """Programs that workers of the sandbox compile are taken from a folder and put there, by this
-    process and those that it starts."""
-    _forget_old(folder)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(FOLDER, str(folder))
-        keep_programs(programs)
-        yield
-
-
 @contextmanager
 def kept(shared: Path) -> Iterator[None]:
     """Compiled programs are taken from the folder `shared`, and new ones are put there at the end.
 
     JAX writes its files in place, so each process has a folder of its own in the meantime.
     """
-    _forget_old(shared)
+    shared.mkdir(parents=True, exist_ok=True)
     for left in shared.parent.glob(f"{shared.name}-*"):  # by a run that was killed
         with suppress(FileNotFoundError):
             if time.time() - left.stat().st_mtime > _WEEK:
@@ -58,8 +34,11 @@ def kept(shared: Path) -> Iterator[None]:
     with TemporaryDirectory(prefix=f"{shared.name}-", dir=shared.parent) as name:
         own = Path(name)
         for program in shared.iterdir():
-            with suppress(FileNotFoundError):
-                shutil.copyfile(program, own / program.name)
+            with suppress(FileNotFoundError):  # another process may have dropped it
+                if time.time() - program.stat().st_mtime < _WEEK:
+                    shutil.copyfile(program, own / program.name)
+                else:
+                    program.unlink()
         given = set(os.listdir(own))
         jax.config.update("jax_compilation_cache_dir", name)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

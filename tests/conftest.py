@@ -10,7 +10,7 @@ from zlib import crc32
 import pytest
 
 from asia.judge.evaluation.references import LINEAR
-from tests.compiled import compile_cheaply, kept, kept_by_workers
+from tests.compiled import compile_cheaply, kept
 from tests.once import made_once
 from tests.unit.search.toy import CRASH, arx, search_toy
 
@@ -97,6 +97,5 @@ def real_linear_reference(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session", autouse=True)
 def compiled_once(pytestconfig: pytest.Config) -> Iterator[None]:
     """A program that an earlier test or an earlier run compiled is not compiled again."""
-    build = pytestconfig.rootpath / "build"
-    with kept(build / "compiled"), kept_by_workers(build / "programs"):
+    with kept(pytestconfig.rootpath / "build" / "compiled"):
         yield

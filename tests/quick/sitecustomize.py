@@ -1,6 +1,5 @@
 """Settings of tests/conftest.py and tests/unit/painting.py for the processes that tests start:
-the quick linear reference, compiled programs that are kept, and pictures that are drawn but not
-painted.
+the quick linear reference, and pictures that are drawn but not painted.
 
 Python imports this module where PYTHONPATH names its folder. Workers of the sandbox have an
 environment of their own and do not.
@@ -14,8 +13,6 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
-
-from kept_programs import keep_programs
 
 
 def quick_reference(search: ModuleType) -> None:
@@ -41,7 +38,6 @@ def unpainted(figure: ModuleType) -> None:
 
 CHANGES: dict[str, Callable[[ModuleType], None]] = {
     "asia.search.run": quick_reference,
-    "asia.judge.sandbox.programs": keep_programs,
     "matplotlib.figure": unpainted,
 }
 
