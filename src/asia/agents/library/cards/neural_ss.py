@@ -4,9 +4,9 @@ from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (
     LM,
+    drifting_setting,
     from_pieces,
     integrator_moves,
-    integrator_setting,
     noise_space,
     slow_noise,
     symmetry_space,
@@ -32,9 +32,10 @@ def _start(facts: Facts) -> Recipe:
         ("ridge", 1e-5),
         ("delay", None),
         *past,
-        *integrator_setting(facts),
+        *drifting_setting(facts),
     )
-    return Recipe("neural_ss", config, LM, (("iterations", 60), ("starts", 2)))
+    # Resonant and drifting outputs ask for the same fit.
+    return Recipe("neural_ss", tuple(dict(config).items()), LM, (("iterations", 60), ("starts", 2)))
 
 
 def _scheduled(facts: Facts) -> bool:
