@@ -120,13 +120,6 @@ def integrator_setting(facts: Facts) -> Arguments:
     return (("integrators", found),) if found else ()
 
 
-def drifting_setting(facts: Facts) -> Arguments:
-    """Return the settings of a state-space model where outputs integrate: free integrators, and a
-    fit that begins with segments, since over a whole record every error of a rate adds up."""
-    found = integrator_setting(facts)
-    return (*found, ("pieces", True)) if found else ()
-
-
 def integrator_moves() -> tuple[Move, ...]:
     """One integrator more, and none."""
     return (

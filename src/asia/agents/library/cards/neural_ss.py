@@ -4,9 +4,9 @@ from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (
     LM,
-    drifting_setting,
     from_pieces,
     integrator_moves,
+    integrator_setting,
     noise_space,
     slow_noise,
     symmetry_space,
@@ -27,15 +27,17 @@ def _start(facts: Facts) -> Recipe:
         functions = ("nonlinearity", "state"), ("basis", "scheduling"), ("degree", 2)
     elif "resonant" in traits(facts):
         functions = ("nonlinearity", "modal"), ("pieces", True)
+    elif "integrating" in traits(facts):
+        # Over a whole record every error of a rate adds up.
+        functions = *functions, ("pieces", True)
     config: Arguments = (
         *functions,
         ("ridge", 1e-5),
         ("delay", None),
         *past,
-        *drifting_setting(facts),
+        *integrator_setting(facts),
     )
-    # Resonant and drifting outputs ask for the same fit.
-    return Recipe("neural_ss", tuple(dict(config).items()), LM, (("iterations", 60), ("starts", 2)))
+    return Recipe("neural_ss", config, LM, (("iterations", 60), ("starts", 2)))
 
 
 def _scheduled(facts: Facts) -> bool:

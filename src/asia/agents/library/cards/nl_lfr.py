@@ -4,9 +4,9 @@ from asia.agents.library.equation_moves import RIDGE_MOVES
 from asia.agents.library.family import Family, Timing
 from asia.agents.library.methods import (
     LM,
-    drifting_setting,
     from_pieces,
     integrator_moves,
+    integrator_setting,
     noise_space,
     slow_noise,
 )
@@ -25,7 +25,7 @@ def _nl_lfr(facts: Facts) -> Recipe:
         ("hidden", 12),
         ("ridge", 1e-6),
         ("delay", None),
-        *drifting_setting(facts),
+        *integrator_setting(facts),
     )
     return Recipe("nl_lfr", config, LM, (("iterations", 60), ("starts", 2)))
 
