@@ -120,7 +120,7 @@ def _in_process(context: Context) -> Ask:
 
 
 def _failure(control: Control, error: CandidateError) -> UserError:
-    last = error.detail.strip().rpartition("\n")[2]
+    last = error.detail.strip().rpartition("\n")[2].rpartition("SimulatorError: ")[2]
     return UserError(f"[plant] {control.plant.label} failed: {last or error.reason.advice}")
 
 
