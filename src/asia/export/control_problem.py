@@ -35,10 +35,10 @@ _SPREAD, _ROOM = 1.5, 0.7
 _SETTLING, _HOLD, _LENGTH = (12, 120), 2.5, 8.0
 _DISTURBANCE = (5.0, 95.0)
 _HEADER = """\
-# Written by asia init from run {run}. plant.py holds {count} of its models; each scenario draws one.
-# Limits and start of the inputs are range and mean of the records. Set points are a range that the
-# linear model reaches with {room:.0%} of the inputs. Noise is that of the residuals. Change what
-# your plant and your task say otherwise.
+# Written by asia init from run {run}.
+# plant.py holds {count} of its models; each scenario draws one. Limits and start of the inputs are
+# range and mean of the records. Set points are a range that the linear model reaches with
+# {room:.0%} of the inputs. Noise is that of the residuals. Change what is not so.
 """
 _PLANT = '''"""Plant: models of run {run}, in open loop.
 
@@ -114,7 +114,11 @@ def control_problem_of_run(
     opened = open_run(run)
     problem = load_lock(opened.directory / LOCK)
     if problem.channels.time_step is not None:
-        raise UserError(f"run '{opened.name}' has irregular samples: a control loop needs even ones")
+        raise UserError(
+            f"run '{opened.name}' has irregular samples: a control loop needs even ones"
+        )
+    if problem.control is not None:
+        raise UserError(f"run '{opened.name}' searched for a controller: name a run of its plant")
     driven = _named("--inputs", inputs, problem.inputs)
     controlled = _named("--outputs", outputs, problem.outputs)
     if len(controlled) > len(driven):
@@ -198,7 +202,7 @@ class _Ranges:
         for s, k, room in zip(controlled, rows, half, strict=True):
             middle, noise = float(self.point.at.y[k]), float(found.noise[k])
             low, high = (_rounded(middle + side * float(room)) for side in (-1, 1))
-            self.setpoints[s.name] = {"min": low, "max": high, "hold": hold, "unit": s.unit}
+            self.setpoints[s.name] = {"min": low, "max": high, "hold": hold}
             self.tolerance[s.name] = _rounded(max(0.2 * float(room), 2.0 * noise))
         places = zip(problem.outputs, found.noise.tolist(), strict=True)
         self.noise = {s.name: _rounded(value) for s, value in places if value > 0}
@@ -206,7 +210,9 @@ class _Ranges:
         for s in self.disturbing:
             column = u[:, problem.inputs.index(s)]
             low, high = (_rounded(float(v)) for v in np.percentile(column, _DISTURBANCE))
-            self.disturbances[s.name] = {"min": low, "max": high, "hold": hold, "unit": s.unit}
+            self.disturbances[s.name] = {"min": low, "max": high, "hold": hold}
+            if s.unit:
+                self.disturbances[s.name]["unit"] = s.unit
 
     def _share(self, gain: Array, spread: Array) -> float:
         """Largest share of the spread of the outputs that all set points together may move by."""
@@ -231,7 +237,7 @@ class _Ranges:
         for s, r in self.disturbances.items():
             found.append(f"disturbs {s} {r['min']:g} to {r['max']:g}")
         if not self.point.rests:
-            found.append("note     the model does not come to rest: it begins where constant inputs take it")
+            found.append("note     the model has no rest: it begins where constant inputs take it")
         return found
 
 
@@ -243,6 +249,10 @@ def _settling(model: LinearModel) -> float:
     return float(np.clip(samples, *_SETTLING))
 
 
+def _signal(signal: Signal) -> dict[str, Any]:
+    return {key: value for key, value in asdict(signal).items() if value}
+
+
 def _tables(name: str, problem: Problem, ranges: _Ranges, count: int) -> dict[str, Any]:
     """Tables of problem.toml."""
     physics = None if ranges.disturbances or not problem.physics else asdict(problem.physics)
@@ -250,8 +260,8 @@ def _tables(name: str, problem: Problem, ranges: _Ranges, count: int) -> dict[st
     return {
         "name": name,
         "sampling_time": problem.sampling_time,
-        "inputs": [asdict(s) for s in ranges.driven],
-        "outputs": [asdict(s) for s in problem.outputs],
+        "inputs": [_signal(s) for s in ranges.driven],
+        "outputs": [_signal(s) for s in problem.outputs],
         "data": {"train": [f"record{k}.csv" for k in range(1, 1 + len(problem.train))]},
         "protocol": {
             "kind": "control",
@@ -292,7 +302,7 @@ def _plant(found: LinearRun, order: Sequence[Signal]) -> str:
         + (f", {', '.join(f'`{n}`' for n in names[1:])} are its fold models" if names[1:] else ""),
         inputs=listed(order),
         outputs=listed(found.outputs),
-        rest="at rest" if point.rests else "where constant inputs take it, as it does not come to rest",
+        rest="at rest" if point.rests else "where constant inputs take it, for want of rest",
         models="\n".join(models),
         calls=", ".join(f"{n}()" for n in names),
         rests=[[part.tolist() for part in split(low, at.x)] for low, at in point.steps],

@@ -311,9 +311,7 @@ def _held_inputs(
     """Inputs of an FMU at times (T,): u (T, nu), and of those that no record has parameters or
     their start values."""
     driven = [v for v in described.modelVariables if v.causality == "input"]
-    signals = np.zeros(
-        len(times), [("time", np.float64), *((v.name, np.float64) for v in driven)]
-    )
+    signals = np.zeros(len(times), [("time", np.float64), *((v.name, np.float64) for v in driven)])
     signals["time"] = times
     for v in driven:
         signals[v.name] = parameters.get(v.name, float(v.start or 0.0))

@@ -13,6 +13,7 @@ from asia.errors import UserError
 from asia.export.control_problem import control_problem_of_run
 from asia.export.linear import linearize
 from asia.judge.evaluation import references
+from asia.judge.scoring.outcome import Score
 from asia.problem.load import load_problem
 from tests.unit.interfaces.cli.conftest import command_line
 from tests.unit.search.toy import Scripted
@@ -156,9 +157,10 @@ def test_from_a_run_to_a_controller_in_two_commands(
         tmp_path / "loop", agent=Scripted((PI,)), experiments=2, runs=tmp_path / "runs"
     )
     (reference,) = found.view.references
+    assert isinstance(reference.outcome, Score)
     assert found.view.best is not None
     assert found.view.best.score is not None
-    assert found.view.best.score.value < 0.7 * reference.score.value
+    assert found.view.best.score.value < 0.7 * reference.outcome.value
 
 
 @pytest.mark.slow
