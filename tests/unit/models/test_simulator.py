@@ -326,12 +326,18 @@ def test_a_unit_makes_a_step_for_each_sample_of_a_closed_loop(tmp_path: Path) ->
     (folder / "model.fmu").write_bytes(unit)
     records = (folder / "open.csv").read_text().replace("time,u,y", "time,u0,y0")
     (folder / "open.csv").write_text(records)
+    # The unit was exported with another sampling time.
+    with pytest.raises(UserError, match=r"model.fmu failed: .*fmi2DoStep failed"):
+        control_lines(load_problem(folder), level_here())
+    faster = text.replace("time = 1.0", "time = 0.5")
+    faster = faster.replace('train = ["open.csv"]', 'train = ["open.csv"]\ntime = "none"')
+    (folder / "problem.toml").write_text(faster)
     problem = load_problem(folder)
     assert problem.control is not None
     assert "inputs held at their start cost" in control_lines(problem, level_here())[-1]
     base = problem.control.base
     inputs = (*base.inputs, Signal("u1"))
-    context = Context(inputs, base.outputs, 1.0, 0, 0, plant=problem.control.plant)
+    context = Context(inputs, base.outputs, 0.5, 0, 0, plant=problem.control.plant)
     model = simulator.stepped(context)
     u = np.random.default_rng(0).normal(size=(1, 30, 2))
     seen = np.concatenate([u[:, :1], u], axis=1)
