@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -90,8 +91,19 @@ class GreyBox:
 
     def steps(self, like: AnyArray) -> CaseSteps:
         """The steps with arrays of the library of `like`. Raises ValueError before training."""
+        return self._numpy_steps if namespace(like) is np else self._steps_like(like)
+
+    @cached_property
+    def _numpy_steps(self) -> CaseSteps:
+        # Most of what a step needs does not depend on the sample.
+        return self._steps_like(np.zeros(0))
+
+    def _steps_like(self, like: AnyArray) -> CaseSteps:
         fitted = self._trained()
         return CaseSteps.of(self.structure, fitted.scales, fitted.prior, fitted.z, like)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k != "_numpy_steps"}
 
     def with_parameters(self, names: Sequence[str]) -> _SteppedParameters:
         """The model with these physical parameters as its last state, where an observer can change

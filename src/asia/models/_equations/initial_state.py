@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ from asia.data.trajectory import Array
 from asia.models._arrays import AnyArray, namespace
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import (
+    Confinement,
     Effects,
     Scales,
+    Step,
     WindowPrior,
     effects,
     outputs,
@@ -83,12 +86,16 @@ class CaseSteps:
             scales, z = Scales(*(jnp.asarray(a) for a in scales)), jnp.asarray(z)
         return cls(structure, scales, prior, z, effects(structure, scales, z), late)
 
+    @cached_property
+    def _moves(self) -> tuple[Confinement, Step]:
+        return sample_by_sample(self.structure, self.scales, self.effect)
+
     def initial(self, past_u: AnyArray, past_y: AnyArray, u: AnyArray) -> Any:
         """States (B, nx) at the first sample, and the inputs (B, held, nu) in the delay."""
         x, inputs = case_start(self.structure, self.scales, self.prior, self.z, past_u, past_y, u)
         inputs = inputs.transpose(0, 2, 1)
         first = inputs[0] if len(inputs) else u
-        confine, _ = sample_by_sample(self.structure, self.scales, self.effect)
+        confine, _ = self._moves
         held = int(np.ceil(self.late).max(initial=0))
         line = namespace(u).repeat(first[:, None], held, axis=1)
         state = confine(x[:, None])[:, 0].T, line
@@ -99,19 +106,20 @@ class CaseSteps:
     def step(self, state: Any, u: AnyArray) -> tuple[Any, AnyArray]:
         """Advance by one sample: the output is read before the states move."""
         x, line = state
-        known = namespace(line, u).concatenate([line, u[:, None]], axis=1)
-        channel, last = np.arange(u.shape[1]), known.shape[1] - 1
-        older = last - np.ceil(self.late).astype(int)
-        newer = np.minimum(older + 1, last)
-        # Interpolate between two samples for a fractional delay.
-        later = np.ceil(self.late) - self.late
-        acting = (1.0 - later) * known[:, older, channel] + later * known[:, newer, channel]
+        acting = u
+        if line.shape[1]:
+            known = namespace(line, u).concatenate([line, u[:, None]], axis=1)
+            line, channel, last = known[:, 1:], np.arange(u.shape[1]), known.shape[1] - 1
+            older = last - np.ceil(self.late).astype(int)
+            newer = np.minimum(older + 1, last)
+            # Interpolate between two samples for a fractional delay.
+            later = np.ceil(self.late) - self.late
+            acting = (1.0 - later) * known[:, older, channel] + later * known[:, newer, channel]
         held, now = acting.T[:, None], x.T[:, None]
         with np.errstate(all="ignore"):
-            _, advance = sample_by_sample(self.structure, self.scales, self.effect)
-            after = advance(now, held)
+            after = self._moves[1](now, held)
             y = outputs(self.structure, self.effect, now[None], held[None])
-        return (after[:, 0].T, known[:, 1:]), y[0, :, 0].T
+        return (after[:, 0].T, line), y[0, :, 0].T
 
 
 def case_start(

@@ -210,7 +210,8 @@ def _derivative(structure: GreyBoxStructure, scales: Scales, effect: Effects) ->
 
     def derivative(x: AnyArray, u: AnyArray) -> AnyArray:
         drive = (u - wide.u_center) / wide.u_scale
-        drive = xp.broadcast_to(drive, (len(drive), *x.shape[1:]))
+        if drive.shape[1:] != x.shape[1:]:
+            drive = xp.broadcast_to(drive, (len(drive), *x.shape[1:]))
         signals = xp.concatenate([((x - wide.x_center) / wide.x_scale)[:own], drive])
         extra = offset
         if config.linear:

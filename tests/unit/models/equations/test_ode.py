@@ -12,6 +12,10 @@ from asia.models._equations.ode import Equations, equations, runge_kutta
 from asia.problem import ParameterRange, Physics
 from asia.problem.physics import parse_expression
 
+OF_ONE = (
+    "exp", "sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt", "log", "sigmoid", "softplus", "abs",
+    "sign", "arcsin", "arccos", "arctan",
+)  # fmt: skip
 NAMES = ("a", "b", "k", "g", "twice")
 
 
@@ -56,6 +60,27 @@ def test_a_batch_keeps_its_shape_and_precision() -> None:
         assert found.shape == x.shape
         assert found.dtype == precision
         np.testing.assert_allclose(found, x**2 - u / p + 9.81**0.5, rtol=1e-5, atol=1e-5)
+
+
+@given(
+    text=st.sampled_from(
+        [
+            *(f"{name}(3*a)" for name in OF_ONE),
+            "arctan2(a, b)", "min(a, b, k)", "max(a, b, k)", "clip(a, -k, b)", "a**b", "a**3 - g",
+            "a/b", "exp(a**2) - exp(b**2)",
+        ]
+    ),
+    a=st.floats(-40.0, 40.0),
+    b=st.sampled_from([-1.5, 0.0, 0.5, 30.0]),
+)  # fmt: skip
+def test_a_single_case_has_the_value_of_a_case_in_a_batch(text: str, a: float, b: float) -> None:
+    p, x, u = (np.full((1, 1, 1), value) for value in (0.4, a, b))
+    system = made_of(text)
+    with np.errstate(all="ignore"):
+        single = system.derivative(p, x, u)
+        batch = system.derivative(p, np.repeat(x, 2, axis=2), np.repeat(u, 2, axis=2))
+    assert single.shape == x.shape
+    np.testing.assert_allclose(single, batch[..., :1], rtol=1e-12, atol=1e-300)
 
 
 def test_long_sums_and_names_that_python_keeps_for_itself() -> None:
