@@ -331,7 +331,7 @@ def _unit_function(
 
     def simulate(u: Array, parameters: Mapping[str, float], initial: Mapping[str, float]) -> Array:
         held = np.concatenate([u, u[-1:]])[: len(u) + late]
-        times = np.arange(len(held)) * sampling_time
+        times = np.arange(len(held), dtype=np.float64) * sampling_time
         rows: Any = fmpy.simulate_fmu(
             str(plant.folder),
             validate=False,
