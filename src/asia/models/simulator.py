@@ -18,6 +18,7 @@ import ctypes.util
 import io
 import sys
 import time
+import weakref
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -289,48 +290,59 @@ def _function(
     return lambda u, parameters, initial: simulate(u, parameters, initial, sampling_time)
 
 
-def _unit_function(
-    plant: Plant, inputs: tuple[str, ...], outputs: tuple[str, ...], sampling_time: float
-) -> SimulateFunction:
-    """Simulate an FMU with a communication step of one sample; inputs are held."""
+def _described(plant: Plant) -> tuple[Any, Any]:
+    """fmpy, and its description of an FMU."""
     # fmpy asks a compiler for the C library, which no sandbox runs; None is this process, with it.
     find, ctypes.util.find_library = ctypes.util.find_library, lambda name: None
     try:
-        from fmpy import read_model_description, simulate_fmu
+        import fmpy
     except ImportError as error:
         raise SimulatorError(
             "an FMU needs fmpy: pip install '.[fmu]' in a clone of ASIA"
         ) from error
     finally:
         ctypes.util.find_library = find
+    return fmpy, fmpy.read_model_description(str(plant.folder), validate=False)
 
-    folder = str(plant.folder)
-    described: Any = read_model_description(folder, validate=False)
+
+def _held_inputs(
+    described: Any, names: Sequence[str], u: Array, times: Array, parameters: Mapping[str, float]
+) -> Any:
+    """Inputs of an FMU at times (T,): u (T, nu), and of those that no record has parameters or
+    their start values."""
+    driven = [v for v in described.modelVariables if v.causality == "input"]
+    signals = np.zeros(len(times), [("time", np.float64), *((v.name, np.float64) for v in driven)])
+    signals["time"] = times
+    for v in driven:
+        signals[v.name] = parameters.get(v.name, float(v.start or 0.0))
+    for name, column in zip(names, u.T, strict=True):
+        signals[name] = column
+    return signals
+
+
+def _unit_function(
+    plant: Plant, inputs: tuple[str, ...], outputs: tuple[str, ...], sampling_time: float
+) -> SimulateFunction:
+    """Simulate an FMU with a communication step of one sample; inputs are held."""
+    fmpy, described = _described(plant)
     # A unit of ASIA gives the output of a sample after the step.
     late = int(described.generationTool == "ASIA")
     kind = "CoSimulation" if described.coSimulation is not None else "ModelExchange"
-    driven = [v for v in described.modelVariables if v.causality == "input"]
-    table = np.dtype([("time", np.float64), *((v.name, np.float64) for v in driven)])
 
     def simulate(u: Array, parameters: Mapping[str, float], initial: Mapping[str, float]) -> Array:
-        signals = np.zeros(len(u) + late, table)
-        signals["time"] = np.arange(len(signals)) * sampling_time
-        for v in driven:
-            # Inputs that no record has: parameters, or their start values.
-            signals[v.name] = parameters.get(v.name, float(v.start or 0.0))
-        for name, column in zip(inputs, u.T, strict=True):
-            signals[name] = np.append(column, column[-1:])[: len(signals)]
-        rows: Any = simulate_fmu(
-            folder,
+        held = np.concatenate([u, u[-1:]])[: len(u) + late]
+        times = np.arange(len(held), dtype=np.float64) * sampling_time
+        rows: Any = fmpy.simulate_fmu(
+            str(plant.folder),
             validate=False,
             start_time=0.0,
-            stop_time=(len(signals) - 1) * sampling_time,
+            stop_time=times[-1],
             step_size=sampling_time,
             output_interval=sampling_time,
             record_events=False,
             fmi_type=kind,
             start_values={**parameters, **initial},
-            input=signals,
+            input=_held_inputs(described, inputs, held, times, parameters),
             output=list(outputs),
             model_description=described,
         )
@@ -571,13 +583,51 @@ def _calibration(
 # Simulator in closed loop: sample by sample.
 
 
+class _SteppedUnit:
+    """Instance of an FMU for co-simulation, one communication step a sample."""
+
+    def __init__(self, simulator: Simulator, start: Mapping[str, float]) -> None:
+        """start: parameters and initial states."""
+        self._simulator, self._start, self._samples = simulator, start, -1
+        self._fmpy, self._described = _described(simulator.plant)
+        folder = str(simulator.plant.folder)
+        self._instance: Any = self._fmpy.instantiate_fmu(folder, self._described, "CoSimulation")
+        weakref.finalize(self, self._instance.freeInstance)
+
+    def step(self, u: Array) -> Array:
+        """Outputs (ny,) at the end of a sample with inputs u (nu,); at first, those at the start,
+        before any sample."""
+        of, first = self._simulator, self._samples < 0
+        times = np.array([max(self._samples, 0), self._samples + 1]) * of.sampling_time
+        held = np.stack([u, u])
+        rows = self._fmpy.simulate_fmu(
+            str(of.plant.folder),
+            validate=False,
+            start_time=times[0],
+            stop_time=times[1],
+            output_interval=of.sampling_time,
+            fmi_type="CoSimulation",
+            start_values=self._start if first else {},
+            input=_held_inputs(self._described, of.inputs, held, times, self._start),
+            output=list(of.outputs),
+            model_description=self._described,
+            fmu_instance=self._instance,
+            initialize=first,
+            terminate=False,
+            set_stop_time=False,
+        )
+        self._samples += 1
+        return np.array([rows[name][-1] for name in of.outputs])
+
+
 @dataclass(frozen=True)
 class SteppedSimulator:
     """Simulator that gets an input sample and answers with the outputs at the end of it.
 
     Its input sample holds the inputs, then parameters and initial states; those of the first sample
-    of a case count, whose answer are the outputs before any input. The function is called as
-    `step(x, u, params, dt)`, with x None at first, and returns the next x and y.
+    of a case count, whose answer are the outputs before any input. A Python function is called as
+    `step(x, u, params, dt)`, with x None at first, and returns the next x and y. An FMU makes a
+    communication step.
     """
 
     simulator: Simulator
@@ -604,15 +654,25 @@ class SteppedSimulator:
         inputs = u[0, :nu]
         if state is None:
             values = u[0, nu:].tolist()
-            state = dict(zip((*of.plant.parameters, *of.plant.initial), values, strict=True)), None
+            named = dict(zip((*of.plant.parameters, *of.plant.initial), values, strict=True))
+            state = named, _SteppedUnit(of, named) if of.plant.is_unit else None
         parameters, x = state
+        if isinstance(x, _SteppedUnit):
+            return state, x.step(inputs)[None]
         x, y = _loaded(of.plant.code, of.plant.function)(x, inputs, parameters, of.sampling_time)
         return (parameters, x), np.asarray(y, np.float64).reshape(1, -1)
 
 
 def stepped(context: Context) -> SteppedSimulator:
-    """Make the simulator of a context run sample by sample."""
-    return SteppedSimulator(build(Config(), context))
+    """Make the simulator of a context run sample by sample.
+
+    Raises:
+        SimulatorError: for an FMU where fmpy is not installed
+    """
+    model = build(Config(), context)
+    if model.plant.is_unit:
+        _described(model.plant)
+    return SteppedSimulator(model)
 
 
 # Check of a simulator before a search.

@@ -223,11 +223,6 @@ def _assemble(file: ProblemTables, root: Path) -> Problem:
     plant = file.plant and load_plant(
         file.plant, root, driven, outputs, calibrated=file.control is None
     )
-    if plant and plant.is_unit and file.control is not None:
-        raise UserError(
-            "[plant] source: an FMU cannot be the plant of [control]: give a function "
-            "step(x, u, params, dt), such as 'plant.py:step'"
-        )
     if (rule.kind == "control") != (file.control is not None) or (file.control and not plant):
         raise UserError(
             'protocol.kind = "control", [control] and [plant] belong together: give all three, or '

@@ -20,7 +20,7 @@ from asia._files import read_file
 from asia._text import nearest
 from asia.errors import UserError
 
-_ARGUMENTS = 4
+_ARGUMENTS, _STEP = 4, "x, u, params, dt"
 _UNIT_BYTES = 512 * 1024 * 1024
 
 
@@ -43,7 +43,8 @@ class PlantTable:
     """[plant] of problem.toml."""
 
     source: str
-    """`plant.py:simulate`, a function in a file beside the problem, or `model.fmu`."""
+    """`plant.py:simulate`, a function in a file beside the problem, or `model.fmu`; with [control]
+    `plant.py:step`, or an FMU for co-simulation."""
     parameters: Mapping[str, Unknown] = field(default_factory=dict[str, Unknown])
     """Parameters of the simulator, the same in every record; with [control] drawn for each
     scenario."""
@@ -198,14 +199,14 @@ def load_plant(
     source = str(path) if is_unit else f"{path}:{function}"
     plant = Plant(source=source, parameters=table.parameters, initial=table.initial, code=code)
     if is_unit:
-        _check_unit(plant, inputs, outputs)
+        _check_unit(plant, inputs, outputs, stepped=not calibrated)
         plant.unpack()
     else:
-        _check_function(code, path, function)
+        _check_function(code, path, function, "u, params, x0, dt" if calibrated else _STEP)
     return plant
 
 
-def _check_function(code: bytes, path: Path, function: str) -> None:
+def _check_function(code: bytes, path: Path, function: str, arguments: str) -> None:
     try:
         tree = ast.parse(code)
     except (SyntaxError, ValueError) as error:
@@ -221,16 +222,23 @@ def _check_function(code: bytes, path: Path, function: str) -> None:
         raise UserError(
             f"[plant] source: {function} in {path.name} takes "
             f"{len(known.posonlyargs) + len(known.args)} arguments, expected 4: "
-            f"{function}(u, params, x0, dt)"
+            f"{function}({arguments})"
         )
 
 
-def _check_unit(plant: Plant, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+def _check_unit(
+    plant: Plant, inputs: Sequence[str], outputs: Sequence[str], *, stepped: bool
+) -> None:
     try:
         with zipfile.ZipFile(io.BytesIO(plant.code)) as archive:
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
     except (zipfile.BadZipFile, KeyError, ElementTree.ParseError) as error:
         raise UserError(f"[plant] source: {plant.label} is no FMU: {error}") from error
+    if stepped and root.find("CoSimulation") is None:
+        raise UserError(
+            f"[plant] source: {plant.label} has no co-simulation, which [control] needs: export it "
+            "with co-simulation"
+        )
     variables = [v.get("name", "") for part in root.iter("ModelVariables") for v in part]
     for table, names in (
         ("inputs", inputs),

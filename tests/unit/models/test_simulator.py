@@ -1,5 +1,7 @@
 """A simulator of the user's own: what is read, tried, calibrated and refused."""
 
+import io
+import zipfile
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
@@ -8,8 +10,10 @@ import numpy as np
 import pytest
 
 from asia.agents.library.registry import families, family
-from asia.data.trajectory import Trajectory
+from asia.candidate import Context
+from asia.data.trajectory import Signal, Trajectory
 from asia.errors import UserError
+from asia.judge.evaluation.control import control_lines
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.plant_check import check_plant
 from asia.judge.sandbox.types import Isolation
@@ -293,3 +297,60 @@ u1 = { min = -5.0, max = 5.0, unit = "V" }
     for one in found:
         assert one.low < truth[one.name] < one.high
         assert one.high - one.low < 1.0
+
+
+@pytest.mark.slow
+def test_a_unit_makes_a_step_for_each_sample_of_a_closed_loop(tmp_path: Path) -> None:
+    """Sample by sample the same outputs as at once, in the sandbox too, and twice the same."""
+    from asia.export.targets.fmu import FmuTarget
+    from tests.unit.export.models import linear_model, ready
+    from tests.unit.problem.small_control import PROBLEM, write_control_problem
+
+    pytest.importorskip("fmpy")
+    if FmuTarget().missing():
+        pytest.skip(str(FmuTarget().missing()))
+    unit = FmuTarget().print(ready(linear_model(0)).model).files["model_fmi2.fmu"]
+    assert isinstance(unit, bytes)
+    text = (
+        PROBLEM.replace('"plant.py:step"', '"model.fmu"')
+        .replace("gain = { min = 1.9, max = 2.1 }", '"past_y[3,1]" = { min = 1.9, max = 2.1 }')
+        .replace("load = {", "u1 = {")
+        .replace('["y"]', '["y0"]')
+        .replace('["u"]', '["u0"]')
+        .replace("\nu = {", "\nu0 = {")
+        .replace("\ny = ", "\ny0 = ")
+    )
+    folder = write_control_problem(tmp_path / "lag", text)
+    with pytest.raises(UserError, match=r"model.fmu.*put the simulator there"):
+        load_problem(folder)
+    (folder / "model.fmu").write_bytes(unit)
+    records = (folder / "open.csv").read_text().replace("time,u,y", "time,u0,y0")
+    (folder / "open.csv").write_text(records)
+    # The unit was exported with another sampling time.
+    with pytest.raises(UserError, match=r"model.fmu failed: .*fmi2DoStep failed"):
+        control_lines(load_problem(folder), level_here())
+    faster = text.replace("time = 1.0", "time = 0.5")
+    faster = faster.replace('train = ["open.csv"]', 'train = ["open.csv"]\ntime = "none"')
+    (folder / "problem.toml").write_text(faster)
+    problem = load_problem(folder)
+    assert problem.control is not None
+    assert "inputs held at their start cost" in control_lines(problem, level_here())[-1]
+    base = problem.control.base
+    inputs = (*base.inputs, Signal("u1"))
+    context = Context(inputs, base.outputs, 0.5, 0, 0, plant=problem.control.plant)
+    model = simulator.stepped(context)
+    u = np.random.default_rng(0).normal(size=(1, 30, 2))
+    seen = np.concatenate([u[:, :1], u], axis=1)
+    both = np.concatenate([seen, np.full((1, 31, 1), 2.0)], axis=2)
+    first, again = (model.simulate(both[:, :, :0], both[:, :, :0], both) for _ in range(2))
+    place = np.log([2.0 / 1.9]) / np.log(2.1 / 1.9)
+    at_once = model.simulator.run(u[0], place, np.zeros(0))
+    assert np.array_equal(first, again)
+    assert first[0, 1:] == pytest.approx(at_once, abs=1e-12)
+    # Without co-simulation there is no step to make.
+    with zipfile.ZipFile(io.BytesIO(unit)) as archive:
+        described = archive.read("modelDescription.xml").replace(b"CoSimulation", b"ModelExchange")
+    with zipfile.ZipFile(folder / "model.fmu", "w") as archive:
+        archive.writestr("modelDescription.xml", described)
+    with pytest.raises(UserError, match="has no co-simulation"):
+        load_problem(folder)

@@ -12,7 +12,7 @@ from pathlib import Path
 from asia.data.trajectory import Array
 from asia.export.model import ExportModel, Printed, TrainingWindow
 from asia.export.target import Answers
-from asia.lowering.program import Node, Program
+from asia.lowering.program import LoweredModel, Node, Program
 
 _SYMBOLS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "matmul": "@"}
 _COMPARED = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
@@ -58,7 +58,13 @@ Sample by sample: `x = initial(past_u, past_y, u)`, then `y = output(x, u)` and
 
 
 def _source(model: ExportModel) -> str:
-    low, writer = model.lowered, _Constants()
+    return "\n".join([_head(model), *model_functions(model.lowered), _SIMULATE])
+
+
+def model_functions(low: LoweredModel) -> list[str]:
+    """Print the constants of a model, and its functions `initial`, `output`, `update` and `step`;
+    they use NumPy as `np`."""
+    writer = _Constants()
     states = [f"x{i}" for i in range(len(low.states))]
     first = [f"    {', '.join(states)}{',' if len(states) == 1 else ''} = x"] if states else []
     window, inputs = ["past_u", "past_y", "u"], [*states, "u"]
@@ -68,7 +74,7 @@ def _source(model: ExportModel) -> str:
         _function("update(x, u)", low.update, inputs, writer, first),
         _function("step(x, u)", low.step, inputs, writer, first),
     ]
-    return "\n".join([_head(model), *writer.lines, "", *parts, _SIMULATE])
+    return [*writer.lines, "", *parts]
 
 
 _SIMULATE = '''

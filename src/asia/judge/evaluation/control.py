@@ -34,7 +34,9 @@ _PLANT = """from asia.models import simulator
 
 
 def fit(trajectories, context):
-    return simulator.stepped(context)
+    model, u = simulator.stepped(context), trajectories[0].u[None]
+    model.simulate(u[:, :0], u[:, :0], u)
+    return model
 """
 _GREYBOX = '''"""Equations of the problem, fitted."""
 
@@ -84,9 +86,14 @@ def _opened(control: Control, opener: Opener) -> Generator[BeginPlant]:
     if plant.is_built_in:
         yield lambda: nullcontext(_in_process(context))
         return
+    # Two samples at the start, whose failure has a message.
+    ranges = (*control.table.disturbances.values(), *plant.parameters.values(),
+              *plant.initial.values())  # fmt: skip
+    first = [*(a.start for a in control.actuators), *(0.5 * (r.min + r.max) for r in ranges)]
+    trial = Trajectory(np.tile(first, (2, 1)), np.zeros((2, len(base.outputs))), 1.0, "trial")
     with opener(_PLANT) as worker:
         try:
-            worker.fit(_PLANT, (), context)
+            worker.fit(_PLANT, (trial,), context)
         except CandidateError as error:
             raise _failure(control, error) from None
 
@@ -120,7 +127,7 @@ def _in_process(context: Context) -> Ask:
 
 
 def _failure(control: Control, error: CandidateError) -> UserError:
-    last = error.detail.strip().rpartition("\n")[2]
+    last = error.detail.strip().rpartition("\n")[2].rpartition("SimulatorError: ")[2]
     return UserError(f"[plant] {control.plant.label} failed: {last or error.reason.advice}")
 
 
