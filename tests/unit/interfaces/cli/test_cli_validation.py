@@ -43,32 +43,32 @@ def test_run_says_it_at_the_start_on_every_line_and_at_the_end(told: Searched) -
     assert f"{CALLED} = normalised simulation RMSE" in lines[1]
     assert "not leak-free" in lines[2]
     row = next(line for line in lines if line.startswith("#01"))
-    assert "| 4 validation scores " in row
+    assert "| 2 validation scores " in row
     assert "| best #01" in row
     end = lines[next(i for i, line in enumerate(lines) if line.startswith("best")) + 1]
-    assert "not leak-free; 4 validation scores were given" in end
+    assert "not leak-free; 2 validation scores were given" in end
 
 
 def test_json_lines_say_it(told: Searched) -> None:
     again = command_line(*words(told.problem, told.runs), "--json")
     events = [json.loads(line) for line in again.out.splitlines()]
     assert events[0]["early_stopping"] == events[-1]["early_stopping"] == "validation"
-    assert events[-1]["validation_scores"] == 4
+    assert events[-1]["validation_scores"] == 2
 
 
 def test_status_says_it(told: Searched, asia: Asia) -> None:
     text = asia("status", "--runs", told.runs).out
-    assert "V is with validation early stopping, not leak-free; 4 validation scores" in text
-    assert "| 4 validation scores " in text
+    assert "V is with validation early stopping, not leak-free; 2 validation scores" in text
+    assert "| 2 validation scores " in text
     answer = json.loads(asia("status", "--runs", told.runs, "--json").out)
     assert answer["early_stopping"] == "validation"
-    assert answer["validation_scores"] == 4
+    assert answer["validation_scores"] == 2
 
 
 def test_show_and_diff_say_it(told: Searched, asia: Asia) -> None:
     text = asia("show", "--runs", told.runs).out
     assert f"result      {CALLED} = " in text
-    assert "4 validation scores)" in text
+    assert "2 validation scores)" in text
     assert "val. scores" in text
     assert asia("show", "1", "1", "--runs", told.runs).out.count(f"{CALLED} = ") == 2
 
