@@ -6,9 +6,9 @@ Two generated sets: "flights", twelve records of 1 000 samples with 4 inputs and
 simulated in windows of 50 samples from the past sample; and "long", one Wiener-Hammerstein record
 of 100 000 samples, trained on chunks. Every fit runs twice, each time in a process of its own: with
 JAX on the GPU, and on the two cores. Update: median seconds of an update after the first report;
-fit: seconds of the whole fit, compiling included; error: root mean square of the training error in
-z-scores; gain: ratio of the two fits. A fit that fails prints its reason. Needs JAX with CUDA and
-taskset.
+fit: seconds of the whole fit, compiling included; error: root mean square error, in standard
+deviations, at the start of the first training record (one window, or 20 000 samples); gain: ratio
+of the two fits. A fit that fails prints its reason. Needs JAX with CUDA and taskset.
 """
 
 from __future__ import annotations

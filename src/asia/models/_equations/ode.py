@@ -188,7 +188,7 @@ def _evaluator(
     single = compiled(_functions_of_numbers(), float, lambda values, _: values)
 
     def evaluate(p: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
-        # A single case is computed in numbers, ten times as fast as in arrays of one element.
+        # A single case is computed in numbers, which is faster than arrays of one element.
         if all(a.size == len(a) for a in (p, x, u)):
             try:
                 values = np.array(single(*(a.ravel().tolist() for a in (p, x, u))))
