@@ -282,6 +282,7 @@ def test_a_neighbour_is_seen_to_be_hurt():
         os.setpriority(os.PRIO_PROCESS, given.other, 19)
         assert "priority 19" in given.neighbour.hurt
         os.kill(given.other, signal.SIGSTOP)
+        os.waitid(os.P_PID, given.other, os.WSTOPPED | os.WNOWAIT)  # busy cores: it stops later
         assert "stands still" in given.neighbour.hurt
         os.kill(given.other, signal.SIGKILL)
         given.neighbour.process.wait()
