@@ -14,6 +14,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Trajectory
@@ -25,6 +28,9 @@ from asia.models._numerics.segments import window_segments
 from asia.models._numerics.training_records import check, scaled
 from asia.models._state_space.model import FittedStateSpace
 from asia.models._steps import TrainableModel
+
+if TYPE_CHECKING:
+    from asia.models._state_space.feedback import LinearCore
 
 # Greatest number of windows for a problem with a horizon; each has its own initial state.
 _WINDOWS = 40
@@ -72,6 +78,15 @@ class NonlinearLfr(TrainableModel[Config, FittedStateSpace]):
     """Nonlinear LFR model."""
 
     label = "nonlinear LFR model"
+
+
+def _drifting(core: LinearCore) -> int:
+    """Number of modes that neither die out within a third of the longest record nor turn twice in
+    it."""
+    samples = max(len(record) for record in core.records)
+    poles = np.linalg.eigvals(core.found.system.a)
+    slow = np.abs(poles) > np.exp(-3.0 / samples)
+    return int((slow & (np.abs(np.angle(poles)) < 4 * np.pi / samples)).sum())
 
 
 def build(config: Config, context: Context) -> NonlinearLfr:
@@ -124,7 +139,10 @@ def train(
             cores.append(first)
         else:
             choice = replace(plain, order=order, delay=delay)
-            cores.append(LinearCore(*linear.fit_records(records, context, choice, Refinement())))
+            core = LinearCore(*linear.fit_records(records, context, choice, Refinement()))
+            # A mode that the best linear model does not have follows the drift of these records.
+            if _drifting(core) <= _drifting(first) or c.order is not None:
+                cores.append(core)
     options = FeedbackOptions(
         c.channels, c.hidden, c.ridge, c.linear_ridge, c.encoder, c.integrators, c.pieces
     )

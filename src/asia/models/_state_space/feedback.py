@@ -22,7 +22,7 @@ from asia.models._reuse import reused
 from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
 from asia.models._state_space.model import FittedStateSpace, past_fit, window_samples
 from asia.models._state_space.structure import StateSpaceStructure
-from asia.models._state_space.training import fit_segments
+from asia.models._state_space.training import fit_segments, stability_term
 
 # Search for the regressors of static functions in feedback, by the residual of the linear model.
 #
@@ -447,6 +447,8 @@ class _Starts:
 _LINEAR, _FUNCTIONS = ("a", "b", "c", "d", "offset"), ("f", "read", "act")
 # Share of the iterations that every start gets, and number of starts that are continued.
 _TRIED, _GO_ON = 0.25, 2
+# Lengths of the segments that a fit begins with; it goes on with whole records.
+_LENGTHS = 3
 # Samples up to which compiling a program takes longer than running it with more states.
 _WIDENED = 10_000
 
@@ -493,14 +495,22 @@ class _Widening:
             for name, value in params.items()
         }
 
-    def narrowed(self, params: dict[str, Any]) -> dict[str, Any]:
-        """The same without the added states."""
+    def system(self, system: LinearSystem) -> LinearSystem:
+        """The linear system with them."""
+        at = [self.structure.order - self.structure.integrators] * self.more
+        a = np.insert(np.insert(system.a, at, 0.0, axis=0), at, 0.0, axis=1)
+        b, c = np.insert(system.b, at, 0.0, axis=0), np.insert(system.c, at, 0.0, axis=1)
+        return replace(system, a=a, b=b, c=c)
+
+    def narrowed(self, fit: StateFit) -> StateFit:
+        """A fit without the added states."""
         first = self.structure.order - self.structure.integrators
         gone = range(first, first + self.more)
-        return {
+        params = {
             name: self._along(name, value, lambda v, axis: np.delete(v, gone, axis=axis))
-            for name, value in params.items()
+            for name, value in {**fit.params, "x0": fit.x0}.items()
         }
+        return fit._replace(x0=params.pop("x0"), params=params)
 
     @staticmethod
     def _along(name: str, value: Any, change: Callable[[Array, int], Array]) -> Any:
@@ -532,11 +542,13 @@ def fit_feedback(
     fits = _Fits(options, context, method, max(core.found.system.order for core in cores))
     tried = sorted(
         (one for core in cores for one in fits.begun(core)), key=lambda t: t.expected_error
-    )
-    ended = (
-        fits.fitted(one.core, one.structure, one.start, one.now, fits.rest)
-        for one in tried[:_GO_ON]
-    )
+    )[:_GO_ON]
+    if options.pieces:
+        # One start begins with whole records, since segments may mislead too.
+        first = tried[0]
+        whole = StateFit(first.core.found.x0, first.start, np.inf, np.zeros(0))
+        tried.append(fits.fitted(first.core, first.structure, first.start, whole, fits.first))
+    ended = (fits.fitted(one.core, one.structure, one.start, one.now, fits.rest) for one in tried)
     best = min(ended, key=lambda t: t.expected_error)
     each = best.structure, best.now, best.core.records, context, options.encoder
     if window_samples(context):
@@ -562,7 +574,7 @@ class _Fits:
         self.rest = replace(method, iterations=max(0, method.iterations - first))
 
     def begun(self, core: LinearCore) -> list[_Fit]:
-        """Run the first iterations from each start."""
+        """Run the first iterations from each start, on whole records or on short segments."""
         o, order = self.options, core.found.system.order
         structure = StateSpaceStructure(
             order, self.context.nu, self.context.ny, "state", "tanh", o.hidden, 2, o.channels,
@@ -576,14 +588,20 @@ class _Fits:
 
         given = structure, core.found, core.records, count, seed
         starts = reused("feedback", given, search, self.context.log)
-        begin = [StateFit(core.found.x0, start, np.inf, np.zeros(0)) for start in starts]
-        if self.options.pieces:
-            begin = fit_segments(
-                structure, core.found.system, starts, core.records, core.found.x0,
-                self._ridges(core), self.first, self.context.log, self.context.sampling_time,
-            )  # fmt: skip
-        both = zip(starts, begin, strict=True)
-        return [self.fitted(core, structure, s, b, self.first) for s, b in both]
+        if not self.options.pieces:
+            begin = [StateFit(core.found.x0, start, np.inf, np.zeros(0)) for start in starts]
+            both = zip(starts, begin, strict=True)
+            return [self.fitted(core, structure, s, b, self.first) for s, b in both]
+        both = _Widening(structure, self.largest - order)
+        wide = fit_segments(
+            both.wide, both.system(core.found.system), [both.widened(start) for start in starts],
+            core.records, both.widened({"x0": core.found.x0})["x0"], self._ridges(core),
+            self.first, self.context.log, self.context.sampling_time, _LENGTHS,
+        )  # fmt: skip
+        return [
+            _fit(core, structure, start, both.narrowed(one))
+            for start, one in zip(starts, wide, strict=True)
+        ]
 
     def _ridges(self, core: LinearCore) -> dict[str, float]:
         ridge = dict.fromkeys(_LINEAR, self.options.linear_ridge)
@@ -606,10 +624,15 @@ class _Fits:
             both.wide, [both.widened(start)], samples, self._ridges(core), method,
             self.context.log, self.context.sampling_time, [both.widened(now.params)],
             [both.widened({"x0": now.x0})["x0"]],
+            stability_term(core.found, self.options.integrators, core.records),
         )[0]  # fmt: skip
-        x0 = both.narrowed({"x0": wide.x0})["x0"]
-        one = wide._replace(params=both.narrowed(wide.params), x0=x0)
-        count = sum(float(r.weight.sum()) for r in core.records) * structure.ny
-        # Akaike's final prediction error penalises further states.
-        p = min(float(tree_size(one.params)), 0.9 * count)
-        return _Fit(core, structure, start, one, one.cost * (count + p) / (count - p))
+        return _fit(core, structure, start, both.narrowed(wide))
+
+
+def _fit(
+    core: LinearCore, structure: StateSpaceStructure, start: dict[str, Any], now: StateFit
+) -> _Fit:
+    """Judge by Akaike's final prediction error, which penalises further states."""
+    count = sum(float(r.weight.sum()) for r in core.records) * structure.ny
+    p = min(float(tree_size(now.params)), 0.9 * count)
+    return _Fit(core, structure, start, now, now.cost * (count + p) / (count - p))

@@ -13,7 +13,7 @@ from asia.candidate import Context
 from asia.data.trajectory import Array
 from asia.models._arrays import Packing, packed
 from asia.models._config import Progress
-from asia.models._least_squares import LevenbergMarquardt, minimise
+from asia.models._least_squares import LevenbergMarquardt, Minimum, minimise
 from asia.models._noise.model import (
     LEAST_DEVIATION,
     NOISE_ROUNDS,
@@ -24,7 +24,15 @@ from asia.models._noise.model import (
 )
 from asia.models._numerics.encoder import Encoder, window_encoder
 from asia.models._numerics.training_records import ScaledData, past_length, side_by_side
-from asia.models._state_space.programs import CompiledEquations, StateSamples, chunked
+from asia.models._state_space.programs import (
+    CompiledEquations,
+    SampleChunks,
+    StabilityTerm,
+    StateSamples,
+    Watch,
+    chunked,
+    spectral_radius,
+)
 from asia.models._state_space.structure import StateSpaceStructure
 
 
@@ -55,6 +63,7 @@ def fit_states(
     sampling_time: float = 1.0,
     begin: Sequence[dict[str, Any]] | None = None,
     x0: Sequence[Array] | None = None,
+    stability: StabilityTerm | None = None,
 ) -> list[StateFit]:
     """Fit from each start, the least cost first.
 
@@ -71,9 +80,10 @@ def fit_states(
         sampling_time: in s.
         begin: parameters that the fits begin with; None: the starts.
         x0: initial states that the fits begin with; None: those of `samples`.
+        stability: cost with which a fit is repeated whose linear part became unstable; None: none.
     """
     trees = [start if samples.known else {**start, "x0": samples.x0} for start in starts]
-    runs = _Runs(structure, trees, samples, ridge, method, log)
+    runs = _Runs(structure, trees, samples, ridge, method, log, stability)
     first = [{**tree, **params} for tree, params in zip(trees, begin or trees, strict=True)]
     if x0 is not None:
         first = [{**tree, "x0": states} for tree, states in zip(first, x0, strict=True)]
@@ -103,6 +113,7 @@ class _Runs(NamedTuple):
     ridge: dict[str, float]
     method: LevenbergMarquardt
     log: Progress
+    stability: StabilityTerm | None
 
     def fitted(
         self, starts: Sequence[dict[str, Any]], weighting: ErrorWeighting | None
@@ -122,15 +133,31 @@ class _Runs(NamedTuple):
                     count = i * self.method.iterations + done
                     self.log(float(count), float(np.sqrt(min(lowest, cost))))
 
-            equations = CompiledEquations(self.structure, packing, data, watch)
-            theta = packed(start, np.float64)
-            found = minimise(equations.costs, equations.normal, theta[None], self.method)
-            best, cost, done = packing.unpack(found.theta[0]), float(found.cost[0]), equations.done
+            found, best, done = self._minimum(start, packing, data, watch)
+            if self.stability is not None and not self._stable(best):
+                held = data._replace(stability=self.stability)
+                begin = start if self._stable(start) else origin
+                again = self._minimum(begin, packing, held, watch)
+                if np.isfinite(again[0].cost[0]):
+                    found, best, done = again
+            cost = float(found.cost[0])
             watch(done, cost)
             lowest = min(lowest, cost)
             x0 = best.pop("x0", self.samples.x0)
             results.append(StateFit(x0, best, cost, np.sqrt(found.history[0, : done + 1])))
         return results
+
+    def _minimum(
+        self, start: dict[str, Any], packing: Packing, data: SampleChunks, watch: Watch
+    ) -> tuple[Minimum, dict[str, Any], int]:
+        equations = CompiledEquations(self.structure, packing, data, watch)
+        theta = packed(start, np.float64)
+        found = minimise(equations.costs, equations.normal, theta[None], self.method)
+        return found, packing.unpack(found.theta[0]), equations.done
+
+    def _stable(self, params: dict[str, Any]) -> bool:
+        free = self.structure.order - self.structure.integrators
+        return spectral_radius(params["a"][:free, :free]) < 1.0
 
 
 def state_encoder(

@@ -24,6 +24,8 @@ from asia.models._state_space.structure import StateSpaceStructure
 # Limits on the numbers in the derivatives of one chunk, and of each of several chunks.
 _CHUNK_VALUES, _FEWER_VALUES = 4_000_000, 400_000
 _ITERATIONS_BETWEEN_LOGS = 5
+# Weight of the stability term, as a share of the error of the linear model.
+_STABILITY = 0.01
 
 Watch: TypeAlias = Callable[[int, float], None]
 """Function that receives the number of completed iterations, and the cost after them."""
@@ -39,6 +41,35 @@ class StateSamples(NamedTuple):
     known: bool  # The initial states are given
 
 
+class StabilityTerm(NamedTuple):
+    """Cost of a linear part that is unstable: its functions are bounded, so that simulations would
+    diverge outside the range of the records.
+
+    The squares of the entries of the power 2^doublings of its matrix: nothing while its free motion
+    dies out in so many samples, and beyond all limits where it grows.
+    """
+
+    weight: float
+    doublings: int
+
+    @classmethod
+    def of(cls, a: Array, samples: int, error: float) -> "StabilityTerm | None":
+        """Term for a fit that begins with a linear model; None where that is unstable.
+
+        Args:
+            a: its matrix (n, n), without integrators.
+            samples: number of samples of the records; ten times as many are foreseen.
+            error: its mean squared error in z-scores.
+        """
+        if not np.isfinite(error) or spectral_radius(a) >= 1.0:
+            return None
+        return cls(_STABILITY * error, int(np.ceil(np.log2(10 * samples))))
+
+
+def spectral_radius(a: Array) -> float:
+    return float(np.abs(np.linalg.eigvals(a)).max(initial=0.0))
+
+
 class SampleChunks(NamedTuple):
     """Chunks of samples in time order."""
 
@@ -51,6 +82,7 @@ class SampleChunks(NamedTuple):
     through: InnovationFilter | None = None
     """Filter of the noise model, (K, c, R, ny) each; None without one."""
     huber: Any = None  # Threshold on the innovations, in the unit of the errors; None without one
+    stability: StabilityTerm | None = None
 
 
 def chunked(
@@ -61,7 +93,8 @@ def chunked(
     weighting: ErrorWeighting | None,
 ) -> SampleChunks:
     count, length = samples.weight.shape
-    values = count * (structure.size + structure.ny) * len(origin)
+    known = structure.size * (count - 1) * (not samples.known)
+    values = count * (structure.size + structure.ny) * (len(origin) - known)
     size = min(_CHUNK_VALUES // values, length)
     if size < length:
         size = max(1, min(_FEWER_VALUES, _CHUNK_VALUES) // values)
@@ -139,6 +172,15 @@ class _Simulation:
         x, (states, outputs) = jax.lax.scan(move, x, u)
         return x, states, outputs - y
 
+    def growth(self, theta: jax.Array) -> jax.Array:
+        """Residuals of the stability term."""
+        term, free = self.data.stability, self.structure.order - self.structure.integrators
+        if term is None:
+            return jnp.zeros(0)
+        a = self.packing.unpack(theta)["a"][:free, :free]
+        power = jax.lax.fori_loop(0, term.doublings, lambda _, a: a @ a, a)
+        return jnp.sqrt(term.weight) * power.ravel()
+
     def predicted(self, columns: int) -> jax.Array | None:
         """Initial prediction of the noise model, for so many columns of errors."""
         if self.data.through is None:
@@ -176,7 +218,7 @@ class _Simulation:
 def _costs(
     structure: StateSpaceStructure, packing: Packing, data: SampleChunks, thetas: jax.Array
 ) -> jax.Array:
-    """Mean squared errors with ridge (K,) at thetas (K, P)."""
+    """Mean squared errors with ridge and stability term (K,) at thetas (K, P)."""
     run = _Simulation(structure, packing, data)
 
     def cost(theta: jax.Array) -> jax.Array:
@@ -189,6 +231,7 @@ def _costs(
 
         start = run.initial(theta), jnp.zeros(()), run.predicted(1)
         (_, total, _), _ = jax.lax.scan(chunk, start, run.parts)
+        total = total + jnp.sum(run.growth(theta) ** 2)
         return total + jnp.sum(data.pull * (theta - data.origin) ** 2)
 
     return jax.vmap(cost)(thetas)
@@ -198,36 +241,61 @@ def _costs(
 def _normal(
     structure: StateSpaceStructure, packing: Packing, data: SampleChunks, theta: jax.Array
 ) -> Any:
-    """Sum of squared errors, J' J and J' e, including the ridge."""
-    run, n, p = _Simulation(structure, packing, data), structure.size, theta.size
-    by_step = jax.jacrev(run.step, argnums=(0, 1))
+    """Sum of squares, J' J and J' e, including the ridge and the stability term.
+
+    A record depends on its own initial state only: its rows of J hold the derivatives by the common
+    parameters and by that state.
+    """
+    run, n, count = _Simulation(structure, packing, data), structure.size, data.y.shape[2]
+    own = n if "x0" in packing.unpack(theta) else 0
+    p = theta.size - count * own  # The initial states are last
+
+    def step(common: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
+        return run.step(jnp.concatenate([common, theta[p:]]), x, u)
+
+    by_step = jax.jacrev(step, argnums=(0, 1))
     derivatives = jax.vmap(jax.vmap(by_step, (None, 0, 0)), (None, 0, 0))
 
     def chunk(carry: Any, part: Any) -> Any:
-        x, s, predicted, total, gram, gradient = carry
+        x, s, predicted, total, sums = carry
         x, states, error = run.chunk(theta, x, part)
-        by_theta, by_x = derivatives(theta, states, part[0])
+        by_common, by_x = derivatives(theta[:p], states, part[0])
 
         def move(s: jax.Array, at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            both = at[0] @ s + at[1]
+            both = (at[0] @ s).at[..., :p].add(at[1])
             return both[:, :n], both[:, n:]
 
-        s, sensitivity = jax.lax.scan(move, s, (by_x, by_theta))
+        s, sensitivity = jax.lax.scan(move, s, (by_x, by_common))
         before = predicted if predicted is None else predicted[..., :1]
         last, error = run.weighed(before, error[..., None], part)
         error, slope = run.bent(error[..., 0], part)
         after = predicted if predicted is None else predicted[..., 1:]
         after, rows = run.weighed(after, sensitivity, part)
         rows = rows if slope is None else slope[..., None] * rows
-        rows, e = rows.reshape(-1, p), error.ravel()
         if predicted is not None:
             predicted = jnp.concatenate([last, after], axis=-1)
-        sums = total + e @ e, gram + rows.T @ rows, gradient + rows.T @ e
-        return (x, s, predicted, *sums), None
+        common, each = rows[..., :p].reshape(-1, p), rows[..., p:]
+        found = (
+            common.T @ common, common.T @ error.ravel(),
+            jnp.einsum("trop,tron->rpn", rows[..., :p], each),
+            jnp.einsum("tron,trom->rnm", each, each), jnp.einsum("tron,tro->rn", each, error),
+        )  # fmt: skip
+        sums = jax.tree.map(jnp.add, sums, found)
+        return (x, s, predicted, total + jnp.sum(error**2), sums), None
 
-    x0, s0 = run.initial(theta), jax.jacfwd(run.initial)(theta)
-    away = theta - data.origin
-    # The ridge is a residual of its own.
-    ridge = jnp.sum(data.pull * away**2), jnp.diag(data.pull), data.pull * away
-    (_, _, _, *sums), _ = jax.lax.scan(chunk, (x0, s0, run.predicted(1 + p), *ridge), run.parts)
-    return sums
+    by_initial = jnp.concatenate([jnp.zeros((n, p)), jnp.eye(n)[:, :own]], axis=1)
+    s0 = jnp.broadcast_to(by_initial, (count, *by_initial.shape))
+    shapes = (p, p), (p,), (count, p, own), (count, own, own), (count, own)
+    zeros = tuple(jnp.zeros(shape) for shape in shapes)
+    begin = run.initial(theta), s0, run.predicted(1 + p + own), jnp.zeros(()), zeros
+    (_, _, _, total, sums), _ = jax.lax.scan(chunk, begin, run.parts)
+    gram, gradient, cross, inner, side = sums
+    cross, record = cross.swapaxes(0, 1).reshape(p, -1), jnp.arange(count)
+    blocks = jnp.zeros((count, own, count, own)).at[record, :, record, :].set(inner)
+    gram = jnp.block([[gram, cross], [cross.T, blocks.reshape(2 * (count * own,))]])
+    gradient = jnp.concatenate([gradient, side.ravel()])
+    # The stability term and the ridge have residuals of their own.
+    growth, rows, away = run.growth(theta), jax.jacfwd(run.growth)(theta), theta - data.origin
+    total = total + growth @ growth + jnp.sum(data.pull * away**2)
+    gram = gram + rows.T @ rows + jnp.diag(data.pull)
+    return total, gram, gradient + rows.T @ growth + data.pull * away

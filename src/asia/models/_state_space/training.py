@@ -1,5 +1,6 @@
 """Training of neural state-space models: Levenberg-Marquardt, on segments first."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -29,6 +30,7 @@ from asia.models._state_space.model import (
     window_samples,
     with_elements,
 )
+from asia.models._state_space.programs import StabilityTerm
 from asia.models._state_space.structure import StateSpaceStructure
 
 # Fits that begin with short segments of the records, each with its own initial state.
@@ -67,9 +69,23 @@ def fit_segments(
     method: LevenbergMarquardt,
     log: Progress,
     sampling_time: float,
+    lengths: int | None = None,
 ) -> list[StateFit]:
     """Fit the segments from each start: parameters, and initial states (R, n) of whole records, of
-    the first segment of a record, else x0 (R, n), those of the linear system."""
+    the first segment of a record, else x0 (R, n), those of the linear system.
+
+    Args:
+        structure: equations of the model.
+        system: linear system, for the first initial states of the segments.
+        starts: parameters that the fits begin with.
+        records: whole records.
+        x0: initial states of the records.
+        ridge: ridge of each top-level parameter name.
+        method: settings.
+        log: progress.
+        sampling_time: in s.
+        lengths: number of lengths of segments; None: up to the whole records.
+    """
     shortest, by_state, growth = _WITH_ELEMENTS if structure.size > structure.order else _SMOOTH
     length = max(shortest, by_state * structure.size)
     segments = _spread(records, length)
@@ -78,7 +94,9 @@ def fit_segments(
     first = [_guess(structure, system, records, segment, length) for segment in segments]
     states, fits = [np.array(first)] * len(starts), list[StateFit]()
     begin: Sequence[dict[str, Any]] = starts
-    while any(2 * len(r) >= 3 * length for r in records):
+    for _ in itertools.count() if lengths is None else range(lengths):
+        if not any(2 * len(r) >= 3 * length for r in records):
+            break
         cuts = [records[p.record].part(p.start, length) for p in segments]
         fits = [
             fit_states(
@@ -196,6 +214,7 @@ def fit_members(
     starts = starts_of(structure, found, records, count, scaling, rng)
     samples = of_records(records, with_elements(structure, found).x0)
     log, time = context.log, context.sampling_time
+    term = stability_term(found, structure.integrators, records)
     tried: list[FittedMembers] = []
     for stiffer in _STIFFER:
         ridge = {name: stiffer * value for name, value in options.ridge.items()}
@@ -206,12 +225,10 @@ def fit_members(
                 structure, found.system, starts, records, samples.x0, ridge, method, log, time
             )
             begin, x0 = [one.params for one in before], [one.x0 for one in before]
-            fits = fit_states(
-                structure, starts, samples, ridge, method, log, time, begin=begin, x0=x0
-            )
+            fits = fit_states(structure, starts, samples, ridge, method, log, time, begin, x0, term)
             # One start begins with whole records, since segments may mislead too.
             whole = starts[:1]
-        fits += fit_states(structure, whole, samples, ridge, method, log, time)
+        fits += fit_states(structure, whole, samples, ridge, method, log, time, stability=term)
         fits.sort(key=lambda one: one.cost)
         members, how = list[tuple[dict[str, Any], Encoder]](), list[PastFit]()
         for one in fits[: options.members]:
@@ -226,6 +243,13 @@ def fit_members(
         if lost <= _LOST:
             break
     return min(tried, key=lambda one: one.error)
+
+
+def stability_term(found: LinearFit, integrators: int, records: ScaledData) -> StabilityTerm | None:
+    """Stability term of a fit of the records that begins with a linear model."""
+    free = found.system.order - integrators
+    samples = sum(len(record) for record in records)
+    return StabilityTerm.of(found.system.a[:free, :free], samples, found.error)
 
 
 def past_window_error(

@@ -17,6 +17,8 @@ from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import ScaledTrajectory, scaled
 from asia.models._state_space import feedback
 from asia.models._state_space.feedback import feedback_starts
+from asia.models._state_space.fit import fit_states
+from asia.models._state_space.programs import StabilityTerm, StateSamples
 from asia.models._state_space.structure import StateSpaceStructure
 from tests.unit.models.systems.black_box import PAST, case, filtered, two_by_two, wiener
 from tests.unit.models.systems.fitting import against_holding, fitted
@@ -108,6 +110,44 @@ def test_the_order_is_found() -> None:
     line = fitted(linear, linear.Config(), data, None)
     assert np.abs(data.unseen.y - 5.0).max() > np.abs(data.training[0].y - 5.0).max()
     assert data.ratio(model) < 0.25 * data.ratio(line)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_fit_of_growing_outputs_stays_stable_with_the_stability_term(held: bool) -> None:
+    length = 150
+    y = 1.002 ** np.arange(length)[None, :, None]
+    samples = StateSamples(
+        np.ones((1, 1)), np.zeros((1, length, 1)), y, np.ones((1, length)), known=False
+    )
+    structure = StateSpaceStructure(1, 1, 1, "none", "tanh", 1, 2, None)
+    a = np.array([[0.995]])
+    start = {"a": a, "b": np.zeros((1, 1)), "c": np.ones((1, 1)), "d": np.zeros((1, 1)),
+             "offset": np.zeros(1)}  # fmt: skip
+    ridge = dict.fromkeys([*start, "x0"], 1e-9)
+    term = StabilityTerm.of(a, length, 1.0) if held else None
+    fit = fit_states(
+        structure, [start], samples, ridge, METHOD, lambda *_: None, stability=term
+    )[0]  # fmt: skip
+    assert (abs(fit.params["a"][0, 0]) < 1.0) == held
+    assert StabilityTerm.of(np.array([[1.0]]), length, 1.0) is None
+
+
+def test_no_mode_follows_the_drift_of_a_record() -> None:
+    data = case(lambda u: filtered(u) + np.linspace(-0.7, 0.7, len(u))[:, None] ** 2)
+    every = [
+        linear.fit_records(
+            scaled(data.training, Scaling.of(data.training)), data.context,
+            linear.Config(order=order, delay=0), Refinement(),
+        )
+        for order in (2, 3, 4)
+    ]  # fmt: skip
+    slow = np.exp(-3.0 / max(len(r) for r in data.training))
+    assert any((np.abs(np.linalg.eigvals(found.system.a)) > slow).any() for found, _, _ in every)
+    config = nl_lfr.Config(delay=0, hidden=2)
+    model = fitted(nl_lfr, config, data, LevenbergMarquardt(4, starts=1))
+    assert model.fitted is not None
+    a = model.fitted.members[0][0]["a"]
+    assert np.abs(np.linalg.eigvals(a)).max() < slow
 
 
 @pytest.mark.slow

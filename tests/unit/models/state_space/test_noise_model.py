@@ -46,8 +46,12 @@ def test_a_slow_disturbance_costs_less_with_its_model() -> None:
     assert np.median([error(slow, seed) / error(METHOD, seed) for seed in range(3)]) < 0.5
 
 
-@pytest.mark.parametrize("huber", [None, 0.7])
-def test_normal_equations_of_innovations(huber: float | None, monkeypatch: Any) -> None:
+@pytest.mark.parametrize(
+    ("huber", "stability"), [(None, None), (0.7, programs.StabilityTerm(0.3, 4))]
+)
+def test_normal_equations_of_innovations(
+    huber: float | None, stability: programs.StabilityTerm | None, monkeypatch: Any
+) -> None:
     monkeypatch.setattr(programs, "_CHUNK_VALUES", 200)
     structure = StateSpaceStructure(2, 1, 2, "state", "tanh", 2, 3, None)
     rng = np.random.default_rng(0)
@@ -67,12 +71,17 @@ def test_normal_equations_of_innovations(huber: float | None, monkeypatch: Any) 
     theta, packing = packed(tree, np.float64), Packing.of(tree)
     none = np.zeros_like(theta)
     chunks = programs.chunked(samples, structure, none, theta, weighting)
+    chunks = chunks._replace(stability=stability)
     assert len(chunks.u) > 1
 
     def residual(theta: np.ndarray) -> np.ndarray:
         p = packing.unpack(theta)
         found = weighting(structure.simulate(p, p["x0"], u)[1] - y)
-        return (found * weight[..., None]).ravel() / np.sqrt(2 * weight.sum())
+        errors = (found * weight[..., None]).ravel() / np.sqrt(2 * weight.sum())
+        if stability is None:
+            return errors
+        growth = np.sqrt(stability.weight) * np.linalg.matrix_power(p["a"], 16)
+        return np.concatenate([errors, growth.ravel()])
 
     equations = programs.CompiledEquations(structure, packing, chunks, lambda *_: None)
     found = equations.normal(theta[None])
