@@ -39,6 +39,10 @@ _MOST_STATES = 200
 _SETTLINGS = (0, 25, 50, 100, 200, 400, 800)
 # Share of its size in which each state is moved beside the inputs.
 _FLOOR = 1e-3
+# Operations of affine steps.
+_ARITHMETIC = frozenset(
+    "reshape broadcast transpose slice pick concat pad add sub mul neg matmul rsum max min".split()
+)
 # Simulations that look for an input sequence which leaves the limits.
 _RUNS = 10
 
@@ -81,16 +85,11 @@ def certify(
         for one in linear:
             if not keep(one):
                 missed.append(f"no certificate of {one['kind']}")
-    bounds = u[:, 0], u[:, 1]
-    try:
-        low, high, _ = reach(model, interval(*box), bounds, horizon)
-        wide = _SLACK * (high - low) + 1e-12 * (1.0 + np.abs(low) + np.abs(high))
-        tube = {"kind": "tube", "start": box.tolist(), "lower": (low - wide).tolist(),
-                "upper": (high + wide).tolist()}  # fmt: skip
-        if not keep(tube):
-            missed.append("no certificate of a tube")
-    except UnboundedError as error:
-        missed.append(f"no certificate of a tube over {horizon} samples: {error}")
+    tube = _narrowest_tube(model, u, box, horizon)
+    if isinstance(tube, str):
+        missed.append(f"no certificate of a tube over {horizon} samples: {tube}")
+    elif not keep(tube):
+        missed.append("no certificate of a tube")
     invariant = _invariant_box(model, u, box)
     if invariant is None or not keep(invariant):
         missed.append("no certificate for all times: no box of states was found that is not left")
@@ -101,7 +100,8 @@ def certify(
         sides = [[v if np.isfinite(v) else None for v in side] for side in y.T.tolist()]
         wanted = {"kind": "output limits", "lower": sides[0], "upper": sides[1]}
         always = limits is not None and keep({**limits, **wanted})
-        now = {**wanted, "always": False, "samples": horizon, "start": box.tolist()}
+        now = {**wanted, "always": False, "samples": horizon, "start": box.tolist(),
+               "chord": not isinstance(tube, str) and tube["chord"]}  # fmt: skip
         if not always and not keep(now):
             missed.append(_why_not_within(model, u, box, y, horizon, facts))
     content: dict[str, Any] = {
@@ -113,6 +113,34 @@ def certify(
         "program": base64.b64encode(pack(model)).decode(),
     }
     return {**content, "sha256": digest(content)}
+
+
+def _narrowest_tube(
+    model: LoweredModel, u: Array, box: Array, horizon: int
+) -> dict[str, Any] | str:
+    """Tube by the slopes of chords or by mean slopes, or why there is none."""
+    found: list[dict[str, Any]] = []
+    reason = ""
+    for chord in _slope_choices(model):
+        try:
+            low, high, _ = reach(model, interval(*box), (u[:, 0], u[:, 1]), horizon, chord=chord)
+        except UnboundedError as error:
+            reason = reason or str(error)
+            continue
+        wide = _SLACK * (high - low) + 1e-12 * (1.0 + np.abs(low) + np.abs(high))
+        found.append({"kind": "tube", "chord": chord, "start": box.tolist(),
+                      "lower": (low - wide).tolist(), "upper": (high + wide).tolist()})  # fmt: skip
+
+    def width(one: dict[str, Any]) -> float:
+        return float((np.array(one["upper"]) - np.array(one["lower"])).sum())
+
+    return min(found, key=width) if found else reason
+
+
+def _slope_choices(model: LoweredModel) -> tuple[bool, ...]:
+    """Whether functions are replaced by the slopes of chords: both are tried where there are any."""
+    has_functions = any(node.op not in _ARITHMETIC for node in model.step.nodes)
+    return (False, True) if has_functions else (False,)
 
 
 def _linear_statements(model: LoweredModel) -> list[dict[str, Any]] | str:
@@ -246,15 +274,20 @@ def _invariant_box(model: LoweredModel, u: Array, start: Array) -> dict[str, Any
             return None
         visited.append(x)
     states = np.stack(visited)
-    found = _grown(model, u, states, None)
-    if found is None and 0 < len(x) <= _MOST_STATES:
-        basis = _reached_axes(model, u, states.mean(axis=0))
-        found = None if basis is None else _grown(model, u, states, basis)
-    return found
+    bases: list[Array | None] = [None]
+    if 0 < len(x) <= _MOST_STATES:
+        bases.append(_reached_axes(model, u, states.mean(axis=0)))
+    tried = (
+        _grown(model, u, states, basis, chord=chord)
+        for k, basis in enumerate(bases)
+        if basis is not None or not k
+        for chord in _slope_choices(model)
+    )
+    return next((found for found in tried if found is not None), None)
 
 
 def _grown(
-    model: LoweredModel, u: Array, states: Array, basis: Array | None
+    model: LoweredModel, u: Array, states: Array, basis: Array | None, *, chord: bool
 ) -> dict[str, Any] | None:
     z = states if basis is None else np.linalg.solve(basis, states.T).T
     low, high = z.min(axis=0), z.max(axis=0)
@@ -267,12 +300,12 @@ def _grown(
             wide = 0.01 * 1.5**k * (box[1] - box[0]) + 1e-9
             box = np.stack([box[0] - wide, box[1] + wide])
             try:
-                lower, upper, after, inside = returning(model, u, box, basis, samples)
+                lower, upper, after, inside = returning(model, u, box, basis, samples, chord=chord)
             except UnboundedError:
                 break
             if inside:
-                found = {"kind": "invariant box", "samples": samples, "start": box.tolist(),
-                         "lower": lower.min(axis=0).tolist(),
+                found = {"kind": "invariant box", "samples": samples, "chord": chord,
+                         "start": box.tolist(), "lower": lower.min(axis=0).tolist(),
                          "upper": upper.max(axis=0).tolist()}  # fmt: skip
                 return found if basis is None else {**found, "basis": basis.tolist()}
             if back is not None:
@@ -331,7 +364,11 @@ def _limits(
         return None
     _, settling, (low, high) = best
     slack = _SLACK * (high - low) + 1e-12 * (1.0 + np.abs(low) + np.abs(high))
-    kept = {name: invariant[name] for name in ("start", "samples", "basis") if name in invariant}
+    kept = {
+        name: invariant[name]
+        for name in ("start", "samples", "basis", "chord")
+        if name in invariant
+    }
     return {"kind": "limits", "always": True, "start": box.tolist(), "set": kept,
             "settling": settling, "samples": settling + samples,
             "lower": (low - slack).tolist(), "upper": (high + slack).tolist()}  # fmt: skip

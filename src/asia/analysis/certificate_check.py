@@ -181,7 +181,9 @@ def _box(one: dict[str, Any]) -> Enclosure:
 
 def _tube(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
     lower, upper = np.array(one["lower"]), np.array(one["upper"])
-    low, high, _ = reach(model, _box(one), (u[:, 0], u[:, 1]), len(lower))
+    low, high, _ = reach(
+        model, _box(one), (u[:, 0], u[:, 1]), len(lower), chord=bool(one.get("chord"))
+    )
     return lower.shape == low.shape and bool((lower <= low).all() and (high <= upper).all())
 
 
@@ -211,12 +213,12 @@ def _is_inside(x: Enclosure, turn: Array, box: Array) -> bool:
 
 
 def returning(
-    model: LoweredModel, u: Array, box: Array, basis: Array | None, samples: int
+    model: LoweredModel, u: Array, box: Array, basis: Array | None, samples: int, *, chord: bool
 ) -> tuple[Array, Array, Enclosure, bool]:
     """Limits of the outputs from all states T z with z in a box (2, n), the states after some
     samples, and whether they are certainly back in that set."""
     start, turn = _coordinates(interval(box[0], box[1]), basis)
-    low, high, after = reach(model, start, (u[:, 0], u[:, 1]), samples)
+    low, high, after = reach(model, start, (u[:, 0], u[:, 1]), samples, chord=chord)
     return low, high, after, samples >= 1 and _is_inside(after, turn, box)
 
 
@@ -228,7 +230,7 @@ def _set(one: dict[str, Any]) -> tuple[Array, Array | None, int]:
 
 def _invariant(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
     """The set comes back into itself after some samples, and the outputs stay in between."""
-    low, high, _, back = returning(model, u, *_set(one))
+    low, high, _, back = returning(model, u, *_set(one), chord=bool(one.get("chord")))
     lower, upper = (np.array(one[name]) for name in ("lower", "upper"))
     return bool(back and (lower <= low).all() and (high <= upper).all())
 
@@ -242,19 +244,20 @@ def forever(
     multiple of s, an output is one of those that the set gives so late; before, one of the tube.
     """
     box, turn, samples = _set(invariant)
+    chord = bool(invariant.get("chord"))
     first = interval(start[0], start[1])
     known = np.eye(len(first.c)) if turn is None else turn
     if samples < 1 or settling % samples or not _is_inside(first, known, box):
         return None
-    low, high, after, back = returning(model, u, box, turn, samples)
+    low, high, after, back = returning(model, u, box, turn, samples, chord=chord)
     bounds = u[:, 0], u[:, 1]
     if not back:
         return None
     if settling:
         # From the set: samples s to s + settling, of which the last s count.
-        low, high, _ = reach(model, after, bounds, settling)
+        low, high, _ = reach(model, after, bounds, settling, chord=chord)
         low, high = low[-samples:], high[-samples:]
-        early = reach(model, first, bounds, settling)[:2]
+        early = reach(model, first, bounds, settling, chord=chord)[:2]
         low, high = np.vstack([low, early[0]]), np.vstack([high, early[1]])
     return low.min(axis=0), high.max(axis=0)
 
@@ -270,7 +273,9 @@ def _output_limits(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
         found = forever(model, u, start, one["set"], int(one["settling"]))
         return found is not None and bool((lower <= found[0]).all() and (found[1] <= upper).all())
     # Without a set apart the start itself must be one.
-    low, high, _, back = returning(model, u, start, None, int(one["samples"]))
+    low, high, _, back = returning(
+        model, u, start, None, int(one["samples"]), chord=bool(one.get("chord"))
+    )
     inside = (lower <= low).all() and (high <= upper).all() and one["samples"] >= 1
     return bool(inside and (back or not one["always"]))
 

@@ -149,11 +149,16 @@ def certify_loop(
             )  # fmt: skip
 
         free = found(plant, "the loop", limits, limited=False)
-        if is_limited and not any(one.get("always") for one in free["statements"]):
+        kept = [one for one in free["statements"] if one["kind"] == "output limits"]
+        if is_limited and not any(one["always"] for one in kept):
             held = found(plant, "the loop", wanted, limited=True)
             linear = [one for one in free["statements"] if one["kind"] in _LINEAR]
-            free = {**free, "subject": "the loop without limits of its input",
-                    "statements": linear, "missed": [m for m in free["missed"] if _is_linear(m)]}
+            free = {
+                **free,
+                "subject": "the loop without limits of its input",
+                "statements": linear,
+                "missed": [m for m in free["missed"] if _is_linear(m)],
+            }
             held["missed"] = [m for m in held["missed"] if not _is_linear(m)]
             loops += [{**one, "sha256": digest(one)} for one in (free, held)]
         else:

@@ -137,9 +137,7 @@ def _write(content: dict[str, Any], path: Path, *, json: bool) -> None:
 
 def _exit(content: dict[str, Any], *, limits: bool) -> None:
     """Exit with 1 if nothing is proven, or not the limits of the outputs for every model."""
-    each = [
-        {one["kind"] for one in part["statements"]} for part in content.get("loops", [content])
-    ]
+    each = [{one["kind"] for one in part["statements"]} for part in content.get("loops", [content])]
     models = {part["model"] for part in content.get("loops", [content])}
     kept = {
         part["model"]
