@@ -41,7 +41,23 @@ _SETTLINGS = (0, 25, 50, 100, 200, 400, 800)
 _FLOOR = 1e-3
 # Operations of affine steps.
 _ARITHMETIC = frozenset(
-    "reshape broadcast transpose slice pick concat pad add sub mul neg matmul rsum max min".split()
+    [
+        "reshape",
+        "broadcast",
+        "transpose",
+        "slice",
+        "pick",
+        "concat",
+        "pad",
+        "add",
+        "sub",
+        "mul",
+        "neg",
+        "matmul",
+        "rsum",
+        "max",
+        "min",
+    ]
 )
 # Simulations that look for an input sequence which leaves the limits.
 _RUNS = 10
@@ -138,7 +154,7 @@ def _narrowest_tube(
 
 
 def _slope_choices(model: LoweredModel) -> tuple[bool, ...]:
-    """Whether functions are replaced by the slopes of chords: both are tried where there are any."""
+    """Whether functions are replaced by the slopes of chords: both where there are functions."""
     has_functions = any(node.op not in _ARITHMETIC for node in model.step.nodes)
     return (False, True) if has_functions else (False,)
 

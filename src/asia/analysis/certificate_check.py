@@ -113,7 +113,8 @@ def common_sentences(loops: Sequence[dict[str, Any]]) -> list[str]:
                 whole[side] = (np.min(ends, axis=0) if least else np.max(ends, axis=0)).tolist()
         if first["kind"] == "tube":
             whole["samples"] = min(len(one["lower"]) for one in each)
-        every = f"all {len(models)} models" if names == models else ", ".join(names)
+        is_all = names == models and len(models) > 1
+        every = f"all {len(models)} models" if is_all else ", ".join(names)
         lines.append(f"{every}: {sentence(whole, content)}")
     return lines
 
