@@ -137,14 +137,12 @@ def _write(content: dict[str, Any], path: Path, *, json: bool) -> None:
 
 def _exit(content: dict[str, Any], *, limits: bool) -> None:
     """Exit with 1 if nothing is proven, or not the limits of the outputs for every model."""
-    each = [{one["kind"] for one in part["statements"]} for part in content.get("loops", [content])]
-    models = {part["model"] for part in content.get("loops", [content])}
-    kept = {
-        part["model"]
-        for part, kinds in zip(content.get("loops", [content]), each, strict=True)
-        if "output limits" in kinds
-    }
-    if not any(each) or (limits and kept != models):
+    proven: dict[str, set[str]] = {}
+    for part in content.get("loops", [content]):
+        kinds = {one["kind"] for one in part["statements"]}
+        proven.setdefault(part["model"], set()).update(kinds)
+    kept = all("output limits" in kinds for kinds in proven.values())
+    if not any(proven.values()) or (limits and not kept):
         raise typer.Exit(1)
 
 
@@ -158,7 +156,7 @@ def _certified_loop(
     from asia.analysis.control import SampledController
     from asia.interfaces.cli.control import loop_of_run
     from asia.problem.load import load_lock
-    from asia.report.page.sections.evidence import CONTROL_FILE
+    from asia.report.page.sections.evidence import CONTROL_FILE, LOOP_CERTIFICATE_FILE
     from asia.search.run import LOCK
 
     if model is not None and not model.isdecimal():
@@ -208,7 +206,7 @@ def _certified_loop(
         ],
     }
     content = certify_loop(plants, controller, limits, horizon, facts, within if y else None)
-    return content, folder / "certificate.json"
+    return content, folder / LOOP_CERTIFICATE_FILE.name
 
 
 def _set_limits(
