@@ -307,7 +307,7 @@ def _grown(
 ) -> dict[str, Any] | None:
     z = states if basis is None else np.linalg.solve(basis, states.T).T
     low, high = z.min(axis=0), z.max(axis=0)
-    back = None if basis is None else np.linalg.inv(basis)
+    back = None if basis is None else np.asarray(np.linalg.inv(basis), np.float64)
     for samples in _RETURNS:
         box = np.stack([low, high])
         for k in range(_ROUNDS):

@@ -204,7 +204,7 @@ def _coordinates(box: Enclosure, basis: Array | None) -> tuple[Enclosure, Array]
 
 def _is_inside(x: Enclosure, turn: Array, box: Array) -> bool:
     """Whether T^-1 x is certainly in a box (2, n). W = T^-1 (I + E) is inverted up to E."""
-    inverse = np.linalg.inv(turn)
+    inverse = np.asarray(np.linalg.inv(turn), np.float64)
     e = float((point(inverse) @ point(turn) - point(np.eye(len(turn)))).size.sum(axis=1).max())
     z = transformed(inverse, x)
     if not e < 0.1:

@@ -414,10 +414,10 @@ def _without_fast_modes(model: LinearModel, tolerance: float) -> tuple[LinearMod
     that replaces them best; None where its impulse response would change by more."""
     from scipy.linalg import schur, solve_sylvester
 
-    triangular, turned, kept = schur(
-        model.a, output="real",
-        sort=lambda re, im=0.0: not (abs(im) < 1e-9 and re <= 1e-12),
-    )  # pyright: ignore[reportAssignmentType]  # fmt: skip
+    ordered: Any = schur(
+        model.a, output="real", sort=lambda re, im=0.0: not (abs(im) < 1e-9 and re <= 1e-12)
+    )
+    triangular, turned, kept = ordered
     k, n = int(kept), model.order
     if not k:
         return None
