@@ -10,6 +10,9 @@ RUNS ?= runs
 WORKERS ?= $(shell echo $$((2 * $$(getconf _NPROCESSORS_ONLN))))
 PYTEST := $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations 15
 
+# Threads of BLAS only wait for each other where the workers keep the cores busy.
+export OPENBLAS_NUM_THREADS ?= 1
+
 # pytest keeps what it compiles of the tests: eight seconds for each worker.
 unexport PYTHONDONTWRITEBYTECODE
 
