@@ -12,8 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from asia.analysis.certificate_check import FORMAT, digest, prove, sentence
+from asia.analysis.certificate_check import (
+    FORMAT,
+    digest,
+    forever,
+    prove,
+    returning,
+    sentence,
+    transformed,
+)
 from asia.data.trajectory import Array
+from asia.lowering.derivatives import derivatives
 from asia.lowering.enclosure import UnboundedError, affine_matrices, interval, reach
 from asia.lowering.evaluation import evaluate
 from asia.lowering.linear import joined, split
@@ -26,6 +35,30 @@ _ROUNDS = 10
 _WALK = 1_000
 _LARGEST_GROWTH = 30.0
 _MOST_STATES = 200
+# Waiting times in samples that are tried before limits for all times begin.
+_SETTLINGS = (0, 25, 50, 100, 200, 400, 800)
+# Share of its size in which each state is moved beside the inputs.
+_FLOOR = 1e-3
+# Operations of affine steps.
+_ARITHMETIC = frozenset(
+    [
+        "reshape",
+        "broadcast",
+        "transpose",
+        "slice",
+        "pick",
+        "concat",
+        "pad",
+        "add",
+        "sub",
+        "mul",
+        "neg",
+        "matmul",
+        "rsum",
+        "max",
+        "min",
+    ]
+)
 # Simulations that look for an input sequence which leaves the limits.
 _RUNS = 10
 
@@ -68,27 +101,24 @@ def certify(
         for one in linear:
             if not keep(one):
                 missed.append(f"no certificate of {one['kind']}")
-    bounds = u[:, 0], u[:, 1]
-    try:
-        low, high, _ = reach(model, interval(*box), bounds, horizon)
-        wide = _SLACK * (high - low) + 1e-12 * (1.0 + np.abs(low) + np.abs(high))
-        tube = {"kind": "tube", "start": box.tolist(), "lower": (low - wide).tolist(),
-                "upper": (high + wide).tolist()}  # fmt: skip
-        if not keep(tube):
-            missed.append("no certificate of a tube")
-    except UnboundedError as error:
-        missed.append(f"no certificate of a tube over {horizon} samples: {error}")
+    tube = _narrowest_tube(model, u, box, horizon)
+    if isinstance(tube, str):
+        missed.append(f"no certificate of a tube over {horizon} samples: {tube}")
+    elif not keep(tube):
+        missed.append("no certificate of a tube")
     invariant = _invariant_box(model, u, box)
     if invariant is None or not keep(invariant):
         missed.append("no certificate for all times: no box of states was found that is not left")
+    limits = None if invariant is None else _limits(model, u, box, invariant)
+    if limits is not None:
+        keep(limits)
     if y is not None:
         sides = [[v if np.isfinite(v) else None for v in side] for side in y.T.tolist()]
         wanted = {"kind": "output limits", "lower": sides[0], "upper": sides[1]}
-        forever = invariant is not None and keep(
-            {**wanted, "always": True, "samples": invariant["samples"], "start": invariant["start"]}
-        )
-        now = {**wanted, "always": False, "samples": horizon, "start": box.tolist()}
-        if not forever and not keep(now):
+        always = limits is not None and keep({**limits, **wanted})
+        now = {**wanted, "always": False, "samples": horizon, "start": box.tolist(),
+               "chord": not isinstance(tube, str) and tube["chord"]}  # fmt: skip
+        if not always and not keep(now):
             missed.append(_why_not_within(model, u, box, y, horizon, facts))
     content: dict[str, Any] = {
         "format": FORMAT,
@@ -99,6 +129,34 @@ def certify(
         "program": base64.b64encode(pack(model)).decode(),
     }
     return {**content, "sha256": digest(content)}
+
+
+def _narrowest_tube(
+    model: LoweredModel, u: Array, box: Array, horizon: int
+) -> dict[str, Any] | str:
+    """Tube by the slopes of chords or by mean slopes, or why there is none."""
+    found: list[dict[str, Any]] = []
+    reason = ""
+    for chord in _slope_choices(model):
+        try:
+            low, high, _ = reach(model, interval(*box), (u[:, 0], u[:, 1]), horizon, chord=chord)
+        except UnboundedError as error:
+            reason = reason or str(error)
+            continue
+        wide = _SLACK * (high - low) + 1e-12 * (1.0 + np.abs(low) + np.abs(high))
+        found.append({"kind": "tube", "chord": chord, "start": box.tolist(),
+                      "lower": (low - wide).tolist(), "upper": (high + wide).tolist()})  # fmt: skip
+
+    def width(one: dict[str, Any]) -> float:
+        return float((np.array(one["upper"]) - np.array(one["lower"])).sum())
+
+    return min(found, key=width) if found else reason
+
+
+def _slope_choices(model: LoweredModel) -> tuple[bool, ...]:
+    """Whether functions are replaced by the slopes of chords: both where there are functions."""
+    has_functions = any(node.op not in _ARITHMETIC for node in model.step.nodes)
+    return (False, True) if has_functions else (False,)
 
 
 def _linear_statements(model: LoweredModel) -> list[dict[str, Any]] | str:
@@ -117,6 +175,8 @@ def _linear_statements(model: LoweredModel) -> list[dict[str, Any]] | str:
         return f"the linear model has a pole of size {largest:.6g}"
     p = _symmetric(solve_discrete_lyapunov(a.T, np.eye(n)))
     found: list[dict[str, Any]] = [{"kind": "stability", "P": p.tolist()}]
+    z = np.exp(1j * np.concatenate([[0.0], np.geomspace(1e-6, np.pi, 2000)]))[:, None, None]
+    rise = np.abs(d + c @ np.linalg.solve(z * np.eye(n) - a, b + 0j)).max(axis=0)
     decay = largest + 0.5 * (1.0 - largest)
     q = _symmetric(solve_discrete_lyapunov((a / decay).T, np.eye(n)))
     terms = int(min(max(np.log(1e-7) / np.log(max(decay, 1e-9)), 20), 20_000))
@@ -132,9 +192,7 @@ def _linear_statements(model: LoweredModel) -> list[dict[str, Any]] | str:
                 "kind": "peak gain", "output": i, "input": j, "bound": here * (1 + 1e-6) + 1e-9,
                 "decay": decay, "P": q.tolist(), "terms": terms, "reach": distance,
             })  # fmt: skip
-            z = np.exp(1j * np.concatenate([[0.0], np.geomspace(1e-6, np.pi, 2000)]))
-            rise = [abs(d[i, j] + c[i] @ np.linalg.solve(s * np.eye(n) - a, b[:, j])) for s in z]
-            lower = float(max(rise))
+            lower = float(rise[i, j])
             row, column = c[i : i + 1], b[:, j : j + 1]
             for margin in (1e-4, 1e-3, 1e-2, 0.1):
                 bound = lower * (1 + margin) + 1e-9
@@ -208,10 +266,11 @@ def _why_not_within(
 
 
 def _invariant_box(model: LoweredModel, u: Array, start: Array) -> dict[str, Any] | None:
-    """Fixed-point iteration: a box grows by what can be reached from it after some samples."""
-    rng, bounds = np.random.default_rng(0), (u[:, 0], u[:, 1])
+    """Fixed-point iteration: a box grows by what can be reached from it after some samples. Its
+    axes are those of the states, else those of the ellipsoid that the linearised model reaches."""
+    rng = np.random.default_rng(0)
     x = 0.5 * (start[0] + start[1])
-    low, high = start[0].copy(), start[1].copy()
+    visited = [start[0], start[1]]
     share = np.zeros(model.nu)
     for k in range(_WALK):
         # Inputs at their limits for a long time, then changing fast.
@@ -229,7 +288,26 @@ def _invariant_box(model: LoweredModel, u: Array, start: Array) -> dict[str, Any
         x = joined(evaluate(model.update, [*split(model, x), inputs]))
         if not np.isfinite(x).all():
             return None
-        low, high = np.minimum(low, x), np.maximum(high, x)
+        visited.append(x)
+    states = np.stack(visited)
+    bases: list[Array | None] = [None]
+    if 0 < len(x) <= _MOST_STATES:
+        bases.append(_reached_axes(model, u, states.mean(axis=0)))
+    tried = (
+        _grown(model, u, states, basis, chord=chord)
+        for k, basis in enumerate(bases)
+        if basis is not None or not k
+        for chord in _slope_choices(model)
+    )
+    return next((found for found in tried if found is not None), None)
+
+
+def _grown(
+    model: LoweredModel, u: Array, states: Array, basis: Array | None, *, chord: bool
+) -> dict[str, Any] | None:
+    z = states if basis is None else np.linalg.solve(basis, states.T).T
+    low, high = z.min(axis=0), z.max(axis=0)
+    back = None if basis is None else np.asarray(np.linalg.inv(basis), np.float64)
     for samples in _RETURNS:
         box = np.stack([low, high])
         for k in range(_ROUNDS):
@@ -238,15 +316,78 @@ def _invariant_box(model: LoweredModel, u: Array, start: Array) -> dict[str, Any
             wide = 0.01 * 1.5**k * (box[1] - box[0]) + 1e-9
             box = np.stack([box[0] - wide, box[1] + wide])
             try:
-                lower, upper, after = reach(model, interval(*box), bounds, samples)
+                lower, upper, after, inside = returning(model, u, box, basis, samples, chord=chord)
             except UnboundedError:
                 break
-            if (after.low >= box[0]).all() and (after.high <= box[1]).all():
-                return {"kind": "invariant box", "samples": samples, "start": box.tolist(),
-                        "lower": lower.min(axis=0).tolist(),
-                        "upper": upper.max(axis=0).tolist()}  # fmt: skip
+            if inside:
+                found = {"kind": "invariant box", "samples": samples, "chord": chord,
+                         "start": box.tolist(), "lower": lower.min(axis=0).tolist(),
+                         "upper": upper.max(axis=0).tolist()}  # fmt: skip
+                return found if basis is None else {**found, "basis": basis.tolist()}
+            if back is not None:
+                after = transformed(back, after)
             box = np.stack([np.minimum(box[0], after.low), np.maximum(box[1], after.high)])
     return None
+
+
+def _slopes(model: LoweredModel, x: Array, inputs: Array) -> tuple[Array, Array]:
+    """A and B of the states at a point."""
+    _, slope = derivatives(model.update, [*split(model, x), inputs])
+    return slope[:, : len(x)], slope[:, len(x) :]
+
+
+def _reached_axes(model: LoweredModel, u: Array, x: Array) -> Array | None:
+    """Axes of the ellipsoid of states that inputs within their limits reach, a little enlarged:
+    the Cholesky factor of a Gramian of A / decay. None for an unstable linearisation."""
+    from scipy.linalg import solve_discrete_lyapunov
+
+    a, b = _slopes(model, x, u.mean(axis=1))
+    radius = float(np.abs(np.linalg.eigvals(a)).max(initial=0.0)) if np.isfinite(a).all() else 1.0
+    if not radius < 1.0 - 1e-9:
+        return None
+    decay = radius + 0.3 * (1.0 - radius)
+    push = b * (0.5 * (u[:, 1] - u[:, 0]) + 1e-9)
+    spread = push @ push.T
+    size = np.diag(_symmetric(solve_discrete_lyapunov(a / decay, spread))).clip(0.0)
+    floor = _FLOOR * (size + _FLOOR * max(float(size.max(initial=0.0)), 1e-12))
+    gramian = _symmetric(solve_discrete_lyapunov(a / decay, spread + np.diag(floor)))
+    try:
+        return np.asarray(np.linalg.cholesky(gramian), np.float64)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _limits(
+    model: LoweredModel, u: Array, box: Array, invariant: dict[str, Any]
+) -> dict[str, Any] | None:
+    """Limits of the outputs from the start for all times, by a set that is not left: the longer
+    it settles, the less of its width is left in the outputs."""
+    samples = int(invariant["samples"])
+    best: tuple[float, int, tuple[Array, Array]] | None = None
+    for least in _SETTLINGS:
+        settling = -(-least // samples) * samples
+        try:
+            found = forever(model, u, box, invariant, settling)
+        except UnboundedError:
+            break
+        if found is None:
+            break
+        wide = float((found[1] - found[0]).sum())
+        if best is not None and wide > 0.98 * best[0]:
+            break
+        best = wide, settling, found
+    if best is None:
+        return None
+    _, settling, (low, high) = best
+    slack = _SLACK * (high - low) + 1e-12 * (1.0 + np.abs(low) + np.abs(high))
+    kept = {
+        name: invariant[name]
+        for name in ("start", "samples", "basis", "chord")
+        if name in invariant
+    }
+    return {"kind": "limits", "always": True, "start": box.tolist(), "set": kept,
+            "settling": settling, "samples": settling + samples,
+            "lower": (low - slack).tolist(), "upper": (high + slack).tolist()}  # fmt: skip
 
 
 def text_lines(content: dict[str, Any]) -> list[str]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -48,24 +49,74 @@ def check_certificate(path: Path) -> list[str]:
         if path.stat().st_size > LARGEST_BYTES:
             raise ValueError("too large")
         content = json.loads(path.read_bytes())
-        found, model = content["sha256"], unpack(base64.b64decode(content["program"]))
-        statements, u = list(content["statements"]), np.array(content["u"], np.float64)
-    except (ValueError, TypeError, LookupError, FormatError) as error:
+        found, loops = content["sha256"], content.get("loops")
+        parts = [_Part.of(one) for one in ([content] if loops is None else loops)]
+    except (ValueError, TypeError, LookupError, AttributeError, FormatError) as error:
         raise UserError(f"{path} is no certificate: {error}") from None
-    if content.get("format") != FORMAT or isinstance(model, str):
+    if content.get("format") != FORMAT:
         raise UserError(f"{path} is no certificate of this version")
     if found != digest(content):
         raise UserError(f"{path} was changed: its digest differs; run asia certify again")
-    sentences: list[str] = []
-    for k, one in enumerate(statements, 1):
-        try:
-            holds = prove(model, u, one)
-        except (UnboundedError, ValueError, TypeError, LookupError):
-            holds = False
-        if not holds:
-            raise UserError(f"{path}: statement {k} is not proven: {one.get('text')}")
-        sentences.append(sentence(one, content))
-    return sentences
+    for part in parts:
+        for k, one in enumerate(part.statements, 1):
+            try:
+                holds = prove(part.model, part.u, one)
+            except (UnboundedError, ValueError, TypeError, LookupError):
+                holds = False
+            if not holds:
+                raise UserError(f"{path}: statement {k} is not proven: {one.get('text')}")
+    if loops is None:
+        return [sentence(one, content) for one in parts[0].statements]
+    return common_sentences(loops)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Statements on one model."""
+
+    model: LoweredModel
+    statements: list[dict[str, Any]]
+    u: Array
+
+    @classmethod
+    def of(cls, content: dict[str, Any]) -> _Part:
+        model = unpack(base64.b64decode(content["program"]))
+        if isinstance(model, str):
+            raise ValueError(model)
+        return cls(model, list(content["statements"]), np.array(content["u"], np.float64))
+
+
+def common_sentences(loops: Sequence[dict[str, Any]]) -> list[str]:
+    """Sentences that hold for each of several models, made from what is proven for them: the
+    largest bound and the widest limits. Each begins with the models that it is proven for. Limits
+    for all times stand for tube and box of a model."""
+    models = list(dict.fromkeys(str(one["model"]) for one in loops))
+    found: dict[tuple[object, ...], list[tuple[dict[str, Any], dict[str, Any]]]] = {}
+    for content in loops:
+        kinds = {one["kind"] for one in content["statements"]}
+        for one in content["statements"]:
+            if "limits" in kinds and one["kind"] in ("tube", "invariant box"):
+                continue
+            parts = (one.get(name) for name in ("kind", "output", "input", "always"))
+            found.setdefault((*parts, content.get("subject")), []).append((content, one))
+    lines: list[str] = []
+    for rows in found.values():
+        names = [str(content["model"]) for content, _ in rows]
+        content, first = rows[0]
+        whole, each = dict(first), [one for _, one in rows]
+        if "bound" in first:
+            whole["bound"] = max(one["bound"] for one in each)
+        for side, least in (("lower", True), ("upper", False)):
+            if side in first:
+                spans = [np.atleast_2d(np.array(one[side], float)) for one in each]
+                ends = [s.min(axis=0) if least else s.max(axis=0) for s in spans]
+                whole[side] = (np.min(ends, axis=0) if least else np.max(ends, axis=0)).tolist()
+        if first["kind"] == "tube":
+            whole["samples"] = min(len(one["lower"]) for one in each)
+        is_all = names == models and len(models) > 1
+        every = f"all {len(models)} models" if is_all else ", ".join(names)
+        lines.append(f"{every}: {sentence(whole, content)}")
+    return lines
 
 
 def sentence(statement: dict[str, Any], content: dict[str, Any]) -> str:
@@ -81,7 +132,7 @@ def sentence(statement: dict[str, Any], content: dict[str, Any]) -> str:
         return str(name), f" {unit}" if unit else ""
 
     if kind == "stability":
-        return "the linear model is asymptotically stable"
+        return f"{content.get('subject', 'the linear model')} is asymptotically stable"
     if kind in ("peak gain", "H-infinity norm"):
         (y, above), (u, below) = (
             signal("outputs", statement["output"]), signal("inputs", statement["input"]),
@@ -98,6 +149,8 @@ def sentence(statement: dict[str, Any], content: dict[str, Any]) -> str:
     if kind == "output limits":
         long = "for all times" if statement["always"] else f"for {samples} samples"
         return f"within the limits, from the start, {long}: {listed}"
+    if kind == "limits":
+        return f"from the start, for all times: {listed}"
     if kind == "tube":
         return f"from the start, for {samples} samples: {listed}"
     return f"from every state in the box, for all times: {listed}"
@@ -129,27 +182,103 @@ def _box(one: dict[str, Any]) -> Enclosure:
 
 def _tube(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
     lower, upper = np.array(one["lower"]), np.array(one["upper"])
-    low, high, _ = reach(model, _box(one), (u[:, 0], u[:, 1]), len(lower))
+    low, high, _ = reach(
+        model, _box(one), (u[:, 0], u[:, 1]), len(lower), chord=bool(one.get("chord"))
+    )
     return lower.shape == low.shape and bool((lower <= low).all() and (high <= upper).all())
 
 
+def transformed(matrix: Array, x: Enclosure) -> Enclosure:
+    """Enclosure of M x for a vector."""
+    column = Enclosure(x.c[:, None], x.g[:, :, None], x.r[:, None])
+    found = point(matrix, len(x.g)) @ column
+    return Enclosure(found.c[:, 0], found.g[:, :, 0], found.r[:, 0])
+
+
+def _coordinates(box: Enclosure, basis: Array | None) -> tuple[Enclosure, Array]:
+    """States T z of all z in a box, and T; without a basis T is one."""
+    turn = np.eye(len(box.c)) if basis is None else basis
+    z = Enclosure(box.c, np.diag(box.r), np.zeros(len(box.c)))
+    return transformed(turn, z), turn
+
+
+def _is_inside(x: Enclosure, turn: Array, box: Array) -> bool:
+    """Whether T^-1 x is certainly in a box (2, n). W = T^-1 (I + E) is inverted up to E."""
+    inverse = np.asarray(np.linalg.inv(turn), np.float64)
+    e = float((point(inverse) @ point(turn) - point(np.eye(len(turn)))).size.sum(axis=1).max())
+    z = transformed(inverse, x)
+    if not e < 0.1:
+        return False
+    off = 1.01 * e / (1.0 - e) * float(z.size.max())
+    return bool((z.low - off >= box[0]).all() and (z.high + off <= box[1]).all())
+
+
+def returning(
+    model: LoweredModel, u: Array, box: Array, basis: Array | None, samples: int, *, chord: bool
+) -> tuple[Array, Array, Enclosure, bool]:
+    """Limits of the outputs from all states T z with z in a box (2, n), the states after some
+    samples, and whether they are certainly back in that set."""
+    start, turn = _coordinates(interval(box[0], box[1]), basis)
+    low, high, after = reach(model, start, (u[:, 0], u[:, 1]), samples, chord=chord)
+    return low, high, after, samples >= 1 and _is_inside(after, turn, box)
+
+
+def _set(one: dict[str, Any]) -> tuple[Array, Array | None, int]:
+    basis = one.get("basis")
+    turn = None if basis is None else np.array(basis, np.float64)
+    return np.array(one["start"], np.float64), turn, int(one["samples"])
+
+
 def _invariant(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
-    """The box comes back into itself after some samples, and the outputs stay in between."""
-    low, high, after = reach(model, _box(one), (u[:, 0], u[:, 1]), int(one["samples"]))
-    start, lower, upper = (np.array(one[name]) for name in ("start", "lower", "upper"))
-    back = (after.low >= start[0]).all() and (after.high <= start[1]).all()
-    return bool(back and one["samples"] >= 1 and (lower <= low).all() and (high <= upper).all())
+    """The set comes back into itself after some samples, and the outputs stay in between."""
+    low, high, _, back = returning(model, u, *_set(one), chord=bool(one.get("chord")))
+    lower, upper = (np.array(one[name]) for name in ("lower", "upper"))
+    return bool(back and (lower <= low).all() and (high <= upper).all())
+
+
+def forever(
+    model: LoweredModel, u: Array, start: Array, invariant: dict[str, Any], settling: int
+) -> tuple[Array, Array] | None:
+    """Limits of the outputs from a box of states, for all times; None without a proof.
+
+    The box lies in a set that comes back into itself after s samples. After `settling` samples, a
+    multiple of s, an output is one of those that the set gives so late; before, one of the tube.
+    """
+    box, turn, samples = _set(invariant)
+    chord = bool(invariant.get("chord"))
+    first = interval(start[0], start[1])
+    known = np.eye(len(first.c)) if turn is None else turn
+    if samples < 1 or settling % samples or not _is_inside(first, known, box):
+        return None
+    low, high, after, back = returning(model, u, box, turn, samples, chord=chord)
+    bounds = u[:, 0], u[:, 1]
+    if not back:
+        return None
+    if settling:
+        # From the set: samples s to s + settling, of which the last s count.
+        low, high, _ = reach(model, after, bounds, settling, chord=chord)
+        low, high = low[-samples:], high[-samples:]
+        early = reach(model, first, bounds, settling, chord=chord)[:2]
+        low, high = np.vstack([low, early[0]]), np.vstack([high, early[1]])
+    return low.min(axis=0), high.max(axis=0)
 
 
 def _output_limits(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
-    """The outputs stay within limits, None for no limit; for all times if the box is invariant."""
-    limits = [[fill if v is None else v for v in one[side]]
-              for side, fill in (("lower", -np.inf), ("upper", np.inf))]  # fmt: skip
-    low, high, after = reach(model, _box(one), (u[:, 0], u[:, 1]), int(one["samples"]))
-    start = np.array(one["start"])
-    back = (after.low >= start[0]).all() and (after.high <= start[1]).all()
-    inside = (np.array(limits[0]) <= low).all() and (high <= np.array(limits[1])).all()
-    return bool(inside and one["samples"] >= 1 and (back or not one["always"]))
+    """The outputs stay within limits, None for no limit; for all times by an invariant set."""
+    lower, upper = (
+        np.array([fill if v is None else v for v in one[side]], np.float64)
+        for side, fill in (("lower", -np.inf), ("upper", np.inf))
+    )
+    start = np.array(one["start"], np.float64)
+    if "set" in one:
+        found = forever(model, u, start, one["set"], int(one["settling"]))
+        return found is not None and bool((lower <= found[0]).all() and (found[1] <= upper).all())
+    # Without a set apart the start itself must be one.
+    low, high, _, back = returning(
+        model, u, start, None, int(one["samples"]), chord=bool(one.get("chord"))
+    )
+    inside = (lower <= low).all() and (high <= upper).all() and one["samples"] >= 1
+    return bool(inside and (back or not one["always"]))
 
 
 def _stability(model: LoweredModel, u: Array, one: dict[str, Any]) -> bool:
@@ -218,6 +347,7 @@ _PROOFS: dict[str, Callable[[LoweredModel, Array, dict[str, Any]], bool]] = {
     "tube": _tube,
     "invariant box": _invariant,
     "output limits": _output_limits,
+    "limits": _output_limits,
     "stability": _stability,
     "peak gain": _peak_gain,
     "H-infinity norm": _h_infinity,

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from asia.data.trajectory import Array
 from asia.lowering.linear import LinearModel
+from asia.lowering.program import LoweredModel
 
 # Order of Pade's approximation of a dead time in the poles of the closed loop.
 _PADE = 3
@@ -640,6 +641,8 @@ class SimulatedPlant:
     late: bool = False
     """Whether an input acts on the output of its own sample: the controller then has the output of
     the sample before."""
+    lowered: Sequence[LoweredModel] = ()
+    """The models of `steps`, where they are lowered."""
 
 
 def zero_order_hold(plant: Transfer, sampling_time: float) -> SimulatedPlant:

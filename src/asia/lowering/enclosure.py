@@ -20,7 +20,8 @@ from asia.lowering.evaluation import evaluate
 from asia.lowering.program import Attributes, LoweredModel, Node, Program
 
 _EPS = 2.0**-52
-_PIECES = 8
+_PIECES = 32
+_GENERATORS = 200
 _MOVES = frozenset(["reshape", "broadcast", "transpose", "slice", "pick", "concat", "pad"])
 
 
@@ -158,8 +159,9 @@ _CLOSED = {"sqrt": (0.0, math.inf), "asin": (-1.0, 1.0), "acos": (-1.0, 1.0)}
 _TURNING = {"sin": 3.1, "cos": 1.5}
 
 
-def _smooth(name: str, x: Enclosure) -> Enclosure:
-    """alpha x + beta with a bound of the error over pieces of the interval."""
+def _smooth(name: str, x: Enclosure, *, chord: bool) -> Enclosure:
+    """alpha x + beta with a bound of the error over pieces of the interval. alpha is the mean of
+    the slopes, which keeps limits of monotone steps, or that of the chord, which errs least."""
     function, slope = _SMOOTH[name]
     low, high = x.low, x.high
     if name in _CLOSED:
@@ -183,6 +185,7 @@ def _smooth(name: str, x: Enclosure) -> Enclosure:
     with np.errstate(all="ignore"):
         slopes = slope(ends)
         alpha = 0.5 * (slopes.min(axis=0) + slopes.max(axis=0))
+        alpha = (function(high) - function(low)) / (high - low) if chord else alpha
         alpha = np.where(np.isfinite(alpha), alpha, 0.0)
         left, right = edges[:-1], edges[1:]
         steep = slope(np.stack([left, right, np.clip(0.0, left, right)]))
@@ -192,9 +195,9 @@ def _smooth(name: str, x: Enclosure) -> Enclosure:
             bounds = [np.where(wide, -1.0, bounds[0]), np.where(wide, 1.0, bounds[1])]
         middle = 0.5 * (left + right)
         half = 0.5 * (right - left) + 2.0 * _EPS * (np.abs(left) + np.abs(right))
+        values = function(middle)
         off = half * (1 + 1e-12) * (np.maximum(np.abs(bounds[0] - alpha), np.abs(bounds[1] - alpha))
                                     * (1 + 1e-12) + 16 * _EPS * (1.0 + np.abs(alpha)))  # fmt: skip
-        values = function(middle)
         rest = values - alpha * middle
         smallest, largest = (rest - off).min(axis=0), (rest + off).max(axis=0)
         if name == "sqrt":
@@ -209,7 +212,7 @@ def _smooth(name: str, x: Enclosure) -> Enclosure:
     return x * point(alpha, len(x.g)) + Enclosure(shift.c, shift.g, error)
 
 
-def _power(base: Enclosure, exponent: Enclosure) -> Enclosure:
+def _power(base: Enclosure, exponent: Enclosure, *, chord: bool) -> Enclosure:
     p = exponent.c.reshape(-1)
     known = not exponent.radius.any() or float(exponent.radius.max()) <= 2e-300
     if known and len(p) and (p == p[0]).all() and p[0] == round(p[0]) and 0 <= p[0] <= 64:
@@ -218,7 +221,7 @@ def _power(base: Enclosure, exponent: Enclosure) -> Enclosure:
             found = found * found
             found = found * base if bit == "1" else found
         return found
-    return _smooth("exp", exponent * _smooth("log", base))
+    return _smooth("exp", exponent * _smooth("log", base, chord=chord), chord=chord)
 
 
 def _compare(op: str, a: Enclosure, b: Enclosure) -> Enclosure:
@@ -235,7 +238,9 @@ def _compare(op: str, a: Enclosure, b: Enclosure) -> Enclosure:
     return interval(yes.astype(float), (~no).astype(float), len(a.g))
 
 
-def _apply(op: str, attrs: Attributes, x: list[Enclosure], shape: tuple[int, ...]) -> Enclosure:
+def _apply(
+    op: str, attrs: Attributes, x: list[Enclosure], shape: tuple[int, ...], *, chord: bool
+) -> Enclosure:
     if op in _MOVES:
         starts = np.cumsum([0, *(one.c.size for one in x)])
         places = [
@@ -278,9 +283,9 @@ def _apply(op: str, attrs: Attributes, x: list[Enclosure], shape: tuple[int, ...
     if op == "neg":
         return -x[0]
     if op == "div":
-        return x[0] * _smooth("reciprocal", x[1])
+        return x[0] * _smooth("reciprocal", x[1], chord=chord)
     if op == "pow":
-        return _power(x[0], x[1])
+        return _power(x[0], x[1], chord=chord)
     if op in ("max", "min"):
         a, b = (x[0], x[1]) if op == "max" else (x[1], x[0])
         pick = np.maximum if op == "max" else np.minimum
@@ -300,8 +305,8 @@ def _apply(op: str, attrs: Attributes, x: list[Enclosure], shape: tuple[int, ...
     if op == "atan2":
         if (x[1].low <= 0).any():
             return _hull(np.full(shape, -math.pi), np.full(shape, math.pi), x[0])
-        return _smooth("atan", x[0] * _smooth("reciprocal", x[1]))
-    return _smooth(op, x[0])
+        return _smooth("atan", x[0] * _smooth("reciprocal", x[1], chord=chord), chord=chord)
+    return _smooth(op, x[0], chord=chord)
 
 
 def _moved(op: str, attrs: Attributes, x: list[Array], shape: tuple[int, ...]) -> list[Array]:
@@ -320,8 +325,11 @@ def _widened(x: Enclosure, shape: tuple[int, ...]) -> Enclosure:
     )  # fmt: skip
 
 
-def enclose(program: Program, inputs: Sequence[Enclosure]) -> list[Enclosure]:
-    """Enclose the outputs of a program for all inputs in sets of the same generators. Raises
+def enclose(
+    program: Program, inputs: Sequence[Enclosure], *, chord: bool = False
+) -> list[Enclosure]:
+    """Enclose the outputs of a program for all inputs in sets of the same generators; `chord`:
+    functions are replaced by the slope of their chord, else by the mean of their slopes. Raises
     UnboundedError where an operation has no finite enclosure."""
     generators = len(inputs[0].g) if inputs else 0
     values: list[Enclosure | list[Enclosure]] = [
@@ -336,7 +344,7 @@ def enclose(program: Program, inputs: Sequence[Enclosure]) -> list[Enclosure]:
             continue
         x = [one for one in read if isinstance(one, Enclosure)]
         if node.op != "loop":
-            values.append(_apply(node.op, node.attrs, x, node.shape))
+            values.append(_apply(node.op, node.attrs, x, node.shape, chord=chord))
             continue
         assert node.body is not None
         length, fixed, carried = node.attrs
@@ -344,7 +352,7 @@ def enclose(program: Program, inputs: Sequence[Enclosure]) -> list[Enclosure]:
         stacked: list[list[Enclosure]] = []
         for k in range(length):
             here = [Enclosure(one.c[k], one.g[:, k], one.r[k]) for one in rows]
-            found = enclose(node.body, [*x[:fixed], *carry, *here])
+            found = enclose(node.body, [*x[:fixed], *carry, *here], chord=chord)
             carry = found[:carried]
             stacked.append(found[carried:])
         ends = [
@@ -358,7 +366,12 @@ def enclose(program: Program, inputs: Sequence[Enclosure]) -> list[Enclosure]:
 
 
 def reach(
-    model: LoweredModel, start: Enclosure, u: tuple[Array, Array], steps: int, most: int = 0
+    model: LoweredModel,
+    start: Enclosure,
+    u: tuple[Array, Array],
+    steps: int,
+    *,
+    chord: bool = False,
 ) -> tuple[Array, Array, Enclosure]:
     """Enclose the outputs for all states of a set and all input sequences between two bounds.
 
@@ -367,7 +380,7 @@ def reach(
         start: set of states (n,) as one vector
         u: least and largest inputs (nu,)
         steps: number of samples
-        most: generators kept; further ones are joined in a box; 0: ten times the states and inputs
+        chord: as for `enclose`
 
     Returns:
         lower and upper outputs (steps, ny), and the set of states after the last sample
@@ -376,7 +389,8 @@ def reach(
         UnboundedError: where there is no finite enclosure
     """
     n, nu = len(start.c), model.nu
-    most = most or 10 * (n + nu)
+    # Generators kept; further ones are joined in a box.
+    most = max(10 * (n + nu), _GENERATORS)
     sizes = [math.prod(shape) for shape in model.states]
     low, high = np.empty((steps, model.ny)), np.empty((steps, model.ny))
     box, state = interval(*u), start
@@ -398,7 +412,8 @@ def reach(
                 np.split(g, np.cumsum(sizes)[:-1], axis=1), model.states, strict=True,
             )
         ]  # fmt: skip
-        y, *after = enclose(model.step, [*parts, Enclosure(box.c, inputs, np.zeros(nu))])
+        now = Enclosure(box.c, inputs, np.zeros(nu))
+        y, *after = enclose(model.step, [*parts, now], chord=chord)
         low[k], high[k] = y.low, y.high
         state = Enclosure(
             np.concatenate([one.c.reshape(-1) for one in after]) if after else np.zeros(0),

@@ -27,6 +27,8 @@ ComplexArray: TypeAlias = NDArray[np.complex128]
 _NEGLIGIBLE = 1e-9
 # Distance of a pole from 1 at which the linear model counts as an integrator.
 _INTEGRATOR = 1e-6
+# Samples of an impulse response.
+_IMPULSE = 2_000
 _SETTLING, _NEWTON = 20_000, 50
 # Relative error of a process model at which no larger one is tried.
 _CLOSE = 1e-3
@@ -369,8 +371,12 @@ def reduced(model: LinearModel, order: int | None = None, tolerance: float = 0.0
 # Continuous time.
 
 
-def continuous(model: LinearModel) -> tuple[LinearModel, int]:
+def continuous(model: LinearModel, tolerance: float = 0.0) -> tuple[LinearModel, int]:
     """The continuous-time model whose zero-order-hold equivalent this is, after a common dead time.
+
+    Args:
+        tolerance: largest change of the impulse response, as a share of its sum, in leaving out
+            modes that no continuous system gives
 
     Returns:
         the model, and the dead time in samples
@@ -385,16 +391,54 @@ def continuous(model: LinearModel) -> tuple[LinearModel, int]:
     if dead:
         power = np.linalg.matrix_power(model.a, dead)
         model = minimal(replace(model, b=power @ model.b))
-    poles = model.poles
-    if ((np.abs(poles.imag) < 1e-9) & (poles.real <= 1e-12)).any():
-        raise UserError(
-            "there is no continuous-time model: a pole lies at 0 or on the negative real axis, "
-            "which no zero-order hold of a continuous system gives"
-        )
+    if _has_no_rate(model.poles).any():
+        slow = _without_fast_modes(model, tolerance) if tolerance else None
+        if slow is None:
+            raise UserError(
+                "there is no continuous-time model: a pole lies at 0 or on the negative real axis, "
+                "which no zero-order hold of a continuous system gives"
+            )
+        model, dead = slow[0], dead + slow[1]
     n, m = model.order, model.b.shape[1]
     whole = np.block([[model.a, model.b], [np.zeros((m, n)), np.eye(m)]])
     rate = np.asarray(np.real(np.asarray(logm(whole))), np.float64) / model.sampling_time
     return replace(model, a=rate[:n, :n], b=rate[:n, n:], sampling_time=0.0), dead
+
+
+def _has_no_rate(poles: ComplexArray) -> NDArray[np.bool_]:
+    return np.asarray((np.abs(poles.imag) < 1e-9) & (poles.real <= 1e-12))
+
+
+def _without_fast_modes(model: LinearModel, tolerance: float) -> tuple[LinearModel, int] | None:
+    """The model without its modes at 0 and on the negative real axis after a dead time in samples
+    that replaces them best; None where its impulse response would change by more."""
+    from scipy.linalg import schur, solve_sylvester
+
+    ordered: Any = schur(
+        model.a, output="real", sort=lambda re, im=0.0: not (abs(im) < 1e-9 and re <= 1e-12)
+    )
+    triangular, turned, kept = ordered
+    k, n = int(kept), model.order
+    if not k:
+        return None
+    away = solve_sylvester(triangular[:k, :k], -triangular[k:, k:], -triangular[:k, k:])
+    into = turned @ np.block([[np.eye(k), away], [np.zeros((n - k, k)), np.eye(n - k)]])
+    a, b, c = triangular[:k, :k], np.linalg.solve(into, model.b)[:k], (model.c @ into)[:, :k]
+
+    def impulse(a: Array, x: Array, c: Array) -> Array:
+        found = np.empty((_IMPULSE, len(c), x.shape[1]))
+        for row in found:
+            row[:] = c @ x
+            x = a @ x
+        return found
+
+    whole, slow = impulse(model.a, model.b, model.c), impulse(a, b, c)
+    late = range(2 * (n - k) + 1)
+    errors = [np.abs(whole[:dead]).sum() + np.abs(whole - slow)[dead:].sum() for dead in late]
+    dead = int(np.argmin(errors))
+    if not errors[dead] <= tolerance * np.abs(whole).sum():
+        return None
+    return replace(model, a=a, b=np.linalg.matrix_power(a, dead) @ b, c=c), dead
 
 
 # Process model.

@@ -117,7 +117,7 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "certificate.json"
     content = certify(STABLE, LIMITS, np.zeros(2), 5, FACTS)
     path.write_text(json.dumps(content))
-    assert len(check_certificate(path)) == 5
+    assert len(check_certificate(path)) == 6
     content["u"] = [[-1.0, 3.0]]
     path.write_text(json.dumps(content))
     with pytest.raises(UserError, match="was changed"):

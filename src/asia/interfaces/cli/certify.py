@@ -29,7 +29,9 @@ def certify(
     u: Annotated[
         list[str] | None,
         typer.Option(
-            "--u", help="Input limits, 0..10 or name=0..10, repeatable; default: the records'."
+            "--u",
+            help="Input limits, 0..10 or name=0..10, repeatable; default: the records'. With "
+            "--loop the inputs are r, load and noise.",
         ),
     ] = None,
     y: Annotated[
@@ -47,6 +49,14 @@ def certify(
             "certificate-N.json; default: the model to use."
         ),
     ] = None,
+    loop: Annotated[
+        bool,
+        typer.Option(
+            "--loop",
+            help="The closed loop with the controller of asia control and each model that judged "
+            "it, in place of the model.",
+        ),
+    ] = False,
     check: Annotated[
         Path | None, typer.Option(help="Prove the statements of this certificate again.")
     ] = None,
@@ -57,8 +67,8 @@ def certify(
     runs: Runs = DEFAULT_RUNS,
     json: Json = False,
 ) -> None:
-    """Prove statements on a model: stability and gains of a linear model, bounds of the outputs of
-    every model. Without a proof there is no certificate."""
+    """Prove statements on a model, or on the closed loop with a controller: stability and gains
+    where they are linear, bounds of the outputs. Without a proof there is no certificate."""
     from asia.analysis.certificate_check import check_certificate
 
     if check is not None:
@@ -67,13 +77,20 @@ def certify(
             say(line)
         return
     from asia.analysis.certificate import certify as find
-    from asia.analysis.certificate import text_lines
     from asia.export.pipeline import lowered_run
     from asia.ledger.run import open_run
     from asia.lowering.evaluation import evaluate
     from asia.lowering.linear import joined
     from asia.report.page.sections.evidence import CERTIFICATE_FILE
 
+    if loop:
+        directory = run_directory(runs, run)
+        content, path = _certified_loop(
+            directory, u or (), y or (), horizon, model, candidate_level(isolation)
+        )
+        _write(content, path if out is None else out, json=json)
+        _exit(content, limits=bool(y))
+        return
     opened = open_run(run_directory(runs, run))
     ready = lowered_run(opened, model, candidate_level(isolation))
     subject, window = ready.model, ready.windows[0]
@@ -101,18 +118,95 @@ def certify(
         ],
     }
     content = find(subject.lowered, limits, start, horizon, facts, within if y else None)
-    lines = [f"run {subject.name}, model {subject.use}", *text_lines(content)]
     # Each experiment has a file of its own, so that their gains are compared.
     own = f"certificate-{int(model)}.json" if model and model.isdecimal() else CERTIFICATE_FILE
-    path = opened.directory / own if out is None else out
+    _write(content, opened.directory / own if out is None else out, json=json)
+    _exit(content, limits=bool(y))
+
+
+def _write(content: dict[str, Any], path: Path, *, json: bool) -> None:
+    from asia.analysis.certificate import text_lines
+
     path.write_text(jsonlib.dumps(content) + "\n", "utf-8")
+    lines = [f"run {content['run']}, model {content['model']}", *text_lines(content)]
     for line in [jsonlib.dumps(content)] if json else [*lines, f"file      {path}"]:
         say(line)
     if not content["statements"]:
         say("no certificate")
-    kinds = {one["kind"] for one in content["statements"]}
-    if not kinds or (y and "output limits" not in kinds):
+
+
+def _exit(content: dict[str, Any], *, limits: bool) -> None:
+    """Exit with 1 if nothing is proven, or not the limits of the outputs for every model."""
+    proven: dict[str, set[str]] = {}
+    for part in content.get("loops", [content]):
+        kinds = {one["kind"] for one in part["statements"]}
+        proven.setdefault(part["model"], set()).update(kinds)
+    kept = all("output limits" in kinds for kinds in proven.values())
+    if not any(proven.values()) or (limits and not kept):
         raise typer.Exit(1)
+
+
+def _certified_loop(
+    directory: Path, u: Sequence[str], y: Sequence[str], horizon: int, model: str | None,
+    isolation: Any,
+) -> tuple[dict[str, Any], Path]:  # fmt: skip
+    """Certificate of the loop with the controller of `asia control`, and its file."""
+    from asia._files import read_file
+    from asia.analysis.closed_loop import INPUTS, certify_loop
+    from asia.analysis.control import SampledController
+    from asia.interfaces.cli.control import loop_of_run
+    from asia.problem.load import load_lock
+    from asia.report.page.sections.evidence import CONTROL_FILE, LOOP_CERTIFICATE_FILE
+    from asia.search.run import LOCK
+
+    if model is not None and not model.isdecimal():
+        raise UserError(f"--model is '{model}', expected the number of an experiment")
+    folder = directory / ("control" if model is None else f"control-{int(model)}")
+    path, remedy = folder / CONTROL_FILE.name, "run asia control first"
+    if not path.exists():
+        raise UserError(f"there is no controller in {folder}: {remedy}")
+    try:
+        made = jsonlib.loads(read_file(path, remedy))
+        kind, at, numbers = made["kind"], made["at"], dict(made["controller"])
+        setpoint = float(made["setpoint"])
+        for name, value in numbers.items():
+            if isinstance(value, list):
+                numbers[name] = np.array(value, np.float64)
+            elif value is None:
+                numbers[name] = -np.inf if name == "low" else np.inf
+        controller = SampledController(**numbers)
+    except (ValueError, TypeError, LookupError):
+        raise UserError(f"{path} is no file of this version: run asia control again") from None
+    if kind == "mpc":
+        raise UserError("a predictive controller has no certificate: design one of --kind lqr")
+    plants = loop_of_run(directory, at, model, isolation, continuous_time=False)
+    problem = load_lock(directory / LOCK)
+    output, given = problem.outputs[0], problem.inputs[0]
+    signals = [Signal(n, s.unit) for n, s in zip(INPUTS, (output, given, output), strict=True)]
+    noise = 3.0 * plants.noise
+    limits = np.array([sorted((controller.y0, setpoint)), [0.0, 0.0], [-noise, noise]])
+    _set_limits("--u", u, signals, limits)
+    within = np.tile([-np.inf, np.inf], (2, 1))
+    _set_limits("--y", y, (output, given), within)
+    spans = ", ".join(
+        f"{s.label} from {low:.6g} to {high:.6g}"
+        for s, (low, high) in zip(signals, limits.tolist(), strict=True)
+    )
+    facts: dict[str, Any] = {
+        "run": plants.name,
+        "model": f"loop of {made['structure']} with {', '.join(plants.labels)}",
+        "inputs": [(one.name, one.unit) for one in signals],
+        "outputs": [(one.name, one.unit) for one in (output, given)],
+        "assumptions": [
+            f"inputs: any sequence with {spans}, held over {controller.sampling_time:g} s",
+            f"start: at rest with {given.label} at {controller.u0:.6g}; the box holds it",
+            "the statements are about these models, not about the system: model errors and noise "
+            "beyond these limits are not part of them",
+            "library functions err by less than 8 units in the last place",
+        ],
+    }
+    content = certify_loop(plants, controller, limits, horizon, facts, within if y else None)
+    return content, folder / LOOP_CERTIFICATE_FILE.name
 
 
 def _set_limits(

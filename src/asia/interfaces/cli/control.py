@@ -7,7 +7,7 @@ import json as jsonlib
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,6 +44,9 @@ _CODE = {"python": "controller.py", "c": "controller.c", "st": "controller.st"}
 _KINDS = ("pid", "lqr", "mpc")
 # Candidates of other families, and their largest V in that of the best.
 _OTHERS, _FAR = 2, 1.5
+# Share of the impulse response that a linear model may lose with modes that have no continuous
+# equivalent, such as parts of a sample of dead time.
+_FAST = 0.05
 
 
 def control(
@@ -169,7 +172,7 @@ def control(
         if sampling_time is not None:
             raise UserError("--sampling-time is for --plant: a run has its own")
         directory = run_directory(runs, run)
-        loop = _loop(
+        loop = loop_of_run(
             directory, at, model, candidate_level(isolation), continuous_time=kind == "pid"
         )
         out = out or directory / ("control" if model is None else f"control-{model}")
@@ -210,6 +213,7 @@ def control(
         for one, f in zip(loop.simulated, judged, strict=True)
     ]
     facts["missed_in_simulation"] = missed
+    facts |= {"kind": kind, "at": at, "setpoint": loop.setpoint, "controller": _numbers(controller)}
     lines = _lines(loop, found, each, judged)
     if noisy is not None:
         moved = float(np.nanstd(noisy[1] - responses[0][1]))
@@ -259,6 +263,20 @@ def control(
         raise typer.Exit(1)
 
 
+def _numbers(controller: SampledController) -> dict[str, Any]:
+    """Matrices, operating point and limits of a controller; None for no limit."""
+    from asia.analysis.control import SampledController as Controller
+
+    found: dict[str, Any] = {}
+    for one in fields(Controller):
+        value = getattr(controller, one.name)
+        if isinstance(value, np.ndarray):
+            found[one.name] = value.tolist()
+        else:
+            found[one.name] = float(value) if math.isfinite(value) else None
+    return found
+
+
 def _drawn(loop: Loop, responses: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> list[DrawnCheck]:
     """Step responses of all models, for the report and the live page; not those that diverge."""
     from asia.ledger.evidence import DrawnCheck, DrawnCurve
@@ -305,7 +323,7 @@ def _weights(text: str, loop: Loop) -> tuple[float, float]:
     return y, u
 
 
-def _loop(
+def loop_of_run(
     directory: Path, at: str | None, number: str | None, isolation: Any, *, continuous_time: bool
 ) -> Loop:
     """Plants of the model, of the fold models and of the best candidates of other families of a
@@ -344,7 +362,7 @@ def _loop(
     models = [point.model, *point.folds, *(one.model for one in others.values())]
 
     def transfer(model: LinearModel) -> Transfer:
-        same, dead = continuous(model)
+        same, dead = continuous(model, _FAST)
         numerators, den = same.numerator()
         num = numerators[0][0]
         num = np.where(np.abs(num) > 1e-9 * np.abs(num).max(), num, 0.0)
@@ -368,8 +386,8 @@ def _loop(
     steps = [step_of(model) for model, _ in lowered]
     starts = [place.x for _, place in lowered]
     simulated = [
-        SimulatedPlant(label, [step], [x], late)
-        for label, step, x in zip(labels, steps, starts, strict=True)
+        SimulatedPlant(label, [step], [x], late, [of])
+        for label, step, x, (of, _) in zip(labels, steps, starts, lowered, strict=True)
     ]
     folds = slice(1, 1 + len(point.folds))
     if len(point.folds) > 1:

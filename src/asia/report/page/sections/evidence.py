@@ -428,13 +428,26 @@ CONTROL = Section(
 
 CERTIFICATE_FILE: Final = Path("certificate.json")
 """File of `asia certify` in the folder of a run."""
+LOOP_CERTIFICATE_FILE: Final = CONTROL_FILE.with_name("certificate.json")
+"""File of `asia certify --loop` there."""
 
 
-def _write_certificate(subject: Subject) -> Html | None:
-    path = subject.run.directory / CERTIFICATE_FILE
+def _write_certificates(subject: Subject) -> Html | None:
+    parts = [
+        part
+        for file, command in (
+            (CERTIFICATE_FILE, "asia certify"),
+            (LOOP_CERTIFICATE_FILE, "asia certify --loop"),
+        )
+        if (part := _write_certificate(subject.run.directory / file, command)) is not None
+    ]
+    return join(parts) if parts else None
+
+
+def _write_certificate(path: Path, command: str) -> Html | None:
     if not path.exists():
         return None
-    remedy = "run asia certify again"
+    remedy = f"run {command} again"
     try:
         content = read_file(path, remedy) if path.stat().st_size <= _MOST_BYTES else b""
         found = json.loads(content)
@@ -442,12 +455,12 @@ def _write_certificate(subject: Subject) -> Html | None:
         rows += [["no certificate", str(one)] for one in found["missed"]]
         rows += [["assumption", str(one)] for one in found["assumptions"]]
     except (ValueError, TypeError, LookupError):
-        return tag("p", f"{CERTIFICATE_FILE} is no file of this version: {remedy}.")
+        return tag("p", f"{path.name} is no file of this version: {remedy}.")
     note = tag(
-        "p", "Written by ", tag("code", "asia certify"), ". The ledger does not record it. ",
+        "p", "Written by ", tag("code", command), ". The ledger does not record it. ",
         tag("code", "asia certify --check"), " proves it again.",
     )  # fmt: skip
     return join((note, command_lines([f"{a:16}{b}" for a, b in rows], "Certificate", 16)))
 
 
-CERTIFICATE = Section("certificate", "Certificate", _write_certificate)
+CERTIFICATE = Section("certificate", "Certificate", _write_certificates)
