@@ -40,25 +40,10 @@ _SETTLINGS = (0, 25, 50, 100, 200, 400, 800)
 # Share of its size in which each state is moved beside the inputs.
 _FLOOR = 1e-3
 # Operations of affine steps.
-_ARITHMETIC = frozenset(
-    [
-        "reshape",
-        "broadcast",
-        "transpose",
-        "slice",
-        "pick",
-        "concat",
-        "pad",
-        "add",
-        "sub",
-        "mul",
-        "neg",
-        "matmul",
-        "rsum",
-        "max",
-        "min",
-    ]
-)
+_ARITHMETIC = frozenset((
+    "reshape", "broadcast", "transpose", "slice", "pick", "concat", "pad", "add", "sub", "mul",
+    "neg", "matmul", "rsum", "max", "min",
+))  # fmt: skip
 # Simulations that look for an input sequence which leaves the limits.
 _RUNS = 10
 

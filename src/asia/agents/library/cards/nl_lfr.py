@@ -13,6 +13,7 @@ from asia.agents.library.methods import (
 from asia.agents.library.move import Card, Move, Situation
 from asia.agents.library.recipe import Arguments, Recipe
 from asia.agents.library.space import OneOf, Space, Span
+from asia.agents.library.traits import traits
 from asia.agents.library.trial_evidence import coloured
 from asia.agents.view import Facts
 
@@ -20,11 +21,14 @@ from asia.agents.view import Facts
 def _nl_lfr(facts: Facts) -> Recipe:
     outputs = len(facts.outputs)
     channels = 1 if outputs == 1 else min(outputs + 1, 3)
+    # Over a whole record every error of a rate adds up.
+    pieces: Arguments = (("pieces", True),) if "integrating" in traits(facts) else ()
     config: Arguments = (
         ("channels", channels),
         ("hidden", 12),
         ("ridge", 1e-6),
         ("delay", None),
+        *pieces,
         *integrator_setting(facts),
     )
     return Recipe("nl_lfr", config, LM, (("iterations", 60), ("starts", 2)))
