@@ -139,10 +139,9 @@ def train(
             cores.append(first)
         else:
             choice = replace(plain, order=order, delay=delay)
-            core = LinearCore(*linear.fit_records(records, context, choice, Refinement()))
-            # A mode that the best linear model does not have follows the drift of these records.
-            if _drifting(core) <= _drifting(first) or c.order is not None:
-                cores.append(core)
+            cores.append(LinearCore(*linear.fit_records(records, context, choice, Refinement())))
+    # A mode that the best linear model does not have follows the drift of these records.
+    cores = [core for core in cores if _drifting(core) <= _drifting(first)] or cores
     options = FeedbackOptions(
         c.channels, c.hidden, c.ridge, c.linear_ridge, c.encoder, c.integrators, c.pieces
     )

@@ -4,6 +4,7 @@ Fits go from several starts, and the noise is estimated between them.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -127,16 +128,11 @@ class _Runs(NamedTuple):
             }
             rest, packing = packed(origin, np.float64), Packing.of(origin)
             data = chunked(self.samples, self.structure, packed(pull, np.float64), rest, weighting)
-
-            def watch(done: int, cost: float, i: int = i, lowest: float = lowest) -> None:
-                if np.isfinite(cost):
-                    count = i * self.method.iterations + done
-                    self.log(float(count), float(np.sqrt(min(lowest, cost))))
-
+            watch: Watch = partial(self._watch, i, lowest)
             found, best, done = self._minimum(start, packing, data, watch)
-            if self.stability is not None and not self._stable(best):
+            if self.stability is not None and not is_stable(self.structure, best):
                 held = data._replace(stability=self.stability)
-                begin = start if self._stable(start) else origin
+                begin = start if is_stable(self.structure, start) else origin
                 again = self._minimum(begin, packing, held, watch)
                 if np.isfinite(again[0].cost[0]):
                     found, best, done = again
@@ -147,6 +143,11 @@ class _Runs(NamedTuple):
             results.append(StateFit(x0, best, cost, np.sqrt(found.history[0, : done + 1])))
         return results
 
+    def _watch(self, i: int, lowest: float, done: int, cost: float) -> None:
+        if np.isfinite(cost):
+            count = i * self.method.iterations + done
+            self.log(float(count), float(np.sqrt(min(lowest, cost))))
+
     def _minimum(
         self, start: dict[str, Any], packing: Packing, data: SampleChunks, watch: Watch
     ) -> tuple[Minimum, dict[str, Any], int]:
@@ -155,9 +156,11 @@ class _Runs(NamedTuple):
         found = minimise(equations.costs, equations.normal, theta[None], self.method)
         return found, packing.unpack(found.theta[0]), equations.done
 
-    def _stable(self, params: dict[str, Any]) -> bool:
-        free = self.structure.order - self.structure.integrators
-        return spectral_radius(params["a"][:free, :free]) < 1.0
+
+def is_stable(structure: StateSpaceStructure, params: dict[str, Any]) -> bool:
+    """Whether the linear part is stable, integrators apart."""
+    free = structure.order - structure.integrators
+    return spectral_radius(params["a"][:free, :free]) < 1.0
 
 
 def state_encoder(

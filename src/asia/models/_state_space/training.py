@@ -21,7 +21,13 @@ from asia.models._numerics.training_records import (
     past_windows_before,
     spread,
 )
-from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
+from asia.models._state_space.fit import (
+    StateFit,
+    fit_states,
+    is_stable,
+    of_records,
+    state_encoder,
+)
 from asia.models._state_space.model import (
     PastFit,
     fitted_state,
@@ -207,19 +213,20 @@ def fit_members(
     as the linear model.
 
     A fit with initial states of its own may use an unstable model, which is lost from any other
-    state. Fits are repeated with larger ridges while the best one is lost from the states that
-    past windows give."""
+    state. Fits are repeated with larger ridges, and the stability term, while the best one is
+    unstable or lost from the states that past windows give."""
     rng = np.random.default_rng(options.seed)
     count = method.starts if structure.starts_vary else 1
     starts = starts_of(structure, found, records, count, scaling, rng)
     samples = of_records(records, with_elements(structure, found).x0)
     log, time = context.log, context.sampling_time
     term = stability_term(found, structure.integrators, records)
-    tried: list[FittedMembers] = []
+    may_be_unstable = term is None
+    tried: list[tuple[bool, FittedMembers]] = []
     for stiffer in _STIFFER:
         ridge = {name: stiffer * value for name, value in options.ridge.items()}
         ridge["x0"] = found.error / sum(len(r) for r in records)
-        fits, whole = list[StateFit](), starts
+        fits, whole, held = list[StateFit](), starts, term if tried else None
         if options.pieces:
             before = fit_segments(
                 structure, found.system, starts, records, samples.x0, ridge, method, log, time
@@ -228,7 +235,7 @@ def fit_members(
             fits = fit_states(structure, starts, samples, ridge, method, log, time, begin, x0, term)
             # One start begins with whole records, since segments may mislead too.
             whole = starts[:1]
-        fits += fit_states(structure, whole, samples, ridge, method, log, time, stability=term)
+        fits += fit_states(structure, whole, samples, ridge, method, log, time, stability=held)
         fits.sort(key=lambda one: one.cost)
         members, how = list[tuple[dict[str, Any], Encoder]](), list[PastFit]()
         for one in fits[: options.members]:
@@ -239,10 +246,11 @@ def fit_members(
                 encoder = state_encoder(structure, one, records, context, options.hidden)
             members.append((one.params, encoder))
         lost = past_window_error(structure, *members[0], how[0] if how else None, records, context)
-        tried.append(FittedMembers(tuple(members), tuple(how), fits[0].cost, lost))
-        if lost <= _LOST:
+        unstable = not (may_be_unstable or is_stable(structure, members[0][0]))
+        tried.append((unstable, FittedMembers(tuple(members), tuple(how), fits[0].cost, lost)))
+        if lost <= _LOST and not unstable:
             break
-    return min(tried, key=lambda one: one.error)
+    return min(tried, key=lambda one: (one[0], one[1].error))[1]
 
 
 def stability_term(found: LinearFit, integrators: int, records: ScaledData) -> StabilityTerm | None:
