@@ -65,8 +65,7 @@ class Config:
     integrators: int = 0
     """Free integrators: states whose pole is held at 1 and which the functions do not read."""
     pieces: bool = False
-    """Begin fits with short segments of the records, each with its own initial state, which grow
-    to the whole records."""
+    """Compare the starts on short segments of the records, each with its own initial state."""
 
     def __post_init__(self) -> None:
         check_at_least(1, self, "order", "hidden", "channels")
