@@ -146,6 +146,17 @@ def test_a_family_that_gains_nothing_twice_waits_for_one_that_gains() -> None:
     assert not made({**stalled, "linear": [0.13, 0.13, 0.13]}).waits("neural_ss")
 
 
+def test_a_family_that_gains_nothing_twice_in_a_row_waits_for_a_new_one() -> None:
+    others = {"linear": [0.9], "narx": [0.9]}
+    assert made({**others, "nl_lfr": [0.1, 0.2, 0.1]}).waits("nl_lfr")
+    assert not made({**others, "nl_lfr": [0.1, 0.2]}).waits("nl_lfr")
+    assert not made({**others, "nl_lfr": [0.3, 0.2, 0.1]}).waits("nl_lfr")
+    assert not made({"nl_lfr": [0.1, 0.2, 0.1], **others}).waits("nl_lfr")
+    every = {row.name: [0.9] for row in families(simulation(physics=False))}
+    assert not made({**{n: v for n, v in every.items() if n != "nl_lfr"},
+                     "nl_lfr": [0.1, 0.2, 0.1]}).waits("nl_lfr")  # fmt: skip
+
+
 def test_the_linear_reference_counts_as_a_tried_family() -> None:
     known = simulation(physics=True)
     outcome = better_each_time("greybox")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from asia.agents.library.cards.linear import BEST_LINEAR
 from asia.agents.library.recipe import read_recipe
-from asia.agents.library.registry import family
+from asia.agents.library.registry import families, family
 from asia.agents.view import AgentView, Trial
 
 FAMILIES = 3
@@ -39,12 +39,15 @@ class Allocation:
     """Experiments of each family since its V last fell by 1 %."""
     budget: int
     """Experiments of the whole search after the baseline."""
+    stalled: str = ""
+    """Family without given equations whose last two refinements came one after the other and gained
+    nothing, while an apt family was not tried; "" for none."""
 
     @staticmethod
     def of(view: AgentView) -> Allocation:
         """Count the proposals so far."""
         tried, spent, best = Counter[str](), Counter[str](), dict[str, float]()
-        idle = Counter[str]()
+        idle, name = Counter[str](), ""
         for one in view.proposed:
             recipe = read_recipe(one.source)
             name = one.family if recipe is None else recipe.family
@@ -60,7 +63,20 @@ class Allocation:
         if view.linear is not None:
             best["linear"] = min(view.linear, best.get("linear", view.linear))
         baselines = tried.total() - spent.total()
-        return Allocation(tried, spent, best, idle, view.experiments - baselines)
+        row = family(name)
+        last = [read_recipe(one.source) for one in view.proposed[-_STALLED:]]
+        stalled = (
+            all(recipe is not None and recipe.family == name for recipe in last)
+            and min(idle[name], tried[name] - 1) >= _STALLED
+            and row is not None
+            and "physics" not in row.needs
+            and any(
+                row.name not in tried and row.aptness(view.facts) > 0
+                for row in families(view.facts)
+            )
+        )
+        budget = view.experiments - baselines
+        return Allocation(tried, spent, best, idle, budget, name if stalled else "")
 
     @property
     def known(self) -> int:
@@ -83,7 +99,10 @@ class Allocation:
     def waits(self, name: str) -> bool:
         """Return whether other families come before one more experiment with this one: new ones
         before its second refinement until three are tried, then close ones without a refinement
-        before its third one, and close ones that still gain where it gained nothing twice."""
+        before its third one, close ones that still gain where it gained nothing twice, and new ones
+        where it gained nothing twice in a row."""
+        if name == self.stalled:
+            return True
         refinements = self.tried[name] - 1
         if self.known < FAMILIES:
             return refinements >= 1
@@ -95,7 +114,7 @@ class Allocation:
 
     def chance(self, name: str) -> int:
         """Place of a family in the order in which chances are given while another one waits."""
-        if self.known < FAMILIES:
+        if self.known < FAMILIES or self.stalled:
             return min(self.tried[name], 2)
         return 0 if name in self.close else 1
 
@@ -106,6 +125,8 @@ class Allocation:
         if self.waits(name):
             if self.known < FAMILIES:
                 return f"{FAMILIES} families are tried before one is refined twice: {label} waits."
+            if name == self.stalled:
+                return f"Two refinements gained nothing: {label} waits for a family not tried yet."
             return (
                 f"{label} waits for families within {CLOSE:g} times of the best V that had fewer "
                 "refinements or still gain."
