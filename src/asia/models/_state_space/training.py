@@ -98,7 +98,9 @@ def fit_segments(
     few = replace(method, iterations=min(method.iterations, _ITERATIONS))
     ridge = {**ridge, "x0": _STATE_RIDGE}
     first = [_guess(structure, system, records, segment, length) for segment in segments]
-    states, fits = [np.array(first)] * len(starts), list[StateFit]()
+    states = [np.array(first)] * len(starts)
+    # Those of records that are too short for segments.
+    fits = [StateFit(x0, start, np.inf, np.zeros(0)) for start in starts]
     begin: Sequence[dict[str, Any]] = starts
     for _ in itertools.count() if lengths is None else range(lengths):
         if not any(2 * len(r) >= 3 * length for r in records):
@@ -232,7 +234,7 @@ def fit_members(
                 structure, found.system, starts, records, samples.x0, ridge, method, log, time
             )
             begin, x0 = [one.params for one in before], [one.x0 for one in before]
-            fits = fit_states(structure, starts, samples, ridge, method, log, time, begin, x0, term)
+            fits = fit_states(structure, starts, samples, ridge, method, log, time, begin, x0, held)
             # One start begins with whole records, since segments may mislead too.
             whole = starts[:1]
         fits += fit_states(structure, whole, samples, ridge, method, log, time, stability=held)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asia.errors import UserError
-from asia.models import neural_ss
+from asia.models import neural_ss, nl_lfr
 from asia.models._least_squares import LevenbergMarquardt
 from asia.models._linear.system import LinearSystem
 from asia.models._state_space.model import PastFit, fitted_state
@@ -81,6 +82,22 @@ def test_the_model_itself_says_better_where_a_window_ends(seed: int) -> None:
     _, fitted = error(replace(CONFIG, pieces=True, past_fit=True), seed)
     assert plain > 1.3
     assert fitted - 1.0 < 0.6 * (plain - 1.0)
+
+
+@pytest.mark.parametrize(
+    ("family", "config"),
+    [
+        (neural_ss, replace(CONFIG, pieces=True, integrators=1)),
+        (nl_lfr, nl_lfr.Config(order=2, hidden=3, pieces=True, integrators=1)),
+    ],
+)
+@pytest.mark.parametrize("samples", [25, 70])
+def test_pieces_of_short_records(family: Any, config: Any, samples: int) -> None:
+    context = context_for(None, "u", "y", 0.15, seed=1)
+    records = [duffing_record(samples, seed) for seed in (0, 1)]
+    model = family.train(family.build(config, context), records, context, LevenbergMarquardt(2))
+    y = model.simulate(records[0].u[None, :5], records[0].y[None, :5], records[0].u[None, 5:])
+    assert np.isfinite(y).all()
 
 
 @pytest.mark.slow
