@@ -143,9 +143,15 @@ def test_a_verdict_is_the_same_whether_or_not_it_would_have_won(tmp_path: Path) 
     view = search(ready, agent, lambda event, view: None, lambda view: None)
     winning, losing = (view.experiment(n).failure for n in (2, 3))
     assert winning is not None
-    assert winning.reason is Reason.SUSPECT
-    assert winning == losing
-    assert told(ready.directory, 2) == told(ready.directory, 3)
+    assert losing is not None
+    assert winning.reason is losing.reason is Reason.SUSPECT
+    assert winning.fold == losing.fold
+    # The relations that a random choice of cases breaks are no matter of V.
+    words = [
+        told(ready.directory, number).replace(failure.detail, "")
+        for number, failure in ((2, winning), (3, losing))
+    ]
+    assert words[0] == words[1]
 
 
 @pytest.mark.slow
