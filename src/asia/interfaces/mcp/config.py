@@ -34,7 +34,7 @@ def client_configuration(
     command, words = str(script), ["agent", "mcp", *arguments]
     if not script.is_file():
         command = sys.executable
-        words = ["-c", "from asia.interfaces.cli import main; main()", *words]
+        words = ["-m", "asia", *words]
     if client == "codex":
         lines = [
             "[mcp_servers.asia]",
