@@ -9,7 +9,7 @@ never do not change it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -107,7 +107,7 @@ def loop_start(plant: SimulatedPlant, controller: SampledController) -> Array:
 
 def certify_loop(
     loop: Loop, controller: SampledController, inputs: Array, horizon: int, facts: dict[str, Any],
-    y: Array | None = None,
+    y: Array | None = None, log: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:  # fmt: skip
     """Find and prove statements on the closed loop with each model of a set.
 
@@ -118,6 +118,7 @@ def certify_loop(
         horizon: samples of the tube
         facts: entries of the certificate: `assumptions`, `inputs`, `outputs` (y and u)
         y: limits of y and u (2, 2) to prove, infinite for none
+        log: receives a line before the proofs of each model
 
     Returns:
         the certificate, with `loops`: one certificate a model. A loop whose input is not proven to
@@ -138,6 +139,7 @@ def certify_loop(
     for plant in loop.simulated:
         if len(plant.lowered) != 1:
             continue
+        log(f"proving   loop with {plant.name}")
 
         def found(plant: SimulatedPlant, subject: str, y: Array, *, limited: bool) -> Any:
             return certify(

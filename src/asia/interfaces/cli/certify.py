@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -205,7 +206,10 @@ def _certified_loop(
             "library functions err by less than 8 units in the last place",
         ],
     }
-    content = certify_loop(plants, controller, limits, horizon, facts, within if y else None)
+    content = certify_loop(
+        plants, controller, limits, horizon, facts, within if y else None,
+        lambda line: say(line, file=sys.stderr, flush=True),
+    )  # fmt: skip
     return content, folder / LOOP_CERTIFICATE_FILE.name
 
 
