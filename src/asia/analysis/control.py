@@ -27,7 +27,8 @@ from asia.lowering.program import LoweredModel
 
 # Order of Pade's approximation of a dead time in the poles of the closed loop.
 _PADE = 3
-_GRID, _TIMES = 400, 600
+# Points of the frequency response and of the step response, which is computed in blocks.
+_GRID, _TIMES, _BLOCK = 400, 600, 25
 _BAND = 0.02
 _NEAR = np.geomspace(1e-4, 0.3, 12)
 # Reserve that the optimisation asks for beyond each specification.
@@ -42,6 +43,10 @@ _FASTER = 4.0
 _LOAD = 2.0
 # A smaller steady-state error asks for an integrator: without one the gain would be very high.
 _INTEGRAL = 0.01
+# What the optimisation prefers counts less than a specification, and at most this much.
+_PREFERRED = 0.5
+# Largest crossover frequency in units of the speed that is asked for, or of the unstable pole.
+_SPEED = 300.0
 # The last structure, which nothing follows, is searched this much longer.
 _LAST = 3
 
@@ -130,6 +135,9 @@ class LoopFigures:
     """Dead time in s that the loop bears in addition."""
     rise: float = 0.0
     """Time in s from 10 to 90 % of the step response."""
+    settling_inside: float = 0.0
+    """Settling time in s for a band that is a little narrower than 2 %: a response that touches the
+    edge has another one."""
     tail: float = 0.0
     """Share of the step response in modes much slower than its rise."""
     load_settling: float = 0.0
@@ -166,7 +174,7 @@ class LoopFigures:
         )
         longest = wanted.settling_max
         high = (
-            ("settling time", self.settling, longest),
+            ("settling time", max(self.settling, self.settling_inside * (reserve > 0)), longest),
             ("settling after a load", self.load_settling, longest and _LOAD * longest),
             ("overshoot", self.overshoot, wanted.overshoot),
             ("steady-state error", abs(self.steady_state), wanted.steady_state),
@@ -183,61 +191,165 @@ class LoopFigures:
 
 def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
     """Compute margins of L = C G and the step response of L / (1 + L)."""
-    loop = controller.times(plant)
-    rational = loop.rational()
-    characteristic = np.polyadd(rational.den, rational.num)
-    nothing = LoopFigures(False, 1.0, 1.0, 0.0, math.inf, math.inf, math.inf)
-    if not np.isfinite(characteristic).all() or abs(characteristic[0]) < 1e-300:
-        return nothing
-    poles = np.roots(characteristic)
-    if not len(poles) or poles.real.max() >= 0:
-        return nothing
-    static = [float(rational.num[-1] / rational.den[-1])] if rational.den[-1] else []
-    found = margins(_frequencies(rational), loop.response, static)
-    gain_low, gain_high, phase, late = found
+    return _figures(controller.num[None], controller.den[None], plant)[0][0]
+
+
+def _figures(num: Array, den: Array, plant: Transfer) -> tuple[list[LoopFigures], Array]:
+    """Figures of the loops of many controllers.
+
+    Args:
+        num: numerators of the controllers (S, n), the highest power first
+        den: denominators (S, m)
+
+    Returns:
+        The figures, and the largest real part of the poles of each loop (S,).
+    """
+    rational = plant.rational()
+    above, below = _times(num, rational.num), _times(den, rational.den)
+    width = max(above.shape[1], below.shape[1])
+    characteristic = sum(
+        np.pad(part, ((0, 0), (width - part.shape[1], 0))) for part in (above, below)
+    )
+    assert isinstance(characteristic, np.ndarray)
+    sound = np.isfinite(characteristic).all(axis=1) & (np.abs(characteristic[:, 0]) > 1e-300)
+    right = np.full(len(num), math.inf)
+    figures = [LoopFigures(False, 1.0, 1.0, 0.0, math.inf, math.inf, math.inf)] * len(num)
+    rows = np.flatnonzero(sound)
+    poles = _roots(characteristic[rows])
+    if not poles.size:
+        return figures, right
+    right[rows] = poles.real.max(axis=1)
+    stable = right[rows] < 0
+    rows, poles = rows[stable], poles[stable]
+    above, below, characteristic = above[rows], below[rows], characteristic[rows]
     # Step response by residues of T(s) / s.
-    slopes = np.polyval(np.polyder(characteristic), poles) * poles
+    powers = np.arange(width - 1, 0, -1)
     with np.errstate(all="ignore"):
-        residues = np.polyval(rational.num, poles) / slopes
-    final = float(rational.num[-1] / characteristic[-1]) if len(rational.num) else 0.0
-    if not np.isfinite(residues).all() or abs(final) < 1e-12:
-        return nothing
-    weight = np.abs(residues) > 1e-3 * abs(final)
-    weight = weight if weight.any() else np.ones(len(poles), bool)
-    slow, fast = np.abs(poles.real[weight]).min(), np.abs(poles[weight]).max()
-    span = min(max(8.0 / slow, 1e-9), 1e9)
-    # Fast modes end long before the slow ones, so the first part is logarithmic.
-    first = max(min(0.05 / fast, 1e-3 * span), 1e-7 * span)
-    t = np.concatenate([np.geomspace(first, 0.02 * span, 150)[:-1],
-                        np.linspace(0.02 * span, span, _TIMES)])  # fmt: skip
-    y = final + np.real(np.exp(np.outer(t, poles)) @ residues)
-    outside = np.flatnonzero(np.abs(y - final) > _BAND * abs(final))
-    settling = 0.0
-    if len(outside):
-        k = int(outside[-1])
-        if k + 1 >= len(t):
-            settling = math.inf
-        else:
-            edge = np.abs(y[[k, k + 1]] - final) - _BAND * abs(final)
-            settling = float(t[k] + (t[k + 1] - t[k]) * edge[0] / max(edge[0] - edge[1], 1e-300))
-    way = y / final
-    overshoot = 100.0 * max(float(way.max()) - 1.0, 0.0)
-    rise = float(t[np.argmax(way >= 0.9)] - t[np.argmax(way >= 0.1)])
-    creeping = np.abs(poles.real) * rise < 2.2 * _CREEP
-    tail = float(np.abs(residues[creeping]).sum() / abs(final))
-    return LoopFigures(
-        True, gain_low, gain_high, phase, settling, overshoot, 1.0 - final, late, rise, tail
-    )  # fmt: skip
+        slopes = _polynomials(characteristic[:, :-1] * powers, poles) * poles
+        residues = _polynomials(above, poles) / slopes
+        final = above[:, -1] / characteristic[:, -1]
+    sound = np.isfinite(residues).all(axis=1) & (np.abs(final) >= 1e-12)
+    right[rows[~sound]] = math.inf
+    rows, poles, residues, final = rows[sound], poles[sound], residues[sound], final[sound]
+    above, below = above[sound], below[sound]
+    if not len(rows):
+        return figures, right
+    response = _loop_response(num[rows], den[rows], plant)
+    static = np.divide(above[:, -1], below[:, -1], where=below[:, -1] != 0,
+                       out=np.full(len(rows), math.inf))  # fmt: skip
+    low, high, phase, late = _margins(_frequencies(above, below), response, static[:, None])
+    settling, inside, overshoot, rise, tail = _step_figures(poles, residues, final)
+    for k, row in enumerate(rows):
+        figures[row] = LoopFigures(
+            True, float(low[k]), float(high[k]), float(phase[k]), float(settling[k]),
+            float(overshoot[k]), 1.0 - float(final[k]), float(late[k]), float(rise[k]),
+            float(inside[k]), float(tail[k]),
+        )  # fmt: skip
+    return figures, right
 
 
-def _frequencies(rational: Transfer) -> Array:
-    """Frequencies in rad/s around the corners of a loop. A narrow resonance lies between the points
-    of a grid, so its neighbourhood is added."""
-    corners = np.abs(np.concatenate([np.roots(rational.num), np.roots(rational.den)]))
-    corners = corners[corners > 0]
-    low, high = (corners.min(), corners.max()) if len(corners) else (1.0, 1.0)
-    near = np.outer(corners, np.concatenate([1.0 - _NEAR, [1.0], 1.0 + _NEAR])).reshape(-1)
-    return np.unique(np.concatenate([np.geomspace(1e-3 * low, 1e3 * high, _GRID), near]))
+def _step_figures(
+    poles: NDArray[np.complex128], residues: NDArray[np.complex128], final: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Settling time, that of a narrower band, overshoot in %, rise time and share of slow modes
+    (S,) of step responses, from poles and residues (S, n) and final values (S,)."""
+    size = np.abs(final)[:, None]
+    weight = np.abs(residues) > 1e-3 * size
+    weight |= ~weight.any(axis=1, keepdims=True)
+    slow = np.where(weight, np.abs(poles.real), math.inf).min(axis=1)
+    fast = np.where(weight, np.abs(poles), 0.0).max(axis=1)
+    span = np.clip(8.0 / slow, 1e-9, 1e9)
+    # Fast modes end long before the slow ones, so the first part is logarithmic. The second one is
+    # uniform: a product of a coarse and a fine part.
+    first = np.clip(0.05 / fast, 1e-7 * span, 1e-3 * span)
+    begin = np.geomspace(first, 0.02 * span, 150, axis=1)[:, :-1]
+    step = 0.98 * span / (_TIMES - 1)
+    fine = step[:, None] * np.arange(_BLOCK)
+    coarse = 0.02 * span[:, None] + step[:, None] * np.arange(0, _TIMES, _BLOCK)
+    t = np.concatenate([begin, (coarse[:, :, None] + fine[:, None, :]).reshape(len(span), -1)], 1)
+    modes = [np.exp(part[:, :, None] * poles[:, None, :]) for part in (begin, coarse, fine)]
+    early = np.real(modes[0] @ residues[:, :, None])[:, :, 0]
+    later = np.real((modes[1] * residues[:, None, :]) @ modes[2].swapaxes(1, 2))
+    y = final[:, None] + np.concatenate([early, later.reshape(len(span), -1)], axis=1)
+    error, count, every = np.abs(y - final[:, None]), t.shape[1], np.arange(len(span))
+
+    def settled(band: float) -> Array:
+        away = error - band * size
+        outside = away > 0
+        last = count - 1 - np.argmax(outside[:, ::-1], axis=1)
+        k = np.minimum(last, count - 2)
+        before, after = away[every, k], away[every, k + 1]
+        share = before / np.maximum(before - after, 1e-300)
+        found = t[every, k] + (t[every, k + 1] - t[every, k]) * share
+        found = np.where(last >= count - 1, math.inf, found)
+        return np.where(outside.any(axis=1), found, 0.0)
+
+    way = y / final[:, None]
+    overshoot = 100.0 * np.maximum(way.max(axis=1) - 1.0, 0.0)
+    rise = t[every, np.argmax(way >= 0.9, axis=1)] - t[every, np.argmax(way >= 0.1, axis=1)]
+    creeping = np.abs(poles.real) * rise[:, None] < 2.2 * _CREEP
+    tail = np.where(creeping, np.abs(residues), 0.0).sum(axis=1) / size[:, 0]
+    inside = settled((1.0 - _RESERVE) * _BAND)
+    return settled(_BAND), inside, overshoot, rise, tail
+
+
+def _times(left: Array, right: Array) -> Array:
+    """Products (S, n + m - 1) of polynomials (S, n) and of one (m,) or as many (S, m)."""
+    right = np.atleast_2d(right)
+    found = np.zeros((len(left), left.shape[1] + right.shape[1] - 1))
+    for k in range(right.shape[1]):
+        found[:, k : k + left.shape[1]] += left * right[:, k : k + 1]
+    return found
+
+
+def _polynomials(
+    coefficients: Array, s: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
+    """Values (S, N) of polynomials (S, n), the highest power first, at s (S, N)."""
+    found = np.broadcast_to(coefficients[:, :1], s.shape).astype(np.complex128)
+    for k in range(1, coefficients.shape[1]):
+        found = found * s + coefficients[:, k : k + 1]
+    return found
+
+
+def _roots(polynomials: Array) -> NDArray[np.complex128]:
+    """Roots (S, n - 1) of polynomials (S, n) with coefficients of the highest power that are not
+    0."""
+    count, n = polynomials.shape[0], polynomials.shape[1] - 1
+    companion = np.zeros((count, n, n))
+    if n:
+        companion[:, 0] = -polynomials[:, 1:] / polynomials[:, :1]
+        companion[:, range(1, n), range(n - 1)] = 1.0
+    return np.asarray(np.linalg.eigvals(companion), np.complex128)
+
+
+def _frequencies(above: Array, below: Array) -> Array:
+    """Frequencies (S, N) in rad/s around the corners of loops with numerators and denominators
+    (S, n). A narrow resonance lies between the points of a grid, so its neighbourhood is added."""
+    parts = [one[:, np.flatnonzero(one.any(axis=0))[0] :] for one in (above, below)]
+    corners = np.abs(np.concatenate([_roots(one) for one in parts], axis=1))
+    real = corners > 0
+    low = np.where(real, corners, math.inf).min(axis=1, initial=math.inf)
+    high = np.where(real, corners, 0.0).max(axis=1, initial=0.0)
+    none = ~real.any(axis=1)
+    low, high = np.where(none, 1.0, low), np.where(none, 1.0, high)
+    factors = np.concatenate([1.0 - _NEAR, [1.0], 1.0 + _NEAR])
+    near = np.where(real, corners, low[:, None])[:, :, None] * factors
+    grid = np.geomspace(1e-3 * low, 1e3 * high, _GRID, axis=1)
+    return np.sort(np.concatenate([grid, near.reshape(len(low), -1)], axis=1), axis=1)
+
+
+# Frequency response of the loops `rows` (K,) at frequencies (K, N) or (K,) in rad/s.
+_Response: TypeAlias = Callable[[NDArray[np.intp], Array], NDArray[np.complex128]]
+
+
+def _loop_response(num: Array, den: Array, plant: Transfer) -> _Response:
+    def response(rows: NDArray[np.intp], w: Array) -> NDArray[np.complex128]:
+        s = 1j * w.reshape(len(rows), -1)
+        held = _polynomials(num[rows], s) / _polynomials(den[rows], s)
+        return (held * plant.response(s.imag)).reshape(w.shape)
+
+    return response
 
 
 def margins(
@@ -254,103 +366,106 @@ def margins(
         gain margins below and above 1, as factors, smallest phase margin in degrees and delay
         margin in s
     """
-    held = response(w)
+    found = _margins(
+        w[None], lambda _, at: response(at.reshape(-1)).reshape(at.shape), np.array([ends])
+    )
+    low, high, phase, late = (float(one[0]) for one in found)
+    return low, high, phase, late
+
+
+def _margins(w: Array, response: _Response, ends: Array) -> tuple[Array, Array, Array, Array]:
+    """Margins (S,) of many loops; w (S, N), ends (S, E) or (S, 0)."""
+    count = len(w)
+    held = response(np.arange(count), w)
     size = np.abs(held)
-    crossing = np.flatnonzero((size[:-1] > 1.0) != (size[1:] > 1.0))
-    phases: list[float] = []
-    late = math.inf
-    for k in crossing:
-        share = math.log(size[k]) / (math.log(size[k]) - math.log(size[k + 1]))
-        at = w[k] * (w[k + 1] / w[k]) ** share
-        angle = math.degrees(np.angle(response(np.array([at]))[0]))
-        phases.append((angle + 180.0) % 360.0)
-        late = min(late, math.radians(phases[-1]) / at)
-    phases = [one if one <= 180.0 else one - 360.0 for one in phases]
-    gains = [-1.0 / one for one in ends if -math.inf < one < -1e-12]
+    low, high = np.zeros(count), np.full(count, math.inf)
+    phase, late = np.full(count, math.inf), np.full(count, math.inf)
+    rows, k = np.nonzero((size[:, :-1] > 1.0) != (size[:, 1:] > 1.0))
+    if len(rows):
+        before, after = np.log(size[rows, k]), np.log(size[rows, k + 1])
+        at = w[rows, k] * (w[rows, k + 1] / w[rows, k]) ** (before / (before - after))
+        angle = (np.degrees(np.angle(response(rows, at))) + 180.0) % 360.0
+        np.minimum.at(late, rows, np.radians(angle) / at)
+        angle = np.where(angle <= 180.0, angle, angle - 360.0)
+        # The smallest one in size, with its sign.
+        order = np.argsort(-np.abs(angle), kind="stable")
+        phase[rows[order]] = angle[order]
     imaginary = held.imag
-    for k in np.flatnonzero((imaginary[:-1] > 0) != (imaginary[1:] > 0)):
-        share = imaginary[k] / (imaginary[k] - imaginary[k + 1])
-        real = held.real[k] + share * (held.real[k + 1] - held.real[k])
-        if real < -1e-12:
-            at = w[k] * (w[k + 1] / w[k]) ** share
-            gains.append(1.0 / max(abs(response(np.array([at]))[0].real), 1e-300))
-    phase = min(phases, key=abs, default=math.inf)
-    low = max((one for one in gains if one < 1.0), default=0.0)
-    return low, min((one for one in gains if one >= 1.0), default=math.inf), phase, late
+    rows, k = np.nonzero((imaginary[:, :-1] > 0) != (imaginary[:, 1:] > 0))
+    before, after = imaginary[rows, k], imaginary[rows, k + 1]
+    share = before / (before - after)
+    real = held.real[rows, k] + share * (held.real[rows, k + 1] - held.real[rows, k])
+    rows, k, share = rows[real < -1e-12], k[real < -1e-12], share[real < -1e-12]
+    if len(rows):
+        at = w[rows, k] * (w[rows, k + 1] / w[rows, k]) ** share
+        gains = 1.0 / np.maximum(np.abs(response(rows, at).real), 1e-300)
+    else:
+        gains = np.zeros(0)
+    places, e = np.nonzero((ends < -1e-12) & np.isfinite(ends)) if ends.size else (rows[:0], rows[:0])
+    rows = np.concatenate([rows, places])
+    gains = np.concatenate([gains, -1.0 / ends[places, e] if ends.size else np.zeros(0)])
+    below = gains < 1.0
+    np.maximum.at(low, rows[below], gains[below])
+    np.minimum.at(high, rows[~below], gains[~below])
+    return low, high, phase, late
 
 
-# Structures, from simple to complex. Parameters are logarithms, in units of the plant's own time.
+# Structures, from simple to complex.
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Family of controllers."""
+    """Family of controllers with a gain of 1 at the frequency 1."""
 
     name: str
-    parameters: int
-    make: Callable[[Array], tuple[Array, Array]]
-    """Parameters, positive, to numerator and denominator."""
+    integrates: bool = False
+    """Whether there is a pole at 0."""
+    pair: bool = False
+    """Whether there is a pair of zeros, which may be complex."""
+    zeros: int = 0
+    poles: int = 0
+
+    @property
+    def parameters(self) -> int:
+        """Number of corner frequencies."""
+        return 2 * self.pair + self.zeros + self.poles
 
     @property
     def excess(self) -> int:
         """Poles more than zeros."""
-        num, den = self.make(np.ones(self.parameters))
-        return len(den) - len(num)
+        return self.integrates + self.poles - 2 * self.pair - self.zeros
 
-    @property
-    def integrates(self) -> bool:
-        """Whether there is a pole at 0."""
-        return bool(self.make(np.ones(self.parameters))[1][-1] == 0)
+    def make(self, corners: Array) -> tuple[Array, Array]:
+        """Numerators (S, n) and denominators (S, m) from corner frequencies (S, parameters)."""
+        ones = np.ones((len(corners), 1))
+        num, den, k = ones, ones, 0
+        if self.pair:
+            k = 2
+            num = np.hstack([ones, corners[:, :1], corners[:, :1] * corners[:, 1:2]])
+        for place in range(k, k + self.zeros):
+            num = _times(num, np.hstack([ones, corners[:, place : place + 1]]))
+        if self.integrates:
+            den = np.hstack([ones, 0.0 * ones])
+        for place in range(k + self.zeros, self.parameters):
+            den = _times(den, np.hstack([ones, corners[:, place : place + 1]]))
+        at = np.full((len(corners), 1), 1j)
+        gain = np.abs(_polynomials(num, at) / _polynomials(den, at)).real
+        return num / gain, den
 
 
 STRUCTURES = (
-    Structure("P", 1, lambda p: (np.array([p[0]]), np.ones(1))),
-    Structure("I", 1, lambda p: (np.array([p[0]]), np.array([1.0, 0.0]))),
-    Structure("PI", 2, lambda p: (p[0] * np.array([1.0, p[1]]), np.array([1.0, 0.0]))),
-    Structure(
-        "lead-lag", 3, lambda p: (p[0] * np.array([1.0, p[1]]), np.array([1.0, p[2]]))
-    ),
-    Structure(
-        "PID with filter", 4,
-        lambda p: (p[0] * np.array([1.0, p[1], p[1] * p[2]]), product([1.0, 0.0], [1.0, p[3]])),
-    ),
-    Structure(
-        "PI with lag", 3,
-        lambda p: (p[0] * np.array([1.0, p[1]]), product([1.0, 0.0], [1.0, p[2]])),
-    ),
-    Structure(
-        "PI with two lags", 4,
-        lambda p: (p[0] * np.array([1.0, p[1]]), product([1.0, 0.0], [1.0, p[2]], [1.0, p[3]])),
-    ),
-    Structure(
-        "two lead-lags", 5,
-        lambda p: (
-            p[0] * np.array([1.0, p[1], p[1] * p[2]]),
-            product([1.0, p[3]], [1.0, p[4]]),
-        ),
-    ),
-    Structure(
-        "PID with two filters", 5,
-        lambda p: (
-            p[0] * np.array([1.0, p[1], p[1] * p[2]]),
-            product([1.0, 0.0], [1.0, p[3]], [1.0, p[4]]),
-        ),
-    ),
-    Structure(
-        "PID with lead-lag", 6,
-        lambda p: (
-            p[0] * product([1.0, p[1], p[1] * p[2]], [1.0, p[3]]),
-            product([1.0, 0.0], [1.0, p[4]], [1.0, p[5]]),
-        ),
-    ),
-    Structure(
-        "PID with lead-lag and filter", 7,
-        lambda p: (
-            p[0] * product([1.0, p[1], p[1] * p[2]], [1.0, p[3]]),
-            product([1.0, 0.0], [1.0, p[4]], [1.0, p[5]], [1.0, p[6]]),
-        ),
-    ),
-)  # fmt: skip
+    Structure("P"),
+    Structure("I", integrates=True),
+    Structure("PI", integrates=True, zeros=1),
+    Structure("lead-lag", zeros=1, poles=1),
+    Structure("PID with filter", integrates=True, pair=True, poles=1),
+    Structure("PI with lag", integrates=True, zeros=1, poles=1),
+    Structure("PI with two lags", integrates=True, zeros=1, poles=2),
+    Structure("two lead-lags", pair=True, poles=2),
+    Structure("PID with two filters", integrates=True, pair=True, poles=2),
+    Structure("PID with lead-lag", integrates=True, pair=True, zeros=1, poles=2),
+    Structure("PID with lead-lag and filter", integrates=True, pair=True, zeros=1, poles=3),
+)
 
 
 @dataclass(frozen=True)
@@ -385,13 +500,12 @@ def design(
     pace = float(np.exp(np.log(corners).mean())) if len(corners) else 1.0
     if wanted.settling_max is not None:
         pace = max(4.0 / wanted.settling_max, 1e-12)
-    size = float(np.abs(plant.response(np.array([pace])))[0]) or 1.0
     unstable = np.roots(plant.den).real.max(initial=-1.0) > 0
     # All parameters are positive: a plant that falls with its input gets a negative controller. A
     # stable one may begin in the other direction.
     end = 0 if unstable else -1
     ends = (float(part[np.flatnonzero(part)[end]]) for part in (plant.num, plant.den))
-    size = math.copysign(size, next(ends) / next(ends))
+    sign = math.copysign(1.0, next(ends) / next(ends))
     # The gain of a loop around an unstable plant has a least value. A largest one beyond it, which
     # the nearest gain margin asks for, takes three poles more than zeros or a dead time.
     rolled = unstable and not plant.delay and wanted.gain_margin is not None
@@ -403,39 +517,51 @@ def design(
         if not (rolled and excess + one.excess < _EXCESS) and not (exact and not one.integrates)
     ]
     best: tuple[tuple[bool, float], Design] | None = None
+    scaled = [Transfer(*_paced(one, pace), one.delay * pace) for one in plants]
+    asked = _scaled(wanted, pace)
+    fastest = max(float(np.roots(scaled[0].den).real.max(initial=0.0)), 1.0)
 
-    def loss(z: Array, structure: Structure, reserve: float) -> float:
-        num, den = structure.make(np.exp(z))
-        controller = Transfer(num / size, den)
-        total = 0.0
-        for one in plants:
-            scaled = Transfer(*_paced(one, pace), one.delay * pace)
-            figures = loop_figures(scaled, controller)
-            total = max(
-                total, sum(v for _, v in figures.violations(_scaled(wanted, pace), reserve))
-            )
-            if not unstable and figures.stable and np.isfinite(figures.settling):
-                # Avoided where possible: a slow tail after a fast rise, and a loop much faster
-                # than asked, which spends the input.
-                fast = math.log(4.0 / _FASTER / max(figures.settling, 1e-9))
-                total = max(total, 0.1 * min(figures.tail / _TAIL - 1.0, 5.0), 0.1 * fast)
-            if not figures.stable:
-                rational = controller.times(scaled).rational()
-                poles = np.roots(np.polyadd(rational.den, rational.num))
-                total = max(total, 10.0 + float(np.arctan(poles.real.max())) if len(poles) else 20)
+    def controllers(z: Array, structure: Structure) -> tuple[Array, Array]:
+        """Controllers in the plant's own time from parameters (S, n). The first one is the
+        frequency at which the loop has the gain 1, and the corners are in its unit: margins then
+        depend little on how fast the loop is."""
+        at = np.exp(z[:, :1])
+        num, den = structure.make(np.exp(z[:, 1:]))
+        size = np.maximum(np.abs(scaled[0].response(at)), 1e-300)
+        num = num * at ** -np.arange(num.shape[1] - 1, -1, -1.0) * (sign / size)
+        return num, den * at ** -np.arange(den.shape[1] - 1, -1, -1.0)
+
+    def losses(z: Array, structure: Structure, reserve: float) -> Array:
+        num, den = controllers(z.T, structure)
+        total = np.zeros(len(num))
+        for one in scaled:
+            figures, right = _figures(num, den, one)
+            each = [loss(figure, reserve) for figure in figures]
+            total = np.maximum(total, each + np.arctan(right) * [not f.stable for f in figures])
         return total
 
+    def loss(figures: LoopFigures, reserve: float) -> float:
+        found = sum(value for _, value in figures.violations(asked, reserve))
+        if found > 0:
+            return _PREFERRED + found
+        # Avoided where possible: a slow tail after a fast rise, and a loop much faster than asked,
+        # which spends the input.
+        slow = figures.tail / _TAIL - 1.0
+        fast = 0.0 if unstable else math.log(4.0 / _FASTER / max(figures.settling, 1e-9))
+        return min(max(0.1 * slow, 0.1 * fast, 0.0), _PREFERRED)
+
     for structure in tried:
-        bounds = [(-9.0, 12.0)] + [(-8.0, 9.0)] * (structure.parameters - 1)
+        bounds = [(-3.0, math.log(_SPEED * fastest))] + [(-8.0, 8.0)] * structure.parameters
         sought = differential_evolution(
-            loss, bounds, args=(structure, _RESERVE),
+            losses, bounds, args=(structure, _RESERVE),
             maxiter=_LAST * effort if structure is tried[-1] else effort, popsize=12, tol=1e-4,
-            rng=np.random.default_rng(seed), polish=False, init="sobol",
+            rng=np.random.default_rng(seed), polish=False, init="sobol", vectorized=True,
+            updating="deferred",
             callback=lambda intermediate_result: intermediate_result.fun <= 0,
         )  # fmt: skip
-        num, den = structure.make(np.exp(sought.x))
         # Back from the plant's own time: s is s / pace.
-        controller = Transfer(*_unpaced(num / size, den, pace))
+        num, den = (part[0] for part in controllers(sought.x[None], structure))
+        controller = Transfer(*_unpaced(num, den, pace))
         figures = loop_figures(plant, controller)
         missed = {
             name for one in plants for name, _ in loop_figures(one, controller).violations(wanted)
