@@ -33,6 +33,8 @@ _BAND = 0.02
 _NEAR = np.geomspace(1e-4, 0.3, 12)
 # Reserve that the optimisation asks for beyond each specification.
 _RESERVE = 0.02
+# Smaller reserve that a controller needs to be taken at once.
+_EDGE = 0.005
 _EXCESS = 3
 # Share of the response in slow modes that the optimisation accepts, and what counts as slow: this
 # part of the speed of a first-order lag with the same rise.
@@ -47,6 +49,8 @@ _INTEGRAL = 0.01
 _PREFERRED = 0.5
 # Largest crossover frequency in units of the speed that is asked for, or of the unstable pole.
 _SPEED = 300.0
+# Generations without a progress of 1 % after which an optimisation ends.
+_STALLED = 40
 # The last structure, which nothing follows, is searched this much longer.
 _LAST = 3
 
@@ -187,6 +191,39 @@ class LoopFigures:
                 excess = (value - limit * (1.0 - reserve)) / max(limit, 1e-12)
                 found.append((name, math.log1p(min(excess, 1e9)) if np.isfinite(value) else 10.0))
         return found
+
+
+# Name of a specification: figure of a loop, limit, "least" or "most", unit.
+_LIMITS = {
+    "gain margin": ("gain_margin", "gain_margin", "least", ""),
+    "phase margin": ("phase_margin", "phase_margin", "least", " degrees"),
+    "settling time too short": ("settling", "settling_min", "least", " s"),
+    "settling time": ("settling", "settling_max", "most", " s"),
+    "settling after a load": ("load_settling", "settling_max", "most", " s"),
+    "overshoot": ("overshoot", "overshoot", "most", " %"),
+    "steady-state error": ("steady_state", "steady_state", "most", ""),
+}
+
+
+def shortfalls(figures: Sequence[LoopFigures], wanted: Specification) -> list[str]:
+    """Describe each specification that a loop does not meet, with the figure reached, on the worst
+    of the loops."""
+    worst: dict[str, tuple[float, LoopFigures]] = {}
+    for one in figures:
+        for name, excess in one.violations(wanted):
+            if name not in worst or excess > worst[name][0]:
+                worst[name] = excess, one
+    found: list[str] = []
+    for name, (_, one) in worst.items():
+        if name not in _LIMITS:
+            found.append("no stable loop")
+            continue
+        reached, limit, end, unit = _LIMITS[name]
+        bound = getattr(wanted, limit) * (_LOAD if reached == "load_settling" else 1.0)
+        word = name.removesuffix(" too short")
+        value = abs(getattr(one, reached))
+        found.append(f"{word} {value:.3g}{unit} of at {end} {bound:.3g}{unit}")
+    return found
 
 
 def loop_figures(plant: Transfer, controller: Transfer) -> LoopFigures:
@@ -483,14 +520,20 @@ class Design:
 
 
 def design(
-    plants: Sequence[Transfer], wanted: Specification, *, seed: int = 0, effort: int = 80
+    plants: Sequence[Transfer],
+    wanted: Specification,
+    *,
+    seed: int = 0,
+    effort: int = 80,
+    report: Callable[[str], None] = lambda _: None,
 ) -> Design:
     """Design a controller that meets the specifications for every plant; the first one that does,
     from simple to complex structures.
 
     Args:
         plants: the plant, then others such as fold models; the worst one counts
-        effort: generations of the optimisation of a structure
+        effort: generations of the optimisation of a structure, fewer where it makes no progress
+        report: called with a sentence on each structure that misses a specification
     """
     from scipy.optimize import differential_evolution
 
@@ -556,24 +599,38 @@ def design(
             losses, bounds, args=(structure, _RESERVE),
             maxiter=_LAST * effort if structure is tried[-1] else effort, popsize=12, tol=1e-4,
             rng=np.random.default_rng(seed), polish=False, init="sobol", vectorized=True,
-            updating="deferred",
-            callback=lambda intermediate_result: intermediate_result.fun <= 0,
+            updating="deferred", callback=_Progress().is_over,
         )  # fmt: skip
         # Back from the plant's own time: s is s / pace.
         num, den = (part[0] for part in controllers(sought.x[None], structure))
         controller = Transfer(*_unpaced(num, den, pace))
-        figures = loop_figures(plant, controller)
-        missed = {
-            name for one in plants for name, _ in loop_figures(one, controller).violations(wanted)
-        }
-        candidate = Design(structure.name, controller, figures, tuple(sorted(missed)))
+        each = [loop_figures(one, controller) for one in plants]
+        missed = {name for one in each for name, _ in one.violations(wanted)}
+        candidate = Design(structure.name, controller, each[0], tuple(sorted(missed)))
         rank = bool(missed), float(sought.fun)
         if best is None or rank < best[0]:
             best = rank, candidate
-        if not missed:
+        # On the edge of a specification the next structure may do better.
+        if not any(one.violations(wanted, _EDGE) for one in each):
             return candidate
+        report(f"{structure.name}: {', '.join(shortfalls(each, wanted)) or 'only just enough'}")
     assert best is not None
     return best[1]
+
+
+class _Progress:
+    """Ends an optimisation that meets everything, or that gets no better for long."""
+
+    def __init__(self) -> None:
+        self.best, self.generations = math.inf, 0
+
+    def is_over(self, intermediate_result: Any) -> bool:
+        """Callback after a generation."""
+        value = float(intermediate_result.fun)
+        self.generations += 1
+        if value < 0.99 * self.best:
+            self.best, self.generations = value, 0
+        return value <= 0 or self.generations >= _STALLED
 
 
 def _paced(one: Transfer, pace: float) -> tuple[Array, Array]:
@@ -892,12 +949,21 @@ class Loop:
     setpoint: float = 1.0
     noise: float = 0.0
     """Standard deviation of the measurement noise of y."""
+    error: float = 0.0
+    """RMSE of the model of y on held-out data; 0 where it is not known."""
     u_range: tuple[float, float] = (-math.inf, math.inf)
     """Smallest and largest input of the training records."""
     u: str = "u"
     y: str = "y"
     models: list[LinearModel] = field(default_factory=list[LinearModel])
     """Sampled linear models of the plants, for LQR and MPC."""
+
+    @property
+    def unmodelled(self) -> float:
+        """Share of the step that all models miss: the part of their error on held-out data that is
+        no measurement noise."""
+        missing = math.sqrt(max(self.error**2 - self.noise**2, 0.0))
+        return missing / abs(self.setpoint - self.y0)
 
     @property
     def own_settling(self) -> float | None:
@@ -943,13 +1009,15 @@ Designer: TypeAlias = Callable[
 ]
 
 
-def pid_designer(limits: Limits, seed: int = 0) -> Designer:
-    """Designer of P to PID with lead-lag by `design`."""
+def pid_designer(
+    limits: Limits, seed: int = 0, report: Callable[[str], None] = lambda _: None
+) -> Designer:
+    """Designer of P to PID with lead-lag by `design`, which calls `report`."""
 
     def designed(
         loop: Loop, wanted: Specification
     ) -> tuple[Loop, Design, list[LoopFigures], SampledController]:
-        found = design(loop.plants, wanted, seed=seed)
+        found = design(loop.plants, wanted, seed=seed, report=report)
         assert found.controller is not None
         each = [loop_figures(one, found.controller) for one in loop.plants]
         slow = max((one.settling for one in each if math.isfinite(one.settling)), default=1.0)

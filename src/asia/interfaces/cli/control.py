@@ -44,6 +44,8 @@ _CODE = {"python": "controller.py", "c": "controller.c", "st": "controller.st"}
 _KINDS = ("pid", "lqr", "mpc")
 # Candidates of other families, and their largest V in that of the best.
 _OTHERS, _FAR = 2, 1.5
+# Share of a step that the models may miss before it is a warning.
+_UNMODELLED = 0.04
 # Share of the impulse response that a linear model may lose with modes that have no continuous
 # equivalent, such as parts of a sample of dead time.
 _FAST = 0.05
@@ -141,6 +143,7 @@ def control(
         Transfer,
         design_in_simulation,
         pid_designer,
+        shortfalls,
         simulate_loop,
     )
     from asia.analysis.state_feedback import state_feedback_designer
@@ -194,7 +197,7 @@ def control(
         wanted = replace(wanted, settling_max=own)
     limited = Limits(low, high, rate or math.inf)
     designer = (
-        pid_designer(limited, seed)
+        pid_designer(limited, seed, lambda text: say(f"tried     {text}", file=sys.stderr))
         if kind == "pid"
         else state_feedback_designer(limited, predictive=kind == "mpc", weights=shares, moves=moves)
     )
@@ -219,6 +222,12 @@ def control(
         moved = float(np.nanstd(noisy[1] - responses[0][1]))
         lines.append(f"noise     {loop.y} {loop.noise:.3g} moves {loop.u} by {moved:.3g} (std)")
     lines.append(f"weakest   {_weakest(loop, each, responses, controller)}")
+    facts["unmodelled"] = loop.unmodelled
+    if loop.unmodelled > _UNMODELLED:
+        lines.append(
+            f"warning   on held-out data the models miss {100 * loop.unmodelled:.2g} % of this "
+            "step beyond the noise: all of them may err alike"
+        )
     files: list[Path] = []
     if out is not None:
         from asia.report.files import save
@@ -253,8 +262,8 @@ def control(
         return
     if found.violated:
         say(
-            f"missed    {', '.join(found.violated)}: no controller was found that meets all "
-            f"specifications; relax one of them or try another "
+            f"missed    {', '.join(shortfalls(each, wanted))}: no controller was found that meets "
+            "all specifications; relax one of them or try another "
             f"{'--seed' if kind == 'pid' else '--kind'}"
         )
     for one in missed:
@@ -395,9 +404,12 @@ def loop_of_run(
     y = np.concatenate([record.measured_y[:, 0] for record in found.records])
     u = np.concatenate([record.u[:, 0] for record in found.records])
     noise = float(found.noise[0])
+    scored = next((one for one in opened.view.experiments if str(one.number) == number), own)
+    folds_of = () if scored is None or scored.score is None else scored.score.folds
+    error = float(np.mean([one.rmse[0] for one in folds_of])) if folds_of else 0.0
     return Loop(
         found.name, labels, plants, simulated, point.model.sampling_time, float(point.at.u[0]), y0,
-        y0 + float(np.nanstd(y)), noise, (float(u.min()), float(u.max())),
+        y0 + float(np.nanstd(y)), noise, error, (float(u.min()), float(u.max())),
         found.inputs[0].name, found.outputs[0].name, models,
     )  # fmt: skip
 

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from asia.analysis.control import (
+    Loop,
+    LoopFigures,
     SampledController,
     SimulatedPlant,
     Specification,
@@ -28,6 +31,7 @@ from asia.analysis.control import (
     loop_figures,
     response_figures,
     sampled,
+    shortfalls,
     simulate_loop,
     zero_order_hold,
 )
@@ -125,12 +129,54 @@ def test_a_narrow_resonance_is_seen() -> None:
     assert found.phase_margin == pytest.approx(phase, abs=1.0)
 
 
-def test_an_impossible_specification_is_named() -> None:
+def test_an_impossible_specification_is_named_with_what_was_reached() -> None:
     # A right half plane zero at 1 rad/s forbids a settling time of 0.1 s without overshoot.
     num, den = rational("(1-s)/(s^2+2*s+1)")
     wanted = Specification(3.0, 60.0, None, 0.1, 1.0, 1e-3)
-    found = design([Transfer(num, den)], wanted, effort=1)
+    tried: list[str] = []
+    found = design([Transfer(num, den)], wanted, effort=5, report=tried.append)
+    assert found.figures.stable
     assert found.violated
+    assert all(":" in one for one in tried)
+    assert tried[0].startswith("I: ")
+    texts = shortfalls([found.figures], wanted)
+    for name in found.violated:
+        assert any(one.startswith(name.removesuffix(" too short")) for one in texts)
+
+
+def test_shortfalls_give_the_worst_loop_and_the_limit() -> None:
+    wanted = Specification(2.0, 60.0, None, 1.0, 5.0, 1e-3)
+    poor = LoopFigures(True, 0.0, 4.0, 40.0, 3.0, 4.0, 0.0)
+    poorer = LoopFigures(True, 0.0, 1.5, 30.0, 0.5, 4.0, 0.0)
+    assert shortfalls([poor, poorer], wanted) == [
+        "phase margin 30 degrees of at least 60 degrees",
+        "settling time 3 s of at most 1 s",
+        "gain margin 1.5 of at least 2",
+    ]
+    assert shortfalls([replace(poor, stable=False)], wanted) == ["no stable loop"]
+
+
+def test_an_unstable_oscillating_plant_is_met_by_one_design() -> None:
+    # The gain may rise by 8 and must not fall by more; python-control agrees.
+    num, den = rational("5.3/(s^2-1.05*s+0.54)")
+    wanted = Specification(7.9, 58.0, 0.07, 8.0, 5.4, 1e-4)
+    found = design([Transfer(num, den)], wanted)
+    assert found.violated == ()
+    loop = control.tf(found.controller.num, found.controller.den) * control.tf(num, den)
+    gain, phase, _, _ = control.margin(loop)
+    closed = control.feedback(loop, 1)
+    info = control.step_info(closed, T=np.linspace(0.0, 24.0, 20_000))
+    assert np.real(closed.poles()).max() < 0
+    assert gain >= 7.9
+    assert phase >= 58.0
+    assert 0.07 <= info["SettlingTime"] <= 8.0
+    assert info["Overshoot"] <= 5.4
+
+
+def test_the_share_that_models_miss_leaves_out_the_noise() -> None:
+    loop = Loop("run", ("loop",), [], [], 1.0, y0=2.0, setpoint=4.0, noise=0.3, error=0.5)
+    assert loop.unmodelled == pytest.approx(0.2)
+    assert replace(loop, error=0.2).unmodelled == 0.0
 
 
 def test_pid_gains_give_the_same_controller() -> None:
