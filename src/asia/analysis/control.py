@@ -1043,8 +1043,10 @@ def design_in_simulation(loop: Loop, wanted: Specification, designer: Designer) 
         if made.design.violated or not made.missed or not math.isfinite(longest):
             break
         if asked.settling_max is not None and wanted.settling_max is not None:
+            # Less than what the linear plants reached, which may be faster than asked.
             share = min(0.97 * wanted.settling_max / longest, 1.0)
-            asked = replace(asked, settling_max=asked.settling_max * share)
+            linear = max(one.settling for one in made.figures) if share < 1.0 else math.inf
+            asked = replace(asked, settling_max=min(asked.settling_max, linear) * share)
         if asked.overshoot is not None and wanted.overshoot is not None:
             share = min(0.97 * wanted.overshoot / max(most, 1e-9), 1.0)
             asked = replace(asked, overshoot=asked.overshoot * share)

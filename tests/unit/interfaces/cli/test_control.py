@@ -156,6 +156,7 @@ def test_shortfalls_give_the_worst_loop_and_the_limit() -> None:
     assert shortfalls([replace(poor, stable=False)], wanted) == ["no stable loop"]
 
 
+@pytest.mark.slow
 def test_an_unstable_oscillating_plant_is_met_by_one_design() -> None:
     # The gain may rise by 8 and must not fall by more; python-control agrees.
     num, den = rational("5.3/(s^2-1.05*s+0.54)")
