@@ -318,7 +318,16 @@ def main() -> None:
     KIND = given.kind
     jax.config.update("jax_enable_x64", True)
     names = ["system", "seed", "family", "V", "equal weights: true", "winner", "ratio"]
-    names += ["own weights: true", "winner", "ratio", "worst case", "ratio", "spread", "warned", "unmodelled"]
+    names += [
+        "own weights: true",
+        "winner",
+        "ratio",
+        "worst case",
+        "ratio",
+        "spread",
+        "warned",
+        "unmodelled",
+    ]
     names += ["perturbed: winner", "worst case", "failed", "failed", "s"]
     print(f"| {' | '.join(names)} |\n" + "|---" * len(names) + "|")
     rows: list[tuple[float, ...]] = []

@@ -339,9 +339,7 @@ def _times(left: Array, right: Array) -> Array:
     return found
 
 
-def _polynomials(
-    coefficients: Array, s: NDArray[np.complex128]
-) -> NDArray[np.complex128]:
+def _polynomials(coefficients: Array, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Values (S, N) of polynomials (S, n), the highest power first, at s (S, N)."""
     found = np.broadcast_to(coefficients[:, :1], s.shape).astype(np.complex128)
     for k in range(1, coefficients.shape[1]):
@@ -382,9 +380,10 @@ _Response: TypeAlias = Callable[[NDArray[np.intp], Array], NDArray[np.complex128
 
 def _loop_response(num: Array, den: Array, plant: Transfer) -> _Response:
     def response(rows: NDArray[np.intp], w: Array) -> NDArray[np.complex128]:
-        s = 1j * w.reshape(len(rows), -1)
+        at = w.reshape(len(rows), -1)
+        s = np.asarray(1j * at, np.complex128)
         held = _polynomials(num[rows], s) / _polynomials(den[rows], s)
-        return (held * plant.response(s.imag)).reshape(w.shape)
+        return np.asarray(held * plant.response(at), np.complex128).reshape(w.shape)
 
     return response
 
@@ -438,7 +437,9 @@ def _margins(w: Array, response: _Response, ends: Array) -> tuple[Array, Array, 
         gains = 1.0 / np.maximum(np.abs(response(rows, at).real), 1e-300)
     else:
         gains = np.zeros(0)
-    places, e = np.nonzero((ends < -1e-12) & np.isfinite(ends)) if ends.size else (rows[:0], rows[:0])
+    places, e = (
+        np.nonzero((ends < -1e-12) & np.isfinite(ends)) if ends.size else (rows[:0], rows[:0])
+    )
     rows = np.concatenate([rows, places])
     gains = np.concatenate([gains, -1.0 / ends[places, e] if ends.size else np.zeros(0)])
     below = gains < 1.0
@@ -486,7 +487,7 @@ class Structure:
         for place in range(k + self.zeros, self.parameters):
             den = _times(den, np.hstack([ones, corners[:, place : place + 1]]))
         at = np.full((len(corners), 1), 1j)
-        gain = np.abs(_polynomials(num, at) / _polynomials(den, at)).real
+        gain = np.abs(_polynomials(num, at) / _polynomials(den, at))
         return num / gain, den
 
 
