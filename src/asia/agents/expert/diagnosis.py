@@ -142,7 +142,9 @@ COURSE_MOVES: tuple[Move, ...] = (
             * (_stuck(c) and c.varies("pieces"))
             * (c.facts.horizon is None and not c.recipe.get("pieces"))
         ),
-        change=lambda c: c.recipe.configured(pieces=True, past_fit=True),
+        change=lambda c: c.recipe.configured(
+            pieces=True, **dict.fromkeys(["past_fit"] * c.varies("past_fit"), True)
+        ),
         hypothesis="No model beats the mean: whole records may be too long for training. Short "
         "segments, each with its own initial state, are easier to fit.",
         expected="A lower training error, V follows.",
