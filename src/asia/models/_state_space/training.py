@@ -54,6 +54,8 @@ _SMOOTH, _WITH_ELEMENTS = (20, 4, 3), (40, 8, 4)
 _MOST = 60
 # Factors of all ridges, one after the other while the error from past windows is above the limit.
 _STIFFER, _LOST = (1.0, 100.0, 1e4), 0.5
+# Lengths of segments on which structures are compared.
+_COMPARED = 2
 # Iterations on segments, the ridge of their states, and that of the first guess of these.
 _ITERATIONS, _STATE_RIDGE, _GUESS_RIDGE = 25, 1e-6, 1e-3
 
@@ -253,6 +255,23 @@ def fit_members(
         if lost <= _LOST and not unstable:
             break
     return min(tried, key=lambda one: (one[0], one[1].error))[1]
+
+
+def error_on_segments(
+    structure: StateSpaceStructure,
+    found: LinearFit,
+    records: ScaledData,
+    scaling: Scaling,
+    context: Context,
+    method: LevenbergMarquardt,
+    options: LmOptions,
+) -> float:
+    """Mean squared error and ridge of a fit from one start to the first lengths of segments."""
+    rng = np.random.default_rng(options.seed)
+    starts = starts_of(structure, found, records, 1, scaling, rng)
+    x0, log = with_elements(structure, found).x0, context.log
+    each = structure, found.system, starts, records, x0, options.ridge, method, log
+    return fit_segments(*each, context.sampling_time, _COMPARED)[0].cost
 
 
 def stability_term(found: LinearFit, integrators: int, records: ScaledData) -> StabilityTerm | None:
