@@ -1052,7 +1052,8 @@ def design_in_simulation(loop: Loop, wanted: Specification, designer: Designer) 
             share = min(0.97 * wanted.overshoot / max(most, 1e-9), 1.0)
             asked = replace(asked, overshoot=asked.overshoot * share)
         again = _simulated(*designer(made.loop, asked), wanted)
-        if again.design.violated:
+        # A faster loop at its limits may not settle at all.
+        if again.design.violated or not all(math.isfinite(one.settling) for one in again.judged):
             break
         made = again
     return made
