@@ -129,8 +129,8 @@ class Allocation:
         if self.waits(name):
             if self.known < FAMILIES:
                 return (
-                    f"{FAMILIES} families are tried before one is refined twice, or at all if its V "
-                    f"is more than {CLOSE:g} times the best: {label} waits."
+                    f"{FAMILIES} families are tried before one is refined twice, or at all if its "
+                    f"V is more than {CLOSE:g} times the best: {label} waits."
                 )
             if name == self.stalled:
                 return f"Two refinements gained nothing: {label} waits for a family not tried yet."
