@@ -138,6 +138,15 @@ def test_close_families_are_refined_before_one_gets_its_third_refinement() -> No
     assert not refined.waits("neural_ss")
 
 
+def test_a_family_behind_is_not_refined_before_three_are_tried() -> None:
+    assert made({"linear": [0.5], "block_oriented": [0.9]}).waits("block_oriented")
+    assert not made({"linear": [0.5], "block_oriented": [0.7]}).waits("block_oriented")
+    assert not made({"linear": [0.5], "narx": [0.6], "block_oriented": [0.9]}).waits(
+        "block_oriented"
+    )
+    assert not made({"linear": [0.5], "greybox": [0.9]}).waits("greybox")
+
+
 def test_a_family_that_gains_nothing_twice_waits_for_one_that_gains() -> None:
     stalled = {"neural_ss": [0.1, 0.1, 0.11], "linear": [0.14, 0.13], "narx": [0.2]}
     assert made(stalled).waits("neural_ss")

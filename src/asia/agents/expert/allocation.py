@@ -97,15 +97,19 @@ class Allocation:
         return [n for n in ranked if self.best[n] <= CLOSE * self.best[ranked[0]]][:FAMILIES]
 
     def waits(self, name: str) -> bool:
-        """Return whether other families come before one more experiment with this one: new ones
-        before its second refinement until three are tried, then close ones without a refinement
-        before its third one, close ones that still gain where it gained nothing twice, and new ones
-        where it gained nothing twice in a row."""
+        """Return whether other families come before one more experiment with this one: until three
+        are tried, new ones before its second refinement, and before its first one if it is behind
+        and has no given equations; then close ones without a refinement before its third one, close
+        ones that still gain where it gained nothing twice, and new ones where it gained nothing
+        twice in a row."""
         if name == self.stalled:
             return True
         refinements = self.tried[name] - 1
         if self.known < FAMILIES:
-            return refinements >= 1
+            row = family(name)
+            given = row is not None and "physics" in row.needs
+            behind = name in self.best and name not in self.close and not given
+            return refinements >= 1 or behind
         rivals = [other for other in self.close if other != name and self.tried[other] > 0]
         if refinements >= _REFINEMENTS and any(self.tried[other] == 1 for other in rivals):
             return True
@@ -124,7 +128,10 @@ class Allocation:
         label = name if row is None else row.label
         if self.waits(name):
             if self.known < FAMILIES:
-                return f"{FAMILIES} families are tried before one is refined twice: {label} waits."
+                return (
+                    f"{FAMILIES} families are tried before one is refined twice, or at all if its "
+                    f"V is more than {CLOSE:g} times the best: {label} waits."
+                )
             if name == self.stalled:
                 return f"Two refinements gained nothing: {label} waits for a family not tried yet."
             return (
