@@ -453,23 +453,24 @@ def run_directory(runs: Path, name: str | None, *, named: bool = False) -> Path:
     if folder is None:
         return find_run(runs, name)
     link = linked_workspace(folder)
-    if link is None:
+    run = None if link is None else link.run
+    if run is None:
         raise UserError(
             f"{folder} is the folder of a coding agent, which does not see its run: read "
             "results.tsv and search_journal.md there, or run the command outside this folder. If "
             "you moved the folder, repeat asia agent workspace with its new place"
         )
     if name is not None:
-        return find_run(link.run.parent, name)
-    if not (link.run / "ledger.jsonl").is_file():
+        return find_run(run.parent, name)
+    if not (run / "ledger.jsonl").is_file():
         raise UserError(
-            f"the search of this workspace, {link.run.name}, has not started: asia try starts it"
+            f"the search of this workspace, {run.name}, has not started: asia try starts it"
         )
     if named:
         raise UserError(
-            f"this cannot be undone: name the run of this workspace, {link.run.name}, to continue"
+            f"this cannot be undone: name the run of this workspace, {run.name}, to continue"
         )
-    return link.run
+    return run
 
 
 # Isolation of candidates.
