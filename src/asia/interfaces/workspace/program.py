@@ -245,7 +245,9 @@ physics=replace(context.physics, dynamics=dynamics))`. A new parameter has a ran
         "`greybox` fits equations that the candidate states itself, in physical units. Names are "
         f"those of states, inputs and parameters; functions: {', '.join(FUNCTIONS)}. An output is "
         'the state of its name, or an expression in `observation={OUTPUT: "..."}`. Options such as '
-        "`friction=(VELOCITY,)`, `play`, `saturation`, `lag` and `discover`: `asia models greybox`."
+        "`friction=(VELOCITY,)`, `play`, `saturation`, `lag`, `discover`: `asia models greybox`. "
+        "In a candidate that computes nothing itself, as here, equations count as code and not as "
+        "data."
     )
     lags = "".join(f'\n        "{name}": "hidden - d*{name}",' for name in others)
     return f"""## Equations of your own
@@ -260,7 +262,7 @@ from asia.models.greybox import ParameterRange, Physics
 from asia.models.methods import LevenbergMarquardt
 
 PHYSICS = Physics(
-    states=({names},),
+    states=({names}),
     dynamics={{  # d/dt of every state
         "{first}": "hidden - d*{first}",
         "hidden": "g*{drive} - k*hidden",{lags}
