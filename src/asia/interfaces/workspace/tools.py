@@ -593,7 +593,7 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
             seconds = sum(one.seconds for one in tried)
             mean = combine([one.score for one in tried]).value
             say(f"V {mean:.6f} {name} (folds {each}; fit {seconds:.1f} s)", flush=True)
-        if not own:
+        if not own and scored_locally(tools.folder) > 1:
             say(_scored(tools))
         return
     found = tools.evaluate(options.candidate, folds)
@@ -615,6 +615,6 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
 def _scored(tools: WorkspaceTools) -> str:
     many = scored_locally(tools.folder)
     return (
-        f"scored here on the folds of V so far: {many} candidate{'s' * (many != 1)}. The lowest V "
-        "of many is optimistic: --blocks N has folds of your own"
+        f"scored here on the folds of V so far: {many} candidates. The lowest V of many is "
+        "optimistic: --blocks N has folds of your own"
     )
