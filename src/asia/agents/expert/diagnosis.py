@@ -7,7 +7,7 @@ from statistics import NormalDist
 
 from asia.agents.library.methods import by_multiple_shooting
 from asia.agents.library.move import Move, Situation, plain_title
-from asia.agents.library.recipe import Arguments, read_recipe
+from asia.agents.library.recipe import Arguments, Recipe, read_recipe
 from asia.agents.library.record_facts import (
     Relation,
     integrating,
@@ -105,6 +105,11 @@ def _stuck(at: Situation) -> bool:
     return beats_nothing(at.view)
 
 
+def _in_pieces(at: Situation) -> Recipe:
+    recipe = at.recipe.configured(pieces=True)
+    return recipe.configured(past_fit=True) if at.varies("past_fit") else recipe
+
+
 def _integrator_weight(at: Situation) -> float:
     free = at.varies("integrators") and not at.recipe.number("integrators", 0)
     free = free and not (at.recipe.get("regularised") or at.recipe.get("loop"))
@@ -142,7 +147,7 @@ COURSE_MOVES: tuple[Move, ...] = (
             * (_stuck(c) and c.varies("pieces"))
             * (c.facts.horizon is None and not c.recipe.get("pieces"))
         ),
-        change=lambda c: c.recipe.configured(pieces=True, past_fit=True),
+        change=_in_pieces,
         hypothesis="No model beats the mean: whole records may be too long for training. Short "
         "segments, each with its own initial state, are easier to fit.",
         expected="A lower training error, V follows.",

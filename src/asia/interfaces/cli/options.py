@@ -19,6 +19,7 @@ from typer.models import OptionInfo
 
 from asia._text import say
 from asia.errors import UserError
+from asia.ledger.folder import linked_workspace, workspace_around
 from asia.ledger.run import find_run
 
 if TYPE_CHECKING:
@@ -448,28 +449,27 @@ def run_directory(runs: Path, name: str | None, *, named: bool = False) -> Path:
     is
     the run of the workspace, and a name is a run in the same folder. named: require a name in a
     workspace, for actions that cannot be undone. Raises UserError."""
-    from asia.interfaces.workspace.workspace import Workspace
-
-    place = Workspace.around(Path()) if runs == DEFAULT_RUNS else None
-    if place is None:
+    folder = workspace_around(Path()) if runs == DEFAULT_RUNS else None
+    if folder is None:
         return find_run(runs, name)
-    if place.run is None:
+    link = linked_workspace(folder)
+    if link is None:
         raise UserError(
-            f"{place.folder} is the folder of a coding agent, which does not see its run: read "
+            f"{folder} is the folder of a coding agent, which does not see its run: read "
             "results.tsv and search_journal.md there, or run the command outside this folder. If "
             "you moved the folder, repeat asia agent workspace with its new place"
         )
     if name is not None:
-        return find_run(place.run.parent, name)
-    if not (place.run / "ledger.jsonl").is_file():
+        return find_run(link.run.parent, name)
+    if not (link.run / "ledger.jsonl").is_file():
         raise UserError(
-            f"the search of this workspace, {place.run.name}, has not started: asia try starts it"
+            f"the search of this workspace, {link.run.name}, has not started: asia try starts it"
         )
     if named:
         raise UserError(
-            f"this cannot be undone: name the run of this workspace, {place.run.name}, to continue"
+            f"this cannot be undone: name the run of this workspace, {link.run.name}, to continue"
         )
-    return place.run
+    return link.run
 
 
 # Isolation of candidates.

@@ -11,7 +11,6 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array
-from asia.models._arrays import tree_size
 from asia.models._config import Progress
 from asia.models._least_squares import LevenbergMarquardt, solve_or_fit
 from asia.models._linear.fit import LinearFit
@@ -528,7 +527,11 @@ class _Fit(NamedTuple):
     structure: StateSpaceStructure
     start: dict[str, Any]
     now: StateFit
-    expected_error: float  # Final prediction error: estimate of the error on new records
+
+    @property
+    def expected_error(self) -> float:
+        """Estimate of the error on new records."""
+        return self.now.expected_error(self.core.records)
 
 
 def fit_feedback(
@@ -599,7 +602,7 @@ class _Fits:
             self.first, self.context.log, self.context.sampling_time, _LENGTHS,
         )  # fmt: skip
         return [
-            _fit(core, structure, start, both.narrowed(one))
+            _Fit(core, structure, start, both.narrowed(one))
             for start, one in zip(starts, wide, strict=True)
         ]
 
@@ -626,13 +629,4 @@ class _Fits:
             [both.widened({"x0": now.x0})["x0"]],
             stability_term(core.found, self.options.integrators, core.records),
         )[0]  # fmt: skip
-        return _fit(core, structure, start, both.narrowed(wide))
-
-
-def _fit(
-    core: LinearCore, structure: StateSpaceStructure, start: dict[str, Any], now: StateFit
-) -> _Fit:
-    """Judge by Akaike's final prediction error, which penalises further states."""
-    count = sum(float(r.weight.sum()) for r in core.records) * structure.ny
-    p = min(float(tree_size(now.params)), 0.9 * count)
-    return _Fit(core, structure, start, now, now.cost * (count + p) / (count - p))
+        return _Fit(core, structure, start, both.narrowed(wide))

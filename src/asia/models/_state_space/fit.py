@@ -12,7 +12,7 @@ import numpy as np
 
 from asia.candidate import Context
 from asia.data.trajectory import Array
-from asia.models._arrays import Packing, packed
+from asia.models._arrays import Packing, packed, tree_size
 from asia.models._config import Progress
 from asia.models._least_squares import LevenbergMarquardt, Minimum, minimise
 from asia.models._noise.model import (
@@ -44,6 +44,13 @@ class StateFit(NamedTuple):
     params: dict[str, Any]  # Parameters as the structure reads them
     cost: float  # Mean squared error and ridge
     history: Array  # Root of the cost by iteration
+
+    def expected_error(self, records: ScaledData) -> float:
+        """Akaike's final prediction error, which penalises further states: an estimate of the cost
+        on new records."""
+        count = sum(float(r.weight.sum()) for r in records) * records[0].y.shape[1]
+        p = min(float(tree_size(self.params)), 0.9 * count)
+        return self.cost * (count + p) / (count - p)
 
 
 def of_records(records: ScaledData, x0: Array) -> StateSamples:

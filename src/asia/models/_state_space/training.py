@@ -196,7 +196,7 @@ class FittedMembers:
     """Parameters, and the map from past windows to states, of each fit."""
     starts: tuple[PastFit, ...]
     """Fits of the initial states to the past window; () where the map gives them."""
-    cost: float  # Least cost
+    expected_error: float  # Final prediction error of the best fit
     error: float
     """Mean squared error of the best fit in z-scores, simulated from the states that past windows
     give."""
@@ -249,7 +249,8 @@ def fit_members(
             members.append((one.params, encoder))
         lost = past_window_error(structure, *members[0], how[0] if how else None, records, context)
         unstable = not (may_be_unstable or is_stable(structure, members[0][0]))
-        tried.append((unstable, FittedMembers(tuple(members), tuple(how), fits[0].cost, lost)))
+        expected = fits[0].expected_error(records)
+        tried.append((unstable, FittedMembers(tuple(members), tuple(how), expected, lost)))
         if lost <= _LOST and not unstable:
             break
     return min(tried, key=lambda one: (one[0], one[1].error))[1]

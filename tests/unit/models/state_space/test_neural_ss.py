@@ -71,12 +71,12 @@ def test_no_iterations_leave_the_linear_model(place: Any) -> None:
     np.testing.assert_allclose(data.simulated(model), data.simulated(line), rtol=1e-6)
 
 
-def softening(u: np.ndarray) -> np.ndarray:
+def softening(u: np.ndarray, turn: float = 0.6, soft: float = 0.001) -> np.ndarray:
     """A lightly damped mode whose frequency falls with its amplitude."""
     x, y = np.zeros((2, u.shape[1])), np.zeros_like(u)
     for k in range(len(u)):
         y[k] = x[0]
-        angle = 0.6 / (1.0 + 0.001 * (x**2).sum(axis=0))
+        angle = turn / (1.0 + soft * (x**2).sum(axis=0))
         turned = np.cos(angle) * x[0] - np.sin(angle) * x[1]
         x = 0.97 * np.stack([turned + u[k], np.sin(angle) * x[0] + np.cos(angle) * x[1]])
     return y
@@ -89,6 +89,23 @@ def test_a_mode_whose_frequency_depends_on_its_amplitude() -> None:
     line = fitted(neural_ss.Config(order=2, nonlinearity="none"), data, method)
     model = fitted(neural_ss.Config(order=2, nonlinearity="modal", pieces=True), data, method)
     assert data.ratio(model) < 0.2 * data.ratio(line)
+
+
+@pytest.mark.slow
+def test_a_mode_that_the_linear_model_takes_for_noise_is_found() -> None:
+    data = case(lambda u: softening(u, 0.6, 0.003) - 0.7 * softening(u, 0.8, 0.003), lengths=(400,))
+    line = linear.train(
+        linear.build(linear.Config(delay=0), data.context), data.training, data.context
+    )
+    assert line.fitted is not None
+    order = line.fitted.system.order
+    assert order < 4
+    open_order = neural_ss.Config(nonlinearity="modal", pieces=True, delay=0)
+    method = LevenbergMarquardt(30)
+    model = fitted(open_order, data, method)
+    assert data.ratio(model) < 0.5 * data.ratio(
+        fitted(replace(open_order, order=order), data, method)
+    )
 
 
 @pytest.mark.parametrize(("pole", "lost"), [(0.9, False), (1.1, True)])

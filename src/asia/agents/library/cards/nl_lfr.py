@@ -21,8 +21,9 @@ from asia.agents.view import Facts
 def _nl_lfr(facts: Facts) -> Recipe:
     outputs = len(facts.outputs)
     channels = 1 if outputs == 1 else min(outputs + 1, 3)
-    # Over a whole record every error of a rate adds up.
-    pieces: Arguments = (("pieces", True),) if "integrating" in traits(facts) else ()
+    # Over a whole record every error of a rate, or of the frequency of a mode, adds up.
+    apart = {"integrating", "resonant"} & traits(facts)
+    pieces: Arguments = (("pieces", True),) if apart else ()
     config: Arguments = (
         ("channels", channels),
         ("hidden", 12),
