@@ -255,8 +255,8 @@ def _is_declaration(node: ast.stmt) -> bool:
             *before, last = body
             own = ast.unparse(arguments) == ", ".join(_ARGUMENTS.get(name, ("*",)))
             plain = all(isinstance(n, ast.Assign | ast.Expr) and _is_declaration(n) for n in before)
-            returned = isinstance(last, ast.Return) and last.value is not None
-            return own and plain and returned and _is_value(last.value)
+            returned = last.value if isinstance(last, ast.Return) else None
+            return own and plain and returned is not None and _is_value(returned)
         case _:
             return False
 
