@@ -140,19 +140,21 @@ def main() -> None:
             f"{statistics.median(map(seconds_a_step, runs)):.1f}",
         ])  # fmt: skip
         print(" | ".join(rows[-1]), flush=True)
-        if usages:
-            same = content(runs[0]) == content(searched(label, options.seeds[0], "-again"))
-            chosen = [read_choice(a.text) for r in runs for a in answers(r)]
-            counts = Counter(c.number for c in chosen if c is not None)
-            reasons = {c.reason for c in chosen if c is not None}
-            places.append([
-                label, "yes" if same else "NO", str(len(chosen)), str(len(chosen) - counts.total()),
-                ", ".join(f"{n}: {counts[n]}" for n in sorted(counts)),
-                str(sum(bool(c.settings) for c in chosen if c is not None)), str(len(reasons)),
-            ])  # fmt: skip
     seeds = [f"V, seed {seed}" for seed in options.seeds]
     print(f"\n{options.problem}, {options.experiments} experiments\n")
     print(table(["agent", *seeds, "mean", "tokens a step", "s to propose"], rows))
+    # Last, because a table of all agents needs no repetition.
+    for label in (path.stem for path in options.models):
+        runs = [searched(label, seed) for seed in options.seeds]
+        same = content(runs[0]) == content(searched(label, options.seeds[0], "-again"))
+        chosen = [read_choice(a.text) for r in runs for a in answers(r)]
+        counts = Counter(c.number for c in chosen if c is not None)
+        reasons = {c.reason for c in chosen if c is not None}
+        places.append([
+            label, "yes" if same else "NO", str(len(chosen)), str(len(chosen) - counts.total()),
+            ", ".join(f"{n}: {counts[n]}" for n in sorted(counts)),
+            str(sum(bool(c.settings) for c in chosen if c is not None)), str(len(reasons)),
+        ])  # fmt: skip
     heads = ["model", "repeated the same", "answers", "not usable", "number chosen: times"]
     print("\n" + table([*heads, "with settings", "distinct reasons"], places))
 

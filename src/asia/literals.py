@@ -7,6 +7,8 @@ what its author wrote into it as data is counted here, on the safe side.
 from __future__ import annotations
 
 import ast
+import builtins
+import copy
 import random
 import re
 import zlib
@@ -16,6 +18,8 @@ from dataclasses import dataclass
 from decimal import Decimal
 from math import isfinite, log2
 from typing import TypeAlias
+
+from asia._syntax import expression_tree
 
 DIGIT = log2(10.0)
 """Bits of a significant digit."""
@@ -152,6 +156,139 @@ def literals(text: str, tree: ast.Module) -> Literals:
     reader = _reader(tree)
     seen = text if reader else ""
     return Literals(dict(numbers), frozenset(strings), tuple(runs), seen, reader)
+
+
+# Sources that only declare equations and call the model library.
+
+
+_DECLARED: Mapping[str, frozenset[str]] = {
+    "__future__": frozenset({"annotations"}),
+    "dataclasses": frozenset({"replace"}),
+    "asia.models": frozenset({"greybox"}),
+    "asia.models.greybox": frozenset({"Bounds", "ParameterRange", "Physics", "Prior"}),
+    "asia.models.methods": frozenset({"LevenbergMarquardt"}),
+}
+_FAMILY = frozenset({"Config", "build", "train"})
+_ARGUMENTS: Mapping[str, tuple[str, ...]] = {
+    "build_model": ("context",),
+    "train": ("model", "trajectories", "context"),
+    "fit": ("trajectories", "context"),
+}
+
+
+def equations_as_code(tree: ast.Module) -> ast.Module:
+    """Return the source with the texts of its equations in the place of strings, where it does
+    nothing else than declare them and call the model library; else the same tree.
+
+    Such a program computes nothing, so it cannot read its strings. Their names and layout count as
+    little as those of code, their numbers and runs as much.
+
+    Args:
+        tree: the source without comments and docstrings, parsed; it is not changed.
+    """
+    if not all(map(_is_declaration, tree.body)):
+        return tree
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "Physics":
+            for inner in ast.walk(node):
+                if isinstance(inner, ast.Constant) and isinstance(inner.value, str):
+                    found = _equation(inner.value)
+                    if isinstance(found, ast.Name):
+                        names.add(found.id)
+    return ast.fix_missing_locations(_Equations(names).visit(copy.deepcopy(tree)))
+
+
+class _Equations(ast.NodeTransformer):
+    """Puts parsed texts in the place of strings: all inside `Physics(...)`, elsewhere names."""
+
+    def __init__(self, names: set[str]) -> None:
+        self._names, self._inside = names, False
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        outer, self._inside = self._inside, self._inside or ast.unparse(node.func) == "Physics"
+        self.generic_visit(node)
+        self._inside = outer
+        return node
+
+    def visit_Constant(self, node: ast.Constant) -> ast.AST:
+        if not isinstance(node.value, str) or not (self._inside or node.value in self._names):
+            return node
+        return _equation(node.value) or node
+
+
+def _equation(text: str) -> ast.expr | None:
+    """The parsed text of an equation; None for any other."""
+    try:
+        found = expression_tree(text).body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return None
+    kinds = (
+        ast.Name, ast.BinOp, ast.UnaryOp, ast.Call, ast.Constant, ast.operator, ast.unaryop,
+        ast.expr_context,
+    )  # fmt: skip
+    for node in ast.walk(found):
+        match node:
+            case ast.Constant(value=int() | float()) | ast.Call(func=ast.Name(), keywords=[]):
+                pass
+            case ast.Constant() | ast.Call():
+                return None
+            case _ if not isinstance(node, kinds):
+                return None
+            case _:
+                pass
+    return found
+
+
+def _is_declaration(node: ast.stmt) -> bool:
+    """Whether a statement imports from the model library, declares values, or is one of the
+    functions of a candidate that does."""
+    match node:
+        case ast.Expr(value=ast.Constant(value="")):
+            return True
+        case ast.ImportFrom(module=str(module), names=names, level=0):
+            known = _DECLARED.get(module, frozenset())
+            return all(one.asname is None and one.name in known for one in names)
+        case ast.Assign(targets=[ast.Name(id=name)], value=value):
+            return name not in _ARGUMENTS and name not in _CALLED and _is_value(value)
+        case ast.FunctionDef(name=name, decorator_list=[], returns=None, args=arguments, body=body):
+            *before, last = body
+            own = ast.unparse(arguments) == ", ".join(_ARGUMENTS.get(name, ("*",)))
+            plain = all(isinstance(n, ast.Assign | ast.Expr) and _is_declaration(n) for n in before)
+            returned = last.value if isinstance(last, ast.Return) else None
+            return own and plain and returned is not None and _is_value(returned)
+        case _:
+            return False
+
+
+_CALLED = frozenset().union(*_DECLARED.values())
+
+
+def _is_value(node: ast.expr) -> bool:
+    match node:
+        case ast.Constant() | ast.UnaryOp(op=ast.USub(), operand=ast.Constant()):
+            return True
+        case ast.Name(id=name):
+            return name not in dir(builtins)
+        case ast.Call(func=ast.Name(id="replace"), args=args, keywords=keywords):
+            named = [ast.unparse(one) for one in args] + [str(one.arg) for one in keywords]
+            return named == ["context", "physics"] and _is_value(keywords[0].value)
+        case ast.Tuple(elts=elts):
+            return all(map(_is_value, elts))
+        case ast.Dict(keys=keys, values=values):
+            return all(isinstance(k, ast.Constant) for k in keys) and all(map(_is_value, values))
+        case ast.Call(func=func, args=args, keywords=keywords):
+            match func:
+                case ast.Attribute(value=ast.Name(id="greybox"), attr=attr):
+                    known = attr in _FAMILY
+                case ast.Name(id=name):
+                    known = name in _ARGUMENTS or name in _CALLED
+                case _:
+                    known = False
+            named = all(keyword.arg is not None for keyword in keywords)
+            return known and named and all(map(_is_value, (*args, *(k.value for k in keywords))))
+        case _:
+            return False
 
 
 def merged(parts: Iterable[Literals]) -> Literals:

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from asia.candidate import executed_source
-from asia.literals import DIGIT, Literals, literals, merged, number_bits, perturbed
+from asia.literals import (
+    DIGIT,
+    Literals,
+    equations_as_code,
+    literals,
+    merged,
+    number_bits,
+    perturbed,
+)
 
 
 def of(source: str) -> Literals:
@@ -141,3 +149,64 @@ def test_a_table_moves_whatever_it_is_made_of():
     names = "x = ({})".format(", ".join("ab"[k * k % 7 % 2] for k in range(64)))
     assert moved(names) != names
     assert perturbed(ast.parse(f"x = {text!r}"), NONE, 5, strings=False) is None
+
+
+EQUATIONS = """
+from dataclasses import replace
+
+from asia.models import greybox
+from asia.models.greybox import ParameterRange, Physics
+from asia.models.methods import LevenbergMarquardt
+
+PHYSICS = Physics(
+    states=("position", "speed"),
+    dynamics={"position": "speed", "speed": "g*angle - d*speed - 2.5*speed*abs(speed)"},
+    parameters={"d": ParameterRange(0.01, 10.0), "g": ParameterRange(0.3, 30.0)},
+)
+
+def build_model(context):
+    config = greybox.Config(friction=("speed",))
+    return greybox.build(config, replace(context, physics=PHYSICS))
+
+def train(model, trajectories, context):
+    return greybox.train(model, trajectories, context, LevenbergMarquardt(iterations=60))
+
+def fit(trajectories, context):
+    return train(build_model(context), trajectories, context)
+"""
+
+
+def test_declared_equations_count_as_the_code_that_they_are() -> None:
+    found = equations_as_code(ast.parse(EQUATIONS))
+    text = ast.unparse(found)
+    data = literals(text, ast.parse(text))
+    assert data.strings == frozenset()
+    assert data.numbers["2.5"] == 1
+    long = EQUATIONS.replace('"speed":', f'"speed": "{" + ".join("dgdgddggd")}", "x":')
+    text = ast.unparse(equations_as_code(ast.parse(long)))
+    assert len(literals(text, ast.parse(text)).runs) == 1
+
+
+@pytest.mark.parametrize(
+    ("part", "other"),
+    [
+        ("import ParameterRange, Physics", "import ParameterRange, Physics, np"),
+        ("from asia.models import greybox", "from asia.models import greybox as g"),
+        ("from asia.models import greybox", "import numpy"),
+        ("from dataclasses import replace", "from dataclasses import asdict"),
+        ("replace(context, physics=PHYSICS)", "replace(context, log=PHYSICS)"),
+        ("replace(context, physics=PHYSICS)", "replace(context, physics=len)"),
+        ("greybox.build(config,", "greybox.build(PHYSICS.states,"),
+        ("iterations=60", "iterations=60 + 1"),
+        ("    config =", "    greybox = PHYSICS\n    config ="),
+        ("def fit(trajectories, context):", "def fit(trajectories, context, n=PHYSICS):"),
+        ("def fit(", "def read(trajectories, context): return PHYSICS\n\ndef fit("),
+        ("    return train(build", "    for name in PHYSICS.states: pass\n    return train(build"),
+        ('("position", "speed")', '("position", f"speed")'),
+        ("states=(", "**PHYSICS, states=("),
+    ],
+)
+def test_a_source_that_computes_has_strings(part: str, other: str) -> None:
+    assert part in EQUATIONS
+    tree = ast.parse(EQUATIONS.replace(part, other))
+    assert equations_as_code(tree) is tree

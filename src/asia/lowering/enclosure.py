@@ -424,6 +424,14 @@ def reach(
     return low, high, state
 
 
+_NOT_AFFINE = {
+    "mul": "it multiplies signals",
+    "matmul": "it multiplies signals",
+    "div": "it divides by a signal",
+    "select": "it switches on a signal",
+}
+
+
 def affine_matrices(model: LoweredModel) -> tuple[Enclosure, Enclosure, Enclosure, Enclosure]:
     """Enclosures of A, B, C, D of a step that is affine in states and input. Raises UnboundedError
     for any other step."""
@@ -436,7 +444,8 @@ def affine_matrices(model: LoweredModel) -> tuple[Enclosure, Enclosure, Enclosur
         linear |= node.op == "div" and not moved[1]
         linear |= node.op == "select" and not moved[0]
         if any(moved) and not linear:
-            raise UnboundedError(f"the step is not affine: {node.op}")
+            what = _NOT_AFFINE.get(node.op, f"it takes {node.op} of a signal")
+            raise UnboundedError(f"the step is not affine: {what}")
         varies.append(any(moved))
     shapes = step.inputs
     sizes = np.cumsum([math.prod(s) for s in shapes])

@@ -30,9 +30,9 @@ from asia.models._equations.ode import equations
 from asia.models._equations.simulate import Effects, effects
 from asia.models._equations.starts import cut_segments
 from asia.models._least_squares import LevenbergMarquardt
-from asia.problem.physics import Bounds
+from asia.problem.physics import Bounds, ParameterRange, Physics, Prior
 
-__all__ = ["Config", "GreyBox", "build", "train"]
+__all__ = ["Bounds", "Config", "GreyBox", "ParameterRange", "Physics", "Prior", "build", "train"]
 
 # Greatest factor on the substeps, for long gaps between irregular samples.
 _MOST_SUBSTEPS = 20

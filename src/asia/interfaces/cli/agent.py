@@ -183,7 +183,7 @@ def try_(
     """
     from asia.agents.view import Proposal
     from asia.interfaces.workspace.server import to_json, wait
-    from asia.interfaces.workspace.workspace import CANDIDATE, Workspace
+    from asia.interfaces.workspace.workspace import CANDIDATE, Workspace, scored_locally
 
     if dry_run and plot:
         raise UserError("--plot needs a score, and --dry-run gives none: leave one of them out")
@@ -204,7 +204,10 @@ def try_(
         if tried.reason is not None:
             raise typer.Exit(NO_SCORE)
         return
-    submission = desk.submit(Proposal(source, family, message, message, expect, parent))
+    many = scored_locally(place.folder)
+    remark = f"scored in the workspace on the folds of V so far: {many} candidates" * (many > 1)
+    proposal = Proposal(source, family, message, message, expect, parent, remark=remark)
+    submission = desk.submit(proposal)
     repeated = submission.repeated
     if submission.state not in ("done", "unknown"):
         # One stream, so that the lines keep their order where the output is captured.
@@ -242,6 +245,8 @@ def try_(
             )
         for line in result_lines(result, progress, evidence.lines):
             say(line)
+        if remark:
+            say(f"    {remark}; the lowest of many is optimistic")
         for name in pictures:
             say(f"    picture {name}")
     if result.V is None:

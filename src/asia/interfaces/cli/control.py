@@ -431,16 +431,16 @@ def _lines(
     lines.append(f"sampling  {loop.sampling_time:g} s")
     for label, figures in zip(loop.labels, each, strict=True):
         lines.append(
-            f"{label:<9} gain margin {figures.gain_margin:.3g}, phase margin "
+            f"{_column(label)} gain margin {figures.gain_margin:.3g}, phase margin "
             f"{figures.phase_margin:.3g} degrees, settling {figures.settling:.4g} s, overshoot "
             f"{figures.overshoot:.3g} %, steady-state error {abs(figures.steady_state):.2g}"
             if figures.stable
-            else f"{label:<9} unstable"
+            else f"{_column(label)} unstable"
         )
     lines.append(f"step      {loop.y} from {loop.y0:.5g} to {loop.setpoint:.5g}, simulated")
     for one, f in zip(loop.simulated, judged, strict=True):
         lines.append(
-            f"{one.name:<9} rise {f.rise:.4g} s, settling {f.settling:.4g} s, overshoot "
+            f"{_column(one.name)} rise {f.rise:.4g} s, settling {f.settling:.4g} s, overshoot "
             f"{f.overshoot:.3g} %, IAE {f.iae:.4g}, ISE {f.ise:.4g}, ITAE {f.itae:.4g}, effort "
             f"{f.effort:.4g}, at a limit {100 * f.limited:.3g} % of the time"
         )
@@ -448,6 +448,11 @@ def _lines(
         least, most = (found(f.iae for f in judged) for found in (min, max))
         lines.append(f"spread    IAE {least:.4g} to {most:.4g} over these models")
     return lines
+
+
+def _column(label: str) -> str:
+    """Name of a model in the first column: `#06` for `#06 nl_lfr`, `mean` for `mean of folds`."""
+    return f"{label if label.startswith('fold') else label.partition(' ')[0]:<9}"
 
 
 def _weakest(

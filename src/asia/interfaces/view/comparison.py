@@ -239,7 +239,8 @@ def _settings(compared: Sequence[Compared]) -> Html | None:
         title = tag("th", said(name), scope="row")
         rows.append(tag("tr", title, *cells, class_="same" if is_same else None))
     box = tag("input", type="checkbox", id="differing", checked=True)
-    switch = tag("p", tag("label", box, "differences only"), fixed(f" ({common} are the same)"))
+    alike = f" ({common} {'is' if common == 1 else 'are'} the same)"
+    switch = tag("p", tag("label", box, " differences only"), fixed(alike))
     if common == len(names):
         switch = join((switch, tag("p", "All settings are the same.")))
     inner = tag(

@@ -18,6 +18,7 @@ from asia.agents.llm.prompt import (
 from asia.candidate import installed_libraries
 from asia.data.trajectory import Signal
 from asia.problem.metrics import metric_label
+from asia.problem.physics import FUNCTIONS
 from asia.problem.problem import Problem
 from asia.search.agent_views import problem_facts
 
@@ -222,7 +223,65 @@ is no network and no file. {MODEL_RULES}
 
 def models_page(problem: Problem) -> str:
     """Write the page on the families of `asia.models` for this problem, as Markdown."""
-    return f"# Models for {problem.name}\n\n{families_page(problem_facts(problem))}"
+    families = families_page(problem_facts(problem))
+    return f"# Models for {problem.name}\n\n{families}\n{_own_equations(problem)}"
+
+
+def _own_equations(problem: Problem) -> str:
+    """Section on equations that a candidate states itself, with an example for these signals."""
+    if problem.physics is not None:
+        state = problem.physics.states[0]
+        return f"""## Other equations
+
+A candidate may change the equations before it builds a model (`from dataclasses import replace`):
+`dynamics = {{**context.physics.dynamics, "{state}": "..."}}`, then `replace(context,
+physics=replace(context.physics, dynamics=dynamics))`. A new parameter has a range in `parameters`:
+`asia.models.greybox.ParameterRange(0.01, 10.0)`.
+"""
+    first, *others = (s.name for s in problem.outputs)
+    drive = problem.inputs[0].name
+    names = ", ".join(f'"{name}"' for name in (first, "hidden", *others))
+    about = (
+        "`greybox` fits equations that the candidate states itself, in physical units. Names are "
+        f"those of states, inputs and parameters; functions: {', '.join(FUNCTIONS)}. An output is "
+        'the state of its name, or an expression in `observation={OUTPUT: "..."}`. Options such as '
+        "`friction=(VELOCITY,)`, `play`, `saturation`, `lag`, `discover`: `asia models greybox`. "
+        "In a candidate that computes nothing itself, as here, equations count as code and not as "
+        "data."
+    )
+    lags = "".join(f'\n        "{name}": "hidden - d*{name}",' for name in others)
+    return f"""## Equations of your own
+
+{textwrap.fill(about, _WIDTH, break_long_words=False)}
+
+```python
+from dataclasses import replace
+
+from asia.models import greybox
+from asia.models.greybox import ParameterRange, Physics
+from asia.models.methods import LevenbergMarquardt
+
+PHYSICS = Physics(
+    states=({names}),
+    dynamics={{  # d/dt of every state
+        "{first}": "hidden - d*{first}",
+        "hidden": "g*{drive} - k*hidden",{lags}
+    }},
+    # Ranges of the starting values; of positive ones on a logarithmic scale.
+    parameters={{"d": ParameterRange(0.01, 10.0), "k": ParameterRange(0.01, 10.0),
+                "g": ParameterRange(-1.0, 1.0)}},
+)
+
+def build_model(context):
+    return greybox.build(greybox.Config(), replace(context, physics=PHYSICS))
+
+def train(model, trajectories, context):
+    return greybox.train(model, trajectories, context, LevenbergMarquardt(iterations=60, starts=4))
+
+def fit(trajectories, context):
+    return train(build_model(context), trajectories, context)
+```
+"""
 
 
 def _procedure(problem: Problem, experiments: int) -> str:
@@ -235,11 +294,16 @@ def _procedure(problem: Problem, experiments: int) -> str:
     if problem.physics is None:
         signs += [
             "| sign of the error changes with the output | a static nonlinearity: `python tools.py "
-            "--why` says whether of an input, the output or the dynamics |",
+            "--why` says of what: an input (`block_oriented`, `hammerstein`), the output "
+            "(`wiener`) or the dynamics (`nl_lfr`, `channels=2`) |",
+            "| `motion`, or a term `sign(...)` in the dynamics | dry friction: `nl_lfr`, "
+            "`channels=2`, or equations of your own (`models.md`) |",
             "| model leads the record | a delay or a lag of the input |",
         ]
     else:
         signs += [
+            "| `motion`, or a term `sign(...)` in the dynamics | dry friction: "
+            "`greybox.Config(friction=(VELOCITY,))` |",
             "| sign of the error changes with the output | nonlinear sensor: "
             '`greybox.Config(sensor="power")`, then `"spline"` |',
             "| model leads the record | a flow or an actuator lags: "
@@ -251,6 +315,7 @@ def _procedure(problem: Problem, experiments: int) -> str:
     return f"""## What to do
 
 ```sh
+# python is {sys.executable}
 asia try --dry-run                # free: contract and shapes, on made-up records, no score
 python tools.py --why             # free: residuals, modes, missing terms; --vary order=2,3 sweeps
 asia try -m "what you changed, and why it should help" --expect "V, words or a number" --parent N
@@ -258,10 +323,10 @@ asia try -m "what you changed, and why it should help" --expect "V, words or a n
 
 You may edit `candidate.py` and write scripts of your own. `results.tsv`, `search_journal.md` and
 `best.py`, the best candidate, are written for you; `--plot` adds pictures in `plots/`, of the
-training part{pictured}. `python` is `{sys.executable}`. There are
-{experiments} experiments, and each candidate that `asia try` judges is one. Experiment 1 is the
-baseline, judged without you; {experiments - 1} are left for you. A source that was judged before
-is answered from the ledger and costs nothing.
+training part{pictured}. There are {experiments} experiments, and each
+candidate that `asia try` judges is one. Experiment 1 is the baseline, judged without you;
+{experiments - 1} are left for you. A source that was judged before is answered from the ledger and
+costs nothing.
 First try model classes that differ, one idea an experiment. Then refine the best: change one thing
 at a time, and say beforehand what you expect. Read `results.tsv` and the journal before each idea.
 Prefer the simpler of two equally good candidates. Continue until all experiments are spent.

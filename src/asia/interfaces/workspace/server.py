@@ -642,6 +642,7 @@ def tidy(proposal: Proposal) -> Proposal:
         hypothesis=hypothesis,
         expected=one_line(proposal.expected, TEXT) or "not said",
         parent=proposal.parent,
+        remark=one_line(proposal.remark, TEXT),
     )
 
 
@@ -670,6 +671,7 @@ class _SubmitCall(_Call):
     family: str = ""
     title: str = ""
     parent: int | None = None
+    remark: str = ""
 
 
 class _TicketCall(_Call):

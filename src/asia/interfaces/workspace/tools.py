@@ -33,12 +33,13 @@ from asia.candidate import (
 from asia.data.standardise import standardised
 from asia.data.trajectory import Array
 from asia.errors import CandidateError, Reason, UserError
+from asia.interfaces.workspace.workspace import SCORED, scored_locally
 from asia.judge.evaluation.error_analysis import error_parts, missing_terms, modes
 from asia.judge.evaluation.findings import search_context
 from asia.judge.evaluation.requests import simulate_held_out, simulate_training
-from asia.judge.evaluation.results import derive_seed
+from asia.judge.evaluation.results import ATTEMPT, best_attempt, derive_seed
 from asia.judge.evaluation.validation_score import rounded_score
-from asia.judge.sandbox.layers.environment import REPEATABLE
+from asia.judge.sandbox.layers.environment import COMPILED_ONCE, REPEATABLE
 from asia.judge.sandbox.worker.prefixes import by_prefixes
 from asia.judge.scoring.outcome import FoldScore, check_reply, combine, score_fold, without_gaps
 from asia.judge.scoring.residuals import (
@@ -55,6 +56,7 @@ from asia.problem.problem import Problem
 from asia.problem.protocol import FoldRule, Group, ProtocolRule
 from asia.report.files import draw_cases
 from asia.report.simulated import SimulatedCase, SimulatedCases, simulated_cases
+from asia.search.agent_views import digest
 
 # A candidate fitted and scored in this process, by the evaluator's own folds, order of cases and
 # metric.
@@ -116,11 +118,36 @@ def evaluate(
     """
     check_source(source)
     source = executed_source(source)
-    return tuple(_evaluate_fold(source, fold, context, rule, fit_seconds) for fold in folds)
+    found = [_evaluate_fold(source, fold, context, rule, fit_seconds) for fold in folds]
+    if rule.early_stopping != "inner" or len(found) < 2:
+        return tuple(found)
+    errors = [one.training_score.value for one in found]
+
+    def best(place: int) -> LocalFold:
+        answers = [found[place].y_hat]
+
+        def fitted(attempt: int) -> LocalFold | None:
+            one = _evaluate_fold(
+                source, folds[place], context, rule, fit_seconds, ATTEMPT * attempt
+            )
+            if any(all(map(np.array_equal, one.y_hat, known)) for known in answers):
+                return None
+            answers.append(one.y_hat)
+            return one
+
+        others = errors[:place] + errors[place + 1 :]
+        return best_attempt(found[place], lambda f: f.training_score.value, others, fitted)
+
+    return tuple(map(best, range(len(found))))
 
 
 def _evaluate_fold(
-    source: str, fold: Fold, context: Context, rule: ProtocolRule, fit_seconds: float
+    source: str,
+    fold: Fold,
+    context: Context,
+    rule: ProtocolRule,
+    fit_seconds: float,
+    start: int = 0,
 ) -> LocalFold:
     def score(blocks: Sequence[Block], y_hat: Sequence[Array]) -> FoldScore:
         return score_fold([b.y for b in blocks], y_hat, fold.scale, rule.metric)
@@ -149,7 +176,7 @@ def _evaluate_fold(
     exec(compile(source, name, "exec", dont_inherit=True), module.__dict__)
     known = replace(
         context,
-        seed=derive_seed(context.seed, fold.index, 0),
+        seed=derive_seed(context.seed, fold.index, start),
         deadline=time.monotonic() + fit_seconds,
         validation_score=validation_score if rule.early_stopping == "validation" else None,
     )
@@ -361,7 +388,7 @@ def analysis(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) ->
     states = [] if problem.physics is None else list(problem.physics.states)
     ranked = missing_terms([one.model for one in folds], blocks, y_hat, inputs, outputs, states)
     for k, output in enumerate(outputs):
-        own = [term for term in ranked if term.output == k]
+        own = [term for term in ranked if term.output == k and term.share >= 0.01]
         for linear, most in ((False, 5), (True, 2)):
             for term in [term for term in own if term.linear is linear][:most]:
                 yield (
@@ -369,7 +396,7 @@ def analysis(problem: Problem, folds: Sequence[LocalFold], *, held_out: bool) ->
                     f"{len(folds)} folds{' (linear: order, delay or fit)' * linear}"
                 )
         if not own:
-            yield f"  {output}: no term explains more than chance"
+            yield f"  {output}: no term explains more than chance and more than 1 %"
 
 
 # Workspace of `tools.py`: the problem as the evaluator reads it, and splits of its records.
@@ -429,9 +456,19 @@ class WorkspaceTools:
     ) -> tuple[LocalFold, ...]:
         """The candidate in that file, fitted and scored on these folds; None for those of V."""
         source = read_text(self.folder / path, "name a candidate, as Python source")
+        return self.evaluate_source(source, folds)
+
+    def evaluate_source(
+        self, source: str, folds: Sequence[Fold] | None = None
+    ) -> tuple[LocalFold, ...]:
+        """The candidate, fitted and scored on these folds; None for those of V."""
         chosen = self.folds if folds is None else folds
         limit = self.problem.budget.fit_seconds
-        return evaluate(source, chosen, self.context, self.rule, limit)
+        found = evaluate(source, chosen, self.context, self.rule, limit)
+        if any(one is fold for one in chosen for fold in self.folds):
+            with (self.folder / SCORED).open("a", encoding="utf-8") as file:
+                file.write(f"{digest(source)}\n")
+        return found
 
     def _split(self, folds: FoldRule) -> tuple[Fold, ...]:
         return make_folds(self.problem.train, replace(self.rule, folds=folds))
@@ -510,7 +547,10 @@ def main(tools: WorkspaceTools) -> NoReturn:
     options = parser.parse_args()
     if any(os.environ.get(name) != value for name, value in REPEATABLE.items()):
         sys.stdout.flush()
-        os.execve(sys.executable, sys.orig_argv, {**os.environ, **REPEATABLE})
+        # Compiled programs stay in the folder for the next start.
+        cache = {"JAX_COMPILATION_CACHE_DIR": str(tools.folder / ".asia" / "programs")}
+        settings = {**os.environ, **REPEATABLE, **COMPILED_ONCE, **cache}
+        os.execve(sys.executable, sys.orig_argv, settings)
     try:
         _run(tools, options)
         sys.stdout.flush()
@@ -542,10 +582,9 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
         folds = folds[options.fold - 1 : options.fold]
     if options.vary:
         source = read_text(tools.folder / options.candidate, "name a candidate, as Python source")
-        limit = tools.problem.budget.fit_seconds
         for name, changed in variants(source, options.vary):
             try:
-                tried = evaluate(changed, folds, tools.context, tools.rule, limit)
+                tried = tools.evaluate_source(changed, folds)
             except CandidateError as error:
                 say(f"no V       {name}: {error.reason.advice}", flush=True)
                 continue
@@ -554,14 +593,16 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
             seconds = sum(one.seconds for one in tried)
             mean = combine([one.score for one in tried]).value
             say(f"V {mean:.6f} {name} (folds {each}; fit {seconds:.1f} s)", flush=True)
-        if not own:
-            say("the lowest V of many variants is optimistic: --blocks N has folds of your own")
+        if not own and scored_locally(tools.folder) > 1:
+            say(_scored(tools))
         return
     found = tools.evaluate(options.candidate, folds)
     whole = not own and len(found) == len(tools.folds)
     held_out = options.held_out or tools.rule.residuals == "held_out"
     for line in tables(tools.problem, found, whole=whole, held_out=held_out):
         say(line)
+    if not own and scored_locally(tools.folder) > 1:
+        say(_scored(tools))
     if options.why:
         for line in analysis(tools.problem, found, held_out=held_out):
             say(line)
@@ -569,3 +610,11 @@ def _run(tools: WorkspaceTools, options: argparse.Namespace) -> None:
         title = str(options.candidate)
         for name in draw(tools.folder, tools.problem, title, found, held_out=held_out):
             say(f"picture {name}")
+
+
+def _scored(tools: WorkspaceTools) -> str:
+    many = scored_locally(tools.folder)
+    return (
+        f"scored here on the folds of V so far: {many} candidates. The lowest V of many is "
+        "optimistic: --blocks N has folds of your own"
+    )

@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,7 +39,10 @@ import sys
 import tomllib
 from pathlib import Path
 
-import matplotlib
+try:
+    import matplotlib
+except ModuleNotFoundError as missing:
+    sys.exit(f"plot.py: {missing}; start it with " + {python})
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -82,9 +86,13 @@ limit. In a script of your own:
         print(fold.score.value, fold.parameters, fold.residuals(held_out=False))
 """
 
+import sys
 from pathlib import Path
 
-from asia.interfaces.workspace.tools import WorkspaceTools, main
+try:
+    from asia.interfaces.workspace.tools import WorkspaceTools, main
+except ModuleNotFoundError as missing:
+    sys.exit(f"tools.py: {missing}; start it with " + {python})
 
 TOOLS = WorkspaceTools(Path(__file__).parent, seed={seed})
 
@@ -227,7 +235,8 @@ def write_folder(
     write_file(folder, "PROGRAM.md", program(problem, experiments, confinement))
     write_file(folder, "description.md", problem.description)
     write_file(folder, "models.md", models_page(problem))
-    write_file(folder, "plot.py", PLOT)
+    python = repr(sys.executable)
+    write_file(folder, "plot.py", PLOT.replace("{python}", python))
     names = trajectory_names(problem.train)
     references = problem.loop.reference if problem.loop else ()
     signals = (*problem.inputs, *problem.outputs, *references)
@@ -237,7 +246,7 @@ def write_folder(
     (folder / "data").mkdir(exist_ok=True)
     for number, response in enumerate(problem.responses, 1):
         write_response(folder / "data" / f"response{number}.npz", response)
-    write_file(folder, "tools.py", TOOLS.replace("{seed}", str(seed)))
+    write_file(folder, "tools.py", TOOLS.replace("{seed}", str(seed)).replace("{python}", python))
     for name, trajectory in zip(names, problem.train, strict=True):
         # Time first; empty where an output was not measured.
         stream = io.StringIO()
@@ -266,6 +275,18 @@ def write_views(folder: Path, view: SearchView, store: Store) -> None:
         texts["best.py"] = store.text(view.best.proposed.source)
     for name, text in texts.items():
         write_file(folder, name, text, mode=0o444)
+
+
+SCORED = ".asia/scored"
+"""File of a workspace: digests of the candidates that its tools scored on the folds of V."""
+
+
+def scored_locally(folder: Path) -> int:
+    """Number of different candidates that the tools of a workspace scored on the folds of V."""
+    try:
+        return len(set((folder / SCORED).read_text("utf-8").split()))
+    except OSError:
+        return 0
 
 
 def trajectory_names(trajectories: tuple[Trajectory, ...]) -> list[str]:

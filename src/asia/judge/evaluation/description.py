@@ -24,7 +24,7 @@ from asia.judge.evaluation.relations import SuspicionKind
 from asia.judge.evaluation.results import FoldResult, mean_simulation
 from asia.judge.scoring.description import LiteralCheck, gained_bits, guard_gap
 from asia.judge.scoring.outcome import Failure, Score, combine, score_fold
-from asia.literals import Literals, literals, merged, perturbed
+from asia.literals import Literals, equations_as_code, literals, merged, perturbed
 from asia.problem.folds import Block
 
 COLLAPSE = 0.5
@@ -66,7 +66,12 @@ def literals_of(source: str) -> Literals:
     """Return the literals of a candidate's source. Raises CandidateError for one that cannot be a
     candidate."""
     text = executed_source(source)
-    return literals(text, syntax_tree(text, "candidate.py"))
+    tree = syntax_tree(text, "candidate.py")
+    declared = equations_as_code(tree)
+    if declared is not tree:
+        text = ast.unparse(declared)
+        tree = syntax_tree(text, "candidate.py")
+    return literals(text, tree)
 
 
 @cache

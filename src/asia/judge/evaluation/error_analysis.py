@@ -6,6 +6,7 @@ response of the outputs to a force on a state is exact at the current fit, whate
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -481,18 +482,24 @@ def _responses(
     signals = {name: y[:, :, k] for k, name in enumerate(outputs)}
     signals |= {f"rate({name})": np.gradient(y[:, :, k], axis=1) for k, name in enumerate(outputs)}
     signals |= {name: of.u[:, :, k] for k, name in enumerate(inputs)}
+    driven = list(inputs)
     if started is not None and len(started.size) <= 8:
         for k in range(len(started.size)):
+            s = started.best.states[:-1, :, k].T
             name = states[k] if k < len(states) else f"x{k + 1}"
-            signals.setdefault(name, started.best.states[:-1, :, k].T)
+            # A state that holds back an input is known by that input.
+            for d, (i, u) in itertools.product(range(1, _DELAYS[-1] + 1), enumerate(inputs)):
+                if _same(s[:, d:], of.u[:, :-d, i], 1.0 - 1e-6):
+                    name = f"{u}(k-{d})"
+                    driven.append(name)
+            signals.setdefault(name, s)
     kept: dict[str, Array] = {}
     for name, s in signals.items():
         moves = np.ptp(s) > 1e-9 * (np.abs(s).max() + 1e-300)
-        same = (abs(np.corrcoef(s.ravel(), t.ravel())[0, 1]) > 0.98 for t in kept.values())
-        if len(kept) < _MOST_SIGNALS and moves and not any(same):
+        if len(kept) < _MOST_SIGNALS and moves and not any(_same(s, t) for t in kept.values()):
             kept[name] = s
     early = np.concatenate([of.early_u, of.u], axis=1)
-    own = {n: kept[n] for n in inputs if n in kept}
+    own = {n: kept[n] for n in driven if n in kept}
     late = {n: early[:, :, k] for k, n in enumerate(inputs) if n in kept}
     terms, of_inputs = _terms(kept, late), frozenset([*own, *_terms(own, late)])
     measured = {n: s for n, s in kept.items() if n in outputs}
@@ -526,6 +533,12 @@ def _responses(
         {n: beyond(v) for n, v in at_output.items()},
         of_inputs,
     )
+
+
+def _same(one: Array, other: Array, least: float = 0.98) -> bool:
+    """Whether two signals (B, H) are correlated at least as much."""
+    a, b = (z - z.mean() for z in (one, other))
+    return abs(float(np.sum(a * b))) > least * float(np.sqrt(np.sum(a**2) * np.sum(b**2)))
 
 
 def _lagged(z: Array) -> Array:

@@ -7,7 +7,6 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain
-from statistics import median
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -37,11 +36,13 @@ from asia.judge.evaluation.requests import (
     spread,
 )
 from asia.judge.evaluation.results import (
+    ATTEMPT,
     Evaluation,
     FoldEnd,
     FoldResult,
     Refit,
     RefitModel,
+    best_attempt,
     derive_seed,
 )
 from asia.judge.evaluation.validation_score import Oracle
@@ -63,9 +64,6 @@ _Ask: TypeAlias = Callable[[Worker, Sequence[Block], Sequence[Array]], Sequence[
 _STRANGERS_ASKED = 4
 # Training samples of a fold.
 _LONG = 100_000
-# Training error of a fold, relative to the median of the other folds, above which its fit is
-# repeated; number of repetitions; distance of their seeds from those of other starts.
-_POOR, _ATTEMPTS, _ATTEMPT = 2.0, 2, 1_000
 
 
 @dataclass(frozen=True)
@@ -384,22 +382,21 @@ class Evaluator:
             return results
 
         def best(place: int) -> FoldResult:
-            result = results[place]
-            others = [one.diagnostics.train_error for one in results if one is not result]
-            failed = _POOR * median(others)
-            models = {result.model}
-            for attempt in range(1, _ATTEMPTS + 1):
-                if result.diagnostics.train_error <= failed:
-                    break
-                seed = start + _ATTEMPT * attempt
+            first = results[place]
+            others = [one.diagnostics.train_error for one in results if one is not first]
+            models, seconds = {first.model}, first.seconds
+
+            def fitted(attempt: int) -> FoldResult | None:
+                nonlocal seconds
+                seed = start + ATTEMPT * attempt
                 again = self._fold_or_failure(source, self.data.folds[place], seed).result
                 if isinstance(again, Failure) or again.model in models:
-                    break  # the fit does not depend on the seed
+                    return None
                 models.add(again.model)
-                if again.diagnostics.train_error < result.diagnostics.train_error:
-                    seconds = result.seconds + again.seconds
-                    result = replace(again, attempt=attempt, seconds=seconds)
-            return result
+                seconds += again.seconds
+                return replace(again, attempt=attempt, seconds=seconds)
+
+            return best_attempt(first, lambda f: f.diagnostics.train_error, others, fitted)
 
         return tuple(self.workers.run([partial(best, place) for place in range(len(results))]))
 
@@ -447,7 +444,7 @@ class Evaluator:
             return None
 
         def fit_sequentially(place: int) -> FoldResult | Failure:
-            seed = _ATTEMPT * folds[place].attempt
+            seed = ATTEMPT * folds[place].attempt
             job = partial(self._fold_or_failure, source, self.data.folds[place], seed)
             return self.workers.run([job])[0].result
 
@@ -480,7 +477,7 @@ class Evaluator:
         source = executed_source(source)
         folds = self.data.folds
         fold = folds[derive_seed(self.data.context.seed, self._options.salt) % len(folds)]
-        seed = _ATTEMPT * attempts[fold.index] if attempts else 0
+        seed = ATTEMPT * attempts[fold.index] if attempts else 0
         models: list[RefitModel | CandidateError] = []
         results: list[FoldResult | Failure] = []
         self.workers.run(

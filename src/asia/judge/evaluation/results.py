@@ -1,9 +1,10 @@
 """Results of an evaluation."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from statistics import median
+from typing import Annotated, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -201,3 +202,42 @@ def score_outputs(
         for fold, y_hat in zip(folds, outputs, strict=True)
     ]
     return combine(scores)
+
+
+# Fits of a fold that end in a poor minimum.
+
+
+T = TypeVar("T")
+
+# Training error of a fold, relative to the median of the other folds, above which its fit is
+# repeated; number of repetitions.
+_POOR, _ATTEMPTS = 2.0, 2
+
+ATTEMPT = 1_000
+"""Distance of the starts from which a fit is repeated, see `derive_seed`."""
+
+
+def best_attempt(
+    first: T,
+    training_error: Callable[[T], float],
+    others: Sequence[float],
+    fit: Callable[[int], T | None],
+) -> T:
+    """Return the fit of a fold with the lowest training error, repeated from other seeds while that
+    is far above the other folds'.
+
+    Args:
+        first: the fit from the first seed
+        others: training errors of the other folds
+        fit: the fit of an attempt, from 1 on; None where it failed or does not depend on the seed
+    """
+    best = first
+    for attempt in range(1, _ATTEMPTS + 1):
+        if training_error(best) <= _POOR * median(others):
+            break
+        again = fit(attempt)
+        if again is None:
+            break
+        if training_error(again) < training_error(best):
+            best = again
+    return best

@@ -660,13 +660,22 @@ def _errors(system: LinearSystem, record: ScaledRecord, x0: Array) -> Array:
     return -LongResponse([scaled], float(record.y.size), system, x0[None]).misfit(0)
 
 
+_INTEGRATOR = 1e-6
+"""Distance of a pole from 1 below which no record tells it from an integrator."""
+
+
 def invariants(system: LinearSystem, scaling: Scaling) -> dict[str, float]:
     """Static gains in physical units and the slowest decaying modes, by name: the time constant of
-    a real mode in samples, frequency and damping ratio of an oscillating one."""
-    gain = system.gain * scaling.y_std[:, None] / scaling.u_std
-    found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
-    found = found if len(found) <= 20 else {}
+    a real mode in samples, frequency and damping ratio of an oscillating one. With an integrator
+    there is no static gain."""
     poles = np.asarray(np.linalg.eigvals(system.a), np.complex128)
+    integrators = int(np.sum(abs(poles - 1.0) < _INTEGRATOR))
+    found = {"integrators": float(integrators)} if integrators else {}
+    if not integrators:
+        gain = system.gain * scaling.y_std[:, None] / scaling.u_std
+        found = {f"gain y{i + 1}/u{j + 1}": float(g) for (i, j), g in np.ndenumerate(gain)}
+        found = found if len(found) <= 20 else {}
+    poles = poles[abs(poles - 1.0) >= _INTEGRATOR]
     sizes = np.abs(poles)
     # A negative real pole has neither a time constant nor a frequency below half the sampling rate.
     shown = ((poles.imag > 0) | ((poles.imag == 0) & (poles.real > 0))) & (sizes < 1)

@@ -52,11 +52,15 @@ class Tag:
 
 
 def place(
-    tags: Sequence[Tag], points: Sequence[tuple[float, float]], frame: Box
+    tags: Sequence[Tag],
+    points: Sequence[tuple[float, float]],
+    frame: Box,
+    lines: Sequence[Box] = (),
 ) -> tuple[Box | None, ...]:
-    """A place for each tag, the first ones served first; None where there is no room. points: must
-    stay visible."""
-    taken = [Box(x - _RADIUS, y - _RADIUS, x + _RADIUS, y + _RADIUS) for x, y in points]
+    """A place for each tag, the first ones served first; None where there is no room. points,
+    lines: must stay visible."""
+    taken = [*lines]
+    taken += [Box(x - _RADIUS, y - _RADIUS, x + _RADIUS, y + _RADIUS) for x, y in points]
     places: list[Box | None] = []
     for tag in tags:
         free = (b for b in _candidates(tag) if frame.holds(b) and not any(map(b.meets, taken)))

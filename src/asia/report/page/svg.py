@@ -265,7 +265,12 @@ def _tags(
         for text, (_, x, y) in zip(texts, chosen, strict=True)
     ]
     frame = Box(across.start, up.end, across.end + 4, up.start)
-    places = place(tags, [(x, y) for _, x, y in scored], frame)
+    # The steps through the improvements.
+    lines: list[Box] = []
+    for (_, x, y), after in zip(bests, [*bests[1:], None], strict=True):
+        end, level = (after[1], after[2]) if after else (across.end, y)
+        lines += [Box(x, y - 1, end, y + 1), Box(end - 1, min(y, level), end + 1, max(y, level))]
+    places = place(tags, [(x, y) for _, x, y in scored], frame, lines)
     return join(
         _label(box.left, box.bottom - 4, text, "start", "tag")
         for text, box in zip(texts, places, strict=True)

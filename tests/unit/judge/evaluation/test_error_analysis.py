@@ -136,6 +136,35 @@ def test_modes_are_frequency_and_damping() -> None:
     assert float(damping) == pytest.approx(0.2, abs=0.03)
 
 
+@dataclass(frozen=True)
+class HeldBack:
+    """Lag of an input that is held back by two samples."""
+
+    def initial(self, past_u: Any, past_y: Any, u: Any) -> Any:
+        return past_y[:, -1], past_u[:, -1], past_u[:, -2]
+
+    def step(self, state: Any, u: Any) -> Any:
+        x, one, two = state
+        return (0.8 * x + 0.2 * two, u, one), x
+
+    def simulate(self, past_u: Any, past_y: Any, u: Any) -> Any:
+        return simulate_steps(self, past_u, past_y, u)
+
+
+def test_a_state_that_holds_back_an_input_has_its_name() -> None:
+    rng = np.random.default_rng(5)
+    u = rng.normal(size=(SAMPLES + 2, 1))
+    case = Case("r", u[:2], np.zeros((2, 1)), u[2:])
+    bent = HeldBack().simulate(*((v + 0.3 * v**3)[None] for v in (u[:2], np.zeros((2, 1)), u[2:])))
+    noise = 0.01 * rng.normal(size=(SAMPLES, 1))
+    block = Block(case, bent[0] + noise, 0, 2)
+    y_hat = HeldBack().simulate(*(v[None] for v in (u[:2], np.zeros((2, 1)), u[2:])))[0]
+    found = missing_terms([HeldBack()], [[block]], [[y_hat]], ["u"], ["y"])
+    names = {term.term: term.where for term in found}
+    assert names["u(k-2)^3"] == "at the input"
+    assert not any("x2" in name or "x3" in name for name in names)
+
+
 @pytest.mark.parametrize("nonlinear", ["input", "output", "dynamics", "nothing"])
 def test_the_place_of_a_nonlinearity_is_found_from_a_linear_model(nonlinear: str) -> None:
     rng = np.random.default_rng(3)

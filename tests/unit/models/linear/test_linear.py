@@ -54,6 +54,12 @@ def test_gain_time_constants_and_delay_are_named_in_physical_units() -> None:
     assert found["gain y1/u1"] == pytest.approx((10.0 + 2.0) * 3.0 / 2.0)
     assert found["time constant 1 [samples]"] == pytest.approx(-1 / np.log(0.9))
     assert found["delay [samples]"] == 4.0
+    # A pole that no record tells from an integrator has neither a gain nor a time constant.
+    slow = replace(known, system=LinearSystem(np.diag([1.0 - 1e-8, 0.5]), *system.matrices[1:]))
+    found = linear.LinearStateSpace(linear.Config(), slow).parameters()
+    assert found["integrators"] == 1.0
+    assert found["time constant 1 [samples]"] == pytest.approx(-1 / np.log(0.5))
+    assert "gain y1/u1" not in found
     # An oscillation at 0.05 cycles a sample that decays in 100 samples.
     turn = 2 * np.pi * 0.05
     pair = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]

@@ -44,6 +44,10 @@ REPEATABLE = {
 thread pools by NPROC; without it the last bits of a sum depend on the number of cores regardless
 of XLA_FLAGS."""
 
+COMPILED_ONCE = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.05"}
+"""Environment variables of a process that stores compiled programs. Shorter ones are compiled again
+in less time than they are loaded."""
+
 
 def environment(home: str) -> dict[str, str]:
     """All environment variables of a worker."""
@@ -56,8 +60,7 @@ def environment(home: str) -> dict[str, str]:
         "LANG": "C.UTF-8",
         "ASIA_UNITS": str(units_folder()),
         **REPEATABLE,
-        # Shorter ones are compiled again in less time than they are loaded.
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.05",
+        **COMPILED_ONCE,
     }
 
 

@@ -452,7 +452,7 @@ def _write_certificate(path: Path, command: str) -> Html | None:
         content = read_file(path, remedy) if path.stat().st_size <= _MOST_BYTES else b""
         found = json.loads(content)
         rows = [["proven", str(one["text"])] for one in found["statements"]]
-        rows += [["no certificate", str(one)] for one in found["missed"]]
+        rows += [["open", str(one)] for one in found["missed"]]
         rows += [["assumption", str(one)] for one in found["assumptions"]]
     except (ValueError, TypeError, LookupError):
         return tag("p", f"{path.name} is no file of this version: {remedy}.")
