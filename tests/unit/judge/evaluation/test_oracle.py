@@ -249,8 +249,9 @@ def test_a_reloaded_model_is_not_compiled_again() -> None:
     assert found.validation_scores == 8
 
 
+@pytest.mark.slow
 def test_calls_are_capped(sent: dict[Channel, list[tuple[str, Any, bytes]]]) -> None:
-    found = evaluator().evaluate(descent(steps=5 * VALIDATION_SCORES + 1))
+    found = evaluator(fit_seconds=120.0).evaluate(descent(steps=5 * VALIDATION_SCORES + 1))
     problem = failure(found)
     assert problem.reason is Reason.CRASH
     assert f"validation_score was called {VALIDATION_SCORES} times" in problem.detail

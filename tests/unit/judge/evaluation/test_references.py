@@ -117,6 +117,7 @@ def test_a_candidate_is_judged_on_windows() -> None:
     assert found.objection(HOLD, evaluation.folds) is None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("real_linear_reference")
 def test_the_linear_reference_names_settings_that_are_better_than_the_baseline() -> None:
     # Two modes, and a second half that is slow and so noisy that it hides one mode.

@@ -195,6 +195,7 @@ def test_without_training_it_says_so() -> None:
         nl_lfr.Config(channels=0)
 
 
+@pytest.mark.slow
 def test_models_of_several_orders_are_the_same_in_one_program(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
