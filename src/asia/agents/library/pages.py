@@ -138,14 +138,8 @@ def families_page(facts: Facts) -> str:
         explained.add(recipe.method)
         lines += section
     if any(recipe.method == "Adam" for recipe in recipes) and "Adam" not in explained:
-        # The main options of network training, where there is no room for all of them.
-        options_by_name = {one.name: one.line for one in options_of(method_of("Adam"))}
-        main = ("steps", "learning_rate", "schedule", "weight_decay", "clip")
-        text = " ".join(options_by_name[name] for name in main)
-        lines += [
-            "",
-            *_wrapped(f"**Adam**, all of it in `asia models NAME` of such a family: {text}"),
-        ]
+        # There is no room for the options of network training.
+        lines += ["", "The options of `Adam`: `asia models NAME` of a family that it trains."]
     return "\n".join(lines) + "\n"
 
 

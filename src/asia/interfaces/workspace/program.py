@@ -224,20 +224,12 @@ is no network and no file. {MODEL_RULES}
 def models_page(problem: Problem) -> str:
     """Write the page on the families of `asia.models` for this problem, as Markdown."""
     families = families_page(problem_facts(problem))
-    return f"# Models for {problem.name}\n\n{families}\n{_own_equations(problem)}"
+    own = f"\n{_own_equations(problem)}" if problem.physics is None else ""
+    return f"# Models for {problem.name}\n\n{families}{own}"
 
 
 def _own_equations(problem: Problem) -> str:
     """Section on equations that a candidate states itself, with an example for these signals."""
-    if problem.physics is not None:
-        state = problem.physics.states[0]
-        return f"""## Other equations
-
-A candidate may change the equations before it builds a model (`from dataclasses import replace`):
-`dynamics = {{**context.physics.dynamics, "{state}": "..."}}`, then `replace(context,
-physics=replace(context.physics, dynamics=dynamics))`. A new parameter has a range in `parameters`:
-`asia.models.greybox.ParameterRange(0.01, 10.0)`.
-"""
     first, *others = (s.name for s in problem.outputs)
     drive = problem.inputs[0].name
     names = ", ".join(f'"{name}"' for name in (first, "hidden", *others))
@@ -353,8 +345,11 @@ def _physics(problem: Problem) -> str:
     given = list(symmetries(problem.symmetry))
     use = "`context.symmetry` has them: networks can be trained and averaged under them."
     if problem.physics is not None:
-        use = """`context.physics` has the equations, and `asia.models.greybox`, `hybrid` and
-`physics_net` fit them."""
+        state = problem.physics.states[0]
+        use = f"""`context.physics` has the equations, and `asia.models.greybox`, `hybrid` and
+`physics_net` fit them. A candidate changes them: `dataclasses.replace(context.physics,
+dynamics={{**context.physics.dynamics, "{state}": "..."}})`; a new parameter:
+`greybox.ParameterRange(0.01, 10.0)`."""
         if given:
             use += " `context.symmetry` has the symmetries."
         given = [*equations(problem.physics), *given]
