@@ -196,7 +196,7 @@ def _train_records(
     c: Config, data: TransformedRecords, context: Context, method: LevenbergMarquardt | Adam
 ) -> tuple[FittedStateSpace, float]:
     """Train on whole records; return the least cost with Levenberg-Marquardt too."""
-    structure, found, delay, used = _begun(c, data, context)
+    begun = _begun(c, data, context)
     if isinstance(method, LevenbergMarquardt):
         from asia.models._state_space.training import LmOptions, error_on_segments, fit_members
 
@@ -205,16 +205,18 @@ def _train_records(
         )
         if c.nonlinearity == "modal" and c.order is None and c.pieces:
             # A linear model takes a mode whose frequency depends on the amplitude for noise.
-            more = _begun(replace(c, order=found.system.order + 2, delay=delay), data, context)
+            wider = replace(c, order=begun[0].order + 2, delay=begun[3])
+            more = _begun(wider, data, context)
             errors = [
-                error_on_segments(*each, data.scaling, context, method, options)
-                for each in ((structure, found, used), (more[0], more[1], more[3]))
+                error_on_segments(*one[:3], data.scaling, context, method, options)
+                for one in (begun, more)
             ]
-            if errors[1] < _MISSED * errors[0]:
-                structure, found, delay, used = more
-        best = fit_members(structure, found, used, data.scaling, context, method, options)
+            begun = more if errors[1] < _MISSED * errors[0] else begun
+        structure, *_, delay = begun
+        best = fit_members(*begun[:3], data.scaling, context, method, options)
         each = best.members, delay, data.scaling, data.turns, best.starts
         return FittedStateSpace(structure, *each), best.cost
+    structure, found, used, delay = begun
     rng = np.random.default_rng(context.seed)
     start = starts_of(structure, found, used, 1, data.scaling, rng)[0]
     encoder = encoded_at_rest(structure, encoder_of(used, found, context))
@@ -226,9 +228,9 @@ def _train_records(
 
 def _begun(
     c: Config, data: TransformedRecords, context: Context
-) -> tuple[StateSpaceStructure, LinearFit, int, ScaledData]:
-    """Return the structure, the linear model that it begins with, its delay, and the records of
-    its fit, their inputs delayed."""
+) -> tuple[StateSpaceStructure, LinearFit, ScaledData, int]:
+    """Return the structure, the linear model that it begins with, the records of its fit, their
+    inputs delayed, and the delay."""
     least = (1 if c.friction or c.play else 2) + (c.integrators > 0)
     choice = linear.Config(c.order, delay=c.delay, integrators=c.integrators)
     found, delay, used = linear.fit_of_least_order(data.records, context, choice, least)
@@ -244,7 +246,7 @@ def _begun(
         c.channels, friction=c.friction, play=c.play, integrators=c.integrators,
         scheduling=_scheduling(c, context), pairs=pairs,
     )  # fmt: skip
-    return structure, found, delay, used
+    return structure, found, used, delay
 
 
 def _train_windowed(
