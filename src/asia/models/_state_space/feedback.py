@@ -19,10 +19,10 @@ from asia.models._linear.system import LinearSystem
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.training_records import ScaledData, ScaledTrajectory
 from asia.models._reuse import reused
-from asia.models._state_space.fit import StateFit, fit_states, of_records, state_encoder
-from asia.models._state_space.model import FittedStateSpace, past_fit, window_samples
+from asia.models._state_space.fit import StateFit, fit_states, of_records
+from asia.models._state_space.model import FittedStateSpace
 from asia.models._state_space.structure import StateSpaceStructure
-from asia.models._state_space.training import fit_segments, stability_term
+from asia.models._state_space.training import fit_segments, judged, stability_term
 
 # Search for the regressors of static functions in feedback, by the residual of the linear model.
 #
@@ -528,7 +528,12 @@ class _Fit(NamedTuple):
     structure: StateSpaceStructure
     start: dict[str, Any]
     now: StateFit
-    expected_error: float  # Final prediction error: estimate of the error on new records
+    penalty: float  # Factor of Akaike's final prediction error, which penalises further states
+
+    @property
+    def expected_error(self) -> float:
+        """Estimate of the error on new records."""
+        return self.now.cost * self.penalty
 
 
 def fit_feedback(
@@ -549,14 +554,13 @@ def fit_feedback(
         whole = StateFit(first.core.found.x0, first.start, np.inf, np.zeros(0))
         tried.append(fits.fitted(first.core, first.structure, first.start, whole, fits.first))
     ended = (fits.fitted(one.core, one.structure, one.start, one.now, fits.rest) for one in tried)
-    best = min(ended, key=lambda t: t.expected_error)
-    each = best.structure, best.now, best.core.records, context, options.encoder
-    if window_samples(context):
-        encoder, how = past_fit(*each)
-        starts = (how,)
-    else:
-        encoder, starts = state_encoder(*each), ()
-    members = ((best.now.params, encoder),)
+    finished = [
+        (one, judged(one.structure, one.now, one.core.records, context, options.encoder, True))
+        for one in ended
+    ]
+    best, found = min(finished, key=lambda pair: pair[0].penalty * pair[1].error)
+    starts = () if found.how is None else (found.how,)
+    members = ((found.params, found.encoder),)
     return FittedStateSpace(best.structure, members, best.core.delay, scaling, None, starts)
 
 
@@ -632,7 +636,6 @@ class _Fits:
 def _fit(
     core: LinearCore, structure: StateSpaceStructure, start: dict[str, Any], now: StateFit
 ) -> _Fit:
-    """Judge by Akaike's final prediction error, which penalises further states."""
     count = sum(float(r.weight.sum()) for r in core.records) * structure.ny
     p = min(float(tree_size(now.params)), 0.9 * count)
-    return _Fit(core, structure, start, now, now.cost * (count + p) / (count - p))
+    return _Fit(core, structure, start, now, (count + p) / (count - p))

@@ -198,10 +198,10 @@ class FittedMembers:
     """Parameters, and the map from past windows to states, of each fit."""
     starts: tuple[PastFit, ...]
     """Fits of the initial states to the past window; () where the map gives them."""
-    cost: float  # Least cost
+    cost: float  # Cost of the first fit
     error: float
-    """Mean squared error of the best fit in z-scores, simulated from the states that past windows
-    give."""
+    """Its mean squared error in z-scores, simulated from the states that past windows give; no
+    other fit has a smaller one."""
 
 
 def fit_members(
@@ -240,21 +240,47 @@ def fit_members(
             # One start begins with whole records, since segments may mislead too.
             whole = starts[:1]
         fits += fit_states(structure, whole, samples, ridge, method, log, time, stability=held)
-        fits.sort(key=lambda one: one.cost)
-        members, how = list[tuple[dict[str, Any], Encoder]](), list[PastFit]()
-        for one in fits[: options.members]:
-            if options.past_fit and window_samples(context):
-                encoder, fitted = past_fit(structure, one, records, context, options.hidden)
-                how.append(fitted)
-            else:
-                encoder = state_encoder(structure, one, records, context, options.hidden)
-            members.append((one.params, encoder))
-        lost = past_window_error(structure, *members[0], how[0] if how else None, records, context)
-        unstable = not (may_be_unstable or is_stable(structure, members[0][0]))
-        tried.append((unstable, FittedMembers(tuple(members), tuple(how), fits[0].cost, lost)))
-        if lost <= _LOST and not unstable:
+        ended = [
+            judged(structure, one, records, context, options.hidden, options.past_fit)
+            for one in fits
+        ]
+        ended.sort(key=lambda one: one.error)
+        best, kept = ended[0], ended[: options.members]
+        unstable = not (may_be_unstable or is_stable(structure, best.params))
+        members = tuple((one.params, one.encoder) for one in kept)
+        how = tuple(one.how for one in kept if one.how is not None)
+        tried.append((unstable, FittedMembers(members, how, best.cost, best.error)))
+        if best.error <= _LOST and not unstable:
             break
     return min(tried, key=lambda one: (one[0], one[1].error))[1]
+
+
+class JudgedFit(NamedTuple):
+    """Finished fit, judged as it will be used."""
+
+    params: dict[str, Any]
+    encoder: Encoder  # Map from the past window to the initial state
+    how: PastFit | None  # Fit of the initial state to the past window
+    cost: float
+    error: float  # Mean squared error in z-scores of simulations that start from past windows
+
+
+def judged(
+    structure: StateSpaceStructure,
+    fit: StateFit,
+    records: ScaledData,
+    context: Context,
+    hidden: int,
+    with_past_fit: bool,
+) -> JudgedFit:
+    """Add the map to the initial state to a fit, and simulate from there. The initial states of the
+    fit are free: from any other a state that hardly decays may be far off."""
+    if with_past_fit and window_samples(context):
+        encoder, how = past_fit(structure, fit, records, context, hidden)
+    else:
+        encoder, how = state_encoder(structure, fit, records, context, hidden), None
+    error = past_window_error(structure, fit.params, encoder, how, records, context)
+    return JudgedFit(fit.params, encoder, how, fit.cost, error)
 
 
 def error_on_segments(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -20,6 +23,9 @@ from asia.models._state_space.feedback import feedback_starts
 from asia.models._state_space.fit import fit_states
 from asia.models._state_space.programs import StabilityTerm, StateSamples
 from asia.models._state_space.structure import StateSpaceStructure
+from asia.problem.folds import make_folds, whole
+from asia.problem.load import load_problem
+from asia.search.run import search_context
 from tests.unit.models.systems.black_box import PAST, case, filtered, two_by_two, wiener
 from tests.unit.models.systems.fitting import against_holding, fitted
 
@@ -148,6 +154,21 @@ def test_no_mode_follows_the_drift_of_a_record() -> None:
     assert model.fitted is not None
     a = model.fitted.members[0][0]["a"]
     assert np.abs(np.linalg.eigvals(a)).max() < slow
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not os.environ.get("ASIA_DATA_DIR"), reason="needs records of a hair dryer")
+def test_the_fit_that_is_kept_simulates_from_past_windows() -> None:
+    """The fit with the least cost has a state that does not decay, and is lost from any initial
+    state but its own."""
+    problem = load_problem(Path(os.environ["ASIA_DATA_DIR"], "zoo", "hairdryer"))
+    context, fold = search_context(problem, 1), make_folds(problem.train, problem.protocol)[1]
+    model = nl_lfr.build(nl_lfr.Config(), context)
+    model = nl_lfr.train(model, fold.train, context, LevenbergMarquardt(60, starts=2))
+    for block in whole(fold.train, problem.protocol):
+        past = block.case
+        y = model.simulate(past.past_u[None], past.past_y[None], past.u[None])[0]
+        assert np.sqrt(((y - block.y) ** 2).mean()) < 0.2 * block.y.std()
 
 
 @pytest.mark.slow
