@@ -133,10 +133,7 @@ class NeuralStateSpace(TrainableModel[Config, FittedStateSpace]):
     label = "neural state-space model"
 
 
-def build(config: Config, context: Context) -> NeuralStateSpace:
-    """Build an untrained model."""
-    del context
-    return NeuralStateSpace(config)
+build = NeuralStateSpace.build
 
 
 def train(
