@@ -150,9 +150,7 @@ class GreyBoxStructure:
 
     equations: Equations  # Equations from the problem file, with the additions written in
     config: Config  # Additions to the equations
-    ranges: tuple[
-        ParameterRange, ...
-    ]  # Search ranges of the parameters, in their order
+    ranges: tuple[ParameterRange, ...]  # Search ranges of the parameters, in their order
     low: tuple[float, ...]  # Lower physical bounds of the states (nx,), infinite where open
     high: tuple[float, ...]  # Upper physical bounds of the states (nx,), infinite where open
     sampling_time: float  # Sampling time in s
