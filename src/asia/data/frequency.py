@@ -184,8 +184,6 @@ class FrequencyResponse:
     """Amplitude (F,) of the residual of the best linear model, NaN where it is not known."""
     noise: Array
     """Amplitude (F,) of the noise, NaN where it is not known."""
-    coherence: Array
-    """(F,): share of the output's power that the inputs explain linearly, NaN where unknown."""
     levels: Levels
     """Levels over all frequencies."""
     periods: int
@@ -251,7 +249,6 @@ def _of_periods(records: Sequence[Trajectory], output: int, period: int) -> Freq
         output=np.sqrt(power),
         rest=np.sqrt(rest),
         noise=np.sqrt(floor),
-        coherence=1.0 - np.minimum(rest / np.maximum(power + floor, 1e-300), 1.0),
         levels=levels,
         periods=count,
         period=period,
@@ -352,7 +349,6 @@ def _of_records(records: Sequence[Trajectory], output: int) -> FrequencyResponse
         output=np.sqrt(power),
         rest=np.sqrt(rest),
         noise=np.full(len(power), np.nan),
-        coherence=1.0 - np.minimum(rest / np.maximum(power, 1e-300), 1.0),
         levels=Levels(None, None, None, None, min(both, 1.0)),
         periods=0,
         period=None,

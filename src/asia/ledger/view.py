@@ -20,6 +20,7 @@ from asia.ledger.events import (
     Event,
     Exchanged,
     Extended,
+    FoldEvidence,
     GuardLooked,
     HandedOver,
     Landed,
@@ -82,6 +83,11 @@ class Experiment:
         """The failure, when there is one."""
         outcome = self.result.outcome if self.result else None
         return outcome if isinstance(outcome, Failure) else None
+
+    @property
+    def folds(self) -> tuple[FoldEvidence, ...]:
+        """What is kept of the fit of each fold; () without a result or a score."""
+        return self.result.folds if self.result else ()
 
     @property
     def seed_values(self) -> tuple[float, ...]:

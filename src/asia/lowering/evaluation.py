@@ -157,11 +157,6 @@ _TRUTHS = frozenset(("lt", "le", "gt", "ge", "eq", "ne", "isfinite"))
 _NAMES = {
     "max": "maximum",
     "min": "minimum",
-    "pow": "power",
-    "asin": "arcsin",
-    "acos": "arccos",
-    "atan": "arctan",
-    "atan2": "arctan2",
     "lt": "less",
     "le": "less_equal",
     "gt": "greater",

@@ -270,8 +270,6 @@ class LagChoice:
     """Greatest number of lags tried."""
     max_delay: int = 10
     """Greatest delay tried."""
-    tolerance: float = 0.03
-    """Relative tolerance of the root mean squared error."""
     scheduling: int = 0
     """Degree of the coefficients in the scheduling signals."""
 
@@ -326,7 +324,7 @@ def choose_lags(records: ScaledData, context: Context, choice: LagChoice) -> Lag
         return lags[0]
     ny, nu = context.ny, context.nu
     lags.sort(key=lambda item: item.outputs * ny + item.inputs * nu)
-    return _best_lags(part, context, lags, choice.tolerance, choice.scheduling)
+    return _best_lags(part, context, lags, 0.03, choice.scheduling)
 
 
 def candidate_lags(records: ScaledData, context: Context, choice: LagChoice) -> list[Lags]:
@@ -356,11 +354,11 @@ def choose_ridge(
     records: ScaledData,
     context: Context,
     fit: Callable[[ScaledData, float], FreeRun],
-    shortest: int,
+    memory: int,
 ) -> float:
     """Choose the ridge with the least simulation error on samples left out of the fit."""
     errors = left_out_error(
-        records, context, lambda kept: [fit(kept, ridge) for ridge in RIDGES], shortest
+        records, context, lambda kept: [fit(kept, ridge) for ridge in RIDGES], memory
     )
     return RIDGES[int(np.argmin(errors))]
 
@@ -391,6 +389,6 @@ def _best_lags(
         records,
         context,
         lambda kept: [linear_run(kept, item, context, 1e-7, 10.0, scheduling) for item in lags],
-        2 * past_length(context) + 4 * longest.memory,
+        longest.memory,
     )
     return lags[int(np.argmax(errors <= errors.min() + 2 * np.log1p(tolerance)))]

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from asia.candidate import Model, StepModel
+from asia.candidate import Context, Model, StepModel
 from asia.data.trajectory import Array
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace
@@ -69,6 +69,12 @@ class TrainableModel(WrappedModel[F], Generic[C, F]):
     """Settings of the family."""
     fitted: F | None = None
     """Result of training; None before."""
+
+    @classmethod
+    def build(cls, config: C, context: Context) -> Self:
+        """Build an untrained model."""
+        del context
+        return cls(config)
 
     def _trained(self) -> F:
         if self.fitted is None:

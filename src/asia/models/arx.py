@@ -107,8 +107,7 @@ def train(
     ridge = method.ridge if isinstance(method, LeastSquares) else None
     if ridge is None:
         part = selection(records, context, lags.memory)
-        shortest = 2 * past_length(context) + 4 * lags.memory
-        ridge = choose_ridge(part, context, fit, shortest)
+        ridge = choose_ridge(part, context, fit, lags.memory)
     run = fit(records, ridge)
     if c.structure == "oe" and isinstance(method, LevenbergMarquardt):
         run = _output_error(records, context, (fit(records, 1e-7), run), method)

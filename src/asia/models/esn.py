@@ -164,10 +164,7 @@ class EchoState(TrainableModel[Config, FittedReservoirs]):
     label = "echo state network"
 
 
-def build(config: Config, context: Context) -> EchoState:
-    """Build an untrained model."""
-    del context
-    return EchoState(config)
+build = EchoState.build
 
 
 def train(

@@ -24,7 +24,7 @@ from asia.models._config import Progress, check_at_least, check_choice
 from asia.models._numerics.lags import FreeRun, Lags, OutputRange, fit_history, regressors
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import left_out_error, segments, simulation_error
-from asia.models._numerics.training_records import ScaledData, check, past_length, scaled, spread
+from asia.models._numerics.training_records import ScaledData, check, scaled, spread
 from asia.models._one_step import (
     FreeRunModel,
     LagChoice,
@@ -138,7 +138,7 @@ def _choose(records: ScaledData, context: Context, c: Config, method: MarginalLi
         part,
         context,
         lambda kept: [_fit(kept, item, context, quick, brief, lambda *_: None) for item in lags],
-        2 * past_length(context) + 4 * lags[-1].memory,
+        lags[-1].memory,
     )
     return lags[int(np.argmax(errors <= errors.min() + 2 * np.log(1.02)))]
 

@@ -21,7 +21,7 @@ from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models._arrays import AnyArray, namespace
 from asia.models._equations.additions import NO_PRIORS, parameter_priors
-from asia.models._equations.config import Config, GreyBoxStructure, Range
+from asia.models._equations.config import Config, GreyBoxStructure
 from asia.models._equations.extension import extended
 from asia.models._equations.fit import FittedEquations, fit
 from asia.models._equations.identified import equation_lines
@@ -225,7 +225,7 @@ def build(config: Config, context: Context) -> GreyBox:
     structure = GreyBoxStructure(
         equations=system,
         config=config,
-        ranges=tuple(Range(span.min, span.max) for span in physics.parameters.values()),
+        ranges=tuple(physics.parameters.values()),
         low=tuple(-np.inf if b.min is None else float(b.min) for b in bounds),
         high=tuple(np.inf if b.max is None else float(b.max) for b in bounds),
         sampling_time=context.sampling_time,

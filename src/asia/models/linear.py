@@ -37,6 +37,7 @@ from asia.models._linear.fit import (
 from asia.models._linear.joint import fit_jointly, sampled_responses
 from asia.models._linear.periodic import PeriodicChoice, fit_periodic
 from asia.models._linear.regularised import Form, fit_regularised
+from asia.models._linear.response import numbers_of
 from asia.models._linear.system import LinearSystem
 from asia.models._linear.window_predictor import (
     MOST_WINDOWS,
@@ -272,10 +273,7 @@ class LinearStateSpace(TrainableModel[Config, FittedLinear | FittedLevels]):
         return self.by_level or super()._trained()
 
 
-def build(config: Config, context: Context) -> LinearStateSpace:
-    """Build an untrained model."""
-    del context
-    return LinearStateSpace(config)
+build = LinearStateSpace.build
 
 
 def train(
@@ -453,11 +451,9 @@ def fit_records(
     chosen = select(records, context, config, refinement)
     delay, order = chosen.delay, chosen.order
     # Number of samples whose Jacobian fits in memory, with the transforms it is made by.
-    signals = order + context.nu
-    numbers = context.ny * (5 * order * signals + context.ny * signals)
     late = stretches(
         [r.with_delay(delay) for r in records],
-        max(1000, _JACOBIAN_NUMBERS // numbers),
+        max(1000, _JACOBIAN_NUMBERS // numbers_of(order, context.nu, context.ny)),
         2 * past_length(context) + 100 * order,
     )
     found = reused(

@@ -28,7 +28,7 @@ from asia.models._numerics.gaps import has_gaps, reconstructed
 from asia.models._numerics.lags import Lags, OutputRange, fit_history
 from asia.models._numerics.scaling import Scaling
 from asia.models._numerics.segments import left_out_error, segments, simulation_error
-from asia.models._numerics.training_records import ScaledData, check, past_length, scaled
+from asia.models._numerics.training_records import ScaledData, check, scaled
 from asia.models._one_step import (
     RIDGES,
     FreeRunModel,
@@ -152,7 +152,7 @@ def _with_more_terms(
             for run, d in zip(runs, data, strict=True)
         ]
 
-    errors = left_out_error(part, context, refined, _shortest(context, lags))
+    errors = left_out_error(part, context, refined, lags.memory)
     if len(errors) != len(counts):
         return choice
     # Few segments do not resolve differences of less than 10 %.
@@ -196,17 +196,12 @@ def _choose_terms(
         records,
         context,
         lambda kept: _runs(kept, context, lags, config, counts, ridges),
-        _shortest(context, lags),
+        lags.memory,
     )
     table = errors.reshape(len(counts), len(ridges))
     row = int(np.argmax(table.min(axis=1) <= table.min() + 2 * np.log(1.02)))
     column = int(np.argmin(table[row]))
     return _Choice(lags, counts[row], ridges[column], float(table.min()))
-
-
-def _shortest(context: Context, lags: Lags) -> int:
-    """Least number of samples of a segment that is left out."""
-    return 2 * past_length(context) + 4 * lags.memory
 
 
 def _counts(config: Config) -> list[int]:

@@ -133,10 +133,7 @@ class NeuralStateSpace(TrainableModel[Config, FittedStateSpace]):
     label = "neural state-space model"
 
 
-def build(config: Config, context: Context) -> NeuralStateSpace:
-    """Build an untrained model."""
-    del context
-    return NeuralStateSpace(config)
+build = NeuralStateSpace.build
 
 
 def train(
@@ -200,9 +197,7 @@ def _train_records(
     if isinstance(method, LevenbergMarquardt):
         from asia.models._state_space.training import LmOptions, error_on_segments, fit_members
 
-        options = LmOptions(
-            _ridges(c), c.members, c.encoder, c.pieces, c.past_fit, seed=context.seed
-        )
+        options = LmOptions(_ridges(c), c.members, c.encoder, c.pieces, c.past_fit)
         if c.nonlinearity == "modal" and c.order is None and c.pieces:
             # A linear model takes a mode whose frequency depends on the amplitude for noise.
             wider = replace(c, order=begun[0].order + 2, delay=begun[3])

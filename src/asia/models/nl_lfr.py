@@ -88,10 +88,7 @@ def _drifting(core: LinearCore) -> int:
     return int((slow & (np.abs(np.angle(poles)) < 4 * np.pi / samples)).sum())
 
 
-def build(config: Config, context: Context) -> NonlinearLfr:
-    """Build an untrained model."""
-    del context
-    return NonlinearLfr(config)
+build = NonlinearLfr.build
 
 
 def train(

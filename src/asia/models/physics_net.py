@@ -23,7 +23,6 @@ from asia.data.trajectory import Trajectory
 from asia.errors import UserError
 from asia.models import recurrent
 from asia.models._config import check_at_least, check_choice, demand
-from asia.models._equations.config import Range
 from asia.models._equations.measured import (
     Disturbance,
     InputLag,
@@ -154,7 +153,7 @@ def build(config: Config, context: Context) -> PhysicsNet:
     closures = [system.closure(e) for e in system.dynamics]
     measured = MeasuredEquations(
         system=system,
-        ranges=tuple(Range(r.min, r.max) for r in physics.parameters.values()),
+        ranges=tuple(physics.parameters.values()),
         order=tuple(shown[s] for s in system.states),
         dynamic=tuple(i for i, names in enumerate(closures) if names & set(given.parameters)),
         corrections=places,

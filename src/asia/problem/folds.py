@@ -228,6 +228,11 @@ class Fold:
     """For each training record, its first sample in the record that it was cut from; () where each
     is a whole record."""
 
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes (H, ny) of the outputs of the held-out blocks."""
+        return [block.y.shape for block in self.held_out]
+
     def __repr__(self) -> str:
         train, held_out = sum(map(len, self.train)), sum(len(b.y) for b in self.held_out)
         return (

@@ -125,14 +125,10 @@ def _drawn(span: ParameterRange, rng: np.random.Generator) -> float:
     return float(span.min + share * (span.max - span.min))
 
 
-def _select(condition: Any, yes: Any, no: Any) -> Any:
-    return np.where(condition, yes, no)
-
-
 def _smaller(*values: Any) -> Any:
     least = values[0]
     for value in values[1:]:
-        least = _select(np.real(value) < np.real(least), value, least)
+        least = np.where(np.real(value) < np.real(least), value, least)
     return least
 
 
@@ -141,7 +137,7 @@ def _larger(*values: Any) -> Any:
 
 
 def _absolute(x: Any) -> Any:
-    return _select(np.real(x) < 0, -x, x)
+    return np.where(np.real(x) < 0, -x, x)
 
 
 def _angle(y: Any, x: Any) -> Any:
@@ -155,7 +151,7 @@ _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     **{name: getattr(np, name) for name in (
         "exp", "log", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh",
     )},
-    "sqrt": lambda x: np.sqrt(_select(np.real(x) > 0, x, 0.0)),
+    "sqrt": lambda x: np.sqrt(np.where(np.real(x) > 0, x, 0.0)),
     "sigmoid": lambda x: 0.5 + 0.5 * np.tanh(0.5 * x),
     "softplus": lambda x: _larger(x, 0.0) + np.log1p(np.exp(-_absolute(x))),
     "abs": _absolute,

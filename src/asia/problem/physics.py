@@ -188,7 +188,7 @@ def parse_expression(text: str, where: str) -> Expression:
     try:
         tree = expression_tree(text.strip())
         root = _convert(tree.body, where)
-        names = frozenset(_names(root))
+        names = names_in(root)
     except (SyntaxError, ValueError) as error:
         product = _with_product(text)
         advice = f": write '{product}'" if product else ""
@@ -286,18 +286,19 @@ def _call(node: ast.Call, where: str) -> Call:
     return Call(name, tuple(_convert(argument, where) for argument in node.args))
 
 
-def _names(node: Node) -> set[str]:
+def names_in(node: Node) -> frozenset[str]:
+    """All names of a tree."""
     match node:
         case Number():
-            return set()
+            return frozenset()
         case Name(name):
-            return {name}
+            return frozenset((name,))
         case Negative(operand):
-            return _names(operand)
+            return names_in(operand)
         case Binary(_, left, right):
-            return _names(left) | _names(right)
+            return names_in(left) | names_in(right)
         case Call(_, arguments):
-            return set[str]().union(*(_names(argument) for argument in arguments))
+            return frozenset[str]().union(*(names_in(argument) for argument in arguments))
 
 
 def _evaluate(

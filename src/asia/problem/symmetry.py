@@ -97,14 +97,6 @@ def group(symmetry: Symmetry, names: Sequence[str]) -> Array:
     return np.array(found)
 
 
-def covers(symmetry: Symmetry, names: Collection[str]) -> bool:
-    """Return whether some generator changes one of the signals `names`, and none takes one of them
-    to another signal."""
-    named = [(signal, _unsigned(value)) for g in symmetry.values() for signal, value in g.items()]
-    closed = all((signal in names) == (other in names) for signal, other in named)
-    return closed and any(signal in names for signal, _ in named)
-
-
 def of_signals(symmetry: Symmetry, inputs: Collection[str], outputs: Collection[str]) -> Symmetry:
     """The generators that take inputs to inputs and outputs to outputs and name nothing else: those
     that a model without equations can have."""

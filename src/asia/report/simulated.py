@@ -80,10 +80,9 @@ def fold_outputs(
     store: Store, experiment: Experiment, folds: Sequence[Fold]
 ) -> tuple[tuple[Array, ...], ...]:
     """Simulated held-out blocks (H, ny) of each fold, as the search recorded them."""
-    assert experiment.result is not None
     return tuple(
-        store.get_arrays(record.y_hat, [b.y.shape for b in fold.held_out])
-        for record, fold in zip(experiment.result.folds, folds, strict=True)
+        store.get_arrays(record.y_hat, fold.shapes)
+        for record, fold in zip(experiment.folds, folds, strict=True)
     )
 
 

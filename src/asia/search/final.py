@@ -43,7 +43,6 @@ from asia.ledger.run import ModelToUse
 from asia.ledger.text import error_line, error_value
 from asia.ledger.view import Experiment, SearchView
 from asia.problem.check import feedback_pairs
-from asia.problem.folds import Fold
 from asia.problem.metrics import find_metric
 from asia.problem.problem import Problem
 from asia.search.agent_views import problem_facts
@@ -385,7 +384,7 @@ def _stack_of(
         y = np.concatenate([block.y for block in fold.held_out])
         y_hat = np.zeros_like(y)
         for place in np.flatnonzero(nested).tolist():
-            answers = _held_out_answers(store, scored[place], fold)
+            answers = store.get_arrays(scored[place].folds[fold.index].y_hat, fold.shapes)
             y_hat += nested[place] * np.concatenate(answers)
         judged.append(shortfall(y, y_hat, fold.scale))
     order = [k for k in np.argsort(-weights, kind="stable").tolist() if weights[k] > 0]
@@ -401,13 +400,12 @@ def _passes(
     check_literals: LiteralCheckFunction | None,
 ) -> bool:
     """Whether a candidate answers like a model, and its literals are not suspect."""
-    result, score = experiment.result, experiment.score
-    assert result is not None
+    score, each = experiment.score, zip(experiment.folds, evaluator.data.folds, strict=True)
     assert score is not None
     folds = [
-        FoldResult(one, store.get(kept.model), _held_out_answers(store, experiment, fold),
+        FoldResult(one, store.get(kept.model), store.get_arrays(kept.y_hat, fold.shapes),
                    np.zeros((0, 2)), kept.diagnostics, kept.fit_seconds)
-        for one, kept, fold in zip(score.folds, result.folds, evaluator.data.folds, strict=True)
+        for one, (kept, fold) in zip(score.folds, each, strict=True)
     ]  # fmt: skip
     source = store.text(experiment.proposed.source)
     if evaluator.objection(source, folds) is not None:
@@ -416,12 +414,6 @@ def _passes(
     if check_literals is not None:
         found = check_literals(source, Evaluation(score, tuple(folds)), view)
     return found is None or not found.suspect
-
-
-def _held_out_answers(store: Store, experiment: Experiment, fold: Fold) -> Answers:
-    assert experiment.result is not None
-    shapes = [block.y.shape for block in fold.held_out]
-    return store.get_arrays(experiment.result.folds[fold.index].y_hat, shapes)
 
 
 def refit_winner(
@@ -436,7 +428,6 @@ def refit_winner(
     """The last line of a search, but for looks at the guard. Workers that end for no fault of the
     candidate leave a search without a refit, not without a model."""
     assert best.score is not None
-    assert best.result is not None
     failed: list[str] = []
 
     # Experiments whose fits ignore a declared loop are no members beside a winner that does not.
@@ -464,8 +455,8 @@ def refit_winner(
         refit: Refit | None = None
         try:
             source = store.text(best.proposed.source)
-            models = [store.get(fold.model) for fold in best.result.folds]
-            refit = evaluator.refit(source, [fold.attempt for fold in best.result.folds])
+            models = [store.get(fold.model) for fold in best.folds]
+            refit = evaluator.refit(source, [fold.attempt for fold in best.folds])
             checked = CheckedRefit(None, "it could not be compared with the fold models", None)
             with diagnostic("comparison of the refit", failed):
                 checked = check_refit(evaluator, source, models, refit.model, metric)

@@ -28,8 +28,7 @@ def look_at_guard(
     blocks = whole(open_guard(problem), problem.protocol)
     scores: list[GuardScore] = []
     for experiment in bests:
-        assert experiment.result is not None
-        models = [store.get(fold.model) for fold in experiment.result.folds]
+        models = [store.get(fold.model) for fold in experiment.folds]
         outcome = guard_error(evaluator, store.text(experiment.proposed.source), models, blocks)
         scores.append(GuardScore(experiment.number, outcome))
     values = [(s.outcome.value, s.experiment) for s in scores if isinstance(s.outcome, Score)]

@@ -25,6 +25,7 @@ from asia.ledger.view import Experiment, SearchView
 from asia.problem.folds import Block, whole
 from asia.problem.problem import Problem
 from asia.problem.seal import open_guard
+from asia.report.simulated import fold_outputs
 
 LiteralCheckFunction = Callable[[str, Evaluation, SearchView], LiteralCheck | None]
 """Check of the literals of a source with this evaluation."""
@@ -67,12 +68,8 @@ class LiteralExaminer:
             y_hats = [tuple(training_mean(f, b) for b in f.held_out) for f in folds]
             return Standard(1, self.problem.baseline or LINEAR, mean, y_hats)
         first = view.bests[0]
-        assert first.result is not None
         assert first.score is not None
-        y_hats = [
-            self.store.get_arrays(kept.y_hat, [block.y.shape for block in fold.held_out])
-            for kept, fold in zip(first.result.folds, folds, strict=True)
-        ]
+        y_hats = fold_outputs(self.store, first, folds)
         source = self.store.text(first.proposed.source)
         return Standard(first.number, source, first.score, y_hats)
 
@@ -98,10 +95,9 @@ class LiteralExaminer:
 
     def _first_gap(self, first: Experiment) -> float:
         """Gap between guard records and V of the first best."""
-        assert first.result is not None
         assert first.score is not None
         if first.number not in self._gaps:
-            models = [self.store.get(fold.model) for fold in first.result.folds]
+            models = [self.store.get(fold.model) for fold in first.folds]
             source = self.store.text(first.proposed.source)
             outcome = guard_error(self.evaluator, source, models, self._blocks)
             value = outcome.value if isinstance(outcome, Score) else np.inf

@@ -180,14 +180,7 @@ class Loop:
             with self.watch.activity(Activity.GUARD, swallows=True):
                 look = look_at_guard(self.problem, self.evaluator, self.store, self.view)
             self.record(look)
-        self._record_notes()
-
-    def _record_notes(self) -> None:
-        """Record the notes for people that were made since."""
-        for path, noted in self.steering.noted():
-            if noted is not None:
-                self.record(noted)
-            path.unlink()
+        self.steering.record_noted(self.record)
 
     def _shown(self) -> AgentView:
         """View of the search for an agent."""
@@ -233,7 +226,7 @@ class Loop:
         for path, text in self.steering.notes():
             self.record(Steered(text))
             path.unlink()
-        self._record_notes()
+        self.steering.record_noted(self.record)
         if self.steering.take_stop():
             # None of the pending evaluations is lost.
             while self.pending_fits.any:

@@ -95,12 +95,11 @@ def evaluation_of(landed: Landed, folds: Sequence[Fold], store: Store) -> Evalua
     results: list[FoldResult] = []
     if isinstance(landed.outcome, Score):
         for score, kept, fold in zip(landed.outcome.folds, landed.folds, folds, strict=True):
-            shapes = [block.y.shape for block in fold.held_out]
             results.append(
                 FoldResult(
                     score=score,
                     model=store.get(kept.model),
-                    y_hat=store.get_arrays(kept.y_hat, shapes),
+                    y_hat=store.get_arrays(kept.y_hat, fold.shapes),
                     curve=np.frombuffer(store.get(kept.curve), "<f8").reshape(-1, 2),
                     diagnostics=kept.diagnostics,
                     seconds=kept.fit_seconds,

@@ -115,7 +115,7 @@ class ScoreCheck:
             )
         try:
             y_hat = [
-                self._store.get_arrays(one.y_hat, [block.y.shape for block in fold.held_out])
+                self._store.get_arrays(one.y_hat, fold.shapes)
                 for one, fold in zip(event.folds, self._folds, strict=True)
             ]
             in_parts = rule.ladder is not None

@@ -79,8 +79,7 @@ def has_model(view: SearchView, use: Use) -> bool:
 
 def fold_models(experiment: Experiment, weight: float = 1.0) -> FinalMember:
     """The fold models of a scored experiment."""
-    assert experiment.result is not None
-    models = tuple(fold.model for fold in experiment.result.folds)
+    models = tuple(fold.model for fold in experiment.folds)
     return FinalMember(experiment.proposed.source, models, weight)
 
 
@@ -138,15 +137,13 @@ def band_basis(evaluator: Evaluator, view: SearchView, store: Store, use: Use) -
     else:
         assert view.best is not None
         weights = {view.best.number: 1.0}
-    parts = [(view.experiment(number).result, weight) for number, weight in weights.items()]
+    parts = [(view.experiment(number).folds, weight) for number, weight in weights.items()]
     simulated: list[tuple[Array, ...]] = []
     errors: list[HeldOutErrors] = []
     for fold in evaluator.data.folds:
-        shapes = [block.y.shape for block in fold.held_out]
-        total = [np.zeros(shape) for shape in shapes]
-        for result, weight in parts:
-            assert result is not None
-            kept = store.get_arrays(result.folds[fold.index].y_hat, shapes)
+        total = [np.zeros(shape) for shape in fold.shapes]
+        for folds, weight in parts:
+            kept = store.get_arrays(folds[fold.index].y_hat, fold.shapes)
             total = [t + weight * y_hat for t, y_hat in zip(total, kept, strict=True)]
         pairs = zip(fold.held_out, total, strict=True)
         simulated.append(tuple(total))
@@ -373,8 +370,7 @@ def simulated_excerpts(run: Run, number: int, isolation: Isolation | None = None
             ) from None
         cases += simulated_cases(fold, blocks, y_hat, held_out=False)
         if rule.residuals == "held_out":
-            shapes = [block.y.shape for block in fold.held_out]
-            stored = run.store.get_arrays(kept.y_hat, shapes)
+            stored = run.store.get_arrays(kept.y_hat, fold.shapes)
             places = _spread(fold.held_out, rule, most)
             chosen = [fold.held_out[k] for k in places], [stored[k] for k in places]
             cases += simulated_cases(fold, *chosen, held_out=True)

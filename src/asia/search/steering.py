@@ -10,7 +10,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -77,16 +77,17 @@ class Steering:
         found = sorted(self.folder.glob("steer-*.txt"))
         return [(path, path.read_text("utf-8", "replace")[:LONGEST_NOTE]) for path in found]
 
-    def noted(self) -> list[tuple[Path, Noted | None]]:
-        """Notes for people that are not yet recorded, oldest first; None for a file that is none.
-        Unlink each once it is recorded."""
-        found: list[tuple[Path, Noted | None]] = []
+    def record_noted(self, record: Callable[[Noted], None]) -> None:
+        """Record the notes for people that are not yet recorded, oldest first; a file that is none
+        is removed."""
         for path in sorted(self.folder.glob("noted-*.json")):
             try:
-                found.append((path, _NOTED.validate_json(path.read_bytes())))
+                noted = _NOTED.validate_json(path.read_bytes())
             except ValidationError:
-                found.append((path, None))
-        return found
+                pass
+            else:
+                record(noted)
+            path.unlink()
 
     @property
     def waiting(self) -> bool:
@@ -194,8 +195,5 @@ def note_for_people(
     if in_use(ledger):
         return False
     with Chain(ledger) as chain:
-        for path, one in steering.noted():
-            if one is not None:
-                chain.append(one)
-            path.unlink()
+        steering.record_noted(chain.append)
     return True

@@ -129,8 +129,7 @@ class StressRoom:
             parts = [(self._view.experiment(m.experiment), m.weight) for m in members]
         reach = np.zeros((len(self._blocks), len(self._half)))
         for experiment, _ in parts:
-            assert experiment.result is not None
-            models = [self._store.get(fold.model) for fold in experiment.result.folds]
+            models = [self._store.get(fold.model) for fold in experiment.folds]
             if use == "refit":
                 assert refitted.model is not None
                 models = [self._store.get(refitted.model)]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from asia.errors import UserError
-from asia.problem.symmetry import Symmetry, check_symmetry, covers, group, of_signals
+from asia.problem.symmetry import Symmetry, check_symmetry, group, of_signals
 
 TURN = {"x": "y", "y": "-x"}
 MIRROR = {"y": "-y"}
@@ -36,12 +36,7 @@ def test_those_of_signals_keep_inputs_and_outputs_apart() -> None:
     assert of_signals(symmetry, ["u"], ["y"]) == {"odd": odd, "output": {"y": "-y"}}
 
 
-def test_coverage() -> None:
-    odd = {"odd": {"u": "-u", "y": "-y"}}
-    assert covers(odd, ["u"])
-    assert covers(odd, ["u", "y"])
-    assert not covers(odd, ["v"])
-    assert not covers({"turn": TURN}, ["x"])
+def test_a_generator_that_leads_to_a_signal_left_out_is_refused() -> None:
     with pytest.raises(UserError, match="'y'"):
         group({"turn": TURN}, ["x"])
 

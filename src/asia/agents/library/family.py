@@ -34,18 +34,13 @@ _USUAL_SIZE = 16.0
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds of one fold's fit on an ordinary core, see `fit_seconds`. Fitted to recorded searches
-    by `benchmarks/models/cost.py`."""
+    """Seconds of one fold's fit on an ordinary core. Fitted to recorded searches by
+    `benchmarks/models/cost.py`."""
 
     start: float = 2.0
     """Seconds of every fit for imports, tracing and compilation."""
     unit: float = 1e-6
     """Seconds for each simulated sample at the usual size of a model."""
-
-
-def fit_seconds(timing: Timing, facts: Facts, recipe: Recipe) -> float:
-    """Expected seconds of one fold's fit."""
-    return timing.start + timing.unit * work(facts, recipe)
 
 
 def work(facts: Facts, recipe: Recipe) -> float:
@@ -180,7 +175,7 @@ class Family:
 
     def seconds(self, facts: Facts, recipe: Recipe) -> float:
         """Expected seconds of one fold's fit."""
-        return fit_seconds(self.timing, facts, recipe)
+        return self.timing.start + self.timing.unit * work(facts, recipe)
 
     def _own(self, recipe: Recipe) -> Recipe:
         return replace(recipe, family=self.name, package=self.package)

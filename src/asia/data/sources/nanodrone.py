@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 from asia.data.intake.conversion import as_written
 from asia.data.intake.sheet import Wanted
 from asia.data.intake.text import Text
-from asia.data.sources.official import is_lfs_pointer
+from asia.data.sources.official import OfficialBenchmark, is_lfs_pointer
 from asia.data.sources.source import Channels, DataSet, SourceData, Subset
 from asia.errors import UserError
 
@@ -33,10 +33,7 @@ class Nanodrone(DataSet):
 
     usage: ClassVar[str] = "nanodrone"
     public: ClassVar[bool] = True
-    test_kept: ClassVar[str] = (
-        "a public download: the plain files stay on this machine, protected from candidates by "
-        "isolation only, and known to anyone who knows the data set"
-    )
+    test_kept: ClassVar[str] = OfficialBenchmark.test_kept
 
     def __post_init__(self) -> None:
         if self.source != "nanodrone":

@@ -24,9 +24,6 @@ from asia.errors import UserError
 # Published files on this machine: where they lie, whether they are the published ones.
 
 
-_CHUNK = 1 << 20
-
-
 @dataclass(frozen=True)
 class PublishedFile:
     """One file of a benchmark."""
@@ -126,11 +123,8 @@ def _sha256(path: Path) -> str:
 def _sha256_of(path: Path, changed: int, size: int) -> str:
     """Read once for each state of the file."""
     del changed, size
-    digest = hashlib.sha256()
     with path.open("rb") as stream:
-        while block := stream.read(_CHUNK):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _download(file: PublishedFile, path: Path) -> str:
@@ -143,7 +137,7 @@ def _download(file: PublishedFile, path: Path) -> str:
         ):
             arrived = Path(folder) / path.name
             with arrived.open("wb") as target:
-                shutil.copyfileobj(answer, target, _CHUNK)
+                shutil.copyfileobj(answer, target)
             if file.zipped:
                 with zipfile.ZipFile(arrived) as archive:
                     arrived = Path(archive.extract(file.path, folder))

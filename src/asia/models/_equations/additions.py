@@ -137,21 +137,6 @@ def substituted(node: Node, nodes: Mapping[str, Node]) -> Node:
             return node
 
 
-def names_in(node: Node) -> frozenset[str]:
-    """All names of a tree."""
-    match node:
-        case Name(name):
-            return frozenset((name,))
-        case Negative(operand):
-            return names_in(operand)
-        case Binary(_, left, right):
-            return names_in(left) | names_in(right)
-        case Call(_, arguments):
-            return frozenset[str]().union(*(names_in(a) for a in arguments))
-        case Number():
-            return frozenset()
-
-
 def total(terms: Sequence[Node]) -> Node:
     """Sum of trees."""
     found = terms[0]

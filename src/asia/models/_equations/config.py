@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 from asia.models._equations.additions import NO_NUMBERS, NO_PRIORS, LearnedNumbers, ParameterPriors
 from asia.models._equations.ode import Equations
-from asia.problem.physics import Name
+from asia.problem.physics import Name, ParameterRange
 
 Initial = Literal["measured", "estimated"]
 Sensor = Literal["power", "spline"]
@@ -144,21 +144,13 @@ class Config:
 
 
 @dataclass(frozen=True)
-class Range:
-    """Search range of a parameter, searched in log when it is positive."""
-
-    min: float  # Least value, in the unit of the parameter
-    max: float  # Greatest value
-
-
-@dataclass(frozen=True)
 class GreyBoxStructure:
     """Structure of a grey-box, fixed before training. Hashable: it is a key of compiled
     programs."""
 
     equations: Equations  # Equations from the problem file, with the additions written in
     config: Config  # Additions to the equations
-    ranges: tuple[Range, ...]  # Search ranges of the parameters, in the order of the equations
+    ranges: tuple[ParameterRange, ...]  # Search ranges of the parameters, in their order
     low: tuple[float, ...]  # Lower physical bounds of the states (nx,), infinite where open
     high: tuple[float, ...]  # Upper physical bounds of the states (nx,), infinite where open
     sampling_time: float  # Sampling time in s

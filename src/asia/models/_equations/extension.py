@@ -10,19 +10,19 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from asia.data.trajectory import Array
-from asia.models._equations.additions import (
-    KNOTS,
-    LENGTH,
-    Extension,
-    formula,
-    names_in,
-    substituted,
-    total,
-)
+from asia.models._equations.additions import KNOTS, LENGTH, Extension, formula, substituted, total
 from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.ode import Equations, functions
 from asia.models._equations.starts import RecordSegments
-from asia.problem.physics import Binary, Expression, Name, Node, Number, parse_expression
+from asia.problem.physics import (
+    Binary,
+    Expression,
+    Name,
+    Node,
+    Number,
+    names_in,
+    parse_expression,
+)
 
 # Dry friction, hysteresis and play as terms and states of the equations.
 #

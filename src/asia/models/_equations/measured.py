@@ -14,13 +14,12 @@ from asia.data.trajectory import Array, Trajectory
 from asia.errors import UserError
 from asia.models import recurrent
 from asia.models._arrays import AnyArray, namespace
-from asia.models._equations.config import Range
 from asia.models._equations.ode import Equations, equations
 from asia.models._equations.simulate import physical_parameters
 from asia.models._networks.network import NetworkModel
 from asia.models._networks.structure import Float32, Params, cast_tree
 from asia.models._numerics.scaling import Scaling
-from asia.problem.physics import Bounds, Name
+from asia.problem.physics import Bounds, Name, ParameterRange
 from asia.problem.symmetry import group
 
 # State-space step of equations whose states are all measured, with learned terms, batch first.
@@ -63,7 +62,7 @@ class MeasuredEquations:
 
     system: Equations
     """The equations, with corrections as further parameters and priors as further definitions."""
-    ranges: tuple[Range, ...]  # Ranges of the parameters
+    ranges: tuple[ParameterRange, ...]  # Ranges of the parameters
     order: tuple[int, ...]  # Number of the output that shows each state
     dynamic: tuple[int, ...]  # Equations with free parameters
     corrections: tuple[str, ...] = ()

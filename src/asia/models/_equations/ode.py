@@ -108,17 +108,14 @@ class Equations:
         # A hash of all expressions would cost more than a step of a simulation.
         return hash((self.states, self.inputs, self.outputs, self.parameters))
 
-    def derivative(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
-        """Derivative d/dt (nx, ...) of the states, from parameters (np, ...), states x (nx, ...)
-        and inputs u (nu, ...)."""
-        return self.rates(namespace(parameters, x, u), x.dtype)(parameters, x, u)
-
     def rates(self, xp: Any, dtype: Any = np.float64) -> Evaluator:
-        """Return `derivative` for the arrays of xp, numpy or jax.numpy: for loops over samples."""
+        """Return the function that gives d/dt of the states, for arrays of xp, numpy or
+        jax.numpy."""
         return _evaluator(self, "dynamics", xp.__name__, np.dtype(dtype))
 
     def observe(self, parameters: AnyArray, x: AnyArray, u: AnyArray) -> AnyArray:
-        """Outputs (ny, ...), from arguments as those of `derivative`."""
+        """Outputs (ny, ...), from parameters (np, ...), states x (nx, ...) and inputs u (nu,
+        ...)."""
         return self._values("observation", parameters, x, u)
 
     def named(

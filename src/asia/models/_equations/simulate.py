@@ -9,8 +9,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from asia.models._arrays import AnyArray, namespace, repeated, rows, scan
-from asia.models._equations.config import GreyBoxStructure, Range
+from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.ode import Derivative, runge_kutta
+from asia.problem.physics import ParameterRange
 
 Step: TypeAlias = Callable[[AnyArray, AnyArray], AnyArray]
 """Function that advances the states by one sample: x (nx, R, S), u (nu, R, S) -> (nx, R, S)."""
@@ -68,7 +69,7 @@ class Effects(NamedTuple):
     readout: AnyArray  # (nx, units, R)
 
 
-def physical_parameters(ranges: Sequence[Range], z: AnyArray) -> AnyArray:
+def physical_parameters(ranges: Sequence[ParameterRange], z: AnyArray) -> AnyArray:
     """Parameters (np, ...) in physical units from their coordinates; [-1, 1] spans the range."""
     values: list[AnyArray] = []
     for i, span in enumerate(ranges):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from asia.models._equations.config import GreyBoxStructure
 from asia.models._equations.simulate import Scales, WindowPrior
 from asia.models._least_squares import Minimum
 from asia.models._numerics.training_records import measured_samples, rows, side_by_side, spread
+
+if TYPE_CHECKING:
+    from asia.models._equations.programs import CompiledSimulator
 
 # Starting points of the fit of a grey-box: records cut to segments, draws, screening, scales.
 
@@ -54,15 +57,6 @@ class Starts(NamedTuple):
         """Select some starting points."""
         scales = self.scales.of_rows(rows)
         return Starts(self.z[rows], self.shift[rows], self.x_guess[rows], scales)
-
-
-class SegmentSimulator(Protocol):
-    """Simulator of all segments."""
-
-    def __call__(self, z: Array, scales: Scales, x0: Array) -> tuple[Array, Array]:
-        """Simulate from initial states x0 (P, S, nx) with coordinates z (P, size): outputs (P, S,
-        T, ny) and states (P, S, T, nx)."""
-        ...
 
 
 def cut_segments(
@@ -142,7 +136,7 @@ def _neutral_draws(structure: GreyBoxStructure, segments: RecordSegments, count:
 def screen(
     structure: GreyBoxStructure,
     segments: RecordSegments,
-    simulate: SegmentSimulator,
+    simulate: CompiledSimulator,
     count: int,
     rng: np.random.Generator,
 ) -> Starts:
@@ -194,7 +188,7 @@ def _spread(states: Array, segments: RecordSegments) -> tuple[Array, Array]:
 def augment(
     structure: GreyBoxStructure,
     segments: RecordSegments,
-    simulate: SegmentSimulator,
+    simulate: CompiledSimulator,
     starts: Starts,
     found: Minimum,
     rng: np.random.Generator,

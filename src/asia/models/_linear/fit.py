@@ -6,12 +6,11 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asia.candidate import Context, ParameterEstimate, ParameterEstimates
-from asia.data.frequency import ComplexArray
 from asia.data.trajectory import Array, Trajectory
 from asia.models import uncertainty
 from asia.models._arrays import AnyArray, namespace
@@ -46,6 +45,9 @@ from asia.models._numerics.training_records import (
     side_by_side,
     window_rows,
 )
+
+if TYPE_CHECKING:
+    from asia.models._linear.joint import SampledResponse
 
 # Starts for a linear state-space fit: (A, C) from subspace and realisation methods.
 #
@@ -314,23 +316,6 @@ def fit(
     return best
 
 
-class ResponseResiduals(Protocol):
-    """Measured frequency response as residuals of a system for z-scored signals."""
-
-    @property
-    def response(self) -> ComplexArray:
-        """Response (F, ny, nu)."""
-        ...
-
-    def error(self, system: LinearSystem) -> float:
-        """Mean squared weighted error of a system."""
-        ...
-
-    def normal_equations(self, system: LinearSystem) -> tuple[Array, Array]:
-        """Products of the derivatives by A, B, C and D with themselves and with the residuals."""
-        ...
-
-
 def unseen_errors(
     records: ScaledData, context: Context, orders: Sequence[int], refinement: Refinement
 ) -> list[float]:
@@ -446,7 +431,7 @@ def refine(
     refinement: Refinement,
     log: Progress | None = None,
     weightings: Sequence[ErrorWeighting] | None = None,
-    responses: Sequence[ResponseResiduals] = (),
+    responses: Sequence[SampledResponse] = (),
 ) -> LinearFit:
     """Refine A, B, C, D, offset and the initial states by Levenberg-Marquardt.
 

@@ -52,18 +52,18 @@ class SampledResponse:
 
     def error(self, system: LinearSystem) -> float:
         """Mean squared weighted error of a system."""
-        inside = self.z[:, None, None] * np.eye(system.order) - system.a
-        found = system.c @ np.linalg.solve(inside, system.b.astype(np.complex128)) + system.d
-        return float(np.mean(np.abs(self.weight * (self.response - found)) ** 2))
+        return float(np.mean(np.abs(self._apart(system)) ** 2))
 
     def normal_equations(self, system: LinearSystem) -> tuple[Array, Array]:
         """Products of the derivatives by A, B, C and D with themselves and with the residuals."""
-        inside = self.z[:, None, None] * np.eye(system.order) - system.a
-        found = system.c @ np.linalg.solve(inside, system.b.astype(np.complex128)) + system.d
-        apart = (self.weight * (self.response - found)).ravel()
+        apart = self._apart(system).ravel()
         slopes = response_slopes(system.a, system.b, system.c, self.z)
         slopes = (self.weight[..., None] * slopes).reshape(len(apart), -1)
         return np.real(slopes.conj().T @ slopes), np.real(slopes.conj().T @ apart)
+
+    def _apart(self, system: LinearSystem) -> ComplexArray:
+        """Weighted difference from a system (F, ny, nu)."""
+        return self.weight * (self.response - system.response(self.z))
 
 
 def sampled_responses(context: Context, scaling: Scaling) -> list[SampledResponse]:

@@ -50,6 +50,11 @@ class LinearSystem:
         except np.linalg.LinAlgError:
             return np.full(self.d.shape, np.inf)
 
+    def response(self, z: Spectrum) -> Spectrum:
+        """Frequency response (F, ny, nu) at points z (F,) of the complex plane."""
+        inside = z[:, None, None] * np.eye(self.order) - self.a
+        return self.c @ np.linalg.solve(inside, self.b.astype(np.complex128)) + self.d
+
     def transformed(self, t: Array) -> LinearSystem:
         """Transform the states to T x."""
         inverse = np.linalg.inv(t)

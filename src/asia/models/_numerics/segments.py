@@ -90,15 +90,16 @@ def left_out_error(
     records: ScaledData,
     context: Context,
     fit: Callable[[ScaledData], Sequence[ScaledSimulator]],
-    shortest: int,
+    memory: int,
 ) -> Array:
     """Mean over splits of the log of the mean squared simulation error on the samples left out, for
     each of the simulators that `fit` makes from the kept samples; infinite where one diverges.
 
     Whole records are left out when there are at least three, else segments of them of at least
-    `shortest` samples.
+    four times the model's `memory` in samples, and two past windows.
     """
     logs: list[list[float]] = []
+    shortest = 2 * past_length(context) + 4 * memory
     for kept, left in contiguous_splits(records, 3, shortest):
         data = segments(left, context)
         if data is None or not kept:

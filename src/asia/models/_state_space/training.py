@@ -187,7 +187,6 @@ class LmOptions:
     hidden: int  # Number of tanh units of the map from past windows to states
     pieces: bool  # Begin the fits with short segments of the records
     past_fit: bool  # Fit initial states to the past window
-    seed: int  # Seed of the starts
 
 
 @dataclass(frozen=True)
@@ -219,7 +218,7 @@ def fit_members(
     A fit with initial states of its own may use an unstable model, which is lost from any other
     state. Fits are repeated with larger ridges, and the stability term, while the best one is
     unstable or lost from the states that past windows give."""
-    rng = np.random.default_rng(options.seed)
+    rng = np.random.default_rng(context.seed)
     count = method.starts if structure.starts_vary else 1
     starts = starts_of(structure, found, records, count, scaling, rng)
     samples = of_records(records, with_elements(structure, found).x0)
@@ -293,7 +292,7 @@ def error_on_segments(
     options: LmOptions,
 ) -> float:
     """Mean squared error and ridge of a fit from one start to the first lengths of segments."""
-    rng = np.random.default_rng(options.seed)
+    rng = np.random.default_rng(context.seed)
     starts = starts_of(structure, found, records, 1, scaling, rng)
     x0, log = with_elements(structure, found).x0, context.log
     each = structure, found.system, starts, records, x0, options.ridge, method, log

@@ -125,9 +125,7 @@ def test_without_periods_the_linear_residual_is_separated_from_leakage() -> None
         # Relative to the measured output, noise included.
         truth = noise / np.sqrt(1.0 + noise**2)
         assert decibels(found.levels.both) == pytest.approx(20 * np.log10(truth), abs=1.0)
-        assert found.coherence.min() >= 0.0
         band = found.frequency < 10.0
-        assert np.median(found.coherence[band]) > 0.9
         z = np.exp(2j * np.pi * found.frequency[band] * 0.01)
         ratio = found.gain[band, 0] * np.polyval(BEFORE[1], z) / np.polyval(BEFORE[0], z)
         assert np.median(abs(ratio - 1.0)) < noise
