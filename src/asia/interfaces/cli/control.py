@@ -25,6 +25,7 @@ from asia.interfaces.cli.options import (
     candidate_level,
     run_directory,
 )
+from asia.interfaces.cli.output import plain
 
 if TYPE_CHECKING:
     from asia.analysis.control import (
@@ -39,6 +40,9 @@ if TYPE_CHECKING:
     from asia.ledger.evidence import DrawnCheck
     from asia.lowering.program import LoweredModel
 
+_LOOP_FIGURES = (
+    "stable", "gain_margin", "phase_margin", "settling", "overshoot", "steady_state",
+)  # fmt: skip
 # Files of the controller.
 _CODE = {"python": "controller.py", "c": "controller.c", "st": "controller.st"}
 _KINDS = ("pid", "lqr", "mpc")
@@ -139,6 +143,7 @@ def control(
     from asia.analysis.control import (
         Limits,
         Loop,
+        SampledController,
         Specification,
         Transfer,
         design_in_simulation,
@@ -212,11 +217,12 @@ def control(
     facts["sampling_time"] = loop.sampling_time
     facts["model"] = f"experiment {model}" if model else "the model to use"
     facts["responses"] = [
-        {"model": one.name, **{k: v if math.isfinite(v) else None for k, v in asdict(f).items()}}
+        {"model": one.name, **plain(asdict(f))}
         for one, f in zip(loop.simulated, judged, strict=True)
     ]
     facts["missed_in_simulation"] = missed
-    facts |= {"kind": kind, "at": at, "setpoint": loop.setpoint, "controller": _numbers(controller)}
+    numbers = {one.name: getattr(controller, one.name) for one in fields(SampledController)}
+    facts |= {"kind": kind, "at": at, "setpoint": loop.setpoint, "controller": plain(numbers)}
     lines = _lines(loop, found, each, judged)
     if noisy is not None:
         moved = float(np.nanstd(noisy[1] - responses[0][1]))
@@ -270,20 +276,6 @@ def control(
         say(f"missed    {one}")
     if found.violated or missed:
         raise typer.Exit(1)
-
-
-def _numbers(controller: SampledController) -> dict[str, Any]:
-    """Matrices, operating point and limits of a controller; None for no limit."""
-    from asia.analysis.control import SampledController as Controller
-
-    found: dict[str, Any] = {}
-    for one in fields(Controller):
-        value = getattr(controller, one.name)
-        if isinstance(value, np.ndarray):
-            found[one.name] = value.tolist()
-        else:
-            found[one.name] = float(value) if math.isfinite(value) else None
-    return found
 
 
 def _drawn(loop: Loop, responses: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> list[DrawnCheck]:
@@ -591,9 +583,6 @@ def _pid_lines(one: Transfer) -> list[str]:
 
 
 def _facts(name: str, found: Design, each: list[LoopFigures]) -> dict[str, Any]:
-    def finite(value: float) -> float | None:
-        return float(value) if math.isfinite(value) else None
-
     one = found.controller
     gains = None if one is None else pid_gains(one)
     return {
@@ -603,16 +592,6 @@ def _facts(name: str, found: Design, each: list[LoopFigures]) -> dict[str, Any]:
         "num": None if one is None else one.num.tolist(),
         "den": None if one is None else one.den.tolist(),
         "pid": None if gains is None else dict(zip(("Kp", "Ki", "Kd", "Tf"), gains, strict=True)),
-        "loops": [
-            {
-                "stable": one.stable,
-                "gain_margin": finite(one.gain_margin),
-                "phase_margin": finite(one.phase_margin),
-                "settling": finite(one.settling),
-                "overshoot": finite(one.overshoot),
-                "steady_state": finite(one.steady_state),
-            }
-            for one in each
-        ],
+        "loops": [{name: plain(getattr(one, name)) for name in _LOOP_FIGURES} for one in each],
         "missed": list(found.violated),
     }
