@@ -55,14 +55,6 @@ _STALLED = 40
 _LAST = 3
 
 
-def product(*factors: Sequence[float] | Array) -> Array:
-    """Product of polynomials."""
-    found = np.ones(1)
-    for factor in factors:
-        found = np.asarray(np.polymul(found, factor), np.float64)
-    return found
-
-
 @dataclass(frozen=True)
 class Transfer:
     """Rational transfer function and a dead time."""
@@ -72,13 +64,6 @@ class Transfer:
     den: Array
     delay: float = 0.0
     """In s."""
-
-    def times(self, other: Transfer) -> Transfer:
-        """The series connection."""
-        return Transfer(
-            product(self.num, other.num), product(self.den, other.den),
-            self.delay + other.delay,
-        )  # fmt: skip
 
     def response(self, w: Array) -> NDArray[np.complex128]:
         """Frequency response at w in rad/s."""
@@ -102,7 +87,7 @@ class Transfer:
             factor *= self.delay * (_PADE - k + 1) / (k * (2 * _PADE - k + 1))
             num.insert(0, factor * (-1) ** k)
             den.insert(0, factor)
-        return Transfer(product(self.num, num), product(self.den, den))
+        return Transfer(np.polymul(self.num, num), np.polymul(self.den, den))
 
 
 @dataclass(frozen=True)
