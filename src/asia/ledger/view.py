@@ -78,6 +78,11 @@ class Experiment:
         return outcome if isinstance(outcome, Score) else None
 
     @property
+    def value(self) -> float | None:
+        """V, when there is a score."""
+        return self.score.value if self.score else None
+
+    @property
     def failure(self) -> Failure | None:
         """The failure, when there is one."""
         outcome = self.result.outcome if self.result else None
@@ -220,6 +225,11 @@ class SearchView:
         """The experiment whose models are handed over."""
         bests = self.bests
         return bests[-1] if bests else None
+
+    @property
+    def best_value(self) -> float | None:
+        """V of `best`; None where no candidate has a score."""
+        return self.best.value if self.best else None
 
     @property
     def failed_checks(self) -> tuple[str, ...]:

@@ -316,10 +316,9 @@ def progress_figure(subject: Subject, shown: Sequence[Experiment]) -> Html:
     view = subject.view
     bests = {e.number for e in view.bests}
     points = [
-        Point(e.number, e.score.value if e.score else None, result_of(e).status,
-              e.proposed.title, e.number in bests)
+        Point(e.number, e.value, result_of(e).status, e.proposed.title, e.number in bests)
         for e in shown
-    ]  # fmt: skip
+    ]
     levels = [(r.name, r.outcome.value) for r in view.references if isinstance(r.outcome, Score)]
     alt = (
         "V of each experiment with the best so far as a step line; the table below has the same "
