@@ -20,10 +20,9 @@ from asia.report.page.sections.experiments import COSTS, cost_of, status_of, tag
 from asia.report.page.sections.verdict import held_out_overlays, stamp
 from asia.report.page.subject import Subject, result_of, v_form
 from asia.report.page.svg import (
-    NARROW,
-    WIDE,
     BestSoFar,
     Overlay,
+    both_sizes,
     draw_best,
     draw_overlay,
     legend,
@@ -107,11 +106,7 @@ def comparison_part(compared: Sequence[Compared]) -> Html:
             for one in subjects
         ]
         axis, alt = axes.pop() if len(axes) == 1 else "V", "Best V so far over the experiments."
-        drawings = [
-            tag("div", draw_best(searches, axis, alt, size), class_=name)
-            for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
-        ]
-        curves = tag("figure", *drawings)
+        curves = tag("figure", both_sizes(partial(draw_best, searches, axis, alt)))
     parts = (
         section("figures", "Runs", warning, _runs_table(subjects)),
         section("curves", "Best so far", curves),

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import quote, urlencode
@@ -38,9 +39,8 @@ from asia.report.page.sections.experiments import (
 from asia.report.page.sections.verdict import held_out_overlays
 from asia.report.page.subject import Detail, Subject
 from asia.report.page.svg import (
-    NARROW,
-    WIDE,
     Span,
+    both_sizes,
     draw_loss,
     draw_overlay,
     draw_timeline,
@@ -757,17 +757,14 @@ def timeline_part(snapshot: Snapshot) -> Html | None:
     if not spans:
         return None
     alt = "Time of the evaluation of each experiment, from its proposal to its result."
-    drawings = [
-        tag("div", draw_timeline(spans, alt, size), class_=name)
-        for size, name in ((WIDE, "wide"), (NARROW, "narrow"))
-    ]
+    drawings = both_sizes(partial(draw_timeline, spans, alt))
     text = (
         "Each bar reaches from the proposal of an experiment to its result. Evaluations at the "
         "same time have rows of their own. Gaps are the agent and the decisions of the search. "
         "Longer pauses, such as those before a search was resumed, are cut out."
     )
     keys = [("kept bar", "new best"), ("other bar", "no new best"), ("failed bar", "no score")]
-    return join((tag("p", text), tag("figure", *drawings, legend(keys))))
+    return join((tag("p", text), tag("figure", drawings, legend(keys))))
 
 
 def _ends(times: Sequence[float], now: float) -> tuple[float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -115,6 +115,12 @@ class Size:
 
 WIDE = Size(900, 380, 170, 30)
 NARROW = Size(380, 340, 12, 3)
+
+
+def both_sizes(draw: Callable[[Size], Html]) -> Html:
+    """A drawing for wide and for narrow screens, of which the page shows one."""
+    sizes = ((WIDE, "wide"), (NARROW, "narrow"))
+    return join(tag("div", draw(size), class_=name) for size, name in sizes)
 
 
 def draw_progress(
