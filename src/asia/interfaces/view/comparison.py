@@ -180,7 +180,7 @@ def compared_overlay(
     if not 0 <= index < len(drawn):
         raise UserError(f"the comparison has no picture {index}")
     problem, one, _ = drawn[index]
-    return draw_overlay(problem, one.cut(first, len(one.measured) - 1 if last is None else last))
+    return draw_overlay(problem, one.cut(first, last))
 
 
 def _experiments_table(compared: Sequence[Compared]) -> Html | None:

@@ -223,18 +223,13 @@ def zoomable(address: str, drawn: Html, count: int) -> Html:
     )
 
 
-def overlay_part(
-    snapshot: Snapshot, number: int, index: int, first: int = 0, last: int | None = None
-) -> Html:
+def overlay_part(snapshot: Snapshot, number: int, index: int, first: int, last: int | None) -> Html:
     """Samples `first` to `last` of an overlay, drawn. Raises UserError where there is none."""
     subject = snapshot.subject
     overlays = held_out_overlays(subject, subject.view.experiment(number))
     if subject.problem is None or not 0 <= index < len(overlays):
         raise UserError(f"experiment {number} has no picture {index}")
-    one = overlays[index]
-    return draw_overlay(
-        subject.problem, one.cut(first, len(one.measured) - 1 if last is None else last)
-    )
+    return draw_overlay(subject.problem, overlays[index].cut(first, last))
 
 
 # The list of runs.

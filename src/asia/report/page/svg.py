@@ -230,8 +230,8 @@ def _steps(bests: Sequence[tuple[int, float]], across: Scale, up: Scale, end: fl
     return f"{path}H{rounded(end)}"
 
 
-def _cross(x: float, y: float) -> Html:
-    return tag("path", d=f"M{rounded(x - 4)} {rounded(y - 4)}l8 8m0 -8l-8 8", class_="failed")
+def _cross(x: float, y: float, name: str = "failed") -> Html:
+    return tag("path", d=f"M{rounded(x - 4)} {rounded(y - 4)}l8 8m0 -8l-8 8", class_=name)
 
 
 def _marker(point: Point, across: Scale, up: Scale) -> Html:
@@ -555,12 +555,13 @@ class Overlay:
     others: tuple[Array, ...] = ()
     below: tuple[str, Array] | None = None
 
-    def cut(self, first: int, last: int) -> Overlay:
+    def cut(self, first: int, last: int | None) -> Overlay:
         """Return the part between two samples, counted from its start and clipped to it; at least
-        two samples.
+        two samples. last: None for the end.
         """
-        begin = min(max(first, 0), len(self.measured) - 2)
-        end = max(min(last + 1, len(self.measured)), begin + 2)
+        count = len(self.measured)
+        begin = min(max(first, 0), count - 2)
+        end = max(count if last is None else min(last + 1, count), begin + 2)
         return replace(
             self,
             first=self.first + begin,
@@ -779,9 +780,7 @@ def draw_poles(models: Sequence[tuple[str, Sequence[complex], Sequence[complex]]
         tag("circle", cx=across.at(0), cy=up.at(0), r=rounded(unit), class_="level"),
     ]
     for k, (_, poles, zeros) in enumerate(models):
-        for z in poles:
-            x, y = rounded(across.at(z.real) - 4), rounded(up.at(z.imag) - 4)
-            drawn.append(tag("path", d=f"M{x} {y}l8 8m0 -8l-8 8", class_=f"line {series(k)}"))
+        drawn += [_cross(across.at(z.real), up.at(z.imag), f"line {series(k)}") for z in poles]
         for z in zeros:
             x, y = rounded(across.at(z.real)), rounded(up.at(z.imag))
             drawn.append(tag("circle", cx=x, cy=y, r="4.5", class_=f"line {series(k)}"))
