@@ -28,7 +28,7 @@ from asia.ledger.run import alarms
 from asia.ledger.text import decision_text, describe_result, error_value, evidence_lines
 from asia.ledger.view import Experiment
 from asia.report.page.code import python
-from asia.report.page.html import Html, fixed, join, said, table, tag
+from asia.report.page.html import Html, fixed, join, region, said, table, tag
 from asia.report.page.sections import SECTIONS
 from asia.report.page.sections.experiments import (
     experiment_story,
@@ -170,8 +170,7 @@ def experiment_part(snapshot: Snapshot, number: int) -> Html:
             lines = store.text(e.result.output).splitlines()[-20:]
     evidence = None
     if lines:
-        code = tag("code", "\n".join(lines))
-        evidence = tag("pre", code, tabindex="0", role="region", aria_label="evidence")
+        evidence = region("pre", tag("code", "\n".join(lines)), label="evidence")
 
     story = to_pages(experiment_story(subject, e), run.name)
     source = python(store.text(e.proposed.source), "candidate.py") if store.kept else None
@@ -324,7 +323,7 @@ def runs_table(listed: Sequence[ListedRun]) -> Html:
             ]
         body.append(tag("tr", *cells))
     inner = tag("table", tag("thead", tag("tr", *head)), tag("tbody", *body), class_="runs")
-    return tag("div", inner, class_="scroll", tabindex="0", role="region", aria_label="Runs")
+    return region("div", inner, class_="scroll", label="Runs")
 
 
 def state_mark(state: str, *, paused: bool = False) -> Html:
@@ -508,14 +507,8 @@ def run_page(snapshot: Snapshot, token: str, chosen: Chosen) -> str:
         id="curve",
         data_curve=f"{run_address(name)}/curve",
     )
-    listed = tag(
-        "div",
-        experiment_rows(subject, chosen),
-        id="rows",
-        class_="rows",
-        tabindex="0",
-        role="region",
-        aria_label="Experiments",
+    listed = region(
+        "div", experiment_rows(subject, chosen), label="Experiments", id="rows", class_="rows"
     )
     overlay = tag(
         "a", "Overlay and compare experiments", href=f"/compare?{urlencode({'run': name})}"

@@ -74,9 +74,9 @@ def fixed(words: str) -> Html:
     return tag("span", words, class_="fixed")
 
 
-def region(element: str, *children: str | None, label: str, class_: str | None = None) -> Html:
+def region(element: str, *children: str | None, label: str, **attributes: object) -> Html:
     """An element that scrolls by itself, with a name for screen readers."""
-    return tag(element, *children, class_=class_, tabindex="0", role="region", aria_label=label)
+    return tag(element, *children, **attributes, tabindex="0", role="region", aria_label=label)
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str | None]], caption: str) -> Html:
