@@ -19,7 +19,7 @@ from asia.analysis.monitor import INCREASE, Observer
 from asia.data.trajectory import Array, Signal
 from asia.errors import InternalError
 from asia.export.model import ExportModel, Printed, TrainingWindow
-from asia.export.target import Answers
+from asia.export.target import Answers, Target
 from asia.export.targets.indices import Places, inside_places, kept_axes, slices, source_places
 from asia.lowering.program import Node, Program, Shape
 
@@ -532,7 +532,7 @@ _HELPERS = {
 }
 
 
-class CTarget:
+class CTarget(Target):
     """Target `c`: `model.c`, `model.h`, `main.c`, `Makefile`, `example.csv`."""
 
     name = "c"
@@ -546,10 +546,6 @@ asia_update(&x, u);                   /* to the next sample; asia_step does both
 numbers are `float`; where that differs too much, `model.h` refuses it. The functions use no heap
 and no global variables. Do not compile with `-ffast-math`: a value that is no number must stay
 one."""
-
-    def missing(self) -> str | None:
-        """Return None: printing needs nothing."""
-        return None
 
     def print(self, model: ExportModel) -> Printed:
         """Print the files; the sizes are those of `double`."""
